@@ -10,7 +10,7 @@ __all__ = ["Client", "__version__", "connect"]
 
 
 def __getattr__(name: str) -> object:
-    """Import the client when it is first asked for, so that `import kleinkram` costs nothing."""
+    """Import the client on first use, so that `klein --help` and the server do not load it."""
     if name in {"Client", "connect"}:
         from kleinkram import client
 

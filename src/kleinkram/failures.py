@@ -1,6 +1,6 @@
-"""How a command prints why it failed: a sentence, or one JSON document in one line where JSON was asked for.
+"""The error line of a failed command: a sentence, or with `--json` one JSON document in one line.
 
-Imports nothing of ours: the processes that a command turns into print failures likewise, and must stay small.
+Imports no other module of ours, because the runner and other small processes use it.
 """
 
 import json
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 
 def code_of(error: BaseException) -> str:
-    """Return the code of a failure that the contract does not list: its class's name, in small letters."""
+    """Return the code of an error that is not in the contract: its class name in snake case."""
     return re.sub("(?<!^)(?=[A-Z])", "_", type(error).__name__).lower()
 
 

@@ -22,6 +22,6 @@ def test_events_are_found_and_exported(terminal: Terminal, project: str) -> None
 
 
 def test_invalid_filters_are_refused(terminal: Terminal) -> None:
-    assert "--export gives everything" in terminal.run("audit", "--export", "--limit", 3, code=2).err
+    assert "--export prints everything" in terminal.run("audit", "--export", "--limit", 3, code=2).err
     assert "noun_id" in terminal.run("audit", "--id", "x", code=2).err
-    assert "say a time as" in terminal.run("audit", "--since", "yesterday", code=2).err
+    assert "write a time as" in terminal.run("audit", "--since", "yesterday", code=2).err

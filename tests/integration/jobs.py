@@ -12,8 +12,7 @@ from kleinkram.server import worker
 from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
-from kleinkram.server.jobs.attempts import record_failure
-from kleinkram.server.jobs.back_pressure import BackPressure
+from kleinkram.server.jobs.execution import BackPressure, record_failure
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.recordings.jobs import MetadataCache, RegroupDebounce
 from kleinkram.server.s3.storage import open_storage
@@ -70,8 +69,8 @@ async def drain(context: AppContext, back_pressure: BackPressure, rests: Regroup
                     "context": context,
                     "readers": readers,
                     "back_pressure": back_pressure,
-                    "understanding": MetadataCache(readers),
-                    "rests": rests or _NoRests(),
+                    "metadata_cache": MetadataCache(readers),
+                    "regroup_debounce": rests or _NoRests(),
                 },
             )
     return ran

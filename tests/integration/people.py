@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from kleinkram.contract.access import GroupKind, Right, Scope, TokenKind
 from kleinkram.contract.names import name_key
-from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
+from kleinkram.server.access.builtin_groups import ADMINS_ID, OWNER_ID
 from tests.integration.api_server import Api
 
 # Seconds from now by the database's clock; below zero for what has expired, None for what does not.

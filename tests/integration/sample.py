@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kleinkram.contract.names import name_key
-from kleinkram.server.access.groups import OWNER_ID
+from kleinkram.server.access.builtin_groups import OWNER_ID
 from tests.integration.api_server import Api
 
 

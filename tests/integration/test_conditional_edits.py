@@ -128,14 +128,14 @@ def test_results_of_jobs_do_not_change_the_etag(api: Api, made: dict[str, Any]) 
 @pytest.mark.parametrize(
     ("header", "status"), [("*", 200), ('"0000000000000000"', 412), ('W/"{}"', 200), ('"1", "{}"', 200)]
 )
-def test_if_match_is_read_as_http_says(api: Api, made: dict[str, Any], header: str, status: int) -> None:
+def test_if_match_follows_the_http_specification(api: Api, made: dict[str, Any], header: str, status: int) -> None:
     seen = made["missions"]
     headers = {"If-Match": header.format(seen["etag"])}
     assert api.call("PATCH", f"/missions/{seen['id']}", {"notes": "x"}, headers=headers).status == status
     assert api.patch(f"/missions/{seen['id']}", {"notes": "y"}).ok()["notes"] == "y", "who names none is not asked"
 
 
-def test_the_sdk_raises_it_by_its_name(api: Api, made: dict[str, Any]) -> None:
+def test_the_sdk_raises_edit_conflict(api: Api, made: dict[str, Any]) -> None:
     with connect(api.url, api.token) as client:
         seen = client.missions.get(made["missions"]["id"])
         client.missions.update(seen.id, if_match=seen.etag, notes="mine")
@@ -144,9 +144,7 @@ def test_the_sdk_raises_it_by_its_name(api: Api, made: dict[str, Any]) -> None:
         assert client.missions.get(seen.id).notes == "mine"
 
 
-def test_the_terminal_says_so_and_ends_with_conflict(
-    api: Api, made: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_cli_exits_with_conflict(api: Api, made: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("KLEINKRAM_URL", api.url)
     monkeypatch.setenv("KLEINKRAM_TOKEN", str(api.token))
     seen = made["missions"]

@@ -44,7 +44,7 @@ def test_a_statement_that_takes_too_long_is_ended(api: Api) -> None:
 
 
 @pytest.mark.parametrize(("timeout_s", "shown"), [(30, "30s"), (None, "0")])
-def test_the_limit_of_a_statement_is_the_database_s_own_or_ours(api: Api, timeout_s: float | None, shown: str) -> None:
+def test_the_statement_timeout_is_ours_or_the_databases(api: Api, timeout_s: float | None, shown: str) -> None:
     async def work(context: AppContext) -> str:
         address = f"{context.settings.database_url}?options=-c%20lock_timeout%3D7s"
         settings = context.settings.model_copy(update={"database_url": address})
@@ -108,7 +108,7 @@ async def _raises(connection: Connection) -> None:
 
 @pytest.mark.parametrize("trouble", [None, _fails, _is_cancelled, _raises])
 @pytest.mark.parametrize("how", [Database.begin, Database.autocommit])
-def test_statements_by_themselves_begin_no_transaction(api: Api, how: Any, trouble: Any) -> None:
+def test_autocommit_statements_start_no_transaction(api: Api, how: Any, trouble: Any) -> None:
     """And the connection is as it was for whoever takes it next, whatever became of what it was taken for."""
 
     async def work(context: AppContext) -> None:

@@ -260,7 +260,7 @@ def test_two_migrators_at_once_migrate_once(postgres: RunningPostgres) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("next_migration")
-def test_a_migration_waiting_for_a_table_delays_nobody_else_for_long(postgres: RunningPostgres, database: str) -> None:
+def test_a_migration_waiting_for_a_lock_delays_others_only_briefly(postgres: RunningPostgres, database: str) -> None:
     name = postgres.create_database(template=database)
     url = _url(postgres, name)
     reader = psycopg.connect(postgres.serve_url(name))

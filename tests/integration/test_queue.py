@@ -12,7 +12,7 @@ _READ = (
 )
 
 
-def test_the_next_of_many_jobs_is_found_without_looking_at_all_for_each(start_api: Any) -> None:
+def test_finding_the_next_job_does_not_scan_all_jobs(start_api: Any) -> None:
     api: Api = start_api()
     # A plan is kept after some times, and a queue is empty most of the time: also when PostgreSQL counts its rows.
     api.sql("INSERT INTO procrastinate_jobs (queue_name, task_name) VALUES ('long', 'none')")

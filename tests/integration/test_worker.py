@@ -49,7 +49,7 @@ class _Cluster:
 def database(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Cluster]:
     folder = tmp_path_factory.mktemp("pg")
     folder.chmod(0o755)
-    passwords = pg.PostgresPasswords("admin", "migrate", "serve")
+    passwords = {pg.ADMIN: "admin", pg.MIGRATE: "migrate", pg.SERVE: "serve"}
     cluster = pg.PostgresCluster(
         binaries=pg.locate_postgres(),
         data_dir=folder,
@@ -160,7 +160,7 @@ def test_a_worker_stops_on_request_while_postgresql_is_unavailable(
 
 
 @pytest.mark.slow
-def test_a_job_that_a_restart_cut_short_is_done_again(database: _Cluster, store: RunningStore, tmp_path: Path) -> None:
+def test_a_job_interrupted_by_a_restart_runs_again(database: _Cluster, store: RunningStore, tmp_path: Path) -> None:
     with _working(database, store, tmp_path / "log") as worker:
         blocker = psycopg.connect(database.cluster.url(pg.ADMIN))
         blocker.execute("LOCK TABLE run IN ACCESS EXCLUSIVE MODE")

@@ -7,13 +7,12 @@ from urllib.parse import quote
 
 import psycopg
 
-from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
-from kleinkram.server.runs.jobs import maintain_runs_once as maintain_runs
+from kleinkram.server.maintenance import collect_garbage, maintain_runs
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings
-from kleinkram.server.uploads.jobs import maintain_uploads
+from kleinkram.server.uploads.completion import maintain_uploads
 from kleinkram.standalone.data_dir import DataDir, load_secrets
 from kleinkram.standalone.postgres import DATABASE, SERVE
 from tests.system.cluster import Cluster

@@ -70,7 +70,7 @@ def test_a_download_reports_a_full_disk_and_resumes_once_there_is_space(
         filling.fill()
         ended = end(process)
         assert ended.code == _EXIT_DESTINATION, ended.err
-        assert "There is no room for" in ended.err
+        assert "There is not enough disk space for" in ended.err
         assert "run the same command again" in ended.err
         assert not filling.path("large.bin").exists(), "what is not whole has no name"
         filling.make_room()
@@ -101,7 +101,7 @@ def test_a_database_with_a_full_disk_reports_it_and_recovers_once_there_is_space
 
     wait_until(is_reported, "the doctor to say why PostgreSQL does not run")
     assert "without any the database stops until there is some" in findings["disk of the database"]["remedy"]
-    assert not findings["disk of the database"]["ok"]
+    assert findings["disk of the database"]["severity"] == "problem"
     coming = _file(tmp_path / "coming.bin", 9 * MIB)
     unanswered = terminal.run("project", "list", code=_EXIT_UNREACHABLE).err
     assert "The database is not available" in unanswered

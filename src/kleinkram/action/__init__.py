@@ -1,4 +1,4 @@
-"""For code inside of an action: its inputs and parameters, and how it reports results.
+"""For the code of an action: its inputs and parameters, and functions that report results.
 
 ```python
 from kleinkram.action import inputs, out, progress, report
@@ -9,7 +9,7 @@ for number, path in enumerate(inputs()):
 (out / "notes.txt").write_text("an artifact")
 ```
 
-Everything goes through files: there is no connection, and nothing to close. See the page on actions.
+All communication is through files: there is no connection to close. See the page on actions.
 """
 
 from kleinkram.action.events import progress, report

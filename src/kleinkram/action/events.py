@@ -1,4 +1,4 @@
-"""How a run reports results: by lines of JSON, which its runner reads while the run lasts."""
+"""Reports the results of a run as lines of JSON, which its runner reads during the run."""
 
 import fcntl
 import os
@@ -8,7 +8,7 @@ from typing import TypeVar
 from pydantic import BaseModel, JsonValue, ValidationError
 
 from kleinkram.action import run_files
-from kleinkram.contract.problems import in_plain_words
+from kleinkram.contract.problems import first_message
 from kleinkram.contract.reports import (
     EVENTS_FILE,
     MAX_EVENT_BYTES,
@@ -25,7 +25,7 @@ AnyPath = str | os.PathLike[str]
 
 
 class Reporting:
-    """`report`. Safe to use from threads and processes of one run."""
+    """The class of `report`. Threads and processes of one run can use it concurrently."""
 
     def finding(
         self,
@@ -51,8 +51,8 @@ class Reporting:
         """Report a number, such as `metric("ate_rmse", 0.12, unit="m")`. A later value replaces an earlier one.
 
         Raises:
-            ReportRefused: the name is not of at most 64 small letters, digits and `_ . -`, beginning with a letter; or
-                the number is NaN or infinite: report that as a finding.
+            ReportRefused: the name is not of at most 64 lower-case letters, digits and `_ . -`, beginning with a
+                letter; or the number is NaN or infinite, which a finding can report.
         """
         path = None if file is None else _within(file, run_files.in_dir)
         _append(ReportEvent(metric=_validated(Metric, name=name, value=value, unit=unit, file=path)))
@@ -89,21 +89,21 @@ def _validated(kind: type[T], **fields: object) -> T:
         return kind.model_validate(fields)
     except ValidationError as error:
         name = str(error.errors(include_url=False)[0]["loc"][0])
-        reason = in_plain_words(error)
+        reason = first_message(error)
         if name in {"name", "code"}:
-            reason = "use at most 64 small letters, digits and _ . -, beginning with a letter: 'rate.imu.data'"
+            reason = "use at most 64 lower-case letters, digits and _ . -, beginning with a letter: 'rate.imu.data'"
         raise ReportRefused(f"the {name} {fields.get(name)!r} of a {kind.__name__.lower()}: {reason}") from None
 
 
 def _within(path: AnyPath, folder: Path) -> str:
-    """Return a relative or absolute path relative to a directory."""
+
     return Path(os.path.normpath(folder / path)).relative_to(folder).as_posix()
 
 
 def _append(event: ReportEvent) -> None:
     line = event.model_dump_json(exclude_unset=True, exclude_none=True).encode() + b"\n"
     if len(line) > MAX_EVENT_BYTES:
-        raise ValueError(f"this has {len(line)} bytes; at most {MAX_EVENT_BYTES} are possible")
+        raise ValueError(f"the report has {len(line)} bytes; at most {MAX_EVENT_BYTES} are allowed")
     path = run_files.out / EVENTS_FILE
     path.parent.mkdir(exist_ok=True)
     with path.open("ab", buffering=0) as stream:

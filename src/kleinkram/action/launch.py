@@ -1,6 +1,6 @@
-"""Starts a script action: `python -m kleinkram.action.launch SCRIPT DEPENDENCY…`, SCRIPT as in `/in`.
+"""Starts a script action: `python -m kleinkram.action.launch SCRIPT DEPENDENCY…`, with SCRIPT relative to `/in`.
 
-Checks that the dependencies of the script are installed, since a run can fetch nothing, and then runs the script.
+Checks first that the dependencies of the script are installed, because a run cannot install packages.
 """
 
 import importlib.metadata
@@ -20,11 +20,11 @@ def main() -> None:
     missing = [problem for dependency in dependencies if (problem := _missing(dependency))]
     if missing:
         sys.stderr.write(
-            f"Dependencies of this script are not installed here: {'; '.join(missing)}. A run cannot fetch packages: "
-            "name an image that has them in the script's header ([tool.kleinkram] image = ...).\n"
+            f"Dependencies of this script are not installed here: {'; '.join(missing)}. A run cannot install packages: "
+            "set an image that has them in the script's header ([tool.kleinkram] image = ...).\n"
         )
         raise SystemExit(NOT_INSTALLED)
-    # `/in` is elsewhere where the run has no sandbox.
+    # Without a sandbox, `/in` is another directory.
     path = str(run_files.in_dir / script)
     sys.argv = [path]
     runpy.run_path(path, run_name="__main__")
@@ -34,14 +34,16 @@ def _missing(dependency: str) -> str | None:
     try:
         requirement = Requirement(dependency)
     except InvalidRequirement:
-        return f"{dependency!r}, which is no requirement"
+        return f"{dependency!r}, which is not a valid requirement"
     if requirement.marker is not None and not requirement.marker.evaluate():
         return None
     try:
         version = importlib.metadata.version(requirement.name)
     except importlib.metadata.PackageNotFoundError:
         return dependency
-    return None if requirement.specifier.contains(version, prereleases=True) else f"{dependency} (here is {version})"
+    if requirement.specifier.contains(version, prereleases=True):
+        return None
+    return f"{dependency} (version {version} is installed)"
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""The files of a run: where they are, and what `/in/mission.json` contains.
+"""The directories of a run and the content of `/in/mission.json`.
 
-The directories are `/in`, `/out` and `/tmp`, unless the environment names others: where the kernel allows no sandbox.
+The directories are `/in`, `/out` and `/tmp`, unless the environment sets others, as it does without a sandbox.
 """
 
 import functools
@@ -23,7 +23,7 @@ def context() -> RunContext:
     """Return the content of `/in/mission.json`.
 
     Raises:
-        FileNotFoundError: this is not inside of a run; `klein action run-local` makes one.
+        FileNotFoundError: this process is not in a run; `klein action run-local` starts one.
     """
     return RunContext.model_validate_json((in_dir / CONTEXT_FILE).read_bytes())
 

@@ -1,4 +1,4 @@
-"""For tests of an action's code: a run of it as a plain process, without server, container or mission.
+"""For tests of an action: run its code as a plain process, without server, container or mission.
 
 ```python
 def test_it_counts(tmp_path):
@@ -7,7 +7,7 @@ def test_it_counts(tmp_path):
     assert ran.metric("messages") == 589
 ```
 
-The run is not isolated: it reads and writes whatever the test may. `klein action run-local` is the next step.
+The run is not isolated: it can read and write whatever the test can. `klein action run-local` is the next step.
 """
 
 import datetime
@@ -24,7 +24,7 @@ from kleinkram.action.run_files import IN_VARIABLE, OUT_VARIABLE
 from kleinkram.client.actions import MANIFEST, read_manifest
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.access import Right
-from kleinkram.contract.actions import ActionDefinition, ParameterValues
+from kleinkram.contract.actions import ParameterValues
 from kleinkram.contract.files import BlobState, ContentState, FileRead
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionRead, MissionRef
@@ -35,12 +35,12 @@ from kleinkram.contract.runs import CONTEXT_FILE, ActionRef, Cause, RunContext
 
 _NOBODY = PersonRef(id=uuid.UUID(int=1), name="nobody")
 _MISSION = MissionRef(id=uuid.UUID(int=2), name="mission", project=ProjectRef(id=uuid.UUID(int=3), name="project"))
-_THEN = datetime.datetime(2024, 5, 1, tzinfo=datetime.timezone.utc)
+_CREATED_AT = datetime.datetime(2024, 5, 1, tzinfo=datetime.timezone.utc)
 
 
 @dataclass(frozen=True)
-class Tried:
-    """How a run ended: its exit code, output, directory of results, and report."""
+class TryOutResult:
+    """The exit code, output, results directory and report of a run."""
 
     exit_code: int
     log: str
@@ -68,11 +68,11 @@ def try_out(
     parameters: ParameterValues | None = None,
     metadata: Metadata | None = None,
     timeout_s: float = 60,
-) -> Tried:
-    """Run a script on some files, by their paths in the mission, in an empty directory of the test.
+) -> TryOutResult:
+    """Run a script on files, given by their paths in the mission, in an empty directory.
 
-    The manifest is `action.yaml` beside the script, or its own header. All files are inputs, whatever its `inputs` are;
-    `metadata` is of the mission.
+    The manifest is `action.yaml` beside the script, or the script's header. All files are inputs, whatever `inputs` the
+    manifest declares. `metadata` is that of the mission.
 
     Raises:
         InvalidInput: the manifest or a parameter is invalid.
@@ -80,67 +80,57 @@ def try_out(
     """
     code = Path(script).resolve()
     definition = read_manifest(code.parent if (code.parent / MANIFEST).exists() else code)
-    values = _filled_in(definition, parameters or {})
-    places = {name: folder / name for name in ("in", "out", "tmp")}
-    for place in places.values():
-        place.mkdir()
+    try:
+        values = definition.fill_in(parameters or {})
+    except ValueError as error:
+        raise InvalidInput(what="The parameters", reason=str(error)) from error
+    in_dir, out, scratch = (folder / name for name in ("in", "out", "tmp"))
+    for directory in (in_dir, out, scratch):
+        directory.mkdir()
     context = RunContext(
         run_id=None,
         action=ActionRef(name=definition.name, version=None),
         parameters=values,
         cause=Cause(person=None),
         mission=_mission(metadata or {}),
-        files=[_put(places["in"], path, content) for path, content in sorted(files.items())],
+        files=[_put(in_dir, path, content) for path, content in sorted(files.items())],
         topics=[],
         recordings=[],
     )
-    (places["in"] / CONTEXT_FILE).write_text(context.model_dump_json())
-    ours = {IN_VARIABLE: str(places["in"]), OUT_VARIABLE: str(places["out"]), "TMPDIR": str(places["tmp"])}
+    (in_dir / CONTEXT_FILE).write_text(context.model_dump_json())
+    variables = {IN_VARIABLE: str(in_dir), OUT_VARIABLE: str(out), "TMPDIR": str(scratch)}
     ran = subprocess.run(
         [sys.executable, str(code)],
-        env={**os.environ, **ours},
-        cwd=places["tmp"],
+        env={**os.environ, **variables},
+        cwd=scratch,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
         timeout=timeout_s,
         check=False,
     )
-    return Tried(ran.returncode, ran.stdout, places["out"], _read_report(places["out"]))
-
-
-def _filled_in(definition: ActionDefinition, values: ParameterValues) -> ParameterValues:
-    try:
-        return definition.fill_in(values)
-    except ValueError as error:
-        raise InvalidInput(what="The parameters", reason=str(error)) from error
+    return TryOutResult(ran.returncode, ran.stdout, out, _read_report(out))
 
 
 def _put(folder: Path, path: str, content: Path | bytes) -> FileRead:
-    place = folder / path
-    place.parent.mkdir(parents=True, exist_ok=True)
+    file = folder / path
+    file.parent.mkdir(parents=True, exist_ok=True)
     if isinstance(content, bytes):
-        place.write_bytes(content)
+        file.write_bytes(content)
     else:
-        shutil.copyfile(content, place)
+        shutil.copyfile(content, file)
     fields: dict[str, object] = dict.fromkeys(FileRead.model_fields.keys() - {"etag"})
-    fields |= {"id": uuid.uuid4(), "mission": _MISSION, "path": path, "size_bytes": place.stat().st_size}
+    fields |= {"id": uuid.uuid4(), "mission": _MISSION, "path": path, "size_bytes": file.stat().st_size}
     fields |= {"state": BlobState.stored, "content": ContentState.pending, "origin": "test"}
-    fields |= {
-        "uploaded_by": _NOBODY,
-        "created_at": _THEN,
-        "labels": [],
-        "compression": [],
-        "problems": [],
-        "facts": [],
-    }
+    fields |= {"uploaded_by": _NOBODY, "created_at": _CREATED_AT}
+    fields |= {name: [] for name in ("labels", "compression", "problems", "facts")}
     return FileRead.model_validate(fields)
 
 
 def _mission(metadata: Metadata) -> MissionRead:
     fields: dict[str, object] = dict.fromkeys(MissionRead.model_fields.keys() - {"etag"})
     fields |= {**_MISSION.model_dump(), "metadata": metadata, "metadata_problems": [], "notes": "", "right": Right.read}
-    fields |= {"created_at": _THEN, "created_by": _NOBODY, "recordings_current": False}
+    fields |= {"created_at": _CREATED_AT, "created_by": _NOBODY, "recordings_current": False}
     fields |= dict.fromkeys(("file_count", "size_bytes", "message_count", "pending_file_count"), 0)
     return MissionRead.model_validate(fields)
 

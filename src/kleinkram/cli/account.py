@@ -1,29 +1,14 @@
-"""`klein account …`, `klein session …`, `klein token …` and `klein share …`: what signs in, and as whom."""
+"""`klein account …`, `klein session …`, `klein token …` and `klein share …`: sign-in methods and credentials."""
 
 import datetime
 import uuid
 from typing import Annotated
 
-from kleinkram import connect
-from kleinkram.cli.commands import Noun
-from kleinkram.cli.options import (
-    AsJson,
-    Ended,
-    Limit,
-    Many,
-    MissionOption,
-    ProjectOption,
-    Text,
-    Until,
-    Yes,
-    argument,
-    confirm,
-    flag,
-    option,
-    the_ref,
-)
-from kleinkram.cli.render import details, line, moment, note, plain, show_json, show_rows, table
+from kleinkram.cli import options
+from kleinkram.cli.commands import Many, Noun, Text, argument, flag, option
+from kleinkram.cli.render import Output, as_details, as_table, details, line, moment, note, plain, table
 from kleinkram.cli.units import count, expiry, size
+from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.tokens import Reach, RunnerLimits
 from kleinkram.contract.access import Scope, TokenKind
@@ -37,55 +22,52 @@ app = Noun("Show your own account and how you sign in.")
 
 
 @app.command("info")
-def info(as_json: AsJson = False) -> None:
-    """Show your name, addresses, affiliations, and the providers that you sign in by."""
-    with connect() as client:
-        account, identities = client.me.account(), client.me.identities()
-    if as_json:
-        show_json({**account.model_dump(mode="json"), "identities": plain(identities)})
-        return
-    details(
-        [
-            ("person", account.person.name),
-            ("id", account.person.id),
-            ("addresses", [address.email for address in account.addresses]),
-            ("affiliations", account.affiliations),
-            ("password", account.has_password),
-            ("since", account.created_at),
-        ]
-    )
-    if identities:
-        table(
-            ["provider", "address there", "linked", "last used", "identity"],
-            [(_provider(row), row.email, row.created_at, row.last_used_at, row.id) for row in identities],
+def info(client: Client) -> Output:
+    """Show your name, addresses, affiliations, and the providers that you sign in with."""
+    account, identities = client.me.account(), client.me.identities()
+
+    def show() -> None:
+        details(
+            [
+                ("person", account.person.name),
+                ("id", account.person.id),
+                ("addresses", [address.email for address in account.addresses]),
+                ("affiliations", account.affiliations),
+                ("password", account.has_password),
+                ("since", account.created_at),
+            ]
         )
+        if identities:
+            table(
+                ["provider", "address there", "linked", "last used", "identity"],
+                [(_provider(row), row.email, row.created_at, row.last_used_at, row.id) for row in identities],
+            )
+
+    return Output({**account.model_dump(mode="json"), "identities": plain(identities)}, show)
 
 
 @app.command("unlink")
 def unlink(
+    client: Client,
     provider: Annotated[str, argument("PROVIDER", "Name or id of the provider, as in `klein account info`.")],
-    yes: Yes = False,
-    as_json: AsJson = False,
-) -> None:
-    """Stop signing in by a provider. Sessions and tokens stay. The last way to sign in cannot be removed."""
-    with connect() as client:
-        folded = provider.casefold()
-        matches = [
-            row
-            for row in client.me.identities()
-            if folded in {_provider(row).casefold(), row.issuer.casefold(), str(row.id)}
-        ]
-        if len(matches) > 1:
-            reason = "you linked several of its accounts: give an id"
-            raise InvalidInput(what=f"The provider {provider!r}", reason=reason)
-        if not matches:
-            raise NotFound(noun="linked provider", ref=provider)
-        name = _provider(matches[0])
-        confirm(f"Sign in by {name} no more?", yes)
-        client.me.unlink_identity(matches[0].id)
-    if as_json:
-        show_json({"unlinked": str(matches[0].id)})
+    yes: options.Yes = False,
+) -> Output:
+    """Stop signing in with a provider. Sessions and tokens stay. The last way to sign in cannot be removed."""
+    folded = provider.casefold()
+    matches = [
+        row
+        for row in client.me.identities()
+        if folded in {_provider(row).casefold(), row.issuer.casefold(), str(row.id)}
+    ]
+    if len(matches) > 1:
+        raise InvalidInput(what=f"The provider {provider!r}", reason="you linked several of its accounts: give an id")
+    if not matches:
+        raise NotFound(noun="linked provider", ref=provider)
+    name = _provider(matches[0])
+    options.confirm(f"Stop signing in with {name}?", yes)
+    client.me.unlink_identity(matches[0].id)
     note(f"{name} is unlinked. Browsers and tokens stay: `klein session list`, `klein token list`.")
+    return Output({"unlinked": str(matches[0].id)})
 
 
 def _provider(row: IdentityRead) -> str:
@@ -96,51 +78,47 @@ session_app = Noun("Manage the browsers that you are signed in with.", no_args_i
 
 
 @session_app.command("list")
-def list_sessions(as_json: AsJson = False) -> None:
+def list_sessions(client: Client) -> Output:
     """List the browsers that you are signed in with, latest use first."""
-    with connect() as client:
-        show_rows(
-            client.me.sessions(),
-            as_json,
-            ["session", "signed in", "last used", "until", "from", "browser"],
-            lambda row: (row.id, row.created_at, row.last_used_at, row.expires_at, row.address, row.user_agent),
-        )
+    return as_table(
+        client.me.sessions(),
+        ["session", "signed in", "last used", "until", "from", "browser"],
+        lambda row: (row.id, row.created_at, row.last_used_at, row.expires_at, row.address, row.user_agent),
+    )
 
 
 @session_app.command("link")
-def link(as_json: AsJson = False) -> None:
+def link(client: Client) -> Output:
     """Print a link that signs a browser in as the owner of `klein up`. It works once, for some minutes."""
-    with connect() as client:
-        made = client.me.owner_link()
-    if as_json:
-        show_json(made)
-        return
-    line(made.url)
-    note(f"Valid once, until {moment(made.expires_at)}.")
+    made = client.me.owner_link()
+
+    def show() -> None:
+        line(made.url)
+        note(f"Valid once, until {moment(made.expires_at)}.")
+
+    return Output(made, show)
 
 
 @session_app.command("revoke")
 def revoke_session(
+    client: Client,
     session: Annotated[Text, argument("ID", "Id of the session, as in `klein session list`.")] = None,
     everywhere: Annotated[bool, flag("--all", "Sign every browser out.")] = False,
-    yes: Yes = False,
-    as_json: AsJson = False,
-) -> None:
+    yes: options.Yes = False,
+) -> Output:
     """Sign a browser out, or all of them. Tokens stay (see `klein token revoke`)."""
     if (session is None) != everywhere:
-        raise InvalidInput(what="The command", reason="say which session, or --all")
-    with connect() as client:
-        if session is None:
-            confirm("Sign every browser out?", yes)
-            client.me.end_sessions()
-        elif is_id(session):
-            client.me.end_session(uuid.UUID(session))
-        else:
-            reason = "give an id that `klein session list` shows"
-            raise InvalidInput(what=f"The session {session!r}", reason=reason)
-    if as_json:
-        show_json({"revoked": session or "all"})
+        raise InvalidInput(what="The command", reason="specify a session or --all")
+    if session is None:
+        options.confirm("Sign every browser out?", yes)
+        client.me.end_sessions()
+    elif is_id(session):
+        client.me.end_session(uuid.UUID(session))
+    else:
+        reason = "specify an id from `klein session list`"
+        raise InvalidInput(what=f"The session {session!r}", reason=reason)
     note("Every browser is signed out." if session is None else "That browser is signed out.")
+    return Output({"revoked": session or "all"})
 
 
 token_app = Noun("Manage the tokens that scripts, robots and runners sign in with.")
@@ -149,6 +127,7 @@ Everybody = Annotated[bool, flag("--everybody", "Include those of others; for ad
 
 @token_app.command("create")
 def create_token(
+    client: Client,
     name: Annotated[str, argument("NAME", "Name of the token, such as its purpose.")],
     kind: Annotated[TokenKind, option("--kind", None, "Set who uses it.")] = TokenKind.personal,
     scope: Annotated[
@@ -159,72 +138,66 @@ def create_token(
     runner: Annotated[
         uuid.UUID | None, option("--runner", "ID", "Limit it to this runner. Default: the first one that uses it.")
     ] = None,
-    label: Annotated[Many, option("--label", "L", "Give the runner only runs that ask for L; repeatable.")] = None,
-    until: Until = None,
-    days: Annotated[int | None, option("--days", "N", "Set that it ends in N days.", min=1, max=36_500)] = None,
+    label: Annotated[Many, option("--label", "L", "Give the runner only runs that require L; repeatable.")] = None,
+    until: options.Until = None,
+    days: Annotated[int | None, option("--days", "N", "Let it end in N days.", min=1, max=36_500)] = None,
     no_end: Annotated[bool, flag("--no-end", "Set no end, where the server allows that.")] = False,
-    as_json: AsJson = False,
-) -> None:
-    """Create a token and print its secret, which is shown only once. Its default end is set by the server."""
-    with connect() as client:
-        expires_at = expiry(until, days, client.service.now)
-        missions = []
-        for ref in mission or []:
-            project_name, _, mission_name = ref.rpartition("/")
-            missions.append(client.missions.get(mission_name, project=None if is_id(ref) else project_name or None).id)
-        made = client.tokens.create(
-            name,
-            kind=kind,
-            scopes=scope or None,
-            reach=Reach([client.projects.get(ref).id for ref in project or []], missions),
-            expires_at=expires_at,
-            no_end=no_end,
-            runner=RunnerLimits(runner, label or []) if runner or label else None,
-        )
-    if as_json:
-        show_json(made)
-        return
-    line(made.secret)
-    token = made.token
-    ends = f"until {token.expires_at:%Y-%m-%d %H:%M}Z" if token.expires_at else "until it is revoked"
-    note(
-        f"Keep it now: nobody can show it again. Good for {_scopes(token)} on {_places(token)}, {ends}. "
-        f"`klein token revoke {token.prefix}` ends it."
+) -> Output:
+    """Create a token and print its secret, which is shown only once. The server sets its default end."""
+    expires_at = expiry(until, days, client.service.now)
+    missions = []
+    for ref in mission or []:
+        project_name, _, mission_name = ref.rpartition("/")
+        missions.append(client.missions.get(mission_name, project=None if is_id(ref) else project_name or None).id)
+    made = client.tokens.create(
+        name,
+        kind=kind,
+        scopes=scope or None,
+        reach=Reach([client.projects.get(ref).id for ref in project or []], missions),
+        expires_at=expires_at,
+        no_end=no_end,
+        runner=RunnerLimits(runner, label or []) if runner or label else None,
     )
+
+    def show() -> None:
+        token = made.token
+        line(made.secret)
+        ends = f"until {token.expires_at:%Y-%m-%d %H:%M}Z" if token.expires_at else "until it is revoked"
+        note(
+            f"Save it now: it cannot be shown again. It allows {_scopes(token)} on {_places(token)}, {ends}. "
+            f"`klein token revoke {token.prefix}` ends it."
+        )
+
+    return Output(made, show)
 
 
 @token_app.command("list")
 def list_tokens(
-    everybody: Everybody = False, ended: Ended = False, limit: Limit = None, as_json: AsJson = False
-) -> None:
+    client: Client, everybody: Everybody = False, ended: options.Ended = False, limit: options.Limit = None
+) -> Output:
     """List tokens, latest first."""
-    with connect() as client:
-        show_rows(
-            client.tokens.list(everybody=everybody, ended=ended, limit=limit),
-            as_json,
-            ["name", "begins", "kind", "scopes", "reaches", "runner", "of", "last used", "until", "revoked", "id"],
-            _token_cells,
-        )
+    return as_table(
+        client.tokens.list(everybody=everybody, ended=ended, limit=limit),
+        ["name", "begins", "kind", "scopes", "reaches", "runner", "of", "last used", "until", "revoked", "id"],
+        _token_cells,
+    )
 
 
 @token_app.command("revoke")
 def revoke_token(
+    client: Client,
     ref: Annotated[str, argument("TOKEN", "Name, id, or beginning of the token.")],
     everybody: Everybody = False,
-    as_json: AsJson = False,
-) -> None:
+) -> Output:
     """Revoke a token, and all that were made with it, from the next request on."""
-    with connect() as client:
-        token = client.tokens.get(ref, everybody=everybody)
-        client.tokens.revoke(token.id)
-    _show_revoked(token, as_json)
+    token = client.tokens.get(ref, everybody=everybody)
+    client.tokens.revoke(token.id)
+    return _revoked(token)
 
 
-def _show_revoked(revoked: TokenRead | ShareRead, as_json: bool) -> None:
-    if as_json:
-        show_json({"revoked": revoked.model_dump(mode="json")})
-        return
-    details([("revoked", revoked.name), ("begins", revoked.prefix), ("id", revoked.id)])
+def _revoked(revoked: TokenRead | ShareRead) -> Output:
+    pairs = [("revoked", revoked.name), ("begins", revoked.prefix), ("id", revoked.id)]
+    return as_details({"revoked": revoked}, pairs)
 
 
 def _token_cells(row: TokenRead) -> tuple[object, ...]:
@@ -243,7 +216,7 @@ def _scopes(token: TokenRead) -> str:
 
 def _places(token: TokenRead) -> str:
     if token.limits is None:
-        return "all runs" if token.kind is TokenKind.runner else "all that its person reaches"
+        return "all runs" if token.kind is TokenKind.runner else "everything that its person may see"
     return ", ".join(f"{place.noun} {place.name or place.id}" for place in token.limits) or "nothing any more"
 
 
@@ -253,57 +226,55 @@ _DEFAULT_DAYS = 14
 
 @share_app.command("create")
 def create_share(
+    client: Client,
     files: Annotated[Many, argument("FILES", "Paths, globs or ids of files. Default: all of the mission.")] = None,
-    project: ProjectOption = None,
-    mission: MissionOption = None,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
     name: Annotated[Text, option("--name", None, "Name the link, such as by its purpose.")] = None,
-    until: Until = None,
+    until: options.Until = None,
     days: Annotated[
-        int | None, option("--days", "N", f"Set that it ends in N days. Default: {_DEFAULT_DAYS}.", min=1, max=3650)
+        int | None, option("--days", "N", f"Let it end in N days. Default: {_DEFAULT_DAYS}.", min=1, max=3650)
     ] = None,
-    as_json: AsJson = False,
-) -> None:
+) -> Output:
     """Create a link and print its address, which is shown only once. Everybody who has it can read what it shows."""
-    with connect() as client:
-        now = client.service.now
-        expires_at = expiry(until, days, now) or now() + datetime.timedelta(days=_DEFAULT_DAYS)
-        place = client.missions.get(the_ref("mission", None, mission), project=project)
-        file_ids = None
-        if files:
-            chosen = [client.files.get(ref).id for ref in files if is_id(ref)]
-            for path in (ref for ref in files if not is_id(ref)):
-                matches = [file.id for file in client.files.list(FileFilter(mission_id=place.id, path=[path]))]
-                chosen += matches or [client.files.get(path, mission=place.id).id]
-            file_ids = [*dict.fromkeys(chosen)]
-        made = client.shares.create(place.id, name or place.name, expires_at=expires_at, file_ids=file_ids)
-    if as_json:
-        show_json(made)
-        return
-    line(made.url)
-    what = "all of" if file_ids is None else f"{count(len(file_ids), 'file')} of"
-    note(
-        f"Keep it now: nobody can show it again. It shows {what} {place.name} until "
-        f"{made.share.expires_at:%Y-%m-%d %H:%M}Z; `klein share revoke {made.share.prefix}` ends it."
-    )
+    now = client.service.now
+    expires_at = expiry(until, days, now) or now() + datetime.timedelta(days=_DEFAULT_DAYS)
+    target = client.missions.get(options.the_ref("mission", None, mission), project=project)
+    file_ids = None
+    if files:
+        chosen = [client.files.get(ref).id for ref in files if is_id(ref)]
+        for path in (ref for ref in files if not is_id(ref)):
+            matches = [file.id for file in client.files.list(FileFilter(mission_id=target.id, path=[path]))]
+            chosen += matches or [client.files.get(path, mission=target.id).id]
+        file_ids = [*dict.fromkeys(chosen)]
+    made = client.shares.create(target.id, name or target.name, expires_at=expires_at, file_ids=file_ids)
+
+    def show() -> None:
+        line(made.url)
+        what = "all of" if file_ids is None else f"{count(len(file_ids), 'file')} of"
+        note(
+            f"Save it now: it cannot be shown again. It shows {what} {target.name} until "
+            f"{made.share.expires_at:%Y-%m-%d %H:%M}Z; `klein share revoke {made.share.prefix}` ends it."
+        )
+
+    return Output(made, show)
 
 
 @share_app.command("list")
 def list_shares(
-    project: ProjectOption = None,
-    mission: MissionOption = None,
-    ended: Ended = False,
-    limit: Limit = None,
-    as_json: AsJson = False,
-) -> None:
+    client: Client,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
+    ended: options.Ended = False,
+    limit: options.Limit = None,
+) -> Output:
     """List the links that you can revoke, latest first, with what was downloaded by each."""
-    with connect() as client:
-        mission_id = None if mission is None else client.missions.get(mission, project=project).id
-        show_rows(
-            client.shares.list(mission_id=mission_id, ended=ended, limit=limit),
-            as_json,
-            ["name", "begins", "mission", "files", "by", "until", "revoked", "last used", "fetched", "bytes", "id"],
-            _share_cells,
-        )
+    mission_id = None if mission is None else client.missions.get(mission, project=project).id
+    return as_table(
+        client.shares.list(mission_id=mission_id, ended=ended, limit=limit),
+        ["name", "begins", "mission", "files", "by", "until", "revoked", "last used", "fetched", "bytes", "id"],
+        _share_cells,
+    )
 
 
 def _share_cells(row: ShareRead) -> tuple[object, ...]:
@@ -316,10 +287,9 @@ def _share_cells(row: ShareRead) -> tuple[object, ...]:
 
 @share_app.command("revoke")
 def revoke_share(
-    ref: Annotated[str, argument("LINK", "Name, id, address, or beginning of the link.")], as_json: AsJson = False
-) -> None:
+    client: Client, ref: Annotated[str, argument("LINK", "Name, id, address, or beginning of the link.")]
+) -> Output:
     """Revoke a link, from the next request on."""
-    with connect() as client:
-        share = client.shares.get(ref)
-        client.shares.revoke(share.id)
-    _show_revoked(share, as_json)
+    share = client.shares.get(ref)
+    client.shares.revoke(share.id)
+    return _revoked(share)

@@ -1,4 +1,4 @@
-"""`klein action …`: create, list, try out and publish actions; and how actions look."""
+"""`klein action …`: create, list, try out and publish actions."""
 
 import re
 import shutil
@@ -10,25 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kleinkram import connect
-from kleinkram.cli.commands import Noun
+from kleinkram.cli import options
+from kleinkram.cli.commands import Noun, argument, flag, option
 from kleinkram.cli.errors import ExitCode
-from kleinkram.cli.options import (
-    AsJson,
-    GlobArgument,
-    IfMatch,
-    Limit,
-    MissionOption,
-    ProjectOption,
-    ProjectsOption,
-    argument,
-    flag,
-    option,
-)
-from kleinkram.cli.render import details, line, note, show_json, show_json_list, table
+from kleinkram.cli.render import Output, as_list, as_table, details, line, note, table
 from kleinkram.cli.run import SetOption, launch, parameter_values, split_version
 from kleinkram.cli.run_view import show_findings, show_metrics, write_log
 from kleinkram.cli.units import duration, size
+from kleinkram.client import Client
 from kleinkram.client.actions import read_manifest
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import ActionDefinition, ActionRead, ActionVersionRead, Inputs
@@ -42,8 +31,8 @@ if TYPE_CHECKING:
 _NS = 10**9
 _ISOLATIONS = {
     Isolation.container: "in a container.",
-    Isolation.namespaces: "as a process, in namespaces of its own.",
-    Isolation.none: "as a plain process: this kernel gives no namespaces to you, so it can change whatever you can.",
+    Isolation.namespaces: "as a process in its own namespaces.",
+    Isolation.none: "as a plain process, because this kernel allows you no namespaces: it can change whatever you can.",
 }
 
 app = Noun("Manage actions: what to run on the files of a mission.")
@@ -55,14 +44,14 @@ ActionArgument = Annotated[str, argument("ACTION", "Name or id of the action.")]
 
 @app.command("run-local")
 def run_local(
+    client: Client,
     action: PathArgument,
-    mission: MissionOption = None,
-    project: ProjectOption = None,
+    mission: options.MissionOption = None,
+    project: options.ProjectOption = None,
     parameters: SetOption = None,
     out: Annotated[Path, option("--out", "DIR", "Write results to DIR, which must be empty or new.")] = Path("out"),
-    no_build: Annotated[bool, flag("--no-build", "Use the image as it is, even if there is a Dockerfile.")] = False,
-    as_json: AsJson = False,
-) -> None:
+    no_build: Annotated[bool, flag("--no-build", "Use the existing image, even if there is a Dockerfile.")] = False,
+) -> Output:
     """Run an action on this machine, on a mission, with the same /in and /out as on a runner. Nothing is stored.
 
     An action with an image runs in a container. The image is built first if a Dockerfile is beside the manifest. Other
@@ -74,14 +63,14 @@ def run_local(
     definition = read_manifest(action)
     values = parameter_values(definition, parameters or [])
     if mission is None:
-        raise InvalidInput(what="The command", reason="say which mission, with -m")
+        raise InvalidInput(what="The command", reason="specify a mission with -m")
     executor = _executor(definition)
     if definition.image is not None:
         if not no_build:
             _build(action if action.is_dir() else action.parent, definition.image)
         definition = _pinned(executor, definition, definition.image)
-    with connect() as client, watching() as watcher:
-        target = client.missions.get(mission, project=project)
+    target = client.missions.get(mission, project=project)
+    with watching() as watcher:
         ran = run_locally(
             client,
             definition,
@@ -92,7 +81,7 @@ def run_local(
             show=lambda data: write_log(data.decode(errors="replace"), sys.stderr),
             watcher=watcher,
         )
-    _show_local(ran, as_json)
+    return _local_output(ran)
 
 
 def _executor(definition: ActionDefinition) -> "Executor":
@@ -104,7 +93,7 @@ def _executor(definition: ActionDefinition) -> "Executor":
     except InvalidInput as error:
         if definition.image is None:
             raise
-        why = f"it runs an image, for which a container engine must be here, and {error.reason}"
+        why = f"it runs an image, which requires a container engine, and {error.reason}"
         raise InvalidInput(what=f"The action {definition.name}", reason=why) from None
     note(f"Running {definition.name} {_ISOLATIONS[executor.abilities.isolation]}")
     return executor
@@ -116,12 +105,12 @@ def _build(folder: Path, image: str) -> None:
         return
     engine = shutil.which("docker") or shutil.which("podman")
     if engine is None:
-        note(f"Neither docker nor podman is here to build {image}: it is taken as it is.")
+        note(f"There is neither docker nor podman to build {image}: the existing image is used.")
         return
-    note(f"Building {image} of {folder}; --no-build takes it as it is.")
+    note(f"Building {image} from {folder}; --no-build uses the existing image.")
     done = subprocess.run([engine, "build", "--tag", image, str(folder)], stdout=sys.stderr, check=False)
     if done.returncode != 0:
-        raise InvalidInput(what=f"The folder {str(folder)!r}", reason="no image can be built of it")
+        raise InvalidInput(what=f"The folder {str(folder)!r}", reason="no image can be built from it")
 
 
 def _pinned(executor: "Executor", definition: ActionDefinition, image: str) -> ActionDefinition:
@@ -134,21 +123,12 @@ def _pinned(executor: "Executor", definition: ActionDefinition, image: str) -> A
         raise typer.Exit(ExitCode.run_failed) from None
 
 
-def _show_local(ran: "LocalRun", as_json: bool) -> None:
+def _local_output(ran: "LocalRun") -> Output:
     report = ran.results.report
     for problem in ran.results.problems:
         note(problem)
-    if as_json:
-        show_json(
-            {
-                "reason": ran.ending.reason.value,
-                "message": ran.ending.message,
-                "exit_code": ran.ending.exit_code,
-                "artifacts": [vars(artifact) for artifact in ran.results.artifacts],
-                "report": report,
-            }
-        )
-    else:
+
+    def show() -> None:
         if report.metrics:
             show_metrics(report.metrics)
         if report.findings:
@@ -156,92 +136,105 @@ def _show_local(ran: "LocalRun", as_json: bool) -> None:
         for name, value in report.metadata.items():
             line(f"proposed {name}: {value}")
         note(f"{len(ran.results.artifacts)} artifacts in {ran.out}.")
-    if ran.ending.reason is not EndReason.done:
+
+    is_done = ran.ending.reason is EndReason.done
+    if not is_done:
         note(ran.ending.message)
-        raise typer.Exit(ExitCode.run_failed)
+    document = {
+        "reason": ran.ending.reason.value,
+        "message": ran.ending.message,
+        "exit_code": ran.ending.exit_code,
+        "artifacts": [vars(artifact) for artifact in ran.results.artifacts],
+        "report": report,
+    }
+    return Output(document, show, 0 if is_done else ExitCode.run_failed)
 
 
 @app.command("create")
 def create(
+    client: Client,
     path: PathArgument,
-    project: ProjectOption = None,
+    project: options.ProjectOption = None,
     new_version: Annotated[
         bool, flag("--new-version", "Publish the next version of the action with this name.")
     ] = False,
-    etag: IfMatch = None,
-    as_json: AsJson = False,
-) -> None:
+    etag: options.IfMatch = None,
+) -> Output:
     """Publish an action, or its next version, in a project. Without a project, publish it for the whole lab."""
     if etag is not None and not new_version:
-        raise InvalidInput(what="--if-match", reason="it goes with --new-version")
+        raise InvalidInput(what="--if-match", reason="it requires --new-version")
     definition = read_manifest(path)
-    with connect() as client:
-        if not new_version:
-            made = client.actions.create(definition, project=project)
-        else:
-            made = client.actions.get(definition.name, project=project)
-            if made.latest.definition == definition:
-                note(f"{made.name}@{made.latest.number} is this very definition; nothing was published.")
-            else:
-                made = client.actions.add_version(made.id, definition, if_match=etag or made.etag)
-    show_json(made) if as_json else show_action(made, made.latest)
+    if not new_version:
+        made = client.actions.create(definition, project=project)
+        return Output(made, lambda: _show(made, made.latest))
+    action = client.actions.get(definition.name, project=project)
+    if action.latest.definition == definition:
+        note(f"{action.name}@{action.latest.number} has this definition already; nothing was published.")
+    else:
+        action = client.actions.add_version(action.id, definition, if_match=etag or action.etag)
+    return Output(action, lambda: _show(action, action.latest))
 
 
 @app.command("list")
 def list_(
-    name: GlobArgument = None,
-    project: ProjectsOption = None,
+    client: Client,
+    name: options.GlobArgument = None,
+    project: options.ProjectsOption = None,
     archived: Annotated[bool, flag("--archived", "List archived actions.")] = False,
-    limit: Limit = None,
-    as_json: AsJson = False,
-) -> None:
+    limit: options.Limit = None,
+) -> Output:
     """List the actions of all projects that you can see, and of the whole lab."""
-    with connect() as client:
-        refs: list[str | None] = [*project] if project else [None]
-        lists = [client.actions.list(name=name, project=ref, archived=archived, limit=limit) for ref in refs]
-        rows = [*{row.id: row for rows in lists for row in rows}.values()][:limit]
-    show_json_list(rows) if as_json else show_actions(rows)
+    refs: list[str | None] = [*project] if project else [None]
+    lists = [client.actions.list(name=name, project=ref, archived=archived, limit=limit) for ref in refs]
+    rows = [*{row.id: row for rows in lists for row in rows}.values()][:limit]
+    return as_list(rows, _show_actions)
 
 
 @app.command("info")
 def info(
+    client: Client,
     action: Annotated[str, argument("ACTION", "Name, NAME@VERSION or id of the action.")],
-    project: ProjectOption = None,
-    as_json: AsJson = False,
-) -> None:
+    project: options.ProjectOption = None,
+) -> Output:
     """Show an action in its latest version, or in another: its definition, inputs and parameters."""
     name, number = split_version(action)
-    with connect() as client:
-        target = client.actions.get(name, project=project)
-        version = client.actions.version(target, number)
-    show_json({"action": target, "version": version}) if as_json else show_action(target, version)
+    target = client.actions.get(name, project=project)
+    version = client.actions.version(target, number)
+    return Output({"action": target, "version": version}, lambda: _show(target, version))
 
 
 @app.command("versions")
-def versions(action: ActionArgument, project: ProjectOption = None, as_json: AsJson = False) -> None:
+def versions(client: Client, action: ActionArgument, project: options.ProjectOption = None) -> Output:
     """List the versions of an action, latest first. Run one as NAME@VERSION."""
-    with connect() as client:
-        rows = [*client.actions.versions(client.actions.get(action, project=project).id)]
-    show_json_list(rows) if as_json else show_versions(rows)
+    return as_table(
+        client.actions.versions(client.actions.get(action, project=project).id),
+        ["version", "runs", "digest", "published", "by", "id"],
+        lambda row: (
+            row.number,
+            _code(row.definition),
+            row.image_digest,
+            row.created_at,
+            row.created_by.name,
+            row.id,
+        ),
+    )
 
 
 @app.command("archive")
 def archive(
+    client: Client,
     action: ActionArgument,
-    project: ProjectOption = None,
+    project: options.ProjectOption = None,
     undo: Annotated[bool, flag("--undo", "List it again.")] = False,
-    etag: IfMatch = None,
-    as_json: AsJson = False,
-) -> None:
+    etag: options.IfMatch = None,
+) -> Output:
     """Remove an action from lists, so that nobody runs it again. Its versions and runs stay."""
-    with connect() as client:
-        target = client.actions.get(action, project=project)
-        changed = client.actions.archive(target.id, archived=not undo, if_match=etag or target.etag)
-    show_json(changed) if as_json else note(f"{'Put back' if undo else 'Archived'} the action {changed.name}.")
+    target = client.actions.get(action, project=project)
+    changed = client.actions.archive(target.id, archived=not undo, if_match=etag or target.etag)
+    return Output(changed, f"{'Restored' if undo else 'Archived'} the action {changed.name}.")
 
 
-def show_actions(actions: Iterable[ActionRead]) -> None:
-    """Print actions as a table."""
+def _show_actions(actions: Iterable[ActionRead]) -> None:
     table(
         ["project", "action", "version", "runs", "description", "changed", "by", "id"],
         [
@@ -249,7 +242,7 @@ def show_actions(actions: Iterable[ActionRead]) -> None:
                 row.project.name if row.project else "(whole lab)",
                 row.name,
                 row.latest.number,
-                _what(row.latest.definition),
+                _code(row.latest.definition),
                 row.description.partition("\n")[0],
                 row.latest.created_at,
                 row.latest.created_by.name,
@@ -260,21 +253,20 @@ def show_actions(actions: Iterable[ActionRead]) -> None:
     )
 
 
-def show_action(action: ActionRead, version: ActionVersionRead) -> None:
-    """Print an action in one version, with its parameters."""
+def _show(action: ActionRead, version: ActionVersionRead) -> None:
     definition, resources = version.definition, version.definition.resources
     details(
         [
             ("action", f"{action.name}@{version.number}"),
             ("of", action.project.name if action.project else "the whole lab"),
             ("id", action.id),
-            ("archived", "yes: it is not listed, and starts no new runs" if action.archived else None),
+            ("archived", "yes: it is not listed and starts no runs" if action.archived else None),
             ("description", action.description),
-            ("runs", _what(definition)),
+            ("runs", _code(definition)),
             ("digest", version.image_digest),
             ("command", definition.command),
             ("needs", definition.dependencies),
-            ("inputs", inputs(definition.inputs)),
+            ("inputs", _inputs(definition.inputs)),
             (
                 "resources",
                 f"{resources.cores:g} cores, {size(resources.memory_bytes)} memory, {size(resources.disk_bytes)} disk, "
@@ -291,29 +283,17 @@ def show_action(action: ActionRead, version: ActionVersionRead) -> None:
         line("")
         rows = []
         for entry in definition.parameters:
-            default = "(must be said)" if entry.default is None else '""' if entry.default == "" else entry.default
+            default = "(required)" if entry.default is None else '""' if entry.default == "" else entry.default
             rows.append((entry.name, entry.type.value, default, entry.unit, entry.choices, entry.description))
         table(["parameter", "type", "default", "unit", "choices", "description"], rows)
 
 
-def show_versions(versions: Iterable[ActionVersionRead]) -> None:
-    """Print the versions of an action as a table."""
-    table(
-        ["version", "runs", "digest", "published", "by", "id"],
-        [
-            (row.number, _what(row.definition), row.image_digest, row.created_at, row.created_by.name, row.id)
-            for row in versions
-        ],
-    )
+def _inputs(inputs: Inputs) -> str:
+    lists = [("files", inputs.paths), ("with topics", inputs.topics), ("of types", inputs.message_types)]
+    return "; ".join(f"{what} {', '.join(globs)}" for what, globs in lists if globs) or "all files"
 
 
-def inputs(resources: Inputs) -> str:
-    """Return which files of a mission an action gets, in words."""
-    lines = [("files", resources.paths), ("with topics", resources.topics), ("of types", resources.message_types)]
-    return "; ".join(f"{what} {', '.join(globs)}" for what, globs in lines if globs) or "all files"
-
-
-def _what(definition: ActionDefinition) -> str:
+def _code(definition: ActionDefinition) -> str:
     if definition.script is None:
         return definition.image or ""
     return "a script" if definition.image is None else f"a script on {definition.image}"
@@ -329,7 +309,7 @@ _HEADER = """\
 # name = "{name}"
 # description = "Counts the messages of each topic."
 # inputs = {{paths = ["*.mcap", "*.bag", "*.db3"]}}
-# parameters = [{{name = "topics", type = "string", default = "*", description = "Only topics of such a name."}}]
+# parameters = [{{name = "topics", type = "string", default = "*", description = "Only topics whose name matches."}}]
 # resources = {{memory = "1GB", time = "30m"}}
 # ///
 """
@@ -357,7 +337,7 @@ def main() -> None:
         lines += [f"{path.name},{topic},{count}" for topic, count in sorted(counts.items())]
         report.metric("messages", counts.total(), file=path)
         if not counts:
-            report.finding("warning", "topics.none", "has no message of such a topic", file=path)
+            report.finding("warning", "topics.none", "has no message of a matching topic", file=path)
     table = out / "topics.csv"
     table.write_text("\\n".join(lines) + "\\n")
     report.preview(table, "Messages of each topic")
@@ -368,7 +348,7 @@ if __name__ == "__main__":
 '''
 
 _TEST = '''\
-"""Run me with pytest: no server is needed, and no container."""
+"""Tests of the action. They need neither a server nor a container."""
 
 from pathlib import Path
 
@@ -400,7 +380,7 @@ command: [python3, /action/main.py]
 inputs:
   paths: ["*.mcap", "*.bag", "*.db3"]
 parameters:
-  - {{name: topics, type: string, default: "*", description: Only topics of such a name.}}
+  - {{name: topics, type: string, default: "*", description: Only topics whose name matches.}}
 resources: {{cores: 1, memory: 1GB, disk: 1GB, time: 30m}}
 network: none
 """
@@ -420,13 +400,12 @@ DEFAULT_IMAGE = "kleinkram/action-python:latest"
 def init(
     directory: Annotated[Path, argument("DIR", "Folder to create.")],
     image: Annotated[bool, flag("--image", "Create an action with its own image, not a script.")] = False,
-    as_json: AsJson = False,
-) -> None:
+) -> Output:
     """Create a small example action: its code, its manifest, and a test that passes."""
     what = f"The folder {str(directory)!r}"
     name = re.sub(r"[^a-z0-9]+", "-", directory.resolve().name.lower()).strip("-")[:64]
     if not name:
-        raise InvalidInput(what=what, reason="it gives the action no name of letters or digits")
+        raise InvalidInput(what=what, reason="its name has no letters or digits for the name of the action")
     files = {"main.py": _CODE, f"test_{name.replace('-', '_')}.py": _TEST}
     if image:
         files["action.yaml"] = _MANIFEST.format(name=name, image=f"{name}:1")
@@ -434,17 +413,16 @@ def init(
     else:
         files["main.py"] = _HEADER.format(name=name) + _CODE
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
-        raise InvalidInput(what=what, reason="it exists already; name a new or empty one")
+        raise InvalidInput(what=what, reason="it exists already; specify a new or empty folder")
     try:
         directory.mkdir(parents=True, exist_ok=True)
         for path, text in files.items():
             (directory / path).write_text(text, encoding="utf-8")
     except OSError as error:
         raise InvalidInput(what=what, reason=error.strerror or str(error)) from None
-    if as_json:
-        show_json({"name": name, "files": [str(directory / path) for path in sorted(files)]})
-    note(f"Made the action {name} in {directory}: {', '.join(sorted(files))}.")
+    note(f"Created the action {name} in {directory}: {', '.join(sorted(files))}.")
     build = [f"docker build -t {name}:1 {directory}"] if image else []
     run = f"klein action run-local {directory} -m MISSION"
     for step in [f"pytest {directory}", *build, run, f"klein action run {directory} -m MISSION --follow"]:
         note(f"  {step}")
+    return Output({"name": name, "files": [str(directory / path) for path in sorted(files)]})

@@ -1,22 +1,21 @@
-"""`klein admin …`, `klein trash …` and `klein audit`"""
+"""`klein admin …`, `klein trash …` and `klein audit`: the state of the server, deleted objects, the audit log."""
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Annotated
 
 import typer
 
-from kleinkram import connect
-from kleinkram.cli.commands import Noun
+from kleinkram.cli.commands import AsJson, Noun, Text, argument, flag, option
 from kleinkram.cli.errors import ExitCode
-from kleinkram.cli.filters import ids_of
-from kleinkram.cli.options import AsJson, Limit, MissionsOption, ProjectsOption, Text, argument, flag, option
-from kleinkram.cli.render import details, line, moment, note, plain, show_json, show_json_list, show_rows, table
-from kleinkram.cli.units import parse_time, size
-from kleinkram.client._nouns import checked
+from kleinkram.cli.filters import filter_of, ids_of
+from kleinkram.cli.options import Limit, MissionsOption, ProjectsOption
+from kleinkram.cli.render import Output, as_details, as_table, details, line, moment, note, plain, table
+from kleinkram.cli.units import count, parse_time, size
+from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
-from kleinkram.contract.admin import ScrubState
+from kleinkram.contract.admin import ScrubState, StateAmount
 from kleinkram.contract.audit import AuditFilter, AuditRead
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.names import is_id
@@ -29,89 +28,89 @@ app = Noun("Show and repair the whole server; for admins.")
 
 
 @app.command("storage")
-def storage(as_json: AsJson = False) -> None:
-    """Show what the store holds, by state, and how full its disk is if known."""
-    with connect() as client:
-        status = client.admin.storage()
-    if as_json:
-        show_json(status)
-        return
-    store = status.store
-    details([("kept", size(store.used_bytes)), ("free", size(store.free_bytes)), ("disk", size(store.disk_bytes))])
-    amounts = [*status.blobs, status.trash, status.uploads, status.marked_for_deletion]
+def storage(client: Client) -> Output:
+    """Show what the store contains, by state, and how full its disk is if known."""
+    status = client.admin.storage()
+
+    def show() -> None:
+        store = status.store
+        details([("used", size(store.used_bytes)), ("free", size(store.free_bytes)), ("disk", size(store.disk_bytes))])
+        _show_amounts([*status.blobs, status.trash, status.uploads, status.marked_for_deletion])
+        if status.is_low:
+            note("The store is nearly full: uploads will soon be refused.")
+
+    return Output(status, show)
+
+
+def _show_amounts(amounts: Iterable[StateAmount]) -> None:
     table(["state", "count", "size"], [(row.state, row.count, size(row.size_bytes)) for row in amounts])
-    if status.is_low:
-        note("The store is nearly full: uploads will soon be refused.")
 
 
 @app.command("jobs")
-def jobs(as_json: AsJson = False) -> None:
+def jobs(client: Client) -> Output:
     """Show the job queue, the jobs that will be retried, and those that were given up, with reasons."""
-    with connect() as client:
-        status = client.admin.jobs()
-    if as_json:
-        show_json(status)
-        return
-    if not status.queue:
-        note("Nothing waits, and nothing has failed.")
-        return
-    table(
-        ["job", "state", "count", "oldest"], [(row.kind, row.state, row.count, row.oldest_at) for row in status.queue]
-    )
-    if status.retrying:
-        note("")
-        table(
-            ["number", "job", "for", "tries", "next try", "why the last one failed"],
-            [(row.id, row.kind, row.ref, row.attempts, row.next_attempt_at, row.error) for row in status.retrying],
-        )
-    if status.failed:
-        note("")
-        table(
-            ["number", "job", "for", "tries", "given up", "why"],
-            [(row.id, row.kind, row.ref, row.attempts, row.failed_at, row.error) for row in status.failed],
-        )
-        note("`klein admin retry ID` puts one back into the queue, `klein admin retry --all` all of them.")
+    status = client.admin.jobs()
+
+    def show() -> None:
+        if not status.queue:
+            note("No job is queued or has failed.")
+            return
+        amounts = [(row.kind, row.state, row.count, row.oldest_at) for row in status.queue]
+        table(["job", "state", "count", "oldest"], amounts)
+        if status.retrying:
+            note("")
+            table(
+                ["number", "job", "for", "tries", "next try", "why the last one failed"],
+                [(row.id, row.kind, row.ref, row.attempts, row.next_attempt_at, row.error) for row in status.retrying],
+            )
+        if status.failed:
+            note("")
+            table(
+                ["number", "job", "for", "tries", "given up", "why"],
+                [(row.id, row.kind, row.ref, row.attempts, row.failed_at, row.error) for row in status.failed],
+            )
+            note("`klein admin retry ID` puts one back into the queue, `klein admin retry --all` all of them.")
+
+    return Output(status, show)
 
 
 @app.command("retry")
 def retry(
+    client: Client,
     job: Annotated[int | None, argument("[ID]", "Number of the job, as in `klein admin jobs`.", min=1)] = None,
     retry_all: Annotated[bool, flag("--all", "Retry all jobs that were given up.")] = False,
-    as_json: AsJson = False,
-) -> None:
+) -> Output:
     """Put a job that was given up, or all of them, back into the queue."""
     if (job is None) != retry_all:
-        raise typer.BadParameter("give the id of one job, or --all", param_hint="ID")
-    with connect() as client:
-        if job is None:
-            count = client.admin.retry_jobs()
-            show_json({"retried": count}) if as_json else note(f"{count} jobs are in the queue again.")
-            return
-        client.admin.retry_job(job)
-    if as_json:
-        show_json({"retried": job})
+        raise typer.BadParameter("specify the number of a job or --all", param_hint="ID")
+    if job is None:
+        retried = client.admin.retry_jobs()
+        return Output({"retried": retried}, f"{count(retried, 'job')} put back into the queue.")
+    client.admin.retry_job(job)
     note(f"Job {job} is in the queue again.")
+    return Output({"retried": job})
 
 
 @app.command("scrub")
 def scrub(
+    client: Client,
     last: Annotated[bool, flag("--last", "Show the last scrub, and start none.")] = False,
     wait: Annotated[bool, flag("--wait/--no-wait", "Wait for its end.")] = True,
-    timeout: Annotated[float, option("--timeout", "SECONDS", "Wait at most so long.")] = 3600.0,
+    timeout: Annotated[float, option("--timeout", "SECONDS", "The maximum time to wait.")] = 3600.0,
     accept_losses: Annotated[
-        bool, flag("--accept-losses", "Mark as lost whatever is missing, however much. Check the store first.")
+        bool, flag("--accept-losses", "Mark all missing objects as lost, however many. Check the store first.")
     ] = False,
-    as_json: AsJson = False,
-) -> None:
+) -> Output:
     """Compare the store with the database, and show which objects vanished, were truncated, or came back."""
-    with connect() as client:
-        if not last:
-            client.admin.begin_scrub(accept_losses=accept_losses)
-        status = follow(client.admin.watch_scrub(timeout_s=timeout)) if wait and not last else client.admin.scrub()
-    show_json(status) if as_json else show_scrub(status)
-    is_stopped = status.last is not None and status.last.aborted_reason is not None
-    if not last and (is_stopped or is_damaged(status)):
-        raise typer.Exit(ExitCode.server_failed if is_stopped else ExitCode.bytes_differ)
+    if not last:
+        client.admin.begin_scrub(accept_losses=accept_losses)
+    status = follow(client.admin.watch_scrub(timeout_s=timeout)) if wait and not last else client.admin.scrub()
+    exit_code = 0
+    if not last and status.last is not None and status.last.aborted_reason is not None:
+        exit_code = ExitCode.server_failed
+    elif not last and is_damaged(status):
+        exit_code = ExitCode.bytes_differ
+    return Output(status, lambda: show_scrub(status), exit_code)
 
 
 def follow(states: Iterator[ScrubState]) -> ScrubState:
@@ -125,7 +124,7 @@ def follow(states: Iterator[ScrubState]) -> ScrubState:
 
 
 def is_damaged(state: ScrubState) -> bool:
-    """Say whether any blob is lost or corrupt."""
+    """Return whether any blob is lost or corrupt."""
     return any(row.count for row in state.blobs if row.state in _DAMAGED)
 
 
@@ -135,7 +134,7 @@ def show_scrub(state: ScrubState) -> None:
     if last is None:
         note("There was no scrub yet.")
     else:
-        ended = "under way" if last.started_at else "waits for the worker"
+        ended = "under way" if last.started_at else "waiting for the worker"
         if last.ended_at is not None:
             ended = f"{moment(last.ended_at)}{' (stopped)' if last.aborted_reason else ''}"
         details(
@@ -145,8 +144,8 @@ def show_scrub(state: ScrubState) -> None:
                 ("compared", f"{last.compared} objects, {size(last.compared_bytes)}"),
                 ("newly lost", last.lost),
                 ("newly corrupt", last.corrupt),
-                ("there again", last.recovered),
-                ("of nobody", last.unknown),
+                ("recovered", last.recovered),
+                ("unknown", last.unknown),
             ]
         )
     details(
@@ -157,7 +156,7 @@ def show_scrub(state: ScrubState) -> None:
         ]
     )
     if state.blobs:
-        table(["state", "count", "size"], [(row.state, row.count, size(row.size_bytes)) for row in state.blobs])
+        _show_amounts(state.blobs)
     if is_damaged(state):
         note("`klein file list --state lost --state corrupt` lists them; upload such a file again to repair it.")
     if last is not None and last.aborted_reason is not None:
@@ -165,15 +164,12 @@ def show_scrub(state: ScrubState) -> None:
 
 
 @app.command("health")
-def health(as_json: AsJson = False) -> None:
+def health(client: Client) -> Output:
     """Show the state of database, store and workers."""
-    with connect() as client:
-        status = client.admin.health()
-    if as_json:
-        show_json(status)
-        return
+    status = client.admin.health()
     workers = len(status.workers_at)
-    details(
+    return as_details(
+        status,
         [
             ("ready", status.not_ready or "yes"),
             *(("warning", entry) for entry in status.warnings),
@@ -181,14 +177,14 @@ def health(as_json: AsJson = False) -> None:
             ("tables", status.schema_version),
             ("database", f"PostgreSQL {status.database_version}, {size(status.database_bytes)}"),
             ("workers", f"{workers} processes" if workers != 1 else "1 process"),
-            ("heard of", moment(status.worker_last_at) if status.worker_last_at else "never"),
+            ("last heartbeat", moment(status.worker_last_at) if status.worker_last_at else "never"),
             ("runs", status.runs_problem),
             ("invitations", status.invitation_warning),
             ("store", f"verifies {status.store_checksum}"),
-            ("overwrites", "the store refuses them" if status.store_refuses_overwrites else "the store takes them"),
-            ("pages", "may send to the store" if status.store_allows_browser_uploads else "may not send to the store"),
-            ("clocks apart", f"{status.clock_skew_s:.2f} s"),
-        ]
+            ("overwrites", "refused by the store" if status.store_refuses_overwrites else "accepted by the store"),
+            ("browser uploads", "allowed" if status.store_allows_browser_uploads else "refused by the store"),
+            ("clock difference", f"{status.clock_skew_s:.2f} s"),
+        ],
     )
 
 
@@ -197,11 +193,10 @@ NounOption = Annotated[TrashNoun | None, option("--noun", None, "Select by kind.
 
 
 @trash_app.command("list")
-def list_trash(noun: NounOption = None, as_json: AsJson = False) -> None:
+def list_trash(client: Client, noun: NounOption = None) -> Output:
     """List what can be restored."""
-    with connect() as client:
-        headers = ["noun", "name", "from", "files", "size", "deleted", "by", "gone after", "id"]
-        show_rows(client.trash.list(noun), as_json, headers, _trash_cells)
+    headers = ["noun", "name", "from", "files", "size", "deleted", "by", "gone after", "id"]
+    return as_table(client.trash.list(noun), headers, _trash_cells)
 
 
 def _trash_cells(row: TrashRead) -> tuple[object, ...]:
@@ -212,36 +207,36 @@ def _trash_cells(row: TrashRead) -> tuple[object, ...]:
 
 @trash_app.command("restore")
 def restore(
-    refs: Annotated[list[str], argument("NAME", "Names or ids.")], noun: NounOption = None, as_json: AsJson = False
-) -> None:
-    """Restore deleted things to where they were."""
-    with connect() as client:
-        rows = [client.trash.get(ref, noun=noun) for ref in refs]
-        for row in rows:
-            client.trash.restore(row.noun, row.id)
-            note(f"Restored the {row.noun.value} {row.name}.")
-    if as_json:
-        show_json_list(rows)
+    client: Client, refs: Annotated[list[str], argument("NAME", "Names or ids.")], noun: NounOption = None
+) -> Output:
+    """Restore deleted projects, missions and files to where they were."""
+    rows = [client.trash.get(ref, noun=noun) for ref in refs]
+    for row in rows:
+        client.trash.restore(row.noun, row.id)
+        note(f"Restored the {row.noun.value} {row.name}.")
+    return Output({"items": rows})
 
 
 def audit(
+    client: Client,
     person: Annotated[Text, option("--person", "PERSON", "Select by person: name or id.")] = None,
     token: Annotated[Text, option("--token", "TOKEN", "Select by token: name or id.")] = None,
     project: ProjectsOption = None,
     mission: MissionsOption = None,
     noun: Annotated[Text, option("--noun", None, "Select by kind: project, mission, file, …")] = None,
-    noun_id: Annotated[Text, option("--id", "ID", "Select by the id of the thing.")] = None,
+    noun_id: Annotated[Text, option("--id", "ID", "Select by id of the object.")] = None,
     operation: Annotated[Text, option("--operation", "GLOB", "Select by operation, such as 'file.*'.")] = None,
     since: Annotated[Text, option("--since", "TIME", "Select entries from this time on.")] = None,
     until: Annotated[Text, option("--until", "TIME", "Select entries before this time.")] = None,
-    as_admin: Annotated[bool, flag("--as-admin", "Select only what took the power of an admin.")] = False,
+    as_admin: Annotated[bool, flag("--as-admin", "Select only what required admin rights.")] = False,
     limit: Limit = None,
     jsonl: Annotated[bool, flag("--export --jsonl", "Print all that match as JSON lines, oldest first.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """List the audit log of all that you own, latest first: who did what, when. Admins see everything."""
     if jsonl and (as_json or limit is not None):
-        raise InvalidInput(what="The command", reason="--export gives everything as JSON lines: no --json, no --limit")
+        reason = "--export prints everything as JSON lines; it cannot be combined with --json or --limit"
+        raise InvalidInput(what="The command", reason=reason)
     fields: dict[str, object] = {
         "person_id" if person is not None and is_id(person) else "person": person,
         "token_id" if token is not None and is_id(token) else "token": token,
@@ -250,17 +245,16 @@ def audit(
         "operation": operation,
         "since": parse_time(since),
         "until": parse_time(until),
-        "as_admin": as_admin or None,
+        "as_admin": as_admin,
+        **ids_of(client, project, mission),
     }
-    with connect() as client:
-        fields |= ids_of(client, project, mission)
-        matching = checked(AuditFilter, "The filter", **{key: value for key, value in fields.items() if value})
-        if jsonl:
-            for event in client.audit.export(matching):
-                line(json.dumps(plain(event)))
-            return
-        headers = ["at", "who", "with", "from", "did", "to", "name", "request"]
-        show_rows(client.audit.list(matching, limit=limit or _AUDIT_ROWS), as_json, headers, _audit_cells)
+    matching = filter_of(AuditFilter, fields)
+    if jsonl:
+        for event in client.audit.export(matching):
+            line(json.dumps(plain(event)))
+        return
+    headers = ["at", "who", "with", "from", "did", "to", "name", "request"]
+    as_table(client.audit.list(matching, limit=limit or _AUDIT_ROWS), headers, _audit_cells).show(as_json)
 
 
 def _audit_cells(row: AuditRead) -> tuple[object, ...]:

@@ -1,17 +1,40 @@
-"""Commands and groups that check a command line: repeated options, mistyped names. Imports only Typer."""
+"""How a function becomes a command: its options, its client, its output, and the check of its command line.
 
+Imports only Typer, because `klein --help` must stay fast.
+"""
+
+import contextlib
 import difflib
+import functools
+import inspect
 import logging
 import sys
 from collections.abc import Callable, Iterable
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import typer
 import typer.core
 
+Text = str | None
+Many = list[str] | None
 UsageError: type[Any] = typer.BadParameter.__mro__[1]  # Typer brings its own copy of click, or uses the installed one
 ClickException: type[Any] = UsageError.__mro__[1]
 _CLOSE = 0.75
+
+
+def flag(names: str, text: str) -> Any:
+    """Return an option without a value."""
+    return typer.Option(*names.split(), help=text)
+
+
+def option(names: str, metavar: str | None, text: str, **settings: Any) -> Any:  # Any: Typer's own settings
+    """Return an option with a value; `names` are separated by spaces."""
+    return typer.Option(*names.split(), metavar=metavar, help=text, **settings)
+
+
+def argument(metavar: str, text: str | None = None, **settings: Any) -> Any:
+    """Return a positional argument."""
+    return typer.Argument(metavar=metavar, help=text, show_default=False, **settings)
 
 
 def closest(typed: str, known: Iterable[str]) -> str | None:
@@ -33,6 +56,9 @@ def _explain_option(error: Any, params: Iterable[Any], ctx: typer.Context) -> No
     match = closest(typed.lstrip("-").partition("=")[0], names) if typed.startswith("--") else None
     hint = f" Did you mean {names[match]}?" if match else ""
     raise UsageError(f"No such option: {typed}.{hint}", ctx)
+
+
+AsJson = Annotated[bool, flag("--json", "Print JSON on stdout.")]
 
 
 class StrictCommand(typer.core.TyperCommand):
@@ -102,12 +128,58 @@ class Noun(typer.Typer):
         )
 
     def command(self, name: str | None = None, **settings: Any) -> Callable[..., Any]:  # Any: Typer's own settings
-        """Register a command as a `StrictCommand`."""
-        return super().command(name, **{"cls": StrictCommand, **settings})
+        """Register a function as a command, which refuses repeated options.
+
+        A parameter `client` is a client of the server in use. A function that returns a `render.Output` has the option
+        `--json`, and its output is printed.
+        """
+        register = super().command(name, **{"cls": StrictCommand, **settings})
+
+        def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+            register(_command_of(function))
+            return function
+
+        return decorate
+
+
+_AS_JSON = inspect.Parameter("as_json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=AsJson)
+
+
+def _command_of(function: Callable[..., Any]) -> Callable[..., None]:
+    """Return what Typer calls: it connects for `client`, and prints the output."""
+    signature = inspect.signature(function)
+    has_output = signature.return_annotation is not None
+    has_client = "client" in signature.parameters
+
+    @functools.wraps(function)
+    def run(**values: Any) -> None:  # Any: Typer calls with whatever the options are
+        as_json = has_output and values.pop("as_json")
+        with contextlib.ExitStack() as stack:
+            if has_client:
+                from kleinkram.client import connect
+
+                values["client"] = stack.enter_context(connect())
+            output = function(**values)
+        if has_output:
+            output.show(as_json)
+
+    parameters = [parameter for name, parameter in signature.parameters.items() if name != "client"]
+    return set_parameters(run, [*parameters, _AS_JSON] if has_output else parameters)
+
+
+def set_parameters(function: Callable[..., Any], parameters: Iterable[inspect.Parameter]) -> Callable[..., Any]:
+    """Give a wrapper the parameters from which Typer makes options, those without default first."""
+    keywords = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in parameters]
+    keywords.sort(key=lambda parameter: parameter.default is not inspect.Parameter.empty)
+    returned = function.__annotations__.get("return")
+    function.__signature__ = inspect.Signature(keywords, return_annotation=returned)  # type: ignore[attr-defined]  # what inspect reads
+    function.__annotations__ = {parameter.name: parameter.annotation for parameter in keywords}
+    function.__dict__.pop("__wrapped__", None)
+    return function
 
 
 def take_flag(arguments: list[str], flag: str) -> bool:
-    """Remove a flag wherever it stands before `--`, and say whether it was there."""
+    """Remove a flag wherever it is before `--`; return whether it was there."""
     end = arguments.index("--") if "--" in arguments else len(arguments)
     positions = [position for position, argument in enumerate(arguments[:end]) if argument == flag]
     for position in reversed(positions):
@@ -116,7 +188,7 @@ def take_flag(arguments: list[str], flag: str) -> bool:
 
 
 def is_json_requested() -> bool:
-    """Say whether the command line asks for JSON; a failure is then JSON, too."""
+    """Return whether the command line contains `--json`; a failure is then printed as JSON, too."""
     end = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
     return "--json" in sys.argv[:end]
 

@@ -4,32 +4,12 @@ from typing import Annotated
 
 from pydantic import BaseModel
 
-from kleinkram import connect
-from kleinkram.cli.commands import Noun
-from kleinkram.cli.errors import exit_with
+from kleinkram.cli import options
+from kleinkram.cli.commands import Many, Noun, Text, argument, flag, option
+from kleinkram.cli.errors import exit_code_of
 from kleinkram.cli.filters import Choice, file_filter, select_files, with_choice
-from kleinkram.cli.mission import show_found, show_topics
-from kleinkram.cli.options import (
-    AsJson,
-    Count,
-    DryRun,
-    FileArgument,
-    Limit,
-    Many,
-    MissionOption,
-    MissionsOption,
-    ProjectOption,
-    ProjectsOption,
-    Text,
-    Yes,
-    argument,
-    confirm,
-    flag,
-    option,
-    the_only,
-    the_ref,
-)
-from kleinkram.cli.render import details, line, note, show_count, show_json, show_json_list
+from kleinkram.cli.mission import show_files, show_topics
+from kleinkram.cli.render import Output, as_list, as_total, details, line, note
 from kleinkram.cli.transfer import upload
 from kleinkram.cli.units import count as count_of
 from kleinkram.cli.units import instant, size, span
@@ -47,93 +27,88 @@ app.command("create", help="Upload files. The same as `klein upload`.")(upload)
 @app.command("list")
 @with_choice
 def list_(
+    client: Client,
     choice: Choice,
     paths: Annotated[Many, argument("GLOB", "Globs that paths match.")] = None,
     sort: Annotated[FileSort | None, option("--sort", None, "Set the order; a leading - reverses it.")] = None,
-    limit: Limit = None,
-    count: Count = False,
-    as_json: AsJson = False,
-) -> None:
+    limit: options.Limit = None,
+    count: options.Count = False,
+) -> Output:
     """List files."""
-    with connect() as client:
-        matching = file_filter(client, choice, paths or [])
-        if count:
-            show_count(client.files.count(matching), as_json)
-            return
-        rows = [*client.files.list(matching, sort=sort, limit=limit)]
-    show_json_list(rows) if as_json else show_found(rows)
+    matching = file_filter(client, choice, paths or [])
+    if count:
+        return as_total(client.files.count(matching))
+    return as_list(client.files.list(matching, sort=sort, limit=limit), show_files)
 
 
 @app.command("info")
 def info(
-    file: FileArgument, project: ProjectOption = None, mission: MissionOption = None, as_json: AsJson = False
-) -> None:
+    client: Client,
+    file: options.FileArgument,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
+) -> Output:
     """Show a file, its checksums and its topics."""
-    with connect() as client:
-        chosen = client.files.get(file, mission=mission, project=project)
-        topics = [*client.files.topics(chosen.id)]
-    if as_json:
-        show_json({"file": chosen, "topics": topics})
-        return
-    _show(chosen)
-    if topics:
-        line("")
-        show_topics(topics)
+    chosen = client.files.get(file, mission=mission, project=project)
+    topics = [*client.files.topics(chosen.id)]
+
+    def show() -> None:
+        _show(chosen)
+        if topics:
+            line("")
+            show_topics(topics)
+
+    return Output({"file": chosen, "topics": topics}, show)
 
 
 @app.command("update")
 def update(
-    file: FileArgument,
-    project: ProjectOption = None,
-    mission: MissionOption = None,
+    client: Client,
+    file: options.FileArgument,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
     label: Annotated[Many, option("--label", None, "Replace its labels; repeatable.")] = None,
     no_labels: Annotated[bool, flag("--no-labels", "Remove all labels.")] = False,
     path: Annotated[Text, option("--path", None, "Set its path in the mission.")] = None,
-    as_json: AsJson = False,
-) -> None:
+) -> Output:
     """Change a file's labels or path."""
     if label is None and path is None and not no_labels:
-        raise InvalidInput(what="The command", reason="say what to change: --label, --no-labels or --path")
-    with connect() as client:
-        chosen = client.files.get(file, mission=mission, project=project)
-        if label is not None or no_labels:
-            chosen = client.files.update(chosen.id, if_match=chosen.etag, labels=label or [])
-        if path is not None:
-            chosen = client.files.update(chosen.id, if_match=chosen.etag, path=path)
-    show_json(chosen) if as_json else _show(chosen)
+        raise InvalidInput(what="The command", reason="specify what to change: --label, --no-labels or --path")
+    chosen = client.files.get(file, mission=mission, project=project)
+    if label is not None or no_labels:
+        chosen = client.files.update(chosen.id, if_match=chosen.etag, labels=label or [])
+    if path is not None:
+        chosen = client.files.update(chosen.id, if_match=chosen.etag, path=path)
+    return Output(chosen, lambda: _show(chosen))
 
 
 @app.command("label")
 @with_choice
 def label(
+    client: Client,
     choice: Choice,
     files: Annotated[Many, argument("FILE", "Paths, globs or ids of files.")] = None,
     add: Annotated[Many, option("--add", "LABEL", "Add a label; repeatable.")] = None,
     remove: Annotated[Many, option("--remove", "LABEL", "Remove a label; repeatable.")] = None,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+    dry_run: options.DryRun = False,
+) -> Output:
     """Add labels to many files, or remove them. Select the files by name or by options."""
     if not add and not remove:
-        raise InvalidInput(what="The command", reason="say what to change: --add or --remove")
+        raise InvalidInput(what="The command", reason="specify what to change: --add or --remove")
     if choice.is_empty() and not files:
-        raise InvalidInput(what="The command", reason="say which files: -p, -m, --query, a path, a glob or an id")
-    with connect() as client:
-        chosen = _chosen(client, choice, files or [])
-        if dry_run:
-            show_json_list(chosen) if as_json else show_found(chosen)
-            note(f"Would label {count_of(len(chosen), 'file')}")
-            return
-        done = [*client.files.label([file.id for file in chosen], add=add or [], remove=remove or [])]
-    if as_json:
-        show_json_list(done)
+        raise InvalidInput(what="The command", reason="specify files: -p, -m, --query, a path, a glob or an id")
+    chosen = _chosen(client, choice, files or [])
+    if dry_run:
+        note(f"Would label {count_of(len(chosen), 'file')}.")
+        return as_list(chosen, show_files)
+    outcomes = [*client.files.label([file.id for file in chosen], add=add or [], remove=remove or [])]
     failures = []
-    for file, outcome in zip(chosen, done, strict=True):
+    for file, outcome in zip(chosen, outcomes, strict=True):
         if outcome.problem is not None:
             failures.append(from_problem(outcome.problem))
             note(f"{file_label(file)}: {outcome.problem.detail}")
-    note(f"Labelled {count_of(len(done) - len(failures), 'file')}")
-    exit_with(failures)
+    note(f"Labelled {count_of(len(outcomes) - len(failures), 'file')}.")
+    return Output({"items": outcomes}, exit_code=exit_code_of(failures))
 
 
 def _chosen(client: Client, choice: Choice, refs: list[str]) -> list[FileRead]:
@@ -145,32 +120,30 @@ def _chosen(client: Client, choice: Choice, refs: list[str]) -> list[FileRead]:
 
 @app.command("delete")
 def delete(
+    client: Client,
     files: Annotated[list[str], argument("FILE", "Paths, globs or ids of files.")],
-    project: ProjectsOption = None,
-    mission: MissionsOption = None,
-    dry_run: DryRun = False,
-    yes: Yes = False,
-    as_json: AsJson = False,
-) -> None:
+    project: options.ProjectsOption = None,
+    mission: options.MissionsOption = None,
+    dry_run: options.DryRun = False,
+    yes: options.Yes = False,
+) -> Output:
     """Move files to the trash."""
-    with connect() as client:
-        chosen = _chosen(client, Choice(project=project, mission=mission), files)
-        total = sum(file.size_bytes for file in chosen)
+    chosen = _chosen(client, Choice(project=project, mission=mission), files)
+    size_bytes = sum(file.size_bytes for file in chosen)
+    for file in chosen:
+        preview = client.files.delete(file.id, dry_run=True)
+        if preview.made_from_it:
+            runs, made = count_of(preview.read_by_runs, "run"), ", ".join(preview.made_from_it)
+            note(f"{file_label(file)} was read by {runs}; {made}, made from it, stay.")
+    if not dry_run:
+        show_files(chosen, to_stderr=True)
+        options.confirm(f"Move {count_of(len(chosen), 'file')}, {size(size_bytes)}, to the trash?", yes)
         for file in chosen:
-            preview = client.files.delete(file.id, dry_run=True)
-            if preview.made_from_it:
-                runs, made = count_of(preview.read_by_runs, "run"), ", ".join(preview.made_from_it)
-                note(f"{file_label(file)} was read by {runs}; {made} made from it stay")
-        if not dry_run:
-            show_found(chosen, to_stderr=True)
-            confirm(f"Move {count_of(len(chosen), 'file')}, {size(total)}, to the trash?", yes)
-            for file in chosen:
-                client.files.delete(file.id)
-    if as_json:
-        show_json({"files": len(chosen), "size_bytes": total, "dry_run": dry_run, "items": chosen})
-    elif dry_run:
-        show_found(chosen)
-    note(f"{'Would move' if dry_run else 'Moved'} to the trash: {count_of(len(chosen), 'file')}, {size(total)}")
+            client.files.delete(file.id)
+    verb = "Would move" if dry_run else "Moved"
+    note(f"{verb} to the trash: {count_of(len(chosen), 'file')}, {size(size_bytes)}")
+    document = {"files": len(chosen), "size_bytes": size_bytes, "dry_run": dry_run, "items": chosen}
+    return Output(document, (lambda: show_files(chosen)) if dry_run else ())
 
 
 def _show(file: FileRead) -> None:
@@ -208,58 +181,51 @@ def _show(file: FileRead) -> None:
 
 
 def move(
-    files: Annotated[Many, argument("FILES", "Paths, globs or ids of files. Default: the whole mission.")] = None,
-    project: ProjectsOption = None,
-    mission: MissionsOption = None,
+    client: Client,
+    files: Annotated[Many, argument("FILES", "Paths, globs or ids of files. Default: all of the mission.")] = None,
+    project: options.ProjectsOption = None,
+    mission: options.MissionsOption = None,
     to_project: Annotated[Text, option("--to-project", "PROJECT", "Move to this project.")] = None,
     to_mission: Annotated[Text, option("--to-mission", "MISSION", "Move to this mission.")] = None,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
-    """Move files to another mission, or a whole mission to another project. No bytes are copied."""
+    dry_run: options.DryRun = False,
+) -> Output:
+    """Move files to another mission, or a mission to another project. No bytes are copied."""
     verb = "Would move" if dry_run else "Moved"
     if to_mission is not None and not files:
-        raise InvalidInput(what="The command", reason="say which files move to the other mission ('*' for all)")
+        raise InvalidInput(what="The command", reason="specify the files to move to the other mission ('*' for all)")
     if to_mission is None and files:
-        raise InvalidInput(what="The command", reason="files move to a mission: say --to-mission")
-    with connect() as client:
-        if to_mission is not None and files:
-            place = client.missions.get(to_mission, project=to_project or the_only("project", project))
-            moving = _chosen(client, Choice(project=project, mission=mission), files)
-            if not dry_run:
-                moving = [client.files.update(file.id, mission_id=place.id) for file in moving]
-            if as_json:
-                show_json({"dry_run": dry_run, "items": moving})
-            elif dry_run:
-                show_found(moving)
-            note(f"{verb} {count_of(len(moving), 'file')} to {place.project.name}/{place.name}.")
-            return
-        ref = the_ref("mission", None, the_only("mission", mission))
-        chosen = client.missions.get(ref, project=the_only("project", project))
-        target = client.projects.get(the_ref("project to move to", None, to_project))
-        moved = chosen if dry_run else client.missions.update(chosen.id, project_id=target.id)
-    if as_json:
-        show_json({"dry_run": dry_run, "mission": moved})
-    note(f"{verb} {chosen.name} to the project {target.name}.")
+        raise InvalidInput(what="The command", reason="files move to a mission: specify --to-mission")
+    if to_mission is not None and files:
+        target = client.missions.get(to_mission, project=to_project or options.the_only("project", project))
+        moving = _chosen(client, Choice(project=project, mission=mission), files)
+        if not dry_run:
+            moving = [client.files.update(file.id, mission_id=target.id) for file in moving]
+        note(f"{verb} {count_of(len(moving), 'file')} to {target.project.name}/{target.name}.")
+        return Output({"dry_run": dry_run, "items": moving}, (lambda: show_files(moving)) if dry_run else ())
+    ref = options.the_ref("mission", None, options.the_only("mission", mission))
+    chosen = client.missions.get(ref, project=options.the_only("project", project))
+    destination = client.projects.get(options.the_ref("project to move to", None, to_project))
+    moved = chosen if dry_run else client.missions.update(chosen.id, project_id=destination.id)
+    note(f"{verb} {chosen.name} to the project {destination.name}.")
+    return Output({"dry_run": dry_run, "mission": moved})
 
 
 def rename(
+    client: Client,
     new_name: Annotated[str, argument("NEW_NAME")],
-    project: ProjectOption = None,
-    mission: MissionOption = None,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
     file: Annotated[Text, option("--file -f", "FILE", "Select the file by path or id.")] = None,
-    as_json: AsJson = False,
-) -> None:
+) -> Output:
     """Rename a file (-f), else a mission (-m), else a project (-p)."""
     renamed: BaseModel
-    with connect() as client:
-        if file is not None:
-            chosen = client.files.get(file, mission=mission, project=project)
-            old, renamed = chosen.path, client.files.update(chosen.id, if_match=chosen.etag, path=new_name)
-        elif mission is not None:
-            target = client.missions.get(mission, project=project)
-            old, renamed = target.name, client.missions.update(target.id, if_match=target.etag, name=new_name)
-        else:
-            top = client.projects.get(the_ref("project", None, project))
-            old, renamed = top.name, client.projects.update(top.id, if_match=top.etag, name=new_name)
-    show_json(renamed) if as_json else note(f"Renamed {old} to {new_name}.")
+    if file is not None:
+        chosen = client.files.get(file, mission=mission, project=project)
+        old, renamed = chosen.path, client.files.update(chosen.id, if_match=chosen.etag, path=new_name)
+    elif mission is not None:
+        target = client.missions.get(mission, project=project)
+        old, renamed = target.name, client.missions.update(target.id, if_match=target.etag, name=new_name)
+    else:
+        parent = client.projects.get(options.the_ref("project", None, project))
+        old, renamed = parent.name, client.projects.update(parent.id, if_match=parent.etag, name=new_name)
+    return Output(renamed, f"Renamed {old} to {new_name}.")

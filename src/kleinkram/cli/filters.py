@@ -1,12 +1,15 @@
-"""The options that select files: the same on `search`, `stats`, `file list` and `download`."""
+"""The options of `search`, `stats`, `file list` and `download` that select files, and the filters that they mean."""
 
 import functools
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
-from kleinkram.cli.options import Many, MissionsOption, ProjectsOption, Text, option, the_only
+from pydantic import BaseModel
+
+from kleinkram.cli.commands import Many, Text, option, set_parameters
+from kleinkram.cli.options import MissionsOption, ProjectsOption, the_only
 from kleinkram.cli.units import parse_size, parse_time
 from kleinkram.client import Client
 from kleinkram.client._nouns import checked, is_glob
@@ -14,9 +17,10 @@ from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionFilter, MissionRead
 from kleinkram.contract.names import is_id, name_key
-from kleinkram.contract.query import render, whole
+from kleinkram.contract.query import combined_filter, render
 from kleinkram.contract.search import FileQuery
 
+FilterT = TypeVar("FilterT", bound=BaseModel)
 WhereOption = Annotated[
     Many, option("--where -w", "FIELD=VALUE", "Select by metadata: robot=anymal, temperature>20; repeatable.")
 ]
@@ -24,7 +28,7 @@ WhereOption = Annotated[
 
 @dataclass(frozen=True)
 class Choice:
-    """The values of the filter options, as given."""
+    """The values of the filter options, named as the fields of `FileQuery`."""
 
     query: Annotated[Text, option("--query", "QUERY", "Select by one query: 'alps topic:/imu -label:night'.")] = None
     project: ProjectsOption = None
@@ -33,7 +37,7 @@ class Choice:
     where: WhereOption = None
     topic: Annotated[Many, option("--topic -t", "GLOB", "Select files with a matching topic.")] = None
     message_type: Annotated[Many, option("--type", "GLOB", "Select files with a matching message type.")] = None
-    file_format: Annotated[Many, option("--format", "FORMAT", "Select by format: mcap, rosbag1, db3, …")] = None
+    format: Annotated[Many, option("--format", "FORMAT", "Select by format: mcap, rosbag1, db3, …")] = None
     label: Annotated[Many, option("--label", "LABEL", "Select files with this label.")] = None
     state: Annotated[
         Many, option("--state", "STATE", "Select by state of the bytes: stored, verified, lost, corrupt.")
@@ -41,39 +45,34 @@ class Choice:
     content: Annotated[
         Many, option("--content", "STATE", "Select by content: pending, indexed, recovered, broken, opaque, error.")
     ] = None
-    after: Annotated[Text, option("--after", "TIME", "Select files recorded after TIME.")] = None
-    before: Annotated[Text, option("--before", "TIME", "Select files recorded before TIME.")] = None
-    min_size: Annotated[Text, option("--min-size", "SIZE", "Select files of at least SIZE.")] = None
-    max_size: Annotated[Text, option("--max-size", "SIZE", "Select files of at most SIZE.")] = None
+    recorded_after: Annotated[Text, option("--after", "TIME", "Select files recorded after TIME.")] = None
+    recorded_before: Annotated[Text, option("--before", "TIME", "Select files recorded before TIME.")] = None
+    min_size_bytes: Annotated[Text, option("--min-size", "SIZE", "Select files of at least SIZE.")] = None
+    max_size_bytes: Annotated[Text, option("--max-size", "SIZE", "Select files of at most SIZE.")] = None
 
     def is_empty(self) -> bool:
         """Say whether no option was given."""
         return all(value in (None, []) for value in vars(self).values())
 
 
-def with_choice(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the filter options; it gets them as `choice`."""
-    own = [parameter for name, parameter in inspect.signature(command).parameters.items() if name != "choice"]
-    shared = [*inspect.signature(Choice).parameters.values()]
-    names = {parameter.name for parameter in shared}
+def with_choice(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the filter options, which it receives as `choice`."""
+    signature = inspect.signature(command)
+    own = [parameter for name, parameter in signature.parameters.items() if name != "choice"]
+    shared = inspect.signature(Choice).parameters
 
     @functools.wraps(command)
-    def run(**values: Any) -> None:  # Any: Typer calls with whatever the options are
-        choice = Choice(**{name: value for name, value in values.items() if name in names})
-        command(choice=choice, **{name: value for name, value in values.items() if name not in names})
+    def run(**values: Any) -> Any:  # Any: Typer calls with whatever the options are
+        choice = Choice(**{name: values.pop(name) for name in shared})
+        return command(choice=choice, **values)
 
-    every = sorted([*own, *shared], key=lambda parameter: parameter.default is not inspect.Parameter.empty)
-    every = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in every]
-    run.__signature__ = inspect.Signature(every)  # type: ignore[attr-defined]  # what inspect reads
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in every}
-    del run.__wrapped__
-    return run
+    return set_parameters(run, [*own, *shared.values()])
 
 
 def file_filter(client: Client, choice: Choice, paths: Sequence[str] = ()) -> FileFilter:
-    """Return the filter that the options mean; a project or mission that is named, not a glob, must exist.
+    """Return the filter of the options; a project or mission without wildcards must exist.
 
-    A query holds beside the other options, as if all were one text.
+    A query applies together with the other options.
     """
     projects, missions = choice.project, choice.mission
     is_wide = projects is not None and (len(projects) > 1 or any(map(is_glob, projects)))
@@ -95,7 +94,7 @@ def file_filter(client: Client, choice: Choice, paths: Sequence[str] = ()) -> Fi
 
 
 def mission_query(client: Client, choice: Choice, paths: Sequence[str] = ()) -> str:
-    """Return the query for the missions that the options mean; several missions may have the name that was given."""
+    """Return the query for the missions of the options; several missions may have the same name."""
     missions = choice.mission or []
     place: dict[str, object] = {"missions": missions}
     if len(missions) == 1:
@@ -104,32 +103,26 @@ def mission_query(client: Client, choice: Choice, paths: Sequence[str] = ()) -> 
 
 
 def _filter(choice: Choice, place: dict[str, object], paths: Sequence[str]) -> FileFilter:
-    fields: dict[str, object] = {
-        **place,
-        "text": choice.text,
-        "path": [*paths],
-        "where": choice.where,
-        "topic": choice.topic,
-        "message_type": choice.message_type,
-        "format": choice.file_format,
-        "label": choice.label,
-        "state": choice.state,
-        "content": choice.content,
-        "recorded_after": parse_time(choice.after),
-        "recorded_before": parse_time(choice.before),
-        "min_size_bytes": None if choice.min_size is None else parse_size(choice.min_size),
-        "max_size_bytes": None if choice.max_size is None else parse_size(choice.max_size),
-        "query": choice.query,
-    }
-    set_fields = {key: value for key, value in fields.items() if value not in (None, [])}
-    return whole(checked(FileQuery, "The filter", **set_fields))
+    fields = {name: value for name, value in vars(choice).items() if name not in {"project", "mission"}}
+    fields |= {**place, "path": [*paths]}
+    for name in ("recorded_after", "recorded_before"):
+        fields[name] = parse_time(fields[name])
+    for name in ("min_size_bytes", "max_size_bytes"):
+        fields[name] = fields[name] and parse_size(fields[name])
+    return combined_filter(filter_of(FileQuery, fields))
+
+
+def filter_of(kind: type[FilterT], fields: Mapping[str, object]) -> FilterT:
+    """Return a filter with the fields that are set; raise InvalidInput if one is invalid."""
+    set_fields = {name: value for name, value in fields.items() if value is not False and value not in (None, [], "")}
+    return checked(kind, "The filter", **set_fields)
 
 
 def select_files(client: Client, choice: Choice, refs: Sequence[str]) -> list[FileRead]:
-    """Return the files that these ids, paths and globs mean, among those that the options select.
+    """Return the files of these ids, paths and globs, among those that the options select.
 
     Raises:
-        NotFound: an id or a path without wildcards means no file.
+        NotFound: there is no file of an id or of a path without wildcards.
     """
     ids = [ref for ref in refs if is_id(ref)]
     paths = [ref for ref in refs if not is_id(ref)]
@@ -144,7 +137,7 @@ def select_files(client: Client, choice: Choice, refs: Sequence[str]) -> list[Fi
 
 
 def projects_of(client: Client, refs: Sequence[str] | None) -> dict[str, object]:
-    """Return the filter fields for these projects; one that is named, not a glob, must exist."""
+    """Return the filter fields for these projects; one without wildcards must exist."""
     within = [client.missions.within(ref).model_dump(exclude_defaults=True) for ref in refs or [] if not is_glob(ref)]
     globs = [ref for ref in refs or [] if is_glob(ref)]
     if len(within) == 1 and not globs:
@@ -185,7 +178,7 @@ def find_missions(client: Client, ref: str, projects: Sequence[str] | None) -> l
     is_in_one = not projects or (len(projects) == 1 and not is_glob(projects[0]))
     if (is_id(ref) or is_in_one) and not is_glob(ref):
         return [client.missions.get(ref, project=projects[0] if projects else None)]
-    within = checked(MissionFilter, "The filter", name=ref, **projects_of(client, projects))
+    within = filter_of(MissionFilter, {"name": ref, **projects_of(client, projects)})
     matches = [row for row in client.missions.list(within) if is_glob(ref) or name_key(row.name) == name_key(ref)]
     if not matches:
         raise NotFound(noun="mission", ref=ref)

@@ -1,7 +1,7 @@
 """`klein up`, `klein down`, `klein doctor`, `klein backup …` and `klein restore`: Kleinkram on this machine.
 
-`standalone` is imported only when a command runs. Where neither the settings of a server are in the environment nor a
-folder is named, backup and restore mean the instance of `klein up`.
+`standalone` is imported only when a command runs. Backup and restore use the instance of `klein up`, unless the
+environment contains the settings of a server.
 """
 
 import json
@@ -14,9 +14,9 @@ from typing import Annotated
 
 import typer
 
-from kleinkram.cli.commands import Noun
+from kleinkram.cli.commands import AsJson, Noun, Text, argument, flag, option
 from kleinkram.cli.errors import ExitCode, fail
-from kleinkram.cli.options import AsJson, Connections, LimitRate, Text, argument, flag, option
+from kleinkram.cli.options import Connections, LimitRate
 from kleinkram.cli.units import parse_rate
 from kleinkram.client.errors import InvalidInput
 from kleinkram.failures import code_of
@@ -67,7 +67,7 @@ def up(
         with_runner=runner,
         as_json=as_json,
     )
-    # The supervisor runs for long: as a process of its own it needs a third of the memory of this one.
+    # The supervisor runs for a long time; its own process needs a third of the memory of this one.
     command = arguments(options)
     os.chdir("/")
     os.execv(command[0], command)  # noqa: S606  (our own interpreter, no shell)
@@ -93,24 +93,18 @@ def down(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
 
 def doctor(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
     """Show what is wrong with the Kleinkram on this machine, and how to fix it. Exit code 1 if anything is."""
+    from kleinkram import checks
     from kleinkram.standalone.doctor import examine
 
-    findings = examine(resolve_data_dir(data_dir))
+    results = examine(resolve_data_dir(data_dir))
     if data_dir is None and "KLEINKRAM_DATABASE_URL" in os.environ:
         typer.echo(
-            "The environment has the settings of a server of its own, which this command does not look at: "
+            "The environment contains the settings of another server, which this command does not check: "
             "run `python -m kleinkram.server check`.",
             err=True,
         )
-    is_ok = all(finding.ok for finding in findings)
-    if as_json:
-        checks = [{"check": it.check, "ok": it.ok, "message": it.message, "remedy": it.remedy} for it in findings]
-        typer.echo(json.dumps({"ok": is_ok, "checks": checks}, indent=2))
-    else:
-        for finding in findings:
-            mark, remedy = ("ok     " if finding.ok else "PROBLEM"), (f" {finding.remedy}" if finding.remedy else "")
-            typer.echo(f"{mark} {finding.check}: {finding.message}{remedy}")
-    if not is_ok:
+    typer.echo(checks.report(results, as_json=as_json))
+    if checks.find_problems(results):
         raise typer.Exit(1)
 
 
@@ -180,7 +174,7 @@ def verify(
     connections: Connections = _CONNECTIONS,
     as_json: AsJson = False,
 ) -> None:
-    """Verify backups by names and sizes, or with --read-all by every byte. The exit code is 9 if one is not whole."""
+    """Verify backups by names and sizes, or with --read-all by every byte. The exit code is 9 if one is incomplete."""
     pace = {"bytes_per_s": parse_rate(limit_rate), "connections": connections}
     which = {"snapshot_id": snapshot, "read_all": read_all}
     _execute_server(_command("verify", place, passphrase_file, as_json, **which, **pace))
@@ -217,7 +211,7 @@ def restore(
 def _command(
     command: str, place: str, passphrase_file: Path | None, as_json: bool, **more: object
 ) -> dict[str, object]:
-    # The process that does it has another working directory.
+    # The process that runs the command has another working directory.
     where = place if _REMOTE.match(place) else str(Path(place).expanduser().resolve())
     file = str(passphrase_file.expanduser().resolve()) if passphrase_file else None
     return {"command": command, "place": where, "passphrase_file": file, "as_json": as_json, **more}
@@ -239,7 +233,7 @@ def _execute_server(command: dict[str, object]) -> None:
 
 def _require_server() -> None:
     if find_spec("psycopg") is None:
-        reason = "it lacks the server's part: `pip install 'open-kleinkram[server]'`"
+        reason = "the server is not installed: `pip install 'open-kleinkram[server]'`"
         raise InvalidInput(what="This installation", reason=reason)
 
 

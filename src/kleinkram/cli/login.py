@@ -12,26 +12,12 @@ from urllib.parse import urlsplit
 
 import typer
 
-from kleinkram import connect
-from kleinkram.cli.commands import Noun
-from kleinkram.cli.errors import exit_with
-from kleinkram.cli.options import AsJson, Text, argument, complete_endpoint, flag, option, read_text, read_token
-from kleinkram.cli.render import details, moment, note, show_json, table
-from kleinkram.client.config import (
-    TOKEN_VARIABLE,
-    URL_VARIABLE,
-    EndpointSource,
-    SavedEndpoint,
-    add_endpoint,
-    endpoints_file,
-    find_endpoint,
-    load_endpoints,
-    name_for,
-    normal_url,
-    remove_endpoint,
-    require_endpoint,
-    use_endpoint,
-)
+from kleinkram.cli import options
+from kleinkram.cli.commands import AsJson, Noun, Text, argument, flag, option
+from kleinkram.cli.errors import exit_code_of
+from kleinkram.cli.render import Output, as_details, details, moment, note, show_json, table
+from kleinkram.client import Client, config
+from kleinkram.client.config import EndpointSource, SavedEndpoint, endpoints_file, find_endpoint, load_endpoints
 from kleinkram.client.errors import EndpointTaken, InvalidInput, NoBrowser, NotConfigured
 from kleinkram.client.sign_in import begin_browser, begin_device, check_server, end_token, wait_for_device, who_has
 from kleinkram.contract.accounts import SignedIn
@@ -47,57 +33,54 @@ def login(
         bool, flag("--token", "Read a token from stdin, from a prompt without echo, or from KLEINKRAM_TOKEN.")
     ] = False,
     name: Annotated[Text, option("--name", "NAME", "Name the endpoint. Default: the host.")] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Sign in to a server by the browser, by a code typed elsewhere, or by a token, and use it from now on."""
+) -> Output:
+    """Sign in to a server with the browser, a code typed elsewhere, or a token, and use it from now on."""
     if device and token:
-        raise InvalidInput(what="The command", reason="say --device or --token, not both")
+        raise InvalidInput(what="The command", reason="specify --device or --token, not both")
     server = _server(url)
     parts = urlsplit(server)
     if parts.scheme == "http" and parts.hostname not in _LOOPBACK:
         note(f"{server} is not encrypted: others on the network can read the token. Use it on a trusted network.")
     saved = load_endpoints()
-    saved_as = name or name_for(server, saved)
+    saved_as = name or config.name_for(server, saved)
     before = saved.endpoints.get(saved_as)
-    if before is not None and before.url != server:  # raised before somebody signs in for nothing
+    if before is not None and before.url != server:  # checked before somebody signs in for nothing
         raise EndpointTaken(name=saved_as, url=before.url)
     endpoint = _from_token(server) if token else _sign_in(server, device)
     try:
-        add_endpoint(saved_as, endpoint, choose=True)
+        config.add_endpoint(saved_as, endpoint, choose=True)
     except KleinkramError:
-        if endpoint.is_own:  # a token that nobody holds
+        if endpoint.is_own:  # nothing else uses this token
             with suppress(KleinkramError):
                 end_token(endpoint.url, endpoint.token)
         raise
     if before is not None and before.is_own and before.token != endpoint.token:
         with suppress(KleinkramError):  # it expires
             end_token(before.url, before.token)
-    until = endpoint.expires_at
-    if as_json:
-        expires_at = until.isoformat() if until else None
-        show_json({"name": saved_as, "url": server, "person": endpoint.person, "expires_at": expires_at})
-    end = f" until {moment(until)}" if until else ""
+    end = f" until {moment(endpoint.expires_at)}" if endpoint.expires_at else ""
     note(f"Signed in to {server} as {endpoint.person or ''}{end}. The endpoint {saved_as} is in use now.")
     if (used := find_endpoint()).source is EndpointSource.environment and used.token != endpoint.token:
-        note(f"But {URL_VARIABLE} and {TOKEN_VARIABLE} are set, and go before it.")
+        note(f"But {config.URL_VARIABLE} and {config.TOKEN_VARIABLE} are set, and take precedence.")
+    expires_at = endpoint.expires_at.isoformat() if endpoint.expires_at else None
+    return Output({"name": saved_as, "url": server, "person": endpoint.person, "expires_at": expires_at})
 
 
 def _server(url: str | None) -> str:
-    if explicit_url := url or os.environ.get(URL_VARIABLE):
-        return normal_url(explicit_url)
+    if explicit_url := url or os.environ.get(config.URL_VARIABLE):
+        return config.normal_url(explicit_url)
     used = find_endpoint()
     if used.source is EndpointSource.local:
-        reason = "the server in use runs on this machine and knows you by a file; give a URL to sign in elsewhere"
+        reason = "the server in use runs on this machine and signs you in with a file; give a URL to sign in elsewhere"
         raise InvalidInput(what="klein login", reason=f"{reason}, or `klein session link` to a browser")
     return used.url
 
 
 def _from_token(server: str) -> SavedEndpoint:
-    from_environment = os.environ.get(TOKEN_VARIABLE, "").strip()
+    from_environment = os.environ.get(config.TOKEN_VARIABLE, "").strip()
     secret = from_environment if sys.stdin.isatty() else ""
-    secret = secret or read_token() or from_environment
+    secret = secret or options.read_token() or from_environment
     if not secret:
-        raise InvalidInput(what="The token", reason=f"none came from stdin, and {TOKEN_VARIABLE} is not set")
+        raise InvalidInput(what="The token", reason=f"none came from stdin, and {config.TOKEN_VARIABLE} is not set")
     me = who_has(server, secret)
     return SavedEndpoint(url=server, token=secret, person=me.person.name, expires_at=me.credential.expires_at)
 
@@ -133,16 +116,15 @@ def _by_browser(server: str, client_name: str) -> SignedIn:
 def logout(
     name: Annotated[Text, argument("NAME", "The endpoint. Default: the one in use.")] = None,
     everywhere: Annotated[bool, flag("--all", "Sign out of every saved server.")] = False,
-    as_json: AsJson = False,
-) -> None:
+) -> Output:
     """Sign out: revoke the token at its server and remove it here, even where it cannot be revoked."""
     if name is not None and everywhere:
-        raise InvalidInput(what="The command", reason="say which endpoint, or --all, not both")
+        raise InvalidInput(what="The command", reason="specify an endpoint or --all, not both")
     saved = load_endpoints()
     if everywhere:
         chosen = dict(saved.endpoints)
     else:
-        chosen = {name: require_endpoint(saved, name)} if name else _in_use()
+        chosen = {name: config.require_endpoint(saved, name)} if name else _in_use()
     failures: list[KleinkramError] = []
     items: list[dict[str, object]] = []
     for saved_as, endpoint in chosen.items():
@@ -152,23 +134,20 @@ def logout(
         except KleinkramError as error:
             failures.append(error)
             reason = str(error)
-        remove_endpoint(saved_as, token=endpoint.token)
+        config.remove_endpoint(saved_as, token=endpoint.token)
         items.append({"name": saved_as, "url": endpoint.url, "revoked": revoked, "reason": reason})
         if reason is None:
-            end = "its token is revoked" if revoked else "its token was good for nothing already"
-            note(f"Signed out of {endpoint.url}: {end}, and {saved_as} is forgotten.")
+            end = "its token is revoked" if revoked else "its token was no longer valid"
+            note(f"Signed out of {endpoint.url}: {end}, and {saved_as} is removed.")
             continue
         until = f"until {moment(endpoint.expires_at)}" if endpoint.expires_at else "for good"
         note(f"Error: the token for {endpoint.url} could not be revoked: {reason}")
         note(
-            f"{saved_as} is forgotten here, but its token is valid there {until}. "
+            f"{saved_as} is removed here, but its token is valid there {until}. "
             "Sign in again and `klein token revoke` it."
         )
-    if as_json:
-        show_json({"items": items})
-    elif not items:
-        note("No server is saved here, so there is nothing to sign out of.")
-    exit_with(failures)
+    text = () if items else "No server is saved here, so there is nothing to sign out of."
+    return Output({"items": items}, text, exit_code_of(failures))
 
 
 def _in_use() -> dict[str, SavedEndpoint]:
@@ -176,40 +155,37 @@ def _in_use() -> dict[str, SavedEndpoint]:
     if used.source is EndpointSource.chosen:
         return {used.name: load_endpoints().endpoints[used.name]}
     if used.source is EndpointSource.local:
-        reason = "the server in use runs on this machine, and knows its owner by a file; `klein down` ends it"
+        reason = "the server in use runs on this machine and signs its owner in with a file; `klein down` ends it"
     else:
-        reason = f"the token in use comes from {TOKEN_VARIABLE}; unset that, or name an endpoint"
+        reason = f"the token in use comes from {config.TOKEN_VARIABLE}; unset that, or name an endpoint"
     raise InvalidInput(what="klein logout", reason=reason)
 
 
-def whoami(as_json: AsJson = False) -> None:
+def whoami(client: Client) -> Output:
     """Show which account the server in use sees, and what your token allows."""
-    with connect() as client:
-        me, endpoint = client.me.get(), client.endpoint
-    if as_json:
-        show_json({**me.model_dump(mode="json"), "endpoint": endpoint.name, "url": endpoint.url})
-        return
+    me, endpoint = client.me.get(), client.endpoint
     credential = me.credential
-    details(
+    return as_details(
+        {**me.model_dump(mode="json"), "endpoint": endpoint.name, "url": endpoint.url},
         [
             ("person", me.person.name),
             ("e-mail", me.emails),
             ("admin", "yes" if me.is_admin else None),
             ("by", f"{credential.kind.value} token {credential.name!r}"),
-            ("good for", [scope.value for scope in credential.scopes]),
+            ("scopes", [scope.value for scope in credential.scopes]),
             ("limited", "to certain projects or missions" if credential.is_limited else None),
             ("until", credential.expires_at),
             ("server", endpoint.url),
             ("endpoint", endpoint.name),
-        ]
+        ],
     )
 
 
 app = Noun("Show and choose the server that commands use.", no_args_is_help=False)
-NameArgument = Annotated[str, argument("NAME", autocompletion=complete_endpoint)]
+NameArgument = Annotated[str, argument("NAME", autocompletion=options.complete_endpoint)]
 _SOURCES = {
-    EndpointSource.argument: "it was given",
-    EndpointSource.environment: "KLEINKRAM_URL says so",
+    EndpointSource.argument: "it is given as an argument",
+    EndpointSource.environment: "KLEINKRAM_URL is set",
     EndpointSource.chosen: "it was chosen, by `klein login` or `klein endpoint use`",
     EndpointSource.local: "it runs on this machine, and no other was chosen",
 }
@@ -236,7 +212,7 @@ def show(ctx: typer.Context, as_json: AsJson = False) -> None:
 
 
 @app.command("list")
-def list_(as_json: AsJson = False) -> None:
+def list_() -> Output:
     """List the saved endpoints, your account on each, and the one in use."""
     saved = load_endpoints().endpoints
     try:
@@ -247,17 +223,11 @@ def list_(as_json: AsJson = False) -> None:
     if used is not None:
         urls.setdefault(used.name, used.url)
     in_use = used.name if used else None
-    if as_json:
-        rows = [
-            {"name": name, "url": url, "in_use": name == in_use, **_plain(saved.get(name))}
-            for name, url in urls.items()
-        ]
-        show_json({"items": rows})
-        return
-    table(
-        ["in use", "name", "url", "who", "until"],
-        [("*" if name == in_use else "", name, url, *_who_until(saved.get(name))) for name, url in urls.items()],
-    )
+    items = [
+        {"name": name, "url": url, "in_use": name == in_use, **_plain(saved.get(name))} for name, url in urls.items()
+    ]
+    cells = [("*" if name == in_use else "", name, url, *_who_until(saved.get(name))) for name, url in urls.items()]
+    return Output({"items": items}, lambda: table(["in use", "name", "url", "who", "until"], cells))
 
 
 @app.command("add")
@@ -267,32 +237,29 @@ def add(
     token_file: Annotated[
         Path | None, option("--token-file", "F", "Read the token from a file. Default: stdin.")
     ] = None,
-    as_json: AsJson = False,
-) -> None:
+) -> Output:
     """Save a server and its token. The first one saved is used."""
-    token = read_token() if token_file is None else (read_text(token_file) or "").strip()
-    saved = add_endpoint(name, SavedEndpoint(url=url, token=token))
-    if as_json:
-        show_json({"name": name, "url": saved.endpoints[name].url, "in_use": saved.current == name})
-    note(f"Saved {name}." + ("" if saved.current == name else f" `klein endpoint use {name}` chooses it."))
+    token = options.read_token() if token_file is None else (options.read_text(token_file) or "").strip()
+    saved = config.add_endpoint(name, SavedEndpoint(url=url, token=token))
+    in_use = saved.current == name
+    note(f"Saved {name}." + ("" if in_use else f" `klein endpoint use {name}` chooses it."))
+    return Output({"name": name, "url": saved.endpoints[name].url, "in_use": in_use})
 
 
 @app.command("use")
-def use(name: NameArgument, as_json: AsJson = False) -> None:
+def use(name: NameArgument) -> Output:
     """Choose the server that commands use."""
-    saved = use_endpoint(name)
-    if as_json:
-        show_json({"name": name, "url": saved.endpoints[name].url, "in_use": True})
-    note(f"From now on commands talk to {saved.endpoints[name].url}.")
+    url = config.use_endpoint(name).endpoints[name].url
+    note(f"Commands now use {url}.")
+    return Output({"name": name, "url": url, "in_use": True})
 
 
 @app.command("remove")
-def remove(name: NameArgument, as_json: AsJson = False) -> None:
+def remove(name: NameArgument) -> Output:
     """Remove a saved server and its token."""
-    saved = remove_endpoint(name)
-    if as_json:
-        show_json({"name": name, "current": saved.current})
-    note(f"Forgot {name}.")
+    saved = config.remove_endpoint(name)
+    note(f"Removed {name}.")
+    return Output({"name": name, "current": saved.current})
 
 
 def _plain(endpoint: SavedEndpoint | None) -> dict[str, object]:

@@ -1,46 +1,25 @@
-"""`klein mission …`, and how missions, recordings and topics look."""
+"""`klein mission …`, and the display of missions, recordings, files and topics."""
 
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
-from kleinkram import connect
-from kleinkram.cli.commands import Noun
-from kleinkram.cli.filters import WhereOption, projects_of
-from kleinkram.cli.options import (
-    AsJson,
-    Count,
-    DryRun,
-    IfMatch,
-    Limit,
-    Many,
-    MissionOption,
-    MissionsOption,
-    ProjectOption,
-    ProjectsOption,
-    Text,
-    Yes,
-    argument,
-    complete_mission,
-    complete_project,
-    confirm,
-    flag,
-    option,
-    read_text,
-    the_ref,
-)
-from kleinkram.cli.render import details, line, note, show_count, show_json, show_json_list, table
+from kleinkram.cli import options
+from kleinkram.cli.commands import AsJson, Many, Noun, Text, argument, flag, option
+from kleinkram.cli.filters import WhereOption, filter_of, projects_of
+from kleinkram.cli.render import Output, as_list, as_total, details, line, note, show_json, table
 from kleinkram.cli.units import count as count_of
 from kleinkram.cli.units import duration, instant, rate, size, span
 from kleinkram.client import Client
-from kleinkram.client._nouns import checked
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.files import BlobState, FileFilter, FileRead, RecordingRead, TopicRead
 from kleinkram.contract.missions import MissionFilter, MissionRead, MissionSort
 from kleinkram.contract.names import is_id
 
 app = Noun("Manage missions: each is one outing of a robot, with the metadata that its project requires.")
-NameArgument = Annotated[Text, argument("MISSION", "Name or id of the mission.", autocompletion=complete_mission)]
+NameArgument = Annotated[
+    Text, argument("MISSION", "Name or id of the mission.", autocompletion=options.complete_mission)
+]
 MetadataOption = Annotated[
     Path | None, option("--metadata", "mission.yaml", "Set the metadata; `klein mission template` writes a form.")
 ]
@@ -49,28 +28,26 @@ NotesOption = Annotated[Text, option("--notes", None, "Set the notes.")]
 
 @app.command("create")
 def create(
+    client: Client,
     name: NameArgument = None,
-    project: ProjectOption = None,
-    mission: MissionOption = None,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
     metadata: MetadataOption = None,
     notes: NotesOption = None,
-    as_json: AsJson = False,
-) -> None:
+) -> Output:
     """Create a mission. Its metadata must satisfy the fields of the project."""
-    text = read_text(metadata)
-    with connect() as client:
-        project_id = client.projects.get(the_ref("project", None, project)).id
-        made = client.missions.create(
-            the_ref("mission", name, mission), project=project_id, metadata_yaml=text, notes=notes or ""
-        )
-    show_json(made) if as_json else show_mission(made)
+    text = options.read_text(metadata)
+    project_id = client.projects.get(options.the_ref("project", None, project)).id
+    name = options.the_ref("mission", name, mission)
+    return _output(client.missions.create(name, project=project_id, metadata_yaml=text, notes=notes or ""))
 
 
 @app.command("list")
 def list_(
+    client: Client,
     names: Annotated[Many, argument("GLOB", "Globs that names match.")] = None,
-    project: ProjectsOption = None,
-    mission: MissionsOption = None,
+    project: options.ProjectsOption = None,
+    mission: options.MissionsOption = None,
     text: Annotated[Text, option("--text", None, "Search names, notes and metadata for TEXT.")] = None,
     where: WhereOption = None,
     topic: Annotated[Many, option("--topic -t", "GLOB", "Select missions with a matching topic.")] = None,
@@ -78,117 +55,148 @@ def list_(
         bool, flag("--unsatisfied", "Select missions whose metadata does not satisfy the project.")
     ] = False,
     sort: Annotated[MissionSort | None, option("--sort", None, "Set the order; a leading - reverses it.")] = None,
-    limit: Limit = None,
-    count: Count = False,
-    as_json: AsJson = False,
-) -> None:
+    limit: options.Limit = None,
+    count: options.Count = False,
+) -> Output:
     """List missions."""
-    fields: dict[str, object] = {"text": text, "where": where, "topic": topic}
-    with connect() as client:
-        refs = [str(client.missions.id_of(ref)) if "/" in ref else ref for ref in [*(names or []), *(mission or [])]]
-        fields |= {"name": refs[0]} if len(refs) == 1 and not is_id(refs[0]) else {"missions": refs}
-        fields |= projects_of(client, project)
-        set_fields = {key: value for key, value in fields.items() if value}
-        matching = checked(MissionFilter, "The filter", **set_fields, **({"satisfied": False} if unsatisfied else {}))
-        if count:
-            show_count(client.missions.count(matching), as_json)
-            return
-        rows = [*client.missions.list(matching, sort=sort, limit=limit)]
-    show_json_list(rows) if as_json else show_missions(rows)
+    refs = [str(client.missions.id_of(ref)) if "/" in ref else ref for ref in [*(names or []), *(mission or [])]]
+    fields: dict[str, object] = {"text": text, "where": where, "topic": topic, **projects_of(client, project)}
+    fields |= {"name": refs[0]} if len(refs) == 1 and not is_id(refs[0]) else {"missions": refs}
+    matching = filter_of(MissionFilter, fields)
+    if unsatisfied:
+        matching = matching.model_copy(update={"satisfied": False})
+    if count:
+        return as_total(client.missions.count(matching))
+    return as_list(client.missions.list(matching, sort=sort, limit=limit), show_missions)
 
 
 @app.command("info")
 def info(
-    name: NameArgument = None, project: ProjectOption = None, mission: MissionOption = None, as_json: AsJson = False
+    client: Client,
+    name: NameArgument = None,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
+    as_json: AsJson = False,
 ) -> None:
     """Show a mission: its metadata, recordings, files, and topics with counts, rates and gaps."""
-    with connect() as client:
-        show_contents(client, client.missions.get(the_ref("mission", name, mission), project=project), as_json)
+    target = client.missions.get(options.the_ref("mission", name, mission), project=project)
+    matching = FileFilter(mission_id=target.id)
+    recordings = [*client.recordings.list(target.id)]
+    files = [*client.files.list(matching)]
+    if as_json:
+        topics_by_file = [*client.files.find_topics(matching)]
+        show_json({"mission": target, "recordings": recordings, "files": files, "topics": topics_by_file})
+        return
+    _show_mission(target)
+    if recordings:
+        _heading("Recordings")
+        _show_recordings(recordings)
+    if files:
+        _heading("Files")
+        _show_mission_files(files)
+    damaged = [row for row in files if row.state in {BlobState.lost, BlobState.corrupt}]
+    if damaged:
+        _heading("Lost or corrupt files: upload them again to repair them")
+        cells = [(row.path, row.state.value, row.damaged_at, row.state_reason) for row in damaged]
+        table(["path", "bytes", "since", "what differs"], cells)
+    if topics := client.missions.topics(target.id, bins=0).items:
+        _heading("Topics")
+        table(
+            ["topic", "type", "count", "rate", "longest gap", "files"],
+            [
+                (row.name, row.message_type, row.count, rate(row.rate_hz), duration(row.longest_gap_ns), row.file_count)
+                for row in topics
+            ],
+        )
 
 
 @app.command("update")
 def update(
+    client: Client,
     name: NameArgument = None,
-    project: ProjectOption = None,
-    mission: MissionOption = None,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
     new_name: Annotated[Text, option("--name", None, "Set the name.")] = None,
     metadata: MetadataOption = None,
     replace: Annotated[
         bool, flag("--replace", "Replace all metadata by --metadata: fields that it lacks are removed.")
     ] = False,
     notes: NotesOption = None,
-    etag: IfMatch = None,
-    as_json: AsJson = False,
-) -> None:
+    etag: options.IfMatch = None,
+) -> Output:
     """Change a mission's name, notes, or metadata.
 
     --metadata changes only the fields that its file names. A field without a value (null) is removed.
     """
-    text = read_text(metadata)
+    text = options.read_text(metadata)
     if replace and text is None:
-        raise InvalidInput(what="--replace", reason="it goes with --metadata")
+        raise InvalidInput(what="--replace", reason="it requires --metadata")
     if new_name is None and text is None and notes is None:
-        raise InvalidInput(what="The command", reason="say what to change: --name, --metadata or --notes")
+        raise InvalidInput(what="The command", reason="specify what to change: --name, --metadata or --notes")
     changes: dict[str, str | bool] = {} if new_name is None else {"name": new_name}
     changes |= {} if notes is None else {"notes": notes}
     changes |= {} if text is None else {"metadata_yaml": text, "merge_yaml": not replace}
-    with connect() as client:
-        target = client.missions.get(the_ref("mission", name, mission), project=project)
-        changed = client.missions.update(target.id, if_match=etag or target.etag, **changes)
-    show_json(changed) if as_json else show_changes(target, changed)
+    target = client.missions.get(options.the_ref("mission", name, mission), project=project)
+    changed = client.missions.update(target.id, if_match=etag or target.etag, **changes)
+    return Output(changed, lambda: _show_changes(target, changed))
 
 
 @app.command("complete")
 def complete(
-    name: NameArgument = None, project: ProjectOption = None, mission: MissionOption = None, as_json: AsJson = False
-) -> None:
+    client: Client,
+    name: NameArgument = None,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
+) -> Output:
     """Mark a mission as completely uploaded."""
-    with connect() as client:
-        target = client.missions.get(the_ref("mission", name, mission), project=project)
-        changed = client.missions.complete(target.id)
-    show_json(changed) if as_json else show_mission(changed)
+    target = client.missions.get(options.the_ref("mission", name, mission), project=project)
+    return _output(client.missions.complete(target.id))
 
 
 @app.command("template")
 def template(
-    name: Annotated[Text, argument("PROJECT", "Name or id of the project.", autocompletion=complete_project)] = None,
-    project: ProjectOption = None,
-    as_json: AsJson = False,
-) -> None:
+    client: Client,
+    name: Annotated[
+        Text, argument("PROJECT", "Name or id of the project.", autocompletion=options.complete_project)
+    ] = None,
+    project: options.ProjectOption = None,
+) -> Output:
     """Print the metadata form (YAML) for the next mission of a project, with the last values in comments."""
-    with connect() as client:
-        form = client.projects.template(client.projects.get(the_ref("project", name, project)).id)
-    if as_json:
-        show_json(form)
-        return
-    if form.prefilled_from is not None and form.carried:
-        note(f"Values of {form.prefilled_from.name} stand in comments: write those that hold again.")
-    for yaml_line in form.yaml.rstrip("\n").split("\n"):
-        line(yaml_line)
+    form = client.projects.template(client.projects.get(options.the_ref("project", name, project)).id)
+
+    def show() -> None:
+        if form.prefilled_from is not None and form.carried:
+            note(f"The comments contain values of {form.prefilled_from.name}: uncomment those that still apply.")
+        for yaml_line in form.yaml.rstrip("\n").split("\n"):
+            line(yaml_line)
+
+    return Output(form, show)
 
 
 @app.command("delete")
 def delete(
+    client: Client,
     name: NameArgument = None,
-    project: ProjectOption = None,
-    mission: MissionOption = None,
-    dry_run: DryRun = False,
-    yes: Yes = False,
-    as_json: AsJson = False,
-) -> None:
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
+    dry_run: options.DryRun = False,
+    yes: options.Yes = False,
+) -> Output:
     """Move a mission, and its files, to the trash."""
-    with connect() as client:
-        target = client.missions.get(the_ref("mission", name, mission), project=project)
-        would = client.missions.delete(target.id, dry_run=True)
-        what = f"{target.project.name}/{target.name}: {count_of(would.files, 'file')}, {size(would.size_bytes)}"
-        if not dry_run:
-            confirm(f"Move to the trash {what}?", yes)
-            would = client.missions.delete(target.id)
-    show_json(would) if as_json else note(f"{'Would move' if dry_run else 'Moved'} to the trash: {what}")
+    target = client.missions.get(options.the_ref("mission", name, mission), project=project)
+    would = client.missions.delete(target.id, dry_run=True)
+    what = f"{target.project.name}/{target.name}: {count_of(would.files, 'file')}, {size(would.size_bytes)}"
+    if not dry_run:
+        options.confirm(f"Move to the trash {what}?", yes)
+        would = client.missions.delete(target.id)
+    return Output(would, f"{'Would move' if dry_run else 'Moved'} to the trash: {what}")
 
 
-def show_mission(mission: MissionRead) -> None:
-    """Print the properties and metadata of a mission."""
+def _output(mission: MissionRead) -> Output:
+    return Output(mission, lambda: _show_mission(mission))
+
+
+def _show_mission(mission: MissionRead) -> None:
     pending = mission.pending_file_count
     details(
         [
@@ -210,55 +218,19 @@ def show_mission(mission: MissionRead) -> None:
     )
 
 
-def show_changes(before: MissionRead, after: MissionRead) -> None:
+def _show_changes(before: MissionRead, after: MissionRead) -> None:
     """Print each changed field with its old and new value."""
     own = [(name, getattr(before, name), getattr(after, name)) for name in ("name", "notes")]
     fields = sorted({*before.metadata, *after.metadata})  # the database does not keep their order
     pairs = [*own, *((name, before.metadata.get(name), after.metadata.get(name)) for name in fields)]
     changes = [(name, old, new) for name, old, new in pairs if old != new]
     if not changes:
-        note(f"{after.project.name}/{after.name} is as it was: nothing changed.")
+        note(f"{after.project.name}/{after.name} is unchanged.")
         return
     line(f"Changed {after.project.name}/{after.name}")
     for name, *values in changes:
         old, new = ("(none)" if value in (None, "") else str(_value(value)) for value in values)
         line(f"  {name}: {old} -> {new}")
-
-
-def show_contents(client: Client, mission: MissionRead, as_json: bool) -> None:
-    """Print a mission with its recordings, files and topics."""
-    matching = FileFilter(mission_id=mission.id)
-    recordings = [*client.recordings.list(mission.id)]
-    files = [*client.files.list(matching)]
-    if as_json:
-        by_file = [*client.files.find_topics(matching)]
-        show_json({"mission": mission, "recordings": recordings, "files": files, "topics": by_file})
-        return
-    show_mission(mission)
-    if recordings:
-        _heading("Recordings")
-        show_recordings(recordings)
-    if files:
-        _heading("Files")
-        show_files(files)
-        damaged = [
-            (file.path, file.state.value, file.damaged_at, file.state_reason)
-            for file in files
-            if file.state in {BlobState.lost, BlobState.corrupt}
-        ]
-        if damaged:
-            _heading("Lost or corrupt files: upload them again to repair them")
-            table(["path", "bytes", "since", "what differs"], damaged)
-    topics = client.missions.topics(mission.id, bins=0).items
-    if topics:
-        _heading("Topics")
-        table(
-            ["topic", "type", "count", "rate", "longest gap", "files"],
-            [
-                (row.name, row.message_type, row.count, rate(row.rate_hz), duration(row.longest_gap_ns), row.file_count)
-                for row in topics
-            ],
-        )
 
 
 def _heading(text: str) -> None:
@@ -279,7 +251,7 @@ def _times(row: MissionRead | RecordingRead | FileRead) -> tuple[str | None, str
     return instant(row.start_ns), span(row.start_ns, row.end_ns)
 
 
-def show_recordings(recordings: Iterable[RecordingRead]) -> None:
+def _show_recordings(recordings: Iterable[RecordingRead]) -> None:
     """Print recordings as a table, and their quality warnings below."""
     rows = [*recordings]
     cells = []
@@ -296,7 +268,7 @@ def show_recordings(recordings: Iterable[RecordingRead]) -> None:
         table(["recording", "what", "to know"], warnings)
 
 
-def show_files(files: Iterable[FileRead]) -> None:
+def _show_mission_files(files: Iterable[FileRead]) -> None:
     """Print files of one mission as a table."""
     cells = []
     for row in files:
@@ -305,7 +277,7 @@ def show_files(files: Iterable[FileRead]) -> None:
     table(["path", "size", "bytes", "content", "format", "messages", "start", "span", "id"], cells)
 
 
-def show_found(files: Iterable[FileRead], *, to_stderr: bool = False) -> None:
+def show_files(files: Iterable[FileRead], *, to_stderr: bool = False) -> None:
     """Print files of any missions as a table."""
     cells = []
     for row in files:

@@ -1,79 +1,52 @@
-"""Options shared by several commands, completion of names, and prompts."""
+"""Options and prompts that several commands share, and completion of names."""
 
 import logging
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from kleinkram.cli.commands import Many, Text, argument, flag, option
 from kleinkram.cli.errors import NotConfirmed
 from kleinkram.cli.render import escape
+from kleinkram.client._http import Api
+from kleinkram.client._nouns import pages
+from kleinkram.client.config import find_endpoint, load_endpoints
 from kleinkram.client.errors import InvalidInput
+from kleinkram.contract.missions import MissionRead
+from kleinkram.contract.projects import ProjectRead
 
-Text = str | None
-Many = list[str] | None
 _COMPLETION_TIMEOUT_S = 1.0
 _MAX_COMPLETIONS = 100
 
 
-def flag(names: str, text: str) -> Any:
-    """Return an option without a value."""
-    return typer.Option(*names.split(), help=text)
-
-
-def option(names: str, metavar: str | None, text: str, **settings: Any) -> Any:  # Any: Typer's own settings
-    """Return an option with a value; `names` are separated by spaces."""
-    return typer.Option(*names.split(), metavar=metavar, help=text, **settings)
-
-
-def argument(metavar: str, text: str | None = None, **settings: Any) -> Any:
-    """Return a positional argument."""
-    return typer.Argument(metavar=metavar, help=text, show_default=False, **settings)
-
-
 def complete_project(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the projects whose names begin so."""
-    return _complete(lambda: _names("/projects", incomplete, None))
+    """Return the projects whose names begin with a text."""
+    return _complete(lambda: _names("/projects", ProjectRead, [("name", f"{incomplete}*")]))
 
 
 def complete_mission(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the missions whose names begin so, in the project of the command line."""
+    """Return the missions whose names begin with a text, in the project of the command line."""
     project = ctx.params.get("project")
-    return _complete(lambda: _names("/missions", incomplete, project))
+    refs = [project] if isinstance(project, str) else project or []
+    query = [("name", f"{incomplete}*"), *(("projects", str(ref)) for ref in refs)]
+    return _complete(lambda: dict.fromkeys(_names("/missions", MissionRead, query)))
 
 
 def complete_endpoint(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the saved endpoints whose names begin so."""
-
-    def saved() -> Iterator[str]:
-        from kleinkram.client.config import load_endpoints
-
-        yield from (name for name in load_endpoints().endpoints if name.startswith(incomplete))
-
-    return _complete(saved)
+    """Return the saved endpoints whose names begin with a text."""
+    return _complete(lambda: (name for name in load_endpoints().endpoints if name.startswith(incomplete)))
 
 
-def _names(path: str, incomplete: str, project: object) -> Iterator[str]:
-    from kleinkram.client._http import Api
-    from kleinkram.client._nouns import pages
-    from kleinkram.client.config import find_endpoint
-    from kleinkram.contract.missions import MissionRead
-    from kleinkram.contract.projects import ProjectRead
-
-    api = Api(find_endpoint(), read_timeout_s=_COMPLETION_TIMEOUT_S, is_patient=False)
-    query = [("name", f"{incomplete}*")]
-    if path == "/projects":
-        yield from (row.name for row in pages(api, path, ProjectRead, query, limit=_MAX_COMPLETIONS))
-        return
-    within = [project] if isinstance(project, str) else [*project] if isinstance(project, list | tuple) else []
-    query += [("projects", str(ref)) for ref in within]
-    yield from dict.fromkeys(row.name for row in pages(api, path, MissionRead, query, limit=_MAX_COMPLETIONS))
+def _names(path: str, kind: type[ProjectRead | MissionRead], query: list[tuple[str, str]]) -> Iterator[str]:
+    api = Api(find_endpoint(), read_timeout_s=_COMPLETION_TIMEOUT_S, retry_timeout_s=0.0)
+    yield from (row.name for row in pages(api, path, kind, query, limit=_MAX_COMPLETIONS))
 
 
-def _complete(names: Callable[[], Iterator[str]]) -> list[str]:
+def _complete(names: Callable[[], Iterable[str]]) -> list[str]:
     """Return names, or none on any failure: a shell that completes a word cannot show an error."""
     logging.disable()
     try:
@@ -99,7 +72,6 @@ MissionsOption = Annotated[Many, _mission("Select missions by name, glob or id; 
 FileArgument = Annotated[str, argument("FILE", "Path or id of the file.")]
 GlobArgument = Annotated[Text, argument("GLOB", "Glob that names match.")]
 ExcludeOption = Annotated[Many, option("--exclude", "GLOB", "Leave out matching paths, names or folders; repeatable.")]
-AsJson = Annotated[bool, flag("--json", "Print JSON on stdout.")]
 DryRun = Annotated[bool, flag("--dry-run", "Print what would be done, and do nothing.")]
 Yes = Annotated[bool, flag("--yes -y", "Do not ask for confirmation.")]
 Count = Annotated[bool, flag("--count", "Print only how many match.")]
@@ -113,7 +85,7 @@ Connections = Annotated[int, option("--connections", "N", "Run N transfers at th
 
 def _check_etag(text: str | None) -> str | None:
     if text is not None and not re.fullmatch("[0-9a-f]{16}", text):
-        raise InvalidInput(what="--if-match", reason="it is the 16 characters that --json and `info` show as ETag")
+        raise InvalidInput(what="--if-match", reason="an ETag has 16 characters; --json and `info` show it")
     return text
 
 
@@ -125,14 +97,14 @@ IfMatch = Annotated[
 def the_ref(what: str, positional: str | None, option: str | None) -> str:
     """Return the name or id given as an argument or as an option; raise InvalidInput for neither or both."""
     if (positional is None) == (option is None):
-        raise InvalidInput(what="The command", reason=f"say which {what}, once")
+        raise InvalidInput(what="The command", reason=f"specify one {what}")
     return positional if positional is not None else option or ""
 
 
 def the_only(what: str, refs: Sequence[str] | None) -> str | None:
     """Return the one value of a repeatable option, or None; raise InvalidInput for several."""
     if refs is not None and len(refs) > 1:
-        raise InvalidInput(what=f"--{what}", reason=f"it was given {len(refs)} times, and this takes one")
+        raise InvalidInput(what=f"--{what}", reason=f"it was given {len(refs)} times; this command takes one")
     return refs[0] if refs else None
 
 

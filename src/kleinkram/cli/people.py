@@ -1,28 +1,13 @@
-"""`klein person …`, `klein group …` and `klein access …`"""
+"""`klein person …`, `klein group …` and `klein access …`: people and their rights."""
 
 from typing import Annotated
 
 import typer
 
-from kleinkram import connect
-from kleinkram.cli.commands import Noun
-from kleinkram.cli.options import (
-    AsJson,
-    GlobArgument,
-    IfMatch,
-    Limit,
-    MissionOption,
-    ProjectOption,
-    Text,
-    Until,
-    Yes,
-    argument,
-    confirm,
-    flag,
-    option,
-)
-from kleinkram.cli.render import details, line, moment, note, show_json, show_json_list, show_rows, table
-from kleinkram.cli.units import parse_time
+from kleinkram.cli import options
+from kleinkram.cli.commands import Noun, Text, argument, flag, option
+from kleinkram.cli.render import Output, as_details, as_table, details, line, moment, note, table
+from kleinkram.cli.units import count, parse_time
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.people import Place, find_grant
@@ -36,113 +21,96 @@ PersonArgument = Annotated[str, argument("PERSON", "Name, id, or an address that
 
 @person_app.command("list")
 def list_people(
+    client: Client,
     text: Annotated[Text, argument("TEXT", "Text that names contain.")] = None,
     left: Annotated[bool, flag("--left", "List those who left; for admins.")] = False,
-    limit: Limit = None,
-    as_json: AsJson = False,
-) -> None:
+    limit: options.Limit = None,
+) -> Output:
     """List people, by name."""
-    with connect() as client:
-        show_rows(
-            client.people.list(text=text, active=not left, limit=limit),
-            as_json,
-            ["name", "addresses", "admin", "id"],
-            lambda row: (row.name, row.emails or None, row.is_admin, row.id),
-        )
+    return as_table(
+        client.people.list(text=text, active=not left, limit=limit),
+        ["name", "addresses", "admin", "id"],
+        lambda row: (row.name, row.emails or None, row.is_admin, row.id),
+    )
 
 
 @person_app.command("info")
-def show_person(who: PersonArgument, as_json: AsJson = False) -> None:
+def show_person(client: Client, who: PersonArgument) -> Output:
     """Show one person."""
-    with connect() as client:
-        _show_person(client.people.get(who), as_json)
+    return _person(client.people.get(who))
 
 
 @person_app.command("admin")
 def make_admin(
+    client: Client,
     who: PersonArgument,
     end: Annotated[bool, flag("--end", "Take the admin role away.")] = False,
-    yes: Yes = False,
-    as_json: AsJson = False,
-) -> None:
+    yes: options.Yes = False,
+) -> Output:
     """Make a person an admin, who can see and do everything."""
-    with connect() as client:
-        person = client.people.get(who)
-        if end:
-            changed = client.people.unmake_admin(person.id)
-        else:
-            confirm(f"Let {person.name} see and do everything on this server?", yes)
-            changed = client.people.make_admin(person.id)
-    _show_person(changed, as_json)
+    person = client.people.get(who)
+    if end:
+        return _person(client.people.unmake_admin(person.id))
+    options.confirm(f"Let {person.name} see and do everything on this server?", yes)
+    return _person(client.people.make_admin(person.id))
 
 
 @person_app.command("deactivate")
-def deactivate(who: PersonArgument, yes: Yes = False, as_json: AsJson = False) -> None:
+def deactivate(client: Client, who: PersonArgument, yes: options.Yes = False) -> Output:
     """End the sessions, tokens and links of a person. Projects that only they owned go to the admins."""
-    with connect() as client:
-        person = client.people.get(who)
-        confirm(f"Deactivate {person.name} ({person.id})?", yes)
-        ended = client.people.deactivate(person.id)
-    if as_json:
-        show_json(ended)
-        return
-    note(f"{person.name} left: {ended.sessions} sessions, {ended.tokens} tokens and {ended.links} links ended.")
+    person = client.people.get(who)
+    options.confirm(f"Deactivate {person.name} ({person.id})?", yes)
+    ended = client.people.deactivate(person.id)
+    text = f"{person.name} left: {ended.sessions} sessions, {ended.tokens} tokens and {ended.links} links ended."
     if ended.projects:
-        note(f"The admins own now: {', '.join(ended.projects)}")
+        text += f" The admins own now: {', '.join(ended.projects)}"
+    return Output(ended, text)
 
 
 @person_app.command("reactivate")
-def reactivate(who: PersonArgument, as_json: AsJson = False) -> None:
+def reactivate(client: Client, who: PersonArgument) -> Output:
     """Let a person who left sign in again. Their tokens stay revoked."""
-    with connect() as client:
-        _show_person(client.people.reactivate(client.people.get(who).id), as_json)
+    return _person(client.people.reactivate(client.people.get(who).id))
 
 
 @person_app.command("invite")
 def invite(
+    client: Client,
     email: Annotated[str, argument("EMAIL")],
     name: Annotated[Text, option("--name", "NAME", "Set the name of the account.")] = None,
-    as_json: AsJson = False,
-) -> None:
+) -> Output:
     """Print a link that creates a local account with this address. No e-mail is sent: give them the link."""
-    with connect() as client:
-        _show_link(client.people.invite(email, name=name), as_json)
+    return _link(client.people.invite(email, name=name))
 
 
 @person_app.command("reset")
-def reset(who: PersonArgument, as_json: AsJson = False) -> None:
+def reset(client: Client, who: PersonArgument) -> Output:
     """Print a link that sets a new password. No e-mail is sent: give them the link."""
-    with connect() as client:
-        _show_link(client.people.reset_password(client.people.get(who).id), as_json)
+    return _link(client.people.reset_password(client.people.get(who).id))
 
 
 @person_app.command("reset-totp")
-def reset_totp(who: PersonArgument, as_json: AsJson = False) -> None:
+def reset_totp(client: Client, who: PersonArgument) -> Output:
     """Remove the second factor of a person who lost their device. They sign in with their password alone."""
-    with connect() as client:
-        person = client.people.get(who)
-        client.people.reset_totp(person.id)
-    if as_json:
-        show_json({"reset": str(person.id)})
-        return
-    note(f"{person.name} signs in with the password alone until they add a second factor again.")
+    person = client.people.get(who)
+    client.people.reset_totp(person.id)
+    text = f"{person.name} signs in with the password alone until they add a second factor again."
+    return Output({"reset": str(person.id)}, text)
 
 
-def _show_link(made: OneTimeLink, as_json: bool) -> None:
-    if as_json:
-        show_json(made)
-        return
-    line(made.url)
-    note(f"Valid once, until {moment(made.expires_at)}. Everybody who has it can use it.")
-    if made.warning:
-        note(f"Warning: {made.warning}")
+def _link(made: OneTimeLink) -> Output:
+    def show() -> None:
+        line(made.url)
+        note(f"Valid once, until {moment(made.expires_at)}. Everybody who has it can use it.")
+        if made.warning:
+            note(f"Warning: {made.warning}")
+
+    return Output(made, show)
 
 
-def _show_person(person: PersonRead, as_json: bool) -> None:
-    if as_json:
-        show_json(person)
-        return
-    details(
+def _person(person: PersonRead) -> Output:
+    return as_details(
+        person,
         [
             ("person", person.name),
             ("id", person.id),
@@ -150,7 +118,7 @@ def _show_person(person: PersonRead, as_json: bool) -> None:
             ("admin", person.is_admin),
             ("since", person.created_at),
             ("left", person.deactivated_at),
-        ]
+        ],
     )
 
 
@@ -160,120 +128,105 @@ MembersArgument = Annotated[list[str], argument("PERSON", "Names, ids, or addres
 
 
 @group_app.command("create")
-def create_group(name: Annotated[str, argument("NAME")], as_json: AsJson = False) -> None:
+def create_group(client: Client, name: Annotated[str, argument("NAME")]) -> Output:
     """Create a group, with you as its first member and editor."""
-    with connect() as client:
-        _show_group(client.groups.create(name), as_json)
+    return _group(client.groups.create(name))
 
 
 @group_app.command("list")
-def list_groups(name: GlobArgument = None, limit: Limit = None, as_json: AsJson = False) -> None:
+def list_groups(client: Client, name: options.GlobArgument = None, limit: options.Limit = None) -> Output:
     """List the groups that you are in; admins see all."""
-    with connect() as client:
-        show_rows(
-            client.groups.list(name=name, limit=limit),
-            as_json,
-            ["name", "kind", "members", "editor", "until", "id"],
-            lambda row: (row.name, row.kind.value, row.member_count, row.is_editor, row.expires_at, row.id),
-        )
+    return as_table(
+        client.groups.list(name=name, limit=limit),
+        ["name", "kind", "members", "editor", "until", "id"],
+        lambda row: (row.name, row.kind.value, row.member_count, row.is_editor, row.expires_at, row.id),
+    )
 
 
 @group_app.command("info")
-def show_group(group: GroupArgument, as_json: AsJson = False) -> None:
+def show_group(client: Client, group: GroupArgument) -> Output:
     """Show a group and its members."""
-    with connect() as client:
-        target = client.groups.get(group)
-        members = [*client.groups.members(target.id)]
-    if as_json:
-        show_json({"group": target, "members": members})
-        return
-    _show_group(target, as_json=False)
-    line("")
-    table(
-        ["member", "addresses", "editor", "until", "active", "id"],
-        [
-            (row.person.name, row.emails or None, row.is_editor, row.expires_at, row.is_active, row.person.id)
-            for row in members
-        ],
-    )
+    target = client.groups.get(group)
+    members = [*client.groups.members(target.id)]
+
+    def show() -> None:
+        details(_group_details(target))
+        line("")
+        table(
+            ["member", "addresses", "editor", "until", "active", "id"],
+            [
+                (row.person.name, row.emails or None, row.is_editor, row.expires_at, row.is_active, row.person.id)
+                for row in members
+            ],
+        )
+
+    return Output({"group": target, "members": members}, show)
 
 
 @group_app.command("rename")
 def rename_group(
-    group: GroupArgument, name: Annotated[str, argument("NAME")], etag: IfMatch = None, as_json: AsJson = False
-) -> None:
+    client: Client, group: GroupArgument, name: Annotated[str, argument("NAME")], etag: options.IfMatch = None
+) -> Output:
     """Rename a group."""
-    with connect() as client:
-        target = client.groups.get(group)
-        _show_group(client.groups.rename(target.id, name, if_match=etag or target.etag), as_json)
+    target = client.groups.get(group)
+    return _group(client.groups.rename(target.id, name, if_match=etag or target.etag))
 
 
 @group_app.command("delete")
-def delete_group(group: GroupArgument, yes: Yes = False, as_json: AsJson = False) -> None:
+def delete_group(client: Client, group: GroupArgument, yes: options.Yes = False) -> Output:
     """Delete a group, and every right that was granted to it."""
-    with connect() as client:
-        target = client.groups.get(group)
-        confirm(f"Delete the group {target.name} of {target.member_count}, and its rights?", yes)
-        client.groups.delete(target.id)
-    show_json(target) if as_json else note(f"Deleted the group {target.name}.")
+    target = client.groups.get(group)
+    options.confirm(f"Delete the group {target.name} ({count(target.member_count, 'member')}) and its rights?", yes)
+    client.groups.delete(target.id)
+    return Output(target, f"Deleted the group {target.name}.")
 
 
 @group_app.command("add")
 def add_members(
+    client: Client,
     group: GroupArgument,
     people: MembersArgument,
     editor: Annotated[bool, flag("--editor", "Let them add and remove members.")] = False,
-    until: Until = None,
-    as_json: AsJson = False,
-) -> None:
+    until: options.Until = None,
+) -> Output:
     """Add people to a group, or change their role and the end of their membership."""
     expires_at = parse_time(until)
-    with connect() as client:
-        target = client.groups.get(group)
-        chosen = [client.people.get(who) for who in people]
-        rows = [client.groups.set_member(target.id, who.id, is_editor=editor, expires_at=expires_at) for who in chosen]
-    if as_json:
-        show_json_list(rows)
-        return
-    for row in rows:
-        end = f" until {moment(row.expires_at)}" if row.expires_at else ""
-        note(f"{row.person.name} is in {target.name}{end}.")
+    target = client.groups.get(group)
+    chosen = [client.people.get(who) for who in people]
+    rows = [client.groups.set_member(target.id, who.id, is_editor=editor, expires_at=expires_at) for who in chosen]
+    ends = [f" until {moment(row.expires_at)}" if row.expires_at else "" for row in rows]
+    notes = [f"{row.person.name} is in {target.name}{end}." for row, end in zip(rows, ends, strict=True)]
+    return Output({"items": rows}, notes)
 
 
 @group_app.command("remove")
-def remove_members(group: GroupArgument, people: MembersArgument, as_json: AsJson = False) -> None:
+def remove_members(client: Client, group: GroupArgument, people: MembersArgument) -> Output:
     """Remove people from a group, or leave it."""
-    with connect() as client:
-        target = client.groups.get(group)
-        chosen = [client.people.get(who) for who in people]
-        for who in chosen:
-            client.groups.remove_member(target.id, who.id)
-    if as_json:
-        show_json_list(chosen)
-        return
+    target = client.groups.get(group)
+    chosen = [client.people.get(who) for who in people]
     for who in chosen:
-        note(f"{who.name} is in {target.name} no longer.")
+        client.groups.remove_member(target.id, who.id)
+    return Output({"items": chosen}, [f"{who.name} is no longer in {target.name}." for who in chosen])
 
 
-def _show_group(group: GroupRead, as_json: bool) -> None:
-    if as_json:
-        show_json(group)
-        return
-    details(
-        [
-            ("group", group.name),
-            ("id", group.id),
-            ("kind", group.kind.value),
-            ("members", group.member_count),
-            ("domains", group.domains),
-            ("on new projects", group.default_right.value if group.default_right else None),
-            ("you", "editor" if group.is_editor else "member" if group.is_member else "not in it"),
-            ("until", group.expires_at),
-            ("made", group.created_at),
-            ("by", group.created_by.name if group.created_by else None),
-            ("etag", group.etag),
-        ]
-    )
+def _group(group: GroupRead) -> Output:
+    return as_details(group, _group_details(group))
+
+
+def _group_details(group: GroupRead) -> list[tuple[str, object]]:
+    return [
+        ("group", group.name),
+        ("id", group.id),
+        ("kind", group.kind.value),
+        ("members", group.member_count),
+        ("domains", group.domains),
+        ("on new projects", group.default_right.value if group.default_right else None),
+        ("you", "editor" if group.is_editor else "member" if group.is_member else "not in it"),
+        ("until", group.expires_at),
+        ("made", group.created_at),
+        ("by", group.created_by.name if group.created_by else None),
+        ("etag", group.etag),
+    ]
 
 
 access_app = Noun("Manage the rights on a project or a mission.")
@@ -284,63 +237,55 @@ GranteeOption = Annotated[
 
 @access_app.command("list")
 def list_access(
-    project: ProjectOption = None,
-    mission: MissionOption = None,
+    client: Client,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
     grants: Annotated[bool, flag("--grants", "List what was granted here, including what has expired.")] = False,
-    as_json: AsJson = False,
-) -> None:
+) -> Output:
     """List who has which right here now, and through what. Without WRITE here, you see only your own rights."""
-    with connect() as client:
-        place = _place(client, project, mission)
-        if grants:
-            show_rows(client.access.grants(place), as_json, ["right", "to", "by", "until"], _grant_cells)
-        else:
-            show_rows(client.access.ways(place), as_json, ["who", "right", "through", "until"], _access_cells)
+    place = _place(client, project, mission)
+    if grants:
+        return as_table(client.access.grants(place), ["right", "to", "by", "until"], _grant_cells)
+    return as_table(client.access.ways(place), ["who", "right", "through", "until"], _access_cells)
 
 
 @access_app.command("grant")
 def grant(
+    client: Client,
     right: Annotated[
         Right, typer.Argument(metavar="RIGHT", help="READ, CREATE, WRITE or DELETE.", case_sensitive=False)
     ],
     to: GranteeOption,
-    project: ProjectOption = None,
-    mission: MissionOption = None,
-    until: Until = None,
-    as_json: AsJson = False,
-) -> None:
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
+    until: options.Until = None,
+) -> Output:
     """Grant a right. It replaces the right that they were granted here before."""
-    expires_at = parse_time(until)
-    with connect() as client:
-        place = _place(client, project, mission)
-        made = client.access.grant(place, client.access.grantee(to), right, expires_at=expires_at)
-    if as_json:
-        show_json(made)
-        return
+    place = _place(client, project, mission)
+    made = client.access.grant(place, client.access.grantee(to), right, expires_at=parse_time(until))
     end = f" until {moment(made.expires_at)}" if made.expires_at else ""
-    note(f"{made.to.name} has {made.right.value} on the {made.on.value} {place.name}{end}.")
+    return Output(made, f"{made.to.name} has {made.right.value} on the {made.on.value} {place.name}{end}.")
 
 
 @access_app.command("revoke")
 def revoke(
-    to: GranteeOption, project: ProjectOption = None, mission: MissionOption = None, as_json: AsJson = False
-) -> None:
+    client: Client,
+    to: GranteeOption,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
+) -> Output:
     """Revoke a right that was granted here. Rights from elsewhere stay: see `klein access list`."""
-    with connect() as client:
-        place = _place(client, project, mission)
-        target = find_grant(client.access.grants(place), to)
-        client.access.revoke(place, target.id)
-    if as_json:
-        show_json(target)
-        return
-    note(f"Took {target.right.value} on the {target.on.value} {place.name} from {target.to.name}.")
+    place = _place(client, project, mission)
+    target = find_grant(client.access.grants(place), to)
+    client.access.revoke(place, target.id)
+    return Output(target, f"Took {target.right.value} on the {target.on.value} {place.name} from {target.to.name}.")
 
 
-def _place(client: Client, project: str | None, mission: str | None) -> Place:
+def _place(client: Client, project: Text, mission: Text) -> Place:
     if mission is not None:
         return client.missions.get(mission, project=project)
     if project is None:
-        raise InvalidInput(what="The command", reason="say which project (-p), or which mission of it (-m)")
+        raise InvalidInput(what="The command", reason="specify a project (-p), or a mission of it (-m)")
     return client.projects.get(project)
 
 

@@ -3,33 +3,19 @@
 from pathlib import Path
 from typing import Annotated
 
-from kleinkram import connect
-from kleinkram.cli.commands import Noun
-from kleinkram.cli.options import (
-    AsJson,
-    Count,
-    DryRun,
-    GlobArgument,
-    IfMatch,
-    Limit,
-    ProjectOption,
-    Text,
-    Yes,
-    argument,
-    complete_project,
-    confirm,
-    option,
-    read_text,
-    the_ref,
-)
-from kleinkram.cli.render import details, line, note, show_count, show_json, show_rows, table
+from kleinkram.cli import options
+from kleinkram.cli.commands import Noun, Text, argument, option
+from kleinkram.cli.render import Output, as_table, as_total, details, line, note, table
 from kleinkram.cli.units import count as count_of
 from kleinkram.cli.units import parse_size, size, total_hours
+from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.projects import ProjectRead, ProjectSort
 
 app = Noun("Manage projects, which contain missions, which contain files.")
-NameArgument = Annotated[Text, argument("PROJECT", "Name or id of the project.", autocompletion=complete_project)]
+NameArgument = Annotated[
+    Text, argument("PROJECT", "Name or id of the project.", autocompletion=options.complete_project)
+]
 DescriptionOption = Annotated[Text, option("--description -d", None, "Set the description.")]
 FieldsOption = Annotated[
     Path | None, option("--fields", "fields.yaml", "Set the metadata fields of the missions, and which are required.")
@@ -38,53 +24,48 @@ FieldsOption = Annotated[
 
 @app.command("create")
 def create(
+    client: Client,
     name: NameArgument = None,
-    project: ProjectOption = None,
+    project: options.ProjectOption = None,
     description: DescriptionOption = None,
     fields: FieldsOption = None,
-    as_json: AsJson = False,
-) -> None:
+) -> Output:
     """Create a project."""
-    with connect() as client:
-        made = client.projects.create(
-            the_ref("project", name, project), description=description or "", fields_yaml=read_text(fields)
-        )
-    _show(made, as_json)
+    name = options.the_ref("project", name, project)
+    fields_yaml = options.read_text(fields)
+    return _output(client.projects.create(name, description=description or "", fields_yaml=fields_yaml))
 
 
 @app.command("list")
 def list_(
-    name: GlobArgument = None,
+    client: Client,
+    name: options.GlobArgument = None,
     text: Annotated[Text, option("--text", None, "Search names and descriptions for TEXT.")] = None,
     sort: Annotated[ProjectSort | None, option("--sort", None, "Set the order; a leading - reverses it.")] = None,
-    limit: Limit = None,
-    count: Count = False,
-    as_json: AsJson = False,
-) -> None:
+    limit: options.Limit = None,
+    count: options.Count = False,
+) -> Output:
     """List projects."""
-    with connect() as client:
-        if count:
-            show_count(client.projects.count(name=name, text=text), as_json)
-            return
-        show_rows(
-            client.projects.list(name=name, text=text, sort=sort, limit=limit),
-            as_json,
-            ["name", "missions", "files", "size", "recorded", "id"],
-            lambda row: (row.name, row.mission_count, row.file_count, size(row.size_bytes), _hours(row), row.id),
-        )
+    if count:
+        return as_total(client.projects.count(name=name, text=text))
+    return as_table(
+        client.projects.list(name=name, text=text, sort=sort, limit=limit),
+        ["name", "missions", "files", "size", "recorded", "id"],
+        lambda row: (row.name, row.mission_count, row.file_count, size(row.size_bytes), _hours(row), row.id),
+    )
 
 
 @app.command("info")
-def info(name: NameArgument = None, project: ProjectOption = None, as_json: AsJson = False) -> None:
+def info(client: Client, name: NameArgument = None, project: options.ProjectOption = None) -> Output:
     """Show one project and its metadata fields."""
-    with connect() as client:
-        _show(client.projects.get(the_ref("project", name, project)), as_json)
+    return _output(client.projects.get(options.the_ref("project", name, project)))
 
 
 @app.command("update")
 def update(
+    client: Client,
     name: NameArgument = None,
-    project: ProjectOption = None,
+    project: options.ProjectOption = None,
     new_name: Annotated[Text, option("--name", None, "Set the name.")] = None,
     description: DescriptionOption = None,
     fields: FieldsOption = None,
@@ -97,9 +78,8 @@ def update(
     citation: Annotated[Text, option("--citation", None, "Set how to cite it.")] = None,
     quota_bytes: Annotated[Text, option("--quota-bytes", "SIZE", "Limit its size, such as to 2TB; or none.")] = None,
     quota_files: Annotated[Text, option("--quota-files", "N", "Limit its number of files; or none.")] = None,
-    etag: IfMatch = None,
-    as_json: AsJson = False,
-) -> None:
+    etag: options.IfMatch = None,
+) -> Output:
     """Change a project. Missions whose metadata does not satisfy new fields are counted, not changed.
 
     Only those with DELETE on a project can publish it. Only admins can set quotas.
@@ -107,7 +87,7 @@ def update(
     values = {
         "name": new_name,
         "description": description,
-        "fields_yaml": read_text(fields),
+        "fields_yaml": options.read_text(fields),
         "is_public": public,
         "licence": licence,
         "citation": citation,
@@ -116,44 +96,43 @@ def update(
     if quota_bytes is not None:
         changes["quota_bytes"] = None if quota_bytes == "none" else parse_size(quota_bytes)
     if quota_files is not None and not (quota_files == "none" or (quota_files.isascii() and quota_files.isdigit())):
-        raise InvalidInput(what=f"The number of files {quota_files!r}", reason="say a number, or none")
+        raise InvalidInput(what=f"The number of files {quota_files!r}", reason="specify a number or none")
     if quota_files is not None:
         changes["quota_files"] = None if quota_files == "none" else int(quota_files)
-    with connect() as client:
-        target = client.projects.get(the_ref("project", name, project))
-        changed = client.projects.update(target.id, if_match=etag or target.etag, **changes)
-    _show(changed, as_json)
+    target = client.projects.get(options.the_ref("project", name, project))
+    changed = client.projects.update(target.id, if_match=etag or target.etag, **changes)
     if changed.unsatisfied_mission_count:
         note(
-            f"{changed.unsatisfied_mission_count} missions do not satisfy the fields: "
+            f"{count_of(changed.unsatisfied_mission_count, 'mission')} do not satisfy the fields: "
             f"klein mission list -p {changed.id} --unsatisfied"
         )
+    return _output(changed)
 
 
 @app.command("delete")
 def delete(
+    client: Client,
     name: NameArgument = None,
-    project: ProjectOption = None,
-    dry_run: DryRun = False,
-    yes: Yes = False,
-    as_json: AsJson = False,
-) -> None:
+    project: options.ProjectOption = None,
+    dry_run: options.DryRun = False,
+    yes: options.Yes = False,
+) -> Output:
     """Move a project, and all in it, to the trash."""
-    with connect() as client:
-        target = client.projects.get(the_ref("project", name, project))
-        would = client.projects.delete(target.id, dry_run=True)
-        missions, files = count_of(would.missions, "mission"), count_of(would.files, "file")
-        what = f"{target.name}: {missions}, {files}, {size(would.size_bytes)}"
-        if not dry_run:
-            confirm(f"Move to the trash {what}?", yes)
-            would = client.projects.delete(target.id)
-    show_json(would) if as_json else note(f"{'Would move' if dry_run else 'Moved'} to the trash: {what}")
+    target = client.projects.get(options.the_ref("project", name, project))
+    would = client.projects.delete(target.id, dry_run=True)
+    missions, files = count_of(would.missions, "mission"), count_of(would.files, "file")
+    what = f"{target.name}: {missions}, {files}, {size(would.size_bytes)}"
+    if not dry_run:
+        options.confirm(f"Move to the trash {what}?", yes)
+        would = client.projects.delete(target.id)
+    return Output(would, f"{'Would move' if dry_run else 'Moved'} to the trash: {what}")
 
 
-def _show(project: ProjectRead, as_json: bool) -> None:
-    if as_json:
-        show_json(project)
-        return
+def _output(project: ProjectRead) -> Output:
+    return Output(project, lambda: _show(project))
+
+
+def _show(project: ProjectRead) -> None:
     used, files = size(project.used_bytes), project.used_files
     details(
         [

@@ -6,11 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
+from kleinkram.cli.commands import Many, Text, argument, flag, option
 from kleinkram.cli.errors import ExitCode, Interrupted
-from kleinkram.cli.options import AsJson, Many, Text, argument, flag, option
-from kleinkram.cli.render import details, line, note, show_json, table
+from kleinkram.cli.render import Output, details, line, note, table
 from kleinkram.cli.units import count, duration, instant, parse_size, rate, size, span
 from kleinkram.client.errors import InvalidInput
 from kleinkram.recordings.inspect import Inspection, ScanProgress, inspect_paths, to_plain
@@ -20,9 +18,9 @@ if TYPE_CHECKING:
     from kleinkram.cli.transfer import ProgressBars
 
 _CONTENTS = {
-    Content.indexed: "whole",
+    Content.indexed: "complete",
     Content.recovered: "damaged, read as far as possible",
-    Content.broken: "nothing of it can be read",
+    Content.broken: "nothing in it can be read",
     Content.pending: "not read yet",
     Content.opaque: "not a recording",
     Content.error: "could not be read",
@@ -63,8 +61,7 @@ class _ScanBar:
 def inspect(
     paths: Annotated[list[str], argument("PATH", "Files and folders.")],
     deep: Annotated[bool, flag("--deep", "Read every byte: check all checksums, recover what is damaged.")] = False,
-    as_json: AsJson = False,
-) -> None:
+) -> Output:
     """Show the topics, types, counts, times, rates and gaps of local recordings. Needs no server.
 
     The exit code is 0 also for a broken file, 8 if a file or folder cannot be read, and 2 if a path does not exist.
@@ -74,20 +71,20 @@ def inspect(
             inspections = inspect_paths(paths, depth=Depth.scan if deep else Depth.summary, progress=watch)
     except FileNotFoundError as error:
         raise InvalidInput(what=f"The path {error.filename}", reason="there is no such file or folder") from error
-    if as_json:
-        show_json({"items": [to_plain(one) for one in inspections]})
-    else:
-        if not inspections:
-            note("There are no recordings in it.")
+    if not inspections:
+        note("There are no recordings in it.")
+    unreadable = [one for one in inspections if one.summary.content is Content.error]
+    for one in unreadable:
+        note(one.summary.reason or one.path)
+
+    def show_all() -> None:
         for number, one in enumerate(inspections):
             if number:
                 line("")
             show(one)
-    unreadable = [one for one in inspections if one.summary.content is Content.error]
-    for one in unreadable:
-        note(one.summary.reason or one.path)
-    if unreadable:
-        raise typer.Exit(ExitCode.local_file)
+
+    items = [to_plain(one) for one in inspections]
+    return Output({"items": items}, show_all, ExitCode.local_file if unreadable else 0)
 
 
 def show(one: Inspection) -> None:
@@ -141,7 +138,7 @@ def _lost(summary: RecordingSummary) -> str | None:
         return None
     if lost == Lost(0, 0, 0):
         return "nothing"
-    # A database has pages where others have chunks.
+    # A database consists of pages, not chunks.
     piece = "page" if summary.format is RecordingFormat.rosbag2_db3 else "chunk"
     parts = [count(lost.messages, "message") if lost.messages is not None else "an unknown number of messages"]
     if lost.chunks:
@@ -158,10 +155,9 @@ def sample(
     formats: Annotated[Many, option("--format", None, "Create mcap, bag or db3 files; repeatable.")] = None,
     drop_topic: Annotated[Text, option("--drop-topic", None, "Leave out this topic.")] = None,
     truncate: Annotated[
-        float | None, option("--truncate", None, "Truncate each file to this share of it.", min=0.01, max=0.99)
+        float | None, option("--truncate", None, "Truncate each file to this fraction of it.", min=0.01, max=0.99)
     ] = None,
-    as_json: AsJson = False,
-) -> None:
+) -> Output:
     """Create a sample mission of a small vehicle: camera, lidar, IMU, GPS, odometry and transforms."""
     from kleinkram.recordings.sample import Faults, SampleFormat, generate_mission
 
@@ -179,12 +175,11 @@ def sample(
         raise InvalidInput(what=what, reason=error.strerror or str(error)) from None
     except KeyboardInterrupt:
         raise Interrupted from None
-    if as_json:
-        items = [{**vars(file), "topics": [vars(topic) for topic in file.topics]} for file in truth.files]
-        show_json({"items": [{**item, "path": str(item["path"])} for item in items]})
-        return
+    items = [
+        {**vars(file), "path": str(file.path), "topics": [vars(topic) for topic in file.topics]} for file in truth.files
+    ]
     rows = []
     for file in truth.files:
         content = (file.message_count, len(file.topics), span(file.start_ns, file.end_ns))
         rows.append((str(file.path), size(file.size_bytes), *content))
-    table(["file", "size", "messages", "topics", "span"], rows)
+    return Output({"items": items}, lambda: table(["file", "size", "messages", "topics", "span"], rows))

@@ -1,4 +1,4 @@
-"""Terminal output: tables, details and JSON on stdout; notes on stderr. Everything printed is escaped."""
+"""The output of commands: tables, details and JSON on stdout, notes on stderr, all escaped."""
 
 import datetime
 import json
@@ -7,6 +7,7 @@ import shutil
 import sys
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TypeVar
 
 import typer
@@ -47,13 +48,8 @@ def show_json(value: BaseModel | Mapping[str, object]) -> None:
     sys.stdout.write("\n")
 
 
-def show_json_list(rows: Iterable[BaseModel]) -> None:
-    """Print `{"items": [...]}` to stdout."""
-    show_json({"items": [*rows]})
-
-
 def plain(value: object) -> object:
-    """Return a value as JSON takes it: models, wherever they stand, become dicts."""
+    """Return a value for JSON: models, also nested ones, become dicts."""
     if isinstance(value, BaseModel):
         return value.model_dump(mode="json")
     if isinstance(value, Mapping):
@@ -63,16 +59,49 @@ def plain(value: object) -> object:
     return value
 
 
-def show_count(number: int, as_json: bool) -> None:
-    """Print how many rows match."""
-    show_json({"total": number}) if as_json else line(str(number))
+@dataclass(frozen=True)
+class Output:
+    """What a command prints: with `--json` the document, else the text.
+
+    `text` is a note or several, for stderr, or a function that prints. The command then ends with the exit code.
+    """
+
+    document: BaseModel | Mapping[str, object]
+    text: str | Sequence[str] | Callable[[], object] = ()
+    exit_code: int = 0
+
+    def show(self, as_json: bool) -> None:
+        """Print it, and end the command if the exit code is not 0."""
+        if as_json:
+            show_json(self.document)
+        elif callable(self.text):
+            self.text()
+        else:
+            for text in [self.text] if isinstance(self.text, str) else self.text:
+                note(text)
+        if self.exit_code:
+            raise typer.Exit(self.exit_code)
 
 
-def show_rows(
-    rows: Iterable[RowT], as_json: bool, headers: Sequence[str], cells: Callable[[RowT], Sequence[object]]
-) -> None:
-    """Print rows as JSON, or as a table of their cells."""
-    show_json_list(rows) if as_json else table(headers, map(cells, rows))
+def as_total(number: int) -> Output:
+    """Return the number of rows that match, for `--count`."""
+    return Output({"total": number}, lambda: line(str(number)))
+
+
+def as_list(rows: Iterable[RowT], show: Callable[[Sequence[RowT]], object]) -> Output:
+    """Return rows, which a function prints."""
+    items = [*rows]
+    return Output({"items": items}, lambda: show(items))
+
+
+def as_table(rows: Iterable[RowT], headers: Sequence[str], cells: Callable[[RowT], Sequence[object]]) -> Output:
+    """Return rows, whose cells are printed as a table."""
+    return as_list(rows, lambda items: table(headers, map(cells, items)))
+
+
+def as_details(value: BaseModel | Mapping[str, object], pairs: Iterable[tuple[str, object]]) -> Output:
+    """Return one thing, whose properties are printed a line each."""
+    return Output(value, lambda: details(pairs))
 
 
 def show_wide() -> None:
@@ -103,7 +132,7 @@ def table(headers: Sequence[str], rows: Iterable[Sequence[object]], *, to_stderr
             padded.append(space + text if at_right else text + space)
         typer.echo("  ".join(padded).rstrip(), err=to_stderr)
     if len(widths) < len(headers):
-        note(f"Not shown for lack of room: {', '.join(headers[len(widths) :])}. --wide shows all.")
+        note(f"Not shown, because the terminal is too narrow: {', '.join(headers[len(widths) :])}. --wide shows all.")
 
 
 def _fitted(widths: list[int], right: Sequence[bool]) -> list[int]:

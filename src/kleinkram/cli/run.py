@@ -8,50 +8,23 @@ from typing import Annotated
 
 import typer
 
-from kleinkram import connect
-from kleinkram.cli.commands import Noun
+from kleinkram.cli import options
+from kleinkram.cli.commands import AsJson, Many, Noun, Text, argument, flag, option
 from kleinkram.cli.errors import ExitCode, exit_code_of
-from kleinkram.cli.filters import Choice, WhereOption, find_missions, ids_of, mission_query
-from kleinkram.cli.options import (
-    AsJson,
-    Count,
-    DryRun,
-    Limit,
-    Many,
-    MissionsOption,
-    Overwrite,
-    ProjectsOption,
-    Text,
-    Yes,
-    argument,
-    confirm,
-    flag,
-    option,
-)
-from kleinkram.cli.render import note, show_count, show_json, show_json_list, show_rows
+from kleinkram.cli.filters import Choice, WhereOption, filter_of, find_missions, ids_of, mission_query
+from kleinkram.cli.render import Output, as_list, as_table, as_total, note, show_json
 from kleinkram.cli.run_view import action_name, follow, mission_name, show_results, show_run, show_runs, write_log
-from kleinkram.cli.transfer import end_transfer, run_transfer
-from kleinkram.cli.units import count, instant, size
+from kleinkram.cli.transfer import run_transfer, transfer_output
+from kleinkram.cli.units import count as count_of
+from kleinkram.cli.units import instant, size
 from kleinkram.client import Client
-from kleinkram.client._nouns import checked
 from kleinkram.client.actions import read_manifest
 from kleinkram.client.errors import InvalidInput, NothingToDo
+from kleinkram.contract import runs as contract
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.problems import from_problem
 from kleinkram.contract.reports import Severity
-from kleinkram.contract.runs import (
-    ArtifactRead,
-    FindingRead,
-    MetricRead,
-    ReportFilter,
-    RunCreated,
-    RunDetail,
-    RunFilter,
-    RunRead,
-    RunRefused,
-    RunState,
-)
 
 SetOption = Annotated[Many, option("--set", "NAME=VALUE", "Set a parameter; repeatable.")]
 ForceOption = Annotated[bool, flag("--force", "Run again, even if there are results of the same run.")]
@@ -61,54 +34,54 @@ _SHOWN = 50
 
 
 def launch(
+    client: Client,
     action: Annotated[str, argument("ACTION", "Name, NAME@VERSION or id; or a script, or a folder with action.yaml.")],
-    missions: MissionsOption = None,
-    project: ProjectsOption = None,
+    missions: options.MissionsOption = None,
+    project: options.ProjectsOption = None,
     query: Annotated[Text, option("--query -q", "QUERY", "Run on each mission that the query finds.")] = None,
     where: WhereOption = None,
     parameters: SetOption = None,
     force: ForceOption = False,
     follow_it: FollowOption = False,
-    dry_run: DryRun = False,
-    yes: Yes = False,
+    dry_run: options.DryRun = False,
+    yes: options.Yes = False,
     as_json: AsJson = False,
 ) -> None:
     """Run an action on one mission, on several, or on each that a search finds.
 
-    With --follow, the exit code is 0 only if all runs succeed. Ctrl-C stops following; the runs go on.
+    With --follow, the exit code is 0 only if all runs succeed. Ctrl-C stops following; the runs continue.
     """
-    with connect() as client:
-        targets = _missions(client, missions or [], Choice(query=query, project=project, where=where))
-        path = Path(action)
-        published, version = None, None
-        if path.exists():
-            definition = read_manifest(path)
-            note(f"Running {definition.name} as it is in {path}, unpublished.")
-        elif "/" in action or path.suffix == ".py":
-            raise InvalidInput(what=f"The action {action!r}", reason="there is no such file or folder")
-        else:
-            name, version = split_version(action)
-            projects = {mission.project.id for mission in targets}
-            published = client.actions.get(name, project=projects.pop() if len(projects) == 1 else None)
-            definition = client.actions.version(published, version).definition
-        values = parameter_values(definition, parameters or [])
-        names = ", ".join(f"{mission.project.name}/{mission.name}" for mission in targets[:_MAX_NAMES])
-        names += f" and {len(targets) - _MAX_NAMES} more" if len(targets) > _MAX_NAMES else ""
-        if dry_run:
-            note(f"Would run {action} on {names}")
-            if as_json:
-                show_json({"dry_run": True, "missions": targets, "parameters": values})
-            return
-        if not missions and len(targets) > 1:
-            confirm(f"Run {action} on {count(len(targets), 'mission')}: {names}?", yes)
-        outcomes = client.runs.launch(
-            published.id if published else definition,
-            [mission.id for mission in targets],
-            version=version,
-            parameters=values,
-            force=force,
-        )
-        _show_launched(client, targets, outcomes, follow_them=follow_it, as_json=as_json)
+    targets = _missions(client, missions or [], Choice(query=query, project=project, where=where))
+    path = Path(action)
+    published, version = None, None
+    if path.exists():
+        definition = read_manifest(path)
+        note(f"Running {definition.name} as it is in {path}, unpublished.")
+    elif "/" in action or path.suffix == ".py":
+        raise InvalidInput(what=f"The action {action!r}", reason="there is no such file or folder")
+    else:
+        name, version = split_version(action)
+        projects = {mission.project.id for mission in targets}
+        published = client.actions.get(name, project=projects.pop() if len(projects) == 1 else None)
+        definition = client.actions.version(published, version).definition
+    values = parameter_values(definition, parameters or [])
+    names = ", ".join(f"{mission.project.name}/{mission.name}" for mission in targets[:_MAX_NAMES])
+    names += f" and {len(targets) - _MAX_NAMES} more" if len(targets) > _MAX_NAMES else ""
+    if dry_run:
+        note(f"Would run {action} on {names}")
+        if as_json:
+            show_json({"dry_run": True, "missions": targets, "parameters": values})
+        return
+    if not missions and len(targets) > 1:
+        options.confirm(f"Run {action} on {count_of(len(targets), 'mission')}: {names}?", yes)
+    outcomes = client.runs.launch(
+        published.id if published else definition,
+        [mission.id for mission in targets],
+        version=version,
+        parameters=values,
+        force=force,
+    )
+    _show_launched(client, targets, outcomes, follow_them=follow_it, as_json=as_json)
 
 
 def parameter_values(definition: ActionDefinition, assignments: Iterable[str]) -> ParameterValues:
@@ -119,7 +92,7 @@ def parameter_values(definition: ActionDefinition, assignments: Iterable[str]) -
         for assignment in assignments:
             name, equals, text = assignment.partition("=")
             if not equals:
-                raise InvalidInput(what=f"The parameter {assignment!r}", reason="say it as NAME=VALUE")
+                raise InvalidInput(what=f"The parameter {assignment!r}", reason="write it as NAME=VALUE")
             values[name] = known[name].read(text) if name in known else text
         definition.fill_in(values)
     except ValueError as error:
@@ -135,7 +108,7 @@ def split_version(ref: str) -> tuple[str, int | None]:
 
 def _missions(client: Client, names: Sequence[str], choice: Choice) -> list[MissionRead]:
     if bool(names) == (choice.query is not None or bool(choice.where)):
-        reason = "say which missions: with -m, or by a search with --query or --where"
+        reason = "specify missions with -m, or with a search: --query or --where"
         raise InvalidInput(what="The command", reason=reason)
     if names:
         targets = [mission for name in names for mission in find_missions(client, name, choice.project)]
@@ -149,16 +122,16 @@ def _missions(client: Client, names: Sequence[str], choice: Choice) -> list[Miss
 def _show_launched(
     client: Client,
     missions: Sequence[MissionRead],
-    outcomes: Sequence[RunCreated | RunRefused],
+    outcomes: Sequence[contract.RunCreated | contract.RunRefused],
     *,
     follow_them: bool,
     as_json: bool,
 ) -> None:
-    made = [outcome.run for outcome in outcomes if isinstance(outcome, RunCreated)]
+    made = [outcome.run for outcome in outcomes if isinstance(outcome, contract.RunCreated)]
     names = {mission.id: f"{mission.project.name}/{mission.name}" for mission in missions}
     failures = []
     for outcome in outcomes:
-        if isinstance(outcome, RunRefused):
+        if isinstance(outcome, contract.RunRefused):
             failures.append(from_problem(outcome.problem))
             note(f"{names[outcome.mission_id]}: {failures[-1]}")
     if follow_them:
@@ -168,20 +141,23 @@ def _show_launched(
             show_runs(made)
         reused = [run for run in made if run.reuses_id is not None]
         for run in reused:
-            note(f"{mission_name(run)}: results of the run {run.reuses_id} hold; --force runs anew.")
+            note(f"{mission_name(run)}: the results of run {run.reuses_id} apply; --force runs it again.")
         if len(made) == 1 and not reused:
             note(f"`klein run logs -f {made[0].id}` follows it.")
     if as_json:
         now = {run.id: run for run in made}
-        items = [RunCreated(run=now[item.run.id]) if isinstance(item, RunCreated) else item for item in outcomes]
+        items = [
+            contract.RunCreated(run=now[item.run.id]) if isinstance(item, contract.RunCreated) else item
+            for item in outcomes
+        ]
         show_json({"items": items})
     if code := exit_code_of(failures) or (_exit_code(made) if follow_them else 0):
         raise typer.Exit(code)
 
 
-def _follow_all(client: Client, runs: Sequence[RunRead], *, as_json: bool) -> list[RunDetail]:
+def _follow_all(client: Client, runs: Sequence[contract.RunRead], *, as_json: bool) -> list[contract.RunDetail]:
     """Show runs until they end, one after the other, then their results."""
-    ended: list[RunDetail] = []
+    ended: list[contract.RunDetail] = []
     for run in runs:
         if len(runs) > 1:
             note(f"— {mission_name(run)}: {action_name(run.action)}, run {run.id}")
@@ -189,15 +165,15 @@ def _follow_all(client: Client, runs: Sequence[RunRead], *, as_json: bool) -> li
     if not as_json:
         show_runs(ended)
     if len(ended) == 1 and not as_json:
-        matching = ReportFilter(run_id=ended[0].id)
+        matching = contract.ReportFilter(run_id=ended[0].id)
         show_results([*client.runs.metrics(matching)], [*client.runs.findings(matching)])
     if len(ended) == 1 and ended[0].artifact_count:
-        note(f"`klein run artifacts {ended[0].id} --download DIR` fetches what it left.")
+        note(f"`klein run artifacts {ended[0].id} --download DIR` downloads its artifacts.")
     return ended
 
 
-def _exit_code(runs: Iterable[RunRead]) -> int:
-    return 0 if all(run.state is RunState.done for run in runs) else ExitCode.run_failed
+def _exit_code(runs: Iterable[contract.RunRead]) -> int:
+    return 0 if all(run.state is contract.RunState.done for run in runs) else ExitCode.run_failed
 
 
 app = Noun("Manage runs of actions on missions.")
@@ -208,76 +184,76 @@ CodeOption = Annotated[Text, option("--name", "GLOB", "Select by name, such as '
 
 @app.command("list")
 def list_(
-    project: ProjectsOption = None,
-    mission: MissionsOption = None,
+    client: Client,
+    project: options.ProjectsOption = None,
+    mission: options.MissionsOption = None,
     action: Annotated[Text, option("--action", "GLOB", "Select runs of actions with a matching name.")] = None,
-    state: Annotated[list[RunState] | None, option("--state", None, "Select by state; repeatable.")] = None,
+    state: Annotated[list[contract.RunState] | None, option("--state", None, "Select by state; repeatable.")] = None,
     active: Annotated[bool, flag("--active", "Select only runs that have not ended.")] = False,
     mine: Annotated[bool, flag("--mine", "Select only your own runs.")] = False,
-    limit: Limit = None,
-    count: Count = False,
-    as_json: AsJson = False,
-) -> None:
+    limit: options.Limit = None,
+    count: options.Count = False,
+) -> Output:
     """List runs, latest first."""
     criteria: dict[str, object] = {"action": action, "state": state, "active": active, "mine": mine}
-    with connect() as client:
-        criteria |= ids_of(client, project, mission)
-        matching = checked(RunFilter, "The filter", **{key: value for key, value in criteria.items() if value})
-        if count:
-            show_count(client.runs.count(matching), as_json)
-            return
-        rows = [*client.runs.list(matching, limit=limit or _SHOWN)]
-    show_json_list(rows) if as_json else show_runs(rows)
+    criteria |= ids_of(client, project, mission)
+    matching = filter_of(contract.RunFilter, criteria)
+    if count:
+        return as_total(client.runs.count(matching))
+    rows = [*client.runs.list(matching, limit=limit or _SHOWN)]
     if limit is None and len(rows) == _SHOWN:
         note(f"These are the latest {_SHOWN}; --limit shows more.")
+    return as_list(rows, show_runs)
 
 
 @app.command("info")
-def info(run: RunArgument, as_json: AsJson = False) -> None:
+def info(client: Client, run: RunArgument) -> Output:
     """Show a run: its state and reason, its use of resources, and the metadata that it proposes."""
-    with connect() as client:
-        selected = client.runs.get(run)
-    show_json(selected) if as_json else show_run(selected)
+    selected = client.runs.get(run)
+    return Output(selected, lambda: show_run(selected))
 
 
 @app.command("logs")
 def logs(
+    client: Client,
     run: RunArgument,
     follow_it: Annotated[bool, flag("--follow -f", "Print until the run ends, and exit as it ended.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Print the log of a run."""
-    with connect() as client:
-        selected = client.runs.get(run)
-        if follow_it and not as_json:
-            raise typer.Exit(_exit_code([follow(client, selected.id)]))
-        if as_json:
-            text = "".join(entry.text for entry in client.runs.log(selected.id, follow=follow_it))
-            selected = client.runs.wait(selected.id) if follow_it else selected
-            show_json({"run_id": str(selected.id), "state": selected.state.value, "text": text})
-            raise typer.Exit(_exit_code([selected]) if follow_it else 0)
+    selected: contract.RunRead = client.runs.get(run)
+    if as_json:
+        text = "".join(entry.text for entry in client.runs.log(selected.id, follow=follow_it))
+        selected = client.runs.wait(selected.id) if follow_it else selected
+        show_json({"run_id": str(selected.id), "state": selected.state.value, "text": text})
+    elif follow_it:
+        selected = follow(client, selected.id)
+    else:
         for piece in client.runs.log(selected.id):
             write_log(piece.text, sys.stdout)
+    if follow_it:
+        raise typer.Exit(_exit_code([selected]))
 
 
 @app.command("cancel")
-def cancel(runs: Annotated[list[str], argument("RUN", "Ids of runs.")], as_json: AsJson = False) -> None:
+def cancel(client: Client, runs: Annotated[list[str], argument("RUN", "Ids of runs.")]) -> Output:
     """Cancel runs. Queued runs end at once, running ones within seconds."""
-    with connect() as client:
-        selected = [client.runs.get(ref) for ref in runs]
-        ended = [client.runs.cancel(run.id) for run in selected]
-    show_json_list(ended) if as_json else show_runs(ended)
+    selected = [client.runs.get(ref) for ref in runs]
+    return as_list([client.runs.cancel(run.id) for run in selected], show_runs)
 
 
 @app.command("retry")
 def retry(
-    run: RunArgument, force: ForceOption = False, follow_it: FollowOption = False, as_json: AsJson = False
+    client: Client,
+    run: RunArgument,
+    force: ForceOption = False,
+    follow_it: FollowOption = False,
+    as_json: AsJson = False,
 ) -> None:
     """Run the same version again, as a new run with the same parameters on the same mission."""
-    with connect() as client:
-        made = client.runs.retry(client.runs.get(run).id, force=force)
-        if follow_it:
-            (made,) = _follow_all(client, [made], as_json=as_json)
+    made: contract.RunRead = client.runs.retry(client.runs.get(run).id, force=force)
+    if follow_it:
+        (made,) = _follow_all(client, [made], as_json=as_json)
     if as_json:
         show_json(made)
     elif not follow_it:
@@ -288,54 +264,48 @@ def retry(
 
 @app.command("artifacts")
 def artifacts(
+    client: Client,
     run: RunArgument,
     paths: Annotated[Many, argument("GLOB", "Globs that paths match.")] = None,
     download: Annotated[Path | None, option("--download", "DIR", "Download them to DIR, verified.")] = None,
-    overwrite: Overwrite = False,
-    as_json: AsJson = False,
-) -> None:
+    overwrite: options.Overwrite = False,
+) -> Output:
     """List or download the files that a run created."""
-    with connect() as client:
-        selected = client.runs.get(run)
-        rows: list[ArtifactRead] = [
-            row
-            for row in client.runs.artifacts(selected.id)
-            if not paths or any(fnmatchcase(row.path, glob) for glob in paths)
-        ]
-        if download is None:
-            headers = ["path", "size", "sha256", "file of the mission"]
-            show_rows(rows, as_json, headers, lambda row: (row.path, size(row.size_bytes), row.sha256, row.file_id))
-            return
-        if not rows:
-            raise NothingToDo(reason="No artifact matches")
-        report, elapsed_s = run_transfer(
-            lambda watcher: client.runs.download_artifacts(
-                selected.id, download, artifacts=rows, overwrite=overwrite, watcher=watcher
-            )
+    run_id = client.runs.get(run).id
+    globs = paths or ["*"]
+    rows = [row for row in client.runs.artifacts(run_id) if any(fnmatchcase(row.path, glob) for glob in globs)]
+    if download is None:
+        headers = ["path", "size", "sha256", "file of the mission"]
+        return as_table(rows, headers, lambda row: (row.path, size(row.size_bytes), row.sha256, row.file_id))
+    if not rows:
+        raise NothingToDo(reason="No artifact matches")
+    report, elapsed_s = run_transfer(
+        lambda watcher: client.runs.download_artifacts(
+            run_id, download, artifacts=rows, overwrite=overwrite, watcher=watcher
         )
+    )
     for error in report.left_out:
         note(str(error))
-    end_transfer(report, elapsed_s, as_json)
+    return transfer_output(report, elapsed_s)
 
 
 @app.command("findings")
 def findings(
+    client: Client,
     run: RunFilterArgument = None,
-    project: ProjectsOption = None,
-    mission: MissionsOption = None,
+    project: options.ProjectsOption = None,
+    mission: options.MissionsOption = None,
     name: CodeOption = None,
     severity: Annotated[list[Severity] | None, option("--severity", None, "Select by severity; repeatable.")] = None,
-    limit: Limit = None,
-    as_json: AsJson = False,
-) -> None:
+    limit: options.Limit = None,
+) -> Output:
     """List the findings of one run, a mission, a project, or of all."""
-    with connect() as client:
-        matching = _report_filter(client, run, project, mission, code=name, severity=severity)
-        headers = ["mission", "action", "severity", "finding", "message", "file", "topic", "at", "run"]
-        show_rows(client.runs.findings(matching, limit=limit), as_json, headers, _finding_cells)
+    matching = _report_filter(client, run, project, mission, code=name, severity=severity)
+    headers = ["mission", "action", "severity", "finding", "message", "file", "topic", "at", "run"]
+    return as_table(client.runs.findings(matching, limit=limit), headers, _finding_cells)
 
 
-def _finding_cells(row: FindingRead) -> tuple[object, ...]:
+def _finding_cells(row: contract.FindingRead) -> tuple[object, ...]:
     finding = row.finding
     what = (finding.severity.value, finding.code, finding.message, finding.file, finding.topic)
     return row.mission.name, action_name(row.action), *what, instant(finding.time_ns), row.run_id
@@ -343,28 +313,27 @@ def _finding_cells(row: FindingRead) -> tuple[object, ...]:
 
 @app.command("metrics")
 def metrics(
+    client: Client,
     run: RunFilterArgument = None,
-    project: ProjectsOption = None,
-    mission: MissionsOption = None,
+    project: options.ProjectsOption = None,
+    mission: options.MissionsOption = None,
     name: CodeOption = None,
-    limit: Limit = None,
-    as_json: AsJson = False,
-) -> None:
+    limit: options.Limit = None,
+) -> Output:
     """List the metrics of one run, a mission, a project, or of all."""
-    with connect() as client:
-        matching = _report_filter(client, run, project, mission, code=name)
-        headers = ["mission", "action", "metric", "value", "unit", "file", "run"]
-        show_rows(client.runs.metrics(matching, limit=limit), as_json, headers, _metric_cells)
+    matching = _report_filter(client, run, project, mission, code=name)
+    headers = ["mission", "action", "metric", "value", "unit", "file", "run"]
+    return as_table(client.runs.metrics(matching, limit=limit), headers, _metric_cells)
 
 
-def _metric_cells(row: MetricRead) -> tuple[object, ...]:
+def _metric_cells(row: contract.MetricRead) -> tuple[object, ...]:
     metric = row.metric
     what = (metric.name, metric.value, metric.unit, metric.file)
     return row.mission.name, action_name(row.action), *what, row.run_id
 
 
-def _report_filter(client: Client, run: Text, project: Many, mission: Many, **more: object) -> ReportFilter:
+def _report_filter(client: Client, run: Text, project: Many, mission: Many, **more: object) -> contract.ReportFilter:
     criteria: dict[str, object] = {**more, **ids_of(client, project, mission)}
     if run is not None:
         criteria["run_id"] = client.runs.get(run).id
-    return checked(ReportFilter, "The filter", **{key: value for key, value in criteria.items() if value})
+    return filter_of(contract.ReportFilter, criteria)

@@ -1,4 +1,4 @@
-"""How runs look: tables, details, logs with only colours of their own, and following a run on stderr."""
+"""The display of runs: tables, details, logs without control characters, and following a run on stderr."""
 
 import contextlib
 import re
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rich.status import Status
 
 _NS = 10**9
-_REST_OF_LOG_S = 30.0  # the longest wait for the end of a log once its run has ended
+_REST_OF_LOG_S = 30.0  # the maximum time to wait for the rest of the log of a run that has ended
 # Source: ECMA-48, section 8.3.117, SGR: colours and weights of letters.
 _COLOUR = re.compile(r"(\x1b\[[0-9;]*m)")
 _PLAIN = "\x1b[0m"
@@ -89,7 +89,7 @@ def show_run(run: RunDetail) -> None:
             ("action", action_name(run.action)),
             ("mission", mission_name(run)),
             ("state", status_text(run)),
-            ("told", run.message),
+            ("message", run.message),
             ("results of", run.reuses_id),
             ("retry of", run.cause.retry_of_id),
             ("made", f"{run.created_at:%Y-%m-%d %H:%M:%S}Z{person}"),
@@ -207,12 +207,12 @@ def follow(client: Client, run_id: uuid.UUID) -> RunDetail:
         with _viewing() as view:
             run = _follow(client, run_id, view)
     except KeyboardInterrupt:
-        note(f"The run goes on. `klein run logs -f {run_id}` follows it again, `klein run cancel {run_id}` ends it.")
+        note(f"The run continues. `klein run logs -f {run_id}` follows it again, `klein run cancel {run_id}` ends it.")
         raise typer.Exit(ExitCode.interrupted) from None
     for problem in run.problems:
         note(problem)
     if run.reuses_id is not None:
-        note(f"The results are those of the run {run.reuses_id}: same version, parameters, inputs. --force runs anew.")
+        note(f"These are the results of run {run.reuses_id}: same version, parameters, inputs. --force runs it again.")
     if run.state is not RunState.done:
         note(f"{run.state.value}: {run.message}" if run.message else run.state.value)
     return run
@@ -226,13 +226,13 @@ def _follow(client: Client, run_id: uuid.UUID, view: RunView) -> RunDetail:
         try:
             for piece in client.runs.log(run_id, follow=True):
                 if attempt and piece.attempt != attempt:
-                    note(f"Its runner was lost: attempt {piece.attempt} begins anew.")
+                    note(f"Its runner was lost: attempt {piece.attempt} starts from the beginning.")
                 attempt = piece.attempt
                 view.show_log(piece.text)
         except KleinkramError as error:
             failures.append(error)
 
-    # A daemon: Ctrl-C may come in the middle of a request that waits.
+    # A daemon thread, because Ctrl-C may interrupt a request that is waiting.
     log = threading.Thread(target=show_log, daemon=True)
     log.start()
     run = client.runs.wait(run_id, seen=view.show_state)
@@ -250,5 +250,5 @@ def _viewing() -> Iterator[RunView]:
     from rich.console import Console
 
     console = Console(stderr=True)
-    with console.status("asking") as status:
+    with console.status("connecting") as status:
         yield RunView(console, status)

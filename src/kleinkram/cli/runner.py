@@ -8,11 +8,10 @@ from typing import Annotated
 
 import platformdirs
 
-from kleinkram import connect
-from kleinkram.cli.commands import Noun
-from kleinkram.cli.options import AsJson, Many, Text, flag, option
-from kleinkram.cli.render import moment, show_rows
+from kleinkram.cli.commands import Many, Noun, Text, flag, option
+from kleinkram.cli.render import Output, as_table, moment
 from kleinkram.cli.units import parse_size, size
+from kleinkram.client import Client
 from kleinkram.contract.runners import RunnerRead
 
 app = Noun("Run and list runners: machines that run actions.")
@@ -77,17 +76,16 @@ def start(
         once=once,
         log_format="json" if as_json else "text",
     )
-    # It runs for long: as a process of its own it needs less memory than this one.
+    # A runner runs for a long time; its own process needs less memory than this one.
     command = arguments.command()
     os.execv(command[0], command)  # noqa: S606  (our own interpreter, no shell)
 
 
 @app.command("list")
-def list_(as_json: AsJson = False) -> None:
+def list_(client: Client) -> Output:
     """List the runners; for admins."""
-    with connect() as client:
-        headers = ["name", "seen", "runs", "executor", "cores", "memory", "gpus", "labels", "token", "version", "id"]
-        show_rows(client.runners.list(), as_json, headers, _cells)
+    headers = ["name", "seen", "runs", "executor", "cores", "memory", "gpus", "labels", "token", "version", "id"]
+    return as_table(client.runners.list(), headers, _cells)
 
 
 def _cells(row: RunnerRead) -> tuple[object, ...]:

@@ -6,30 +6,19 @@ import sys
 from dataclasses import replace
 from typing import Annotated
 
-from kleinkram import connect
+from kleinkram.cli import options
+from kleinkram.cli.commands import AsJson, Many, Text, argument, flag, option
 from kleinkram.cli.filters import Choice, file_filter, mission_query, with_choice
-from kleinkram.cli.mission import show_found, show_missions
-from kleinkram.cli.options import (
-    AsJson,
-    Count,
-    FileArgument,
-    Limit,
-    Many,
-    MissionOption,
-    ProjectOption,
-    Text,
-    argument,
-    flag,
-    option,
-)
-from kleinkram.cli.render import details, line, note, show_count, show_json, show_json_list, show_rows, table
+from kleinkram.cli.mission import show_files, show_missions
+from kleinkram.cli.render import Output, as_list, as_table, as_total, details, line, note, show_json, table
 from kleinkram.cli.run_view import action_name, mission_name, status_text
 from kleinkram.cli.units import size
+from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.files import FileSort
-from kleinkram.contract.overviews import StatsRow
 from kleinkram.contract.query import render
 from kleinkram.contract.runs import LineageFile, LineageRead
+from kleinkram.contract.search import StatsRow
 
 _GROUPS = frozenset(("project", "mission", "topic", "type", "month", "format"))
 _NS_PER_HOUR = 3600 * 1_000_000_000
@@ -46,15 +35,15 @@ class Shown(str, enum.Enum):
 
 @with_choice
 def search(
+    client: Client,
     choice: Choice,
     words: Annotated[Text, argument("QUERY", "Words and terms: 'alps topic:/imu meta.speed>3'.")] = None,
     show: Annotated[Shown, option("--show", None, "Choose what to list.")] = Shown.files,
     path: Annotated[Many, option("--path", "GLOB", "Select by path in the mission.")] = None,
     sort: Annotated[FileSort | None, option("--sort", None, "Set the order of files; a leading - reverses it.")] = None,
-    limit: Limit = None,
-    count: Count = False,
-    as_json: AsJson = False,
-) -> None:
+    limit: options.Limit = None,
+    count: options.Count = False,
+) -> Output:
     """Find files, missions or topics in all projects by text, metadata, topic, type, time, size and more.
 
     QUERY is the query of the search page of the web. It can do all that the options can. Words match names, notes,
@@ -63,48 +52,46 @@ def search(
     """
     if words is not None:
         if choice.query is not None:
-            raise InvalidInput(what="The command", reason="say the query once, by itself or with --query")
+            raise InvalidInput(what="The command", reason="specify the query once: as an argument or with --query")
         choice = replace(choice, query=words)
     paths = path or []
-    with connect() as client:
-        if show is Shown.facets:
-            facets = client.search.facets(render(file_filter(client, choice, paths)))
-            if as_json:
-                show_json(facets)
-                return
-            rows = [(row.name, item.value, item.file_count, item.query) for row in facets.facets for item in row.values]
-            table(["facet", "value", "files", "query"], rows)
-            if not facets.is_exact:
-                note(f"To save time only {facets.file_count} files were counted; say more to find fewer.")
-        elif show is Shown.missions:
-            query = mission_query(client, choice, paths)
-            if count:
-                show_count(client.missions.count(query=query), as_json)
-                return
-            missions = [*client.missions.list(query=query, limit=limit)]
-            show_json_list(missions) if as_json else show_missions(missions)
-        elif show is Shown.topics:
-            topics = client.files.topics_found(file_filter(client, choice, paths))
-            if count:
-                show_count(len(topics), as_json)
-                return
-            show_rows(
-                topics[:limit],
-                as_json,
-                ["topic", "type", "files", "messages"],
-                lambda row: (row.name, row.message_type, row.file_count, row.message_count),
-            )
-        else:
-            matching = file_filter(client, choice, paths)
-            if count:
-                show_count(client.files.count(matching), as_json)
-                return
-            files = [*client.files.list(matching, sort=sort, limit=limit)]
-            show_json_list(files) if as_json else show_found(files)
+    if show is Shown.facets:
+        return _facets(client, render(file_filter(client, choice, paths)))
+    if show is Shown.missions:
+        query = mission_query(client, choice, paths)
+        if count:
+            return as_total(client.missions.count(query=query))
+        return as_list(client.missions.list(query=query, limit=limit), show_missions)
+    matching = file_filter(client, choice, paths)
+    if show is Shown.topics:
+        topics = client.files.topics_found(matching)
+        if count:
+            return as_total(len(topics))
+        return as_table(
+            topics[:limit],
+            ["topic", "type", "files", "messages"],
+            lambda row: (row.name, row.message_type, row.file_count, row.message_count),
+        )
+    if count:
+        return as_total(client.files.count(matching))
+    return as_list(client.files.list(matching, sort=sort, limit=limit), show_files)
+
+
+def _facets(client: Client, query: str) -> Output:
+    facets = client.search.facets(query)
+
+    def show() -> None:
+        rows = [(row.name, item.value, item.file_count, item.query) for row in facets.facets for item in row.values]
+        table(["facet", "value", "files", "query"], rows)
+        if not facets.is_exact:
+            note(f"To save time only {facets.file_count} files were counted. Narrow the query to count all that match.")
+
+    return Output(facets, show)
 
 
 @with_choice
 def stats(
+    client: Client,
     choice: Choice,
     by: Annotated[
         str, option("--by", "GROUP", "Group by project, mission, topic, type, month, format or a metadata FIELD.")
@@ -114,10 +101,9 @@ def stats(
 ) -> None:
     """Count the hours, bytes, files, messages and missions of all files, or of those that the options select."""
     if as_csv and as_json:
-        raise InvalidInput(what="The command", reason="say --csv or --json, not both")
+        raise InvalidInput(what="The command", reason="specify --csv or --json, not both")
     group = by if by in _GROUPS or by.startswith("metadata.") else f"metadata.{by}"
-    with connect() as client:
-        read = client.stats.get(group, file_filter(client, choice))
+    read = client.stats.get(group, file_filter(client, choice))
     if as_json:
         show_json(read)
     elif as_csv:
@@ -138,22 +124,24 @@ def _stats_cells(group: str, row: StatsRow) -> tuple[object, ...]:
 
 
 def lineage(
-    file: FileArgument, project: ProjectOption = None, mission: MissionOption = None, as_json: AsJson = False
-) -> None:
+    client: Client,
+    file: options.FileArgument,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
+) -> Output:
     """Show which run created a file and from what, and which runs read it and what they created."""
-    with connect() as client:
-        read = client.files.lineage(client.files.get(file, mission=mission, project=project).id)
-    show_json(read) if as_json else _show_lineage(read)
+    read = client.files.lineage(client.files.get(file, mission=mission, project=project).id)
+    return Output(read, lambda: _show_lineage(read))
 
 
 def _show_lineage(read: LineageRead) -> None:
     line(f"{read.file.path}  sha256 {read.file.sha256}")
     line("")
     if read.made_by is None:
-        line("Uploaded: no run made it.")
+        line("Uploaded, not created by a run.")
     else:
         run = read.made_by.run
-        line("Made by")
+        line("Created by")
         details(
             [
                 ("run", run.id),
@@ -179,8 +167,8 @@ def _show_lineage(read: LineageRead) -> None:
             cells.append((mission_name(row.run), action, *state, made, row.artifact_count, row.run.id))
         table(["mission", "action", "state", "ended", "files made", "artifacts", "run"], cells)
     if read.truncated:
-        note("More runs read it; `klein run list` has all.")
+        note("More runs read it; `klein run list` lists all.")
 
 
 def _path(file: LineageFile) -> str:
-    return file.path if file.id is not None else f"{file.path} (not there any more, or not yours to see)"
+    return file.path if file.id is not None else f"{file.path} (deleted, or not visible to you)"

@@ -11,49 +11,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from kleinkram import connect
-from kleinkram.cli.commands import is_json_requested
-from kleinkram.cli.errors import EXIT_CODES, ExitCode, Interrupted, exit_code_of, exit_with
+from kleinkram.cli import options
+from kleinkram.cli.commands import Many, argument, flag, is_json_requested, option
+from kleinkram.cli.errors import EXIT_CODES, ExitCode, Interrupted, exit_code_of
 from kleinkram.cli.filters import Choice, select_files, with_choice
-from kleinkram.cli.options import (
-    AsJson,
-    Connections,
-    DryRun,
-    ExcludeOption,
-    LimitRate,
-    Many,
-    MissionOption,
-    MissionsOption,
-    Overwrite,
-    ProjectOption,
-    ProjectsOption,
-    argument,
-    flag,
-    option,
-    read_text,
-    the_only,
-    the_ref,
-)
-from kleinkram.cli.render import escape, moment, note, show_json, table
+from kleinkram.cli.render import Output, escape, moment, note, table
 from kleinkram.cli.units import count, parse_rate, size
-from kleinkram.client import Client
+from kleinkram.client import Client, connect, transfer
 from kleinkram.client.errors import ClientError, InvalidInput, NothingToDo, ServerUnreachable, TimedOut, request_id_of
-from kleinkram.client.transfer import (
-    CONNECTIONS,
-    FileVerdict,
-    TransferReport,
-    UploadPlan,
-    Verdict,
-    Watcher,
-    plan_download,
-    plan_upload,
-    verify_local,
-    verify_remote,
-)
-from kleinkram.client.transfer import download as download_files
-from kleinkram.client.transfer import upload as upload_files
+from kleinkram.client.transfer import FileVerdict, TransferReport, UploadPlan, Verdict, Watcher
 from kleinkram.client.transfer.plan import is_excluded, mission_folders
 from kleinkram.contract.errors import KleinkramError, NotFound
 from kleinkram.contract.missions import MissionRead
@@ -79,9 +45,10 @@ class _UploadOptions:
 
 
 def upload(
+    client: Client,
     paths: Annotated[list[str], argument("PATHS", "Files and folders.")],
-    project: ProjectOption = None,
-    mission: MissionOption = None,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
     create: Annotated[bool, flag("--create", "Create the mission if there is none.")] = False,
     metadata: Annotated[
         Path | None, option("--metadata", "mission.yaml", "Set the metadata of the new mission.")
@@ -90,23 +57,22 @@ def upload(
         bool, flag("--include-active", "Upload files that are still being recorded, too.")
     ] = False,
     wait: Annotated[bool, flag("--wait", "Wait until the server has read the files.")] = False,
-    wait_limit: Annotated[float, option("--wait-limit", "SECONDS", "Wait at most so long.", min=0)] = 600,
-    exclude: ExcludeOption = None,
+    wait_limit: Annotated[float, option("--wait-limit", "SECONDS", "The maximum time to wait.", min=0)] = 600,
+    exclude: options.ExcludeOption = None,
     mission_per_folder: Annotated[
         bool, flag("--mission-per-folder", "Upload each subfolder of PATHS to the mission of its name.")
     ] = False,
-    limit_rate: LimitRate = None,
-    connections: Connections = CONNECTIONS,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+    limit_rate: options.LimitRate = None,
+    connections: options.Connections = transfer.CONNECTIONS,
+    dry_run: options.DryRun = False,
+) -> Output:
     """Upload files and folders to a mission. The same command again resumes, and sends only what is missing.
 
     A folder keeps its tree: `day1` uploads day1/cam.mcap; `day1/` (or `.`) uploads its contents, cam.mcap.
     """
-    options = _UploadOptions(
+    settings = _UploadOptions(
         create=create,
-        metadata_yaml=read_text(metadata),
+        metadata_yaml=options.read_text(metadata),
         include_active=include_active,
         exclude=exclude or [],
         bytes_per_s=parse_rate(limit_rate),
@@ -114,31 +80,29 @@ def upload(
         wait_s=wait_limit if wait else None,
         dry_run=dry_run,
     )
-    with connect() as client:
-        if not mission_per_folder:
-            result, code = _upload(client, project, the_ref("mission", None, mission), paths, options)
-        elif mission is not None:
-            raise InvalidInput(what="--mission-per-folder", reason="each folder names its mission: leave out --mission")
-        else:
-            result, code = _upload_folders(client, the_ref("project", None, project), paths, options)
-    if as_json:
-        show_json(result)
-    if code:
-        raise typer.Exit(code)
+    if not mission_per_folder:
+        document, code = _upload(client, project, options.the_ref("mission", None, mission), paths, settings)
+    elif mission is not None:
+        raise InvalidInput(what="--mission-per-folder", reason="each folder names its mission: leave out --mission")
+    else:
+        document, code = _upload_folders(client, options.the_ref("project", None, project), paths, settings)
+    return Output(document, exit_code=code)
 
 
 def _upload(
-    client: Client, project: str | None, mission: str, paths: Sequence[str], options: _UploadOptions
+    client: Client, project: str | None, mission: str, paths: Sequence[str], settings: _UploadOptions
 ) -> tuple[dict[str, object], int]:
     """Upload to one mission; return the JSON result and the exit code."""
-    plan = _plan(paths, include_active=options.include_active, exclude=options.exclude)
+    plan = _plan(paths, include_active=settings.include_active, exclude=settings.exclude)
     target: MissionRead | None = None
     try:
-        target = client.missions.get(mission, project=project if is_id(mission) else the_ref("project", None, project))
+        target = client.missions.get(
+            mission, project=project if is_id(mission) else options.the_ref("project", None, project)
+        )
     except NotFound as error:
-        if not options.create or is_id(mission) or error.noun != "mission":
+        if not settings.create or is_id(mission) or error.noun != "mission":
             raise
-    if options.dry_run:
+    if settings.dry_run:
         if not is_json_requested():
             rows = [(file.path, size(file.size_bytes), str(file.source)) for file in plan.files]
             table(["path", "size", "from"], rows)
@@ -147,35 +111,40 @@ def _upload(
         return {"dry_run": True, "items": files, "left_out": [str(error) for error in plan.left_out]}, 0
     if target is None:
         project_id = client.projects.get(project or "").id
-        target = client.missions.create(mission, project=project_id, metadata_yaml=options.metadata_yaml)
-        note(f"Made the mission {target.project.name}/{target.name}.")
-    elif options.metadata_yaml is not None:
-        note("The mission exists; --metadata was left aside (`klein mission update` changes it).")
+        target = client.missions.create(mission, project=project_id, metadata_yaml=settings.metadata_yaml)
+        note(f"Created the mission {target.project.name}/{target.name}.")
+    elif settings.metadata_yaml is not None:
+        note("The mission exists, so --metadata was ignored (`klein mission update` changes it).")
     mission_id = target.id
     report, elapsed_s = run_transfer(
-        lambda watcher: upload_files(
-            client, mission_id, plan, connections=options.connections, bytes_per_s=options.bytes_per_s, watcher=watcher
+        lambda watcher: transfer.upload(
+            client,
+            mission_id,
+            plan,
+            connections=settings.connections,
+            bytes_per_s=settings.bytes_per_s,
+            watcher=watcher,
         )
     )
     _show_summary(report, elapsed_s)
     code = exit_code_of([*report.failures, *report.left_out])
-    if code == 0 and options.wait_s is not None:
-        _wait_for_summaries(client, mission_id, options.wait_s)
+    if code == 0 and settings.wait_s is not None:
+        _wait_for_summaries(client, mission_id, settings.wait_s)
     return {"mission_id": str(mission_id), **_plain_report(report, elapsed_s)}, code
 
 
 def _upload_folders(
-    client: Client, project: str, paths: Sequence[str], options: _UploadOptions
+    client: Client, project: str, paths: Sequence[str], settings: _UploadOptions
 ) -> tuple[dict[str, object], int]:
     """Upload each subfolder to the mission of its name; one that fails does not stop the others."""
     items: list[dict[str, object]] = []
     codes: set[int] = set()
-    for name, folder in mission_folders(paths, options.exclude).items():
+    for name, folder in mission_folders(paths, settings.exclude).items():
         note(f"{name}:")
         try:
-            result, code = _upload(client, project, name, [f"{folder}/"], options)
+            result, code = _upload(client, project, name, [f"{folder}/"], settings)
         except (Interrupted, ServerUnreachable):
-            raise  # the others would fail likewise
+            raise  # the others would fail, too
         except KleinkramError as error:
             result, code = {"error": str(error)}, exit_code_of([error])
             note(f"Error: {error}")
@@ -185,7 +154,7 @@ def _upload_folders(
 
 
 def _plan(paths: Sequence[str], *, include_active: bool, exclude: Sequence[str] = ()) -> UploadPlan:
-    plan = plan_upload(paths, include_active=include_active, exclude=exclude)
+    plan = transfer.plan_upload(paths, include_active=include_active, exclude=exclude)
     _note_left_out(plan.left_out)
     if not plan.files and not plan.left_out:
         raise NothingToDo(reason="There is no file in these paths")
@@ -209,93 +178,87 @@ def download(
     filters: Annotated[Many, argument("FILTERS", "Paths, globs or ids of files; or the address of a link.")] = None,
     dest: Annotated[Path, option("--dest", "D", "Write to this folder.")] = Path(),
     nested: Annotated[bool, flag("--nested", "Write to PROJECT/MISSION/PATH below the folder.")] = False,
-    overwrite: Overwrite = False,
-    exclude: ExcludeOption = None,
-    limit_rate: LimitRate = None,
-    connections: Connections = CONNECTIONS,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
-) -> None:
+    overwrite: options.Overwrite = False,
+    exclude: options.ExcludeOption = None,
+    limit_rate: options.LimitRate = None,
+    connections: options.Connections = transfer.CONNECTIONS,
+    dry_run: options.DryRun = False,
+) -> Output:
     """Download files. Each is verified before it gets its name. The same command again resumes."""
     bytes_per_s = parse_rate(limit_rate)
     links = [value for value in filters or [] if is_link(value)]
     refs = [value for value in filters or [] if not is_link(value)]
     if len(links) > 1:
-        raise InvalidInput(what="The command", reason="say one link at a time")
+        raise InvalidInput(what="The command", reason="specify one link at a time")
     if choice.is_empty() and not filters:
-        raise InvalidInput(what="The command", reason="say which files: -p, -m, a path, a glob ('*' for all) or an id")
+        raise InvalidInput(what="The command", reason="specify files: -p, -m, a path, a glob ('*' for all) or an id")
     with connect(*links) as client:
         files = [file for file in select_files(client, choice, refs) if not is_excluded(file.path, exclude or [])]
-        plan = plan_download(files, dest, nested=nested)
+        plan = transfer.plan_download(files, dest, nested=nested)
         _note_left_out(plan.left_out)
         if not plan.targets and not plan.left_out:
             raise NothingToDo(reason="No file matches")
         if dry_run:
             rows = [(target.file.path, str(target.local), target.file.size_bytes) for target in plan.targets]
-            if as_json:
-                items = [{"path": path, "local": local, "size_bytes": size_bytes} for path, local, size_bytes in rows]
-                show_json({"dry_run": True, "items": items, "left_out": [str(error) for error in plan.left_out]})
-                return
-            table(["path", "size", "to"], [(path, size(size_bytes), local) for path, local, size_bytes in rows])
+            items = [{"path": path, "local": local, "size_bytes": size_bytes} for path, local, size_bytes in rows]
+            cells = [(path, size(size_bytes), local) for path, local, size_bytes in rows]
             note(f"Would download {count(len(plan.targets), 'file')}, {size(plan.size_bytes)}.")
-            return
+            document = {"dry_run": True, "items": items, "left_out": [str(error) for error in plan.left_out]}
+            return Output(document, lambda: table(["path", "size", "to"], cells))
         report, elapsed_s = run_transfer(
-            lambda watcher: download_files(
+            lambda watcher: transfer.download(
                 client, plan, overwrite=overwrite, connections=connections, bytes_per_s=bytes_per_s, watcher=watcher
             )
         )
-    end_transfer(report, elapsed_s, as_json)
+    return transfer_output(report, elapsed_s)
 
 
 def verify(
+    client: Client,
     paths: Annotated[Many, argument("PATHS", "Local files and folders.")] = None,
-    project: ProjectsOption = None,
-    mission: MissionsOption = None,
+    project: options.ProjectsOption = None,
+    mission: options.MissionsOption = None,
     remote: Annotated[
         bool, flag("--remote", "Have the server read its stored bytes; PATHS are then paths in the mission.")
     ] = False,
-    timeout: Annotated[float, option("--timeout", "SECONDS", "Wait at most so long for the server.")] = 600.0,
-    as_json: AsJson = False,
-) -> None:
+    timeout: Annotated[float, option("--timeout", "SECONDS", "The maximum time to wait for the server.")] = 600.0,
+) -> Output:
     """Compare local files with those of a mission by SHA-256, or verify the stored bytes with --remote."""
     left_out: Sequence[ClientError] = ()
-    with connect() as client:
-        if remote:
-            choice = Choice(project=project, mission=mission)
-            if choice.is_empty() and not paths:
-                raise InvalidInput(what="The command", reason="say which files: -p, -m, a path, a glob or an id")
-            files = select_files(client, choice, paths or [])
-            if not files:
-                raise NothingToDo(reason="No file matches")
-            verdicts = verify_remote(client.files, files, timeout_s=timeout)
-        else:
-            if not paths:
-                raise InvalidInput(what="The command", reason="say which local files to compare, or --remote")
-            plan = _plan(paths, include_active=True)
-            one_mission = the_ref("mission", None, the_only("mission", mission))
-            mission_id = client.missions.get(one_mission, project=the_only("project", project)).id
-            verdicts, left_out = verify_local(client.files, mission_id, plan), plan.left_out
-    if as_json:
-        show_json(
-            {
-                "items": [_plain_verdict(one) for one in verdicts],
-                "left_out": [_plain_error(error) for error in left_out],
-            }
-        )
+    if remote:
+        choice = Choice(project=project, mission=mission)
+        if choice.is_empty() and not paths:
+            raise InvalidInput(what="The command", reason="specify files: -p, -m, a path, a glob or an id")
+        files = select_files(client, choice, paths or [])
+        if not files:
+            raise NothingToDo(reason="No file matches")
+        verdicts = transfer.verify_remote(client.files, files, timeout_s=timeout)
     else:
-        rows = [(one.verdict.value, path, size(one.size_bytes)) for one, path in _named(verdicts)]
-        table(["verdict", "path", "size"], rows)
-        for one, path in _named(verdicts):
-            if one.file is not None and one.file.damaged_at is not None:
-                reason, since = one.file.state_reason, moment(one.file.damaged_at)
-                note(f"{path} is {one.file.state.value} since {since}: {reason}. Upload it again to repair it.")
+        if not paths:
+            raise InvalidInput(what="The command", reason="specify local files to compare, or --remote")
+        plan = _plan(paths, include_active=True)
+        ref = options.the_ref("mission", None, options.the_only("mission", mission))
+        mission_id = client.missions.get(ref, project=options.the_only("project", project)).id
+        verdicts, left_out = transfer.verify_local(client.files, mission_id, plan), plan.left_out
     unread = [one.error for one in verdicts if one.error is not None]
     _note_left_out(unread)
     same_count = sum(one.verdict is Verdict.same for one in verdicts)
     note(f"{same_count} of {count(len(verdicts) + len(left_out), 'file')} are the same.")
+    exit_code = exit_code_of([*unread, *left_out])
     if len(verdicts) - same_count > len(unread):
-        raise typer.Exit(ExitCode.bytes_differ)
-    exit_with([*unread, *left_out])
+        exit_code = ExitCode.bytes_differ
+    items = [_plain_verdict(one) for one in verdicts]
+    document = {"items": items, "left_out": [_plain_error(error) for error in left_out]}
+    return Output(document, lambda: _show_verdicts(verdicts), exit_code)
+
+
+def _show_verdicts(verdicts: list[FileVerdict]) -> None:
+    named = _named(verdicts)
+    table(["verdict", "path", "size"], [(one.verdict.value, path, size(one.size_bytes)) for one, path in named])
+    for one, path in named:
+        if one.file is not None and one.file.damaged_at is not None:
+            reason, since = one.file.state_reason, moment(one.file.damaged_at)
+            note(f"{path} is {one.file.state.value} since {since}: {reason}. Upload it again to repair it.")
 
 
 def _named(verdicts: list[FileVerdict]) -> list[tuple[FileVerdict, str]]:
@@ -336,12 +299,10 @@ def run_transfer(start: Callable[[Watcher], TransferReport]) -> tuple[TransferRe
     return report, time.monotonic() - began_at
 
 
-def end_transfer(report: TransferReport, elapsed_s: float, as_json: bool) -> None:
-    """Print the report and the summary of a transfer, and exit with its code."""
-    if as_json:
-        show_json(_plain_report(report, elapsed_s))
+def transfer_output(report: TransferReport, elapsed_s: float) -> Output:
+    """Print the summary of a transfer; return its report and exit code."""
     _show_summary(report, elapsed_s)
-    exit_with([*report.failures, *report.left_out])
+    return Output(_plain_report(report, elapsed_s), exit_code=exit_code_of([*report.failures, *report.left_out]))
 
 
 def _plain_report(report: TransferReport, elapsed_s: float) -> dict[str, object]:
@@ -402,7 +363,7 @@ class FileLines(Watcher):
 
 
 class ProgressBars(Watcher):
-    """Shows a bar for the whole and one for each file that is moving, with rate and time left."""
+    """Shows a bar for all files and one for each file in transfer, with rate and time left."""
 
     def __init__(self) -> None:
         from rich import progress
@@ -418,12 +379,12 @@ class ProgressBars(Watcher):
             transient=True,
         )
         self._lock = threading.Lock()
-        self._whole: TaskID | None = None
+        self._total: TaskID | None = None
         self._files: dict[str, TaskID] = {}
 
     def began(self, files: int, size_bytes: int) -> None:
-        """Show the bar for the whole."""
-        self._whole = self.progress.add_task(count(files, "file"), total=size_bytes)
+        """Show the bar for all files."""
+        self._total = self.progress.add_task(count(files, "file"), total=size_bytes)
 
     def moved(self, path: str, size_bytes: int, total_bytes: int) -> None:
         """Advance the bars."""
@@ -437,8 +398,8 @@ class ProgressBars(Watcher):
 
                 self._files[path] = self.progress.add_task(escape_markup(escape(path)), total=total_bytes)
             self.progress.advance(self._files[path], size_bytes)
-            if self._whole is not None:
-                self.progress.advance(self._whole, size_bytes)
+            if self._total is not None:
+                self.progress.advance(self._total, size_bytes)
 
     def ended(self, path: str, outcome: str, reason: str | None) -> None:
         """Remove the bar of a file, and print why it failed."""

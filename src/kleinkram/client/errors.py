@@ -33,7 +33,7 @@ class ClientError(KleinkramError):
 
 
 class NotConfigured(ClientError):
-    """No server is known: {reason}. Start one with `klein up`, or sign in to one with `klein login URL`, or name one by KLEINKRAM_URL and KLEINKRAM_TOKEN."""  # noqa: E501  one sentence
+    """No server is configured: {reason}. Start one with `klein up`, sign in to one with `klein login URL`, or set KLEINKRAM_URL and KLEINKRAM_TOKEN."""  # noqa: E501  one sentence
 
     reason: str
 
@@ -46,28 +46,28 @@ class ConfigurationBroken(ClientError):
 
 
 class NoSuchEndpoint(ClientError):
-    """There is no endpoint {name!r}; known are: {known}. `klein login` makes one."""
+    """There is no endpoint {name!r}; the saved ones are: {known}. `klein login` adds one."""
 
     name: str
     known: str
 
 
 class EndpointTaken(ClientError):
-    """The endpoint {name!r} is {url}. Give another --name, or remove it first with `klein logout {name}`."""
+    """The endpoint {name!r} is {url}. Choose another --name, or remove it first with `klein logout {name}`."""
 
     name: str
     url: str
 
 
 class CredentialsExposed(ClientError):
-    """{file} holds tokens, and others on this machine may read or change it (its mode is {mode}). Change it with `chmod 600`; if somebody may have read it, `klein logout --all` revokes the tokens, and `klein login` signs in again."""  # noqa: E501  one sentence
+    """{file} contains tokens, and other users of this machine can read or change it (its mode is {mode}). Restrict it with `chmod 600`; if others may have read it, `klein logout --all` revokes the tokens, and `klein login` signs in again."""  # noqa: E501  one sentence
 
     file: str
     mode: str
 
 
 class NoBrowser(ClientError):
-    """There is no browser here that could be opened. `klein login {url} --device` shows a code to type on another machine."""  # noqa: E501  one sentence
+    """No browser can be opened on this machine. `klein login {url} --device` shows a code to type on another machine."""  # noqa: E501  one sentence
 
     url: str
 
@@ -89,39 +89,39 @@ class AnswerNotUnderstood(ClientError):
 
 
 class StoreUnreachable(ClientError):
-    """The object store at {store} is away or full ({reason}). The server hands out this address; `klein doctor` says whether it can be reached from here."""  # noqa: E501  one sentence
+    """The object store at {store} is unreachable or full ({reason}). The server provides this address; `klein doctor` checks whether this machine can reach it."""  # noqa: E501  one sentence
 
     store: str
     reason: str
 
 
 class TransferFailed(ClientError):
-    """{path!r} could not be transferred: {reason}. Run the same command again; what has arrived stays."""
+    """{path!r} could not be transferred: {reason}. Run the same command again; it continues where this one stopped."""
 
     path: str
     reason: str
 
 
 class StoreTroubled(TransferFailed):
-    """{path!r} could not be transferred: for minutes, {reason}. Run the same command again when the store is well; what has arrived stays."""  # noqa: E501  one sentence
+    """{path!r} could not be transferred: for several minutes, {reason}. When the store works again, run the same command again; it continues where this one stopped."""  # noqa: E501  one sentence
 
 
 class FileChanged(ClientError):
-    """{path!r} changed while it was read ({reason}), so it was not uploaded. Wait until nothing writes to it, then run the same command again."""  # noqa: E501  one sentence
+    """{path!r} changed while it was being read ({reason}), so it was not uploaded. Wait until no program writes to it, then run the same command again."""  # noqa: E501  one sentence
 
     path: str
     reason: str
 
 
 class StillRecording(ClientError):
-    """{path!r} was left out: {reason}. When the recording has ended run the same command again, or give --include-active."""  # noqa: E501  one sentence
+    """{path!r} was skipped: {reason}. When the recording has ended, run the same command again, or use --include-active."""  # noqa: E501  one sentence
 
     path: str
     reason: str
 
 
 class NotAFile(ClientError):
-    """{path!r} was left out: it is {kind}, not a file or folder."""
+    """{path!r} was skipped: it is {kind}, not a file or folder."""
 
     path: str
     kind: str
@@ -147,7 +147,7 @@ class PathsCollide(ClientError):
     path: str
     first: str
     second: str
-    remedy: str = "give them apart, or rename one"
+    remedy: str = "upload them separately, or rename one"
 
 
 class NothingToDo(ClientError):
@@ -170,40 +170,40 @@ class DestinationRefused(ClientError):
 
 
 class DestinationDiffers(ClientError):
-    """{path!r} is here already with other content, and was left as it is. Give --overwrite to replace it, or another --dest."""  # noqa: E501  one sentence
+    """{path!r} already exists with other content, and was not changed. Use --overwrite to replace it, or another --dest."""  # noqa: E501  one sentence
 
     path: str
 
 
 class DiskFull(ClientError):
-    """There is no room for {path!r}: {reason}. What has arrived was kept; make room and run the same command again."""
+    """There is not enough disk space for {path!r}: {reason}. Free some space and run the same command again; it continues where this one stopped."""  # noqa: E501  one sentence
 
     path: str
     reason: str
 
 
 class VerifyFailed(ClientError):
-    """The bytes of {path!r} are not what the server promised: {reason}. Nothing was kept; run the command again."""
+    """The downloaded bytes of {path!r} do not match the server's checksum: {reason}. Nothing was saved; run the command again."""  # noqa: E501  one sentence
 
     path: str
     reason: str
 
 
 class InvalidInput(ClientError):
-    """{what} is not usable: {reason}."""
+    """{what} is invalid: {reason}."""
 
     what: str
     reason: str
 
 
 class ReadingMissing(ClientError):
-    """{what} is not installed, and this needs it: `pip install 'open-kleinkram[reading]'`."""
+    """{what} is not installed, but is required here: `pip install 'open-kleinkram[reading]'`."""
 
     what: str
 
 
 class TimedOut(ClientError):
-    """{what} was not finished after {seconds:g} s. It goes on in the server; look again later."""
+    """{what} was not finished after {seconds:g} s. The server continues; check again later."""
 
     what: str
     seconds: float

@@ -9,12 +9,11 @@ from typing_extensions import TypedDict, Unpack
 from kleinkram.client._http import query_of
 from kleinkram.client._nouns import ApiResource, Ref, Time, as_datetime, checked, known_id, refs_of
 from kleinkram.client.errors import InvalidInput
-from kleinkram.contract.amounts import read_size
 from kleinkram.contract.files import FileFilter, FileSort
 from kleinkram.contract.missions import MissionFilter
-from kleinkram.contract.overviews import Overview, StatsRead
-from kleinkram.contract.query import parse, whole
-from kleinkram.contract.search import FacetsRead, FileQuery, SearchRead
+from kleinkram.contract.query import combined_filter, parse
+from kleinkram.contract.search import FacetsRead, FileQuery, Overview, SearchRead, StatsRead
+from kleinkram.contract.units import read_size
 
 # What lists of files take: a filter, the text of a query, or None for everything.
 Condition = FileFilter | str | None
@@ -72,8 +71,8 @@ def as_filter(condition: Condition, fields: FileFields = _NO_FIELDS) -> FileFilt
     """Return the filter of a query's text, of keywords, of both, or a filter unchanged.
 
     Raises:
-        InvalidQuery: the query cannot be read.
-        InvalidInput: a keyword is unknown, or its value is not usable.
+        InvalidQuery: the query is invalid.
+        InvalidInput: a keyword is unknown, or its value is invalid.
     """
     if not (condition is None or isinstance(condition, str | FileFilter)):
         raise InvalidInput(what=f"The filter {condition!r}", reason="use query text, keywords, or a FileFilter")
@@ -83,7 +82,7 @@ def as_filter(condition: Condition, fields: FileFields = _NO_FIELDS) -> FileFilt
     if isinstance(condition, FileFilter):
         values = {**condition.model_dump(exclude_defaults=True), **values}
     query = {"query": condition} if isinstance(condition, str) else {}
-    return whole(checked(FileQuery, "The filter", **values, **query))
+    return combined_filter(checked(FileQuery, "The filter", **values, **query))
 
 
 def as_mission_filter(condition: MissionFilter | None, fields: MissionFields) -> MissionFilter | None:
@@ -129,7 +128,7 @@ def _missions(value: object, *, has_project: bool) -> dict[str, object]:
     if not qualified:
         return _place("mission", refs)
     if has_project or len(refs) > 1:
-        reason = f"say the project of {qualified[0]!r} by project="
+        reason = f"specify the project of {qualified[0]!r} with project="
         raise InvalidInput(what="The filter (mission)", reason=reason)
     project, _, name = qualified[0].partition("/")
     return {**_place("project", [project]), **_place("mission", [name])}

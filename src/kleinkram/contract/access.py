@@ -1,4 +1,4 @@
-"""Rights, scopes, groups and grants: who may do what with a project or a mission, until when."""
+"""Rights on projects and missions, scopes of tokens, groups, and grants."""
 
 import datetime
 import enum
@@ -104,7 +104,7 @@ class GrantCreate(Request):
     @model_validator(mode="after")
     def _names_one(self) -> Self:
         if [self.person_id, self.group_id, self.email].count(None) != 2:
-            raise ValueError("say one of person_id, group_id and email")
+            raise ValueError("specify exactly one of person_id, group_id and email")
         return self
 
 
@@ -180,7 +180,7 @@ class GroupRead(Response):
     """A group. Expired memberships and deactivated people do not count.
 
     `is_member`, `is_editor` and `expires_at` are the caller's own membership. `domains` and `default_right` are the
-    settings of an affiliation group. Changes with `etag` are refused if somebody else changed the group meanwhile.
+    settings of an affiliation group. A change with an outdated `etag` is refused.
     """
 
     id: uuid.UUID
@@ -212,8 +212,8 @@ def _member_etag(values: dict[str, Any]) -> str:
 class MemberRead(Response):
     """A member of a group. Only its editors and admins see `emails`, and members who are not active.
 
-    `is_active`: the membership has not expired, and the person is not deactivated. Changes with `etag` are refused if
-    somebody else changed the membership meanwhile.
+    `is_active`: the membership has not expired, and the person is not deactivated. A change with an outdated `etag` is
+    refused.
     """
 
     person: PersonRef

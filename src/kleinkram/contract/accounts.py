@@ -1,10 +1,11 @@
-"""Accounts, sessions, and signing in: with a browser, from a terminal, with passwords and one-time links.
+"""Accounts, sessions, and sign-in: with a browser, from a terminal, with passwords and one-time links.
 
-By a browser (RFC 8252, RFC 7636): klein listens on 127.0.0.1 and opens
+With a browser (RFC 8252, RFC 7636): klein listens on 127.0.0.1 and opens
 `{public_url}/sign-in/cli?port=…&state=…&code_challenge=…&client=…` (S256); once the person has agreed, the page sends
-the browser to `http://127.0.0.1:{port}/?code=…&state=…`, else to `…/?error=denied&state=…`. `POST /auth/cli/token`
-exchanges the code. By a code (RFC 8628): `POST /auth/device`, then `POST /auth/device/token` every `interval_s`, which
-fails with SignInPending, SlowDown, SignInDenied or SignInExpired until it answers. Both make a personal token.
+the browser to `http://127.0.0.1:{port}/?code=…&state=…`, otherwise to `…/?error=denied&state=…`. `POST /auth/cli/token`
+exchanges the code. With a code (RFC 8628): `POST /auth/device`, then `POST /auth/device/token` every `interval_s`,
+which fails with SignInPending, SlowDown, SignInDenied or SignInExpired until the person has agreed. Both create a
+personal token.
 """
 
 import datetime
@@ -24,7 +25,7 @@ from kleinkram.contract.people import EmailAddress, PersonRef
 def check_client_name(name: str) -> str:
     """Return the name of a program. Raises ValueError."""
     if not name.isprintable() or not name.strip():
-        raise ValueError("is empty, or holds what cannot be printed")
+        raise ValueError("is empty, or contains unprintable characters")
     return name
 
 
@@ -128,7 +129,7 @@ def check_person_name(name: str) -> str:
     """Return a person's name in NFC. Raises ValueError."""
     name = unicodedata.normalize("NFC", name)
     if not name or name != name.strip() or not name.isprintable():
-        raise ValueError("is empty, begins or ends with a space, or holds what cannot be printed")
+        raise ValueError("is empty, begins or ends with a space, or contains unprintable characters")
     return name
 
 

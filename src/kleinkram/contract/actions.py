@@ -1,6 +1,6 @@
 """Actions: versioned definitions of what to run on the data of a mission.
 
-The same document stands in `action.yaml`, in the `[tool.kleinkram]` table of a script, and on the wire.
+The same document is used in `action.yaml`, in the `[tool.kleinkram]` table of a script, and on the wire.
 """
 
 import datetime
@@ -15,11 +15,11 @@ from pydantic import AfterValidator, AliasChoices, BeforeValidator, ConfigDict, 
 from typing_extensions import Self
 
 from kleinkram.contract.access import Right
-from kleinkram.contract.amounts import read_duration, read_size
 from kleinkram.contract.base import ETag, Request, Response, etag_of
 from kleinkram.contract.names import Label, Name, Term, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
+from kleinkram.contract.units import read_duration, read_size
 
 MAX_SCRIPT_CHARACTERS = 500_000
 MAX_PARAMETERS = 100
@@ -57,12 +57,12 @@ class Parameter(Request):
     maximum: float | None = None
 
     @model_validator(mode="after")
-    def _is_whole(self) -> Self:
+    def _is_consistent(self) -> Self:
         is_number = self.type in {ParameterType.integer, ParameterType.number}
         if not is_number and (self.minimum, self.maximum, self.unit) != (None, None, None):
             raise ValueError("minimum, maximum and unit are only for integers and numbers")
         if (self.type is ParameterType.choice) != (self.choices is not None):
-            raise ValueError("a choice has 'choices', and nothing else has")
+            raise ValueError("'choices' are required for a choice, and only for a choice")
         if self.default is not None:
             self.check(self.default)
         return self
@@ -126,14 +126,14 @@ class Inputs(Request):
 
 
 def _size(value: object) -> object:
-    return _whole(read_size(value)) if isinstance(value, str) else value
+    return _integer(read_size(value)) if isinstance(value, str) else value
 
 
 def _seconds(value: object) -> object:
-    return _whole(read_duration(value) / 10**9) if isinstance(value, str) and not value.isdigit() else value
+    return _integer(read_duration(value) / 10**9) if isinstance(value, str) and not value.isdigit() else value
 
 
-def _whole(amount: Fraction) -> int:
+def _integer(amount: Fraction) -> int:
     if amount.denominator != 1:
         raise ValueError("is not a whole number of bytes or seconds")
     return int(amount)
@@ -194,11 +194,11 @@ class ActionDefinition(Request):
     @model_validator(mode="after")
     def _can_be_run(self) -> Self:
         if self.image is None and self.script is None:
-            raise ValueError("an action has an 'image' or a 'script'")
+            raise ValueError("an action requires an 'image' or a 'script'")
         if self.script is not None and self.command:
-            raise ValueError("a script is run as it is: it has no 'command'")
+            raise ValueError("a script has no 'command'")
         if self.script is None and self.dependencies:
-            raise ValueError("an image brings what it needs: only a script has 'dependencies'")
+            raise ValueError("only a script has 'dependencies'; an image contains its own")
         names = [parameter.name for parameter in self.parameters]
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"the parameter {twice[0]!r} is declared twice")
@@ -267,10 +267,9 @@ def _etag(fields: dict[str, Any]) -> str:
 
 
 class ActionRead(Response):
-    """An action with its latest version. `project` is null where it is the whole lab's. `may_change`: the asker may.
+    """An action with its latest version. `project` is null for the whole lab; `may_change`: the caller may change it.
 
-    `etag` names its latest version and whether it is archived: given back with a change or a further version, that
-    is refused where somebody else came first.
+    `etag` covers the latest version and `archived`: a change or a further version with an outdated one is refused.
     """
 
     id: uuid.UUID

@@ -1,4 +1,4 @@
-"""Files, the recordings they make up, and the topics inside."""
+"""Files, their recordings and topics, and the timeline of a mission."""
 
 import datetime
 import enum
@@ -7,17 +7,17 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from kleinkram.contract.base import ETag, Request, Response, etag_of
-from kleinkram.contract.missions import MissionRef
+from kleinkram.contract.base import ETag, NamedRef, Request, Response, etag_of
+from kleinkram.contract.missions import MissionCriteria, MissionRef
 from kleinkram.contract.names import FilePath, Label, Term, Terms
 from kleinkram.contract.people import PersonRef
 
 
 class Density(Response):
-    """Distribution of messages over time.
+    """The number of messages in equal bins of log time.
 
-    `counts[k]` are the messages from `start_ns + k * bin_ns` on, that time included, up to the next bin. `bin_ns` is a
-    power of two, and `start_ns` a multiple of it. Stamps that cannot be true are in no bin.
+    `counts[k]` covers `start_ns + k * bin_ns` (inclusive) to `start_ns + (k + 1) * bin_ns` (exclusive). `bin_ns` is a
+    power of two, and `start_ns` a multiple of it. Implausible timestamps are in no bin.
     """
 
     start_ns: int
@@ -26,7 +26,7 @@ class Density(Response):
 
 
 class BlobState(str, enum.Enum):
-    """State of a file's bytes: checksums confirmed by the store; read by the server; missing; or altered."""
+    """State of a file's bytes: received by the store, read and verified by the server, missing, or altered."""
 
     stored = "stored"
     verified = "verified"
@@ -35,7 +35,7 @@ class BlobState(str, enum.Enum):
 
 
 class ContentState(str, enum.Enum):
-    """What is known of the meaning of the bytes (see the concepts page)."""
+    """What the server has read of a file's content (see the concepts page)."""
 
     pending = "pending"
     indexed = "indexed"
@@ -53,7 +53,7 @@ class ReadDepth(str, enum.Enum):
 
 
 class FileLoss(Response):
-    """What of a damaged recording cannot be read. `messages` is null where nothing in the file tells."""
+    """The unreadable part of a damaged recording. `messages` is null if the file does not tell the number."""
 
     bytes: int
     chunks: int
@@ -61,7 +61,7 @@ class FileLoss(Response):
 
 
 class FileFact(Response):
-    """One thing more that a file says of itself, such as the number of poses of a trajectory."""
+    """A further property of a file, such as the number of poses of a trajectory."""
 
     name: str
     value: str | int | float
@@ -69,7 +69,7 @@ class FileFact(Response):
 
 
 class FileProblem(Response):
-    """Something odd inside a recording, in plain words."""
+    """A quality warning about a recording."""
 
     code: str
     where: str
@@ -81,12 +81,11 @@ def _etag(values: dict[str, Any]) -> str:
 
 
 class FileRead(Response):
-    """A file of a mission: its place, its bytes, and what they hold. Checksums are lower-case hex.
+    """A file of a mission: its path, its bytes, and their content. Checksums are lower-case hex.
 
-    `sha256` is the uploader's word until `state` is `verified`; `md5` is null until then. `summarised_at` is null until
-    the server has looked at the content, whatever came of it. `depth` says how far it read; null until then.
-    `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed. `etag` names
-    the path and labels that people gave it last, as with missions.
+    `sha256` is as reported by the uploader until `state` is `verified`; `md5` is null until then. `summarised_at` and
+    `depth` are null until the server has read the content. `damaged_at` is when the file was found to be lost or
+    corrupt, `state_reason` how. `etag` covers the path and the labels.
     """
 
     id: uuid.UUID
@@ -121,7 +120,7 @@ class FileRead(Response):
 
 
 class FileUpdate(Request):
-    """What to change of a file; what is left out stays. A path renames, a mission moves; no object is touched."""
+    """Changes of a file; omitted fields stay. `path` renames it, `mission_id` moves it; no bytes are copied."""
 
     path: FilePath | None = None
     mission_id: uuid.UUID | None = None
@@ -129,9 +128,9 @@ class FileUpdate(Request):
 
 
 class TopicRead(Response):
-    """One topic of one recording file. Times: integer nanoseconds of the log clock; `rate_hz` = (count - 1) / span.
+    """One topic of one recording file. Times are log times in ns since 1970; `rate_hz` is (count - 1) / span.
 
-    `density` is told in lists of one file, where it is known, and nowhere else.
+    `density` is null in lists of several files.
     """
 
     file_id: uuid.UUID
@@ -153,10 +152,10 @@ class TopicRead(Response):
 
 
 class RecordingRead(Response):
-    """One logical capture of 1..n files. `missing` are members that its metadata names and the mission lacks.
+    """A recording of one or more files. `missing` are files that its metadata lists and the mission does not have.
 
-    `content` is that of all members together: `recovered` where something can be read and something is damaged or
-    missing. `problems` are those of the whole; what is odd inside one file is among the problems of that file.
+    `content` is of all files together: `recovered` if only a part can be read. `problems` are those of the recording;
+    each file has its own.
     """
 
     id: uuid.UUID
@@ -195,36 +194,25 @@ DurationNs = Annotated[int, Field(ge=0, le=2**63 - 1)]
 Month = Annotated[str, Field(pattern=r"^[12][0-9]{3}-(0[1-9]|1[0-2])$")]
 
 
-class FileFilter(Request):
-    """Which files: all that are given must hold; within one list any may. Names and paths may be globs (`*`, `?`).
+class FileFilter(MissionCriteria):
+    """A filter of files; all criteria must match, and of the values in one list, any. Names and paths may be globs.
 
-    `where` compares metadata of the mission, as in `MissionFilter`. `format` is what the content is
-    (`mcap`, `rosbag1`, `db3`, …), whatever the extension. `problem` are codes of problems inside the file, or globs:
-    `*` finds files with any problem. Sizes in bytes; `recorded_*` against the file's span.
-    Quotes in `text` make several words one. `projects` and `missions` are names, globs or ids of several, of which any
-    may hold; `project` and `mission` are one name or glob. `month` is the one in which the recording began,
-    UTC. `without` are terms of the query language (see the page on searching) of which none may hold.
+    `project` and `mission` are a name or a glob, `projects` and `missions` names, globs or ids. `where` compares
+    metadata of the mission, as in `MissionFilter`. Quotes in `text` group words. `format` is that of the content
+    (`mcap`, `rosbag1`, `db3`, …), whatever the extension. `problem` are codes of quality warnings or globs.
+    `recorded_*` are compared with the span of the file. `month` is the month (UTC) in which the recording began.
+    `without` are terms of the query language (see the page on searching), of which none may match.
     """
 
-    text: Term | None = None
-    project: Term | None = None
-    project_id: uuid.UUID | None = None
-    projects: Terms = []
     mission: Term | None = None
     mission_id: uuid.UUID | None = None
-    missions: Terms = []
     recording_id: uuid.UUID | None = None
     path: Terms = []
-    where: Terms = []
-    topic: Terms = []
-    message_type: Terms = []
     format: Terms = []
     label: Terms = []
     state: list[BlobState] = []
     content: list[ContentState] = []
     problem: Terms = []
-    recorded_after: datetime.datetime | None = None
-    recorded_before: datetime.datetime | None = None
     min_size_bytes: SizeBytes | None = None
     max_size_bytes: SizeBytes | None = None
     min_duration_ns: DurationNs | None = None
@@ -234,21 +222,21 @@ class FileFilter(Request):
 
 
 class FetchPurpose(str, enum.Enum):
-    """What addresses of files are asked for, by the word of whoever asks: either gives all bytes, for as long."""
+    """What the URLs of files are for, according to the caller. Both give access to all bytes."""
 
     download = "download"
     preview = "preview"
 
 
 class DownloadRequest(Request):
-    """Files to fetch, or only to look into; the record says which."""
+    """Files to download or preview; the audit log contains the purpose."""
 
     file_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=500)]
     purpose: FetchPurpose = FetchPurpose.download
 
 
 class DownloadLink(Response):
-    """Where to read one file's bytes: GET with or without a Range header, until `expires_at`."""
+    """A URL to GET the bytes of a file from before `expires_at`, with or without a Range header."""
 
     file_id: uuid.UUID
     path: str
@@ -261,6 +249,94 @@ class DownloadLink(Response):
 
 
 class DownloadLinks(Response):
-    """Links, one a file, in the order asked."""
+    """URLs of files, in the requested order."""
 
     items: list[DownloadLink]
+
+
+MAX_BINS = 512
+MAX_MISSION_TOPICS = 2_000
+
+# The maximum number of bins; a response has at least a quarter as many, if the data allow it.
+Bins = Annotated[int, Field(ge=0, le=MAX_BINS)]
+MissionTopicsSize = Annotated[int, Field(ge=1, le=MAX_MISSION_TOPICS)]
+
+
+class TimeAxis(Response):
+    """The bins that several densities share: `bins` of `bin_ns` each, the first from `start_ns` on."""
+
+    start_ns: int
+    bin_ns: int
+    bins: int
+
+
+class RecordingRef(NamedRef):
+    """The id and name of a recording."""
+
+
+class MissionTopic(Response):
+    """One topic with one type, in all recordings of a mission.
+
+    `other_types`: other types of the same topic in the mission, a conflict. `count` is null if a file has no count.
+    `rate_hz` and `longest_gap_ns` cover only the time within recordings. `counts` are by the bins of `axis`; null if no
+    file with the topic has a density, and less than `count` in sum if only some have. `recordings` are ranges
+    `[first, last]` (inclusive) of indexes in the response's `recordings`.
+    """
+
+    name: str
+    message_type: str | None
+    other_types: list[str | None]
+    count: int | None
+    file_count: int
+    recording_count: int
+    recordings: list[tuple[int, int]]
+    first_ns: int | None
+    last_ns: int | None
+    rate_hz: float | None
+    longest_gap_ns: int | None
+    stored_bytes: int | None
+    counts: list[int] | None
+
+
+class MissionTopics(Response):
+    """A page of the topics of a mission, by name and type.
+
+    `axis` spans the mission without recordings from before 1990; null if no times are known. `recordings` are in
+    chronological order. `is_current`: it reflects the current files; otherwise it will soon.
+    """
+
+    axis: TimeAxis | None
+    recordings: list[RecordingRef]
+    items: list[MissionTopic]
+    next: str | None = None
+    is_current: bool
+
+
+MAX_TIMELINE_FILES = 10_000
+
+TimelineSize = Annotated[int, Field(ge=1, le=MAX_TIMELINE_FILES)]
+
+
+class TimelineFile(Response):
+    """When a file was recorded; `start_ns` and `end_ns` are null if it has no times, or was not read yet."""
+
+    id: uuid.UUID
+    path: str
+    recording_id: uuid.UUID | None
+    start_ns: int | None
+    end_ns: int | None
+    size_bytes: int
+    content: ContentState
+    state: BlobState
+
+
+class MissionTimeline(Response):
+    """Files of a mission, by path; `next` is the cursor of those that follow, or null.
+
+    `start_ns` and `end_ns` span the mission (log clock, since 1970, UTC), without recordings from before 1990.
+    """
+
+    start_ns: int | None
+    end_ns: int | None
+    items: list[TimelineFile]
+    next: str | None = None

@@ -1,4 +1,4 @@
-"""Missions: one outing of a robot, with the metadata that its project requires."""
+"""Missions: recordings of one deployment of a robot, with the metadata that the project requires."""
 
 import datetime
 import enum
@@ -12,7 +12,7 @@ from kleinkram.contract.access import Right
 from kleinkram.contract.base import ETag, Request, Response, etag_of
 from kleinkram.contract.errors import FieldProblem
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, BoundedMetadata, Metadata, MetadataFields
-from kleinkram.contract.names import Name, Term, Terms, check_text
+from kleinkram.contract.names import Ids, Name, Term, Terms, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 
@@ -21,40 +21,39 @@ MetadataYaml = Annotated[str, Field(max_length=MAX_YAML_CHARACTERS)]
 
 
 class MissionRef(Response):
-    """A mission, as named beside what it holds."""
+    """The id, name and project of a mission."""
 
     id: uuid.UUID
     name: str
     project: ProjectRef
 
 
-class _MetadataOnce(Request):
+class _MetadataInput(Request):
     metadata_yaml: MetadataYaml | None = None
     metadata: BoundedMetadata | None = None
 
     @model_validator(mode="after")
-    def _in_one_way(self) -> Self:
+    def _has_one_form(self) -> Self:
         if self.metadata is not None and self.metadata_yaml is not None:
-            raise ValueError("say metadata or metadata_yaml, not both")
+            raise ValueError("specify metadata or metadata_yaml, not both")
         return self
 
 
-class MissionCreate(_MetadataOnce):
-    """A mission to make, whose metadata must satisfy the project's fields.
+class MissionCreate(_MetadataInput):
+    """A mission to create, whose metadata must satisfy the project's fields.
 
-    Said as a document, `metadata_yaml`, which is kept to the letter, or as the values of a form, `metadata`.
+    The metadata is a YAML document, `metadata_yaml`, which is stored unchanged, or values, `metadata`.
     """
 
     name: Name
     notes: Notes = ""
 
 
-class MissionUpdate(_MetadataOnce):
+class MissionUpdate(_MetadataInput):
     """Changes of a mission; omitted fields stay. A new `project_id` moves the mission with its files.
 
-    `metadata_yaml` is all metadata anew; with `merge_yaml`, it changes the fields that it names, and a field without a
-    value (null) is removed. `metadata` changes the fields that it names, null takes one away, and the
-    document that values all is dropped.
+    `metadata_yaml` replaces all metadata; with `merge_yaml`, it changes only the fields that it contains. `metadata`
+    changes the fields that it contains and drops the stored YAML document. A field with the value null is removed.
     """
 
     name: Name | None = None
@@ -71,13 +70,12 @@ def _etag(values: dict[str, Any]) -> str:
 
 
 class MissionRead(Response):
-    """A mission and what it amounts to.
+    """A mission and its totals.
 
-    `start_ns` and `end_ns` (log clock, since 1970, UTC) span its recordings without suspect stamps.
-    `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
-    content nobody has read yet, those included that only the verification will read; `recordings_current` says whether
-    recordings and span follow from today's files. `right` is the asker's own on it, from wherever it comes.
-    `etag` names what people edited last: given back with a change, that is refused where somebody else came first.
+    `start_ns` and `end_ns` (log time, ns since 1970) span its recordings without implausible timestamps.
+    `metadata_problems` is what does not satisfy the project's fields. `pending_file_count` is the number of files whose
+    content the server has not read yet. `recordings_current`: recordings and span reflect the current files. `right` is
+    the caller's. `etag` covers the edited fields: a change with an outdated one is refused.
     """
 
     id: uuid.UUID
@@ -104,8 +102,8 @@ class MissionRead(Response):
 class MissionTemplate(Response):
     """Template for the next mission of a project: as YAML, or as a form of `fields` with initial `values`.
 
-    `carried` are values of the mission `prefilled_from`, for somebody to confirm field by field. In the YAML they
-    stand in comments. Dates, weather and operator are not among them.
+    `carried` are values of the mission `prefilled_from`, to be confirmed field by field; in the YAML they are comments.
+    Dates, weather and operator are not carried over.
     """
 
     yaml: str
@@ -131,24 +129,37 @@ MetadataSort = Annotated[str, Field(pattern=r"^-?meta\.[A-Za-z][A-Za-z0-9_.]{0,1
 MissionOrder = MissionSort | MetadataSort
 
 
-class MissionFilter(Request):
-    """Which missions: all that are given must hold. Names may be globs (`*`, `?`), in any case.
+class PlaceFilter(Request):
+    """A filter by where something happened; of several projects or missions, any may match."""
 
-    `where` are comparisons with metadata: `robot=anymal`, `temperature>20`, `operator!=ada`, `site~zur*`.
-    `text` is found in names, notes and metadata values. `projects` and `missions` are names, globs or ids of several,
-    of which any may hold.
-    """
+    project_id: uuid.UUID | None = None
+    project_ids: Ids = []
+    mission_id: uuid.UUID | None = None
+    mission_ids: Ids = []
+
+
+class MissionCriteria(Request):
+    """The criteria that filters of missions and of files have in common."""
 
     text: Term | None = None
     project: Term | None = None
     project_id: uuid.UUID | None = None
     projects: Terms = []
-    name: Term | None = None
     missions: Terms = []
     where: Terms = []
     topic: Terms = []
     message_type: Terms = []
     recorded_after: datetime.datetime | None = None
     recorded_before: datetime.datetime | None = None
+
+
+class MissionFilter(MissionCriteria):
+    """A filter of missions; all criteria must match, and of `projects` and `missions`, any. Names may be globs.
+
+    `projects` and `missions` are names, globs or ids. `where` compares metadata: `robot=anymal`, `temperature>20`,
+    `operator!=ada`, `site~zur*`. `text` is searched for in names, notes and metadata values.
+    """
+
+    name: Term | None = None
     completed: bool | None = None
     satisfied: bool | None = None

@@ -52,9 +52,9 @@ def from_problem(problem: ProblemDocument) -> KleinkramError:
     return error
 
 
-# What pydantic calls a failure -> what is wanted instead, with its own numbers.
+# Types of pydantic errors, and their messages with the values of the error.
 _WORDS = {
-    "missing": "it is needed, and was not given",
+    "missing": "it is required",
     "extra_forbidden": "there is no such field",
     "enum": "it is one of {expected}",
     "literal_error": "it is one of {expected}",
@@ -66,13 +66,13 @@ _WORDS = {
     "greater_than": "it must be more than {gt}",
     "less_than_equal": "it must be at most {le}",
     "less_than": "it must be less than {lt}",
-    "finite_number": "it must be a finite number, neither NaN nor infinite",
+    "finite_number": "it must be a finite number",
     "string_pattern_mismatch": "it must match {pattern}",
-    "none_required": "it cannot be given",
+    "none_required": "it must not be set",
     "json_invalid": "it is not valid JSON",
     "url_scheme": "it must be an address that begins with {expected_schemes}",
 }
-# The beginning of what pydantic calls a failure of a kind.
+# Prefixes of types of pydantic errors, and their messages.
 _KINDS = {
     "string": "it must be text",
     "int": "it must be a whole number",
@@ -91,29 +91,29 @@ _KINDS = {
     "url": "it must be an address",
     "ip_": "it must be an IP address or a network of them",
     "bytes": "it must be bytes",
-    "union": "it is of none of the kinds that are allowed",
+    "union": "it has none of the allowed types",
 }
 
 
-def in_plain_words(error: ValidationError) -> str:
-    """Return what is wrong with the first of several wrong fields, as a sentence."""
+def first_message(error: ValidationError) -> str:
+    """Return the message of the first error."""
     return message_of(error.errors(include_url=False)[0])
 
 
-def first_problem(error: ValidationError, whole: str = "") -> str:
-    """Return the first wrong field and what is wrong with it, as `fields.0.name: it must be text`.
+def first_problem(error: ValidationError, document: str = "") -> str:
+    """Return the first invalid field and its message, such as `fields.0.name: it must be text`.
 
-    `whole` names what was read as a whole, for failures that are of no field.
+    `document` is the name used for errors that concern no single field.
     """
-    where = ".".join(str(part) for part in error.errors(include_url=False)[0]["loc"]) or whole
-    return f"{where}: {in_plain_words(error)}" if where else in_plain_words(error)
+    where = ".".join(str(part) for part in error.errors(include_url=False)[0]["loc"]) or document
+    return f"{where}: {first_message(error)}" if where else first_message(error)
 
 
 def message_of(problem: ErrorDetails) -> str:
-    """Return the message for one of the problems that pydantic lists; the messages of our own validators are kept."""
+    """Return the message of one of pydantic's errors; messages of our own validators are unchanged."""
     kind = problem["type"]
     if kind in {"value_error", "assertion_error"}:
         return problem["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     if kind in _WORDS:
         return _WORDS[kind].format(**problem.get("ctx", {}))
-    return next((words for begins, words in _KINDS.items() if kind.startswith(begins)), "it is not usable")
+    return next((words for begins, words in _KINDS.items() if kind.startswith(begins)), "it is invalid")

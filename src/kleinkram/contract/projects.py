@@ -1,4 +1,4 @@
-"""Projects: the top of project > mission > file. And the trash."""
+"""Projects, which contain missions, and the trash."""
 
 import datetime
 import enum
@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import Self
 
 from kleinkram.contract.access import Right
-from kleinkram.contract.base import ETag, Request, Response, etag_of
+from kleinkram.contract.base import ETag, NamedRef, Request, Response, etag_of
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, MetadataFields
 from kleinkram.contract.names import Name, check_text
 from kleinkram.contract.people import PersonRef
@@ -22,33 +22,30 @@ Quota = Annotated[int, Field(ge=0, le=2**63 - 1)]
 FieldsYaml = Annotated[str, Field(max_length=MAX_YAML_CHARACTERS)]
 
 
-class ProjectRef(Response):
+class ProjectRef(NamedRef):
     """The id and name of a project."""
 
-    id: uuid.UUID
-    name: str
 
-
-class _DeclaredOnce(Request):
+class _FieldsInput(Request):
     fields_yaml: FieldsYaml | None = None
     metadata_fields: MetadataFields | None = None
 
     @model_validator(mode="after")
-    def _in_one_way(self) -> Self:
+    def _has_one_form(self) -> Self:
         if self.fields_yaml is not None and self.metadata_fields is not None:
-            raise ValueError("say fields_yaml or metadata_fields, not both")
+            raise ValueError("specify fields_yaml or metadata_fields, not both")
         return self
 
 
-class ProjectCreate(_DeclaredOnce):
+class ProjectCreate(_FieldsInput):
     """A project to create, with its metadata fields as the text of a `fields.yaml` or as `metadata_fields`."""
 
     name: Name
     description: Description = ""
 
 
-class ProjectUpdate(_DeclaredOnce):
-    """Changes of a project; omitted fields stay. Metadata fields are replaced as a whole.
+class ProjectUpdate(_FieldsInput):
+    """Changes of a project; omitted fields stay. Metadata fields are all replaced.
 
     Everybody may read a public project, also without an account. A quota of null is no quota; admins set quotas.
     """

@@ -1,6 +1,6 @@
-"""The query language: one text for a whole search, the same in the CLI, the SDK, the server and the web.
+"""The query language: a search as one text, the same in the CLI, the SDK, the server and the web.
 
-`parse` makes a `FileFilter` of a text and `render` makes the text of a filter, in one order and spelling. Pure.
+`parse` returns the `FileFilter` of a text, `render` the normalized text of a filter.
 """
 
 import datetime
@@ -13,7 +13,13 @@ from fractions import Fraction
 
 from pydantic import ValidationError
 
-from kleinkram.contract.amounts import (
+from kleinkram.contract.errors import InvalidQuery
+from kleinkram.contract.files import BlobState, ContentState, FileFilter
+from kleinkram.contract.metadata import WHERE_EXPRESSION
+from kleinkram.contract.names import is_id
+from kleinkram.contract.problems import first_message
+from kleinkram.contract.search import FileQuery
+from kleinkram.contract.units import (
     DURATIONS,
     SIZES,
     bounds,
@@ -24,12 +30,6 @@ from kleinkram.contract.amounts import (
     read_size,
     read_time,
 )
-from kleinkram.contract.errors import InvalidQuery
-from kleinkram.contract.files import BlobState, ContentState, FileFilter
-from kleinkram.contract.metadata import WHERE_EXPRESSION
-from kleinkram.contract.names import is_id
-from kleinkram.contract.problems import in_plain_words
-from kleinkram.contract.search import FileQuery
 
 _KEY = re.compile(r"(?P<key>[A-Za-z][A-Za-z0-9_.]*)(?P<operator><=|>=|!=|[:=<>~])")
 _PHRASE = re.compile(r'"(?P<inner>(?:[^"\\]|\\.)*)"(?=\s|$)|\S+', re.DOTALL)
@@ -48,7 +48,7 @@ class Word:
     value: str
     is_quoted: bool
 
-    def wrong(self, reason: str) -> InvalidQuery:
+    def error(self, reason: str) -> InvalidQuery:
         """Return the error about this word."""
         return InvalidQuery(expression=self.written, reason=f"{reason} (column {self.column})", column=self.column)
 
@@ -69,11 +69,11 @@ def split(text: str) -> Iterator[Word]:
         yield Word(text[start:at], start + 1, is_negative, name, operator, value, is_quoted)
 
 
-def single(text: str) -> Word:
+def read_term(text: str) -> Word:
     """Return the word of an excluded term, as in a filter's `without`. Raises InvalidQuery."""
     words = [*split(text)]
     if len(words) != 1 or words[0].is_negative:
-        raise InvalidQuery(expression=text, reason="what is left out is one term each, such as label:night")
+        raise InvalidQuery(expression=text, reason="an excluded term is a single term, such as label:night")
     return words[0]
 
 
@@ -95,14 +95,14 @@ def quoted(value: str) -> str:
 
 
 def escaped(value: str, *, after: str) -> str:
-    """Return a value for the place after an operator, without quotes, which would make it text."""
+    """Return a value to write after an operator, without quotes, which would make it text."""
     safe = "".join(f"\\{character}" if character.isspace() or character == "\\" else character for character in value)
     reads_otherwise = safe.startswith('"') or (safe.startswith("=") and after in {"<", ">"})
     return f"\\{safe}" if reads_otherwise else safe
 
 
 def as_value(value: str) -> str:
-    """Return a value for the place after a key, in quotes if necessary."""
+    """Return a value to write after a key, in quotes if necessary."""
     return value if _is_plain(value) else quoted(value)
 
 
@@ -166,7 +166,7 @@ class QueryKey:
     check: Callable[[str], str] = str
 
 
-def one_of(kind: type[BlobState] | type[ContentState]) -> Callable[[str], str]:
+def _enum_check(kind: type[BlobState] | type[ContentState]) -> Callable[[str], str]:
     """Return a function that checks for a value of an enumeration, ignoring case."""
     words = [member.value for member in kind]
 
@@ -187,9 +187,9 @@ _KEYS = (
     QueryKey("type", "message_type", "type:*/Image", is_list=True),
     QueryKey("label", "label", "label:LABEL", is_list=True),
     QueryKey("format", "format", "format:mcap", is_list=True),
-    QueryKey("content", "content", "content:broken", is_list=True, check=one_of(ContentState)),
+    QueryKey("content", "content", "content:broken", is_list=True, check=_enum_check(ContentState)),
     QueryKey("problem", "problem", "problem:long-gap", is_list=True),
-    QueryKey("state", "state", "state:verified", is_list=True, check=one_of(BlobState)),
+    QueryKey("state", "state", "state:verified", is_list=True, check=_enum_check(BlobState)),
     QueryKey("month", "month", "month:2026-05", is_list=True, check=read_month),
     QueryKey("size", "size_bytes", "size>1GB", _COMPARED),
     QueryKey("duration", "duration_ns", "duration>10m", _COMPARED),
@@ -200,15 +200,15 @@ KEYS: Mapping[str, QueryKey] = {key.name: key for key in _KEYS}
 
 
 def is_glob(value: str) -> bool:
-    """Whether a value has wildcards."""
+    """Return whether a value has wildcards."""
     return "*" in value or "?" in value
 
 
-def possible(key: str) -> str:
+def _unknown_key(key: str) -> str:
     """Return the message for an unknown key: a similar one, and all that exist."""
     close = difflib.get_close_matches(key.lower()[:40], KEYS, n=1)
     hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"there is no key {key!r}; {hint}There are {', '.join(KEYS)} and {META}FIELD"
+    return f"there is no key {key!r}; {hint}the keys are {', '.join(KEYS)} and {META}FIELD"
 
 
 _NAMES = [*KEYS]
@@ -222,7 +222,7 @@ def render(matching: FileFilter) -> str:
 
     Raises InvalidQuery.
     """
-    return in_words(terms(matching))
+    return join_terms(terms(matching))
 
 
 def terms(matching: FileFilter) -> dict[str, list[str]]:
@@ -233,7 +233,7 @@ def terms(matching: FileFilter) -> dict[str, list[str]]:
     return {part: terms_of(part, matching) for part in _PARTS}
 
 
-def in_words(by_part: Mapping[str, list[str]]) -> str:
+def join_terms(by_part: Mapping[str, list[str]]) -> str:
     """Join the terms of all parts to a text."""
     return " ".join(itertools.chain.from_iterable(by_part.values()))
 
@@ -246,13 +246,13 @@ def terms_of(part: str, matching: FileFilter) -> list[str]:
     if part == "text":
         return [as_word(word) for word in phrases(matching.text or "")]
     if part == META:
-        return [render_where(expression) for expression in matching.where]
+        return [_render_where(expression) for expression in matching.where]
     if part == "without":
-        return [f"-{single(term).written}" for term in matching.without]
+        return [f"-{read_term(term).written}" for term in matching.without]
     return [*_terms_of(KEYS[part], matching)]
 
 
-def render_where(expression: str) -> str:
+def _render_where(expression: str) -> str:
     """Return the term for a comparison with metadata. Raises InvalidQuery."""
     match = WHERE_EXPRESSION.fullmatch(expression.strip())
     if match is None:
@@ -270,8 +270,10 @@ def render_where(expression: str) -> str:
 
 def _terms_of(key: QueryKey, matching: FileFilter) -> Iterator[str]:
     if units := _UNITS.get(key.name):
-        least, most = (getattr(matching, f"{end}_{key.field}") for end in ("min", "max"))
-        bounds_by_operator = {":": least} if least is not None and least == most else {">=": least, "<=": most}
+        minimum, maximum = (getattr(matching, f"{end}_{key.field}") for end in ("min", "max"))
+        bounds_by_operator = (
+            {":": minimum} if minimum is not None and minimum == maximum else {">=": minimum, "<=": maximum}
+        )
         for operator, bound in bounds_by_operator.items():
             if bound is not None:
                 yield f"{key.name}{format_bound(operator, bound, units)}"
@@ -295,19 +297,19 @@ def parse(text: str) -> FileFilter:
     """Return the filter of a query; an empty text matches everything. Raises InvalidQuery."""
     reader = _QueryReader()
     for word in split(text):
-        reader.take(word)
+        reader.add(word)
     return reader.filter()
 
 
 def parse_term(text: str) -> FileFilter:
     """Return the filter of one term, as in a filter's `without`. Raises InvalidQuery."""
     reader = _QueryReader()
-    reader.take(single(text))
+    reader.add(read_term(text))
     return reader.filter()
 
 
 class _QueryReader:
-    """The filter read so far, and the first word that set each of its fields."""
+    """Builds a filter from words; remembers the first word that set each field, for errors."""
 
     def __init__(self) -> None:
         self._values: dict[str, str] = {}
@@ -317,23 +319,23 @@ class _QueryReader:
         self._words: list[str] = []
         self._words_by_field: dict[str, Word] = {}
 
-    def take(self, word: Word) -> None:
+    def add(self, word: Word) -> None:
         """Add one word."""
         if word.is_negative:
             term = _QueryReader()
-            term.take(replace(word, is_negative=False))
+            term.add(replace(word, is_negative=False))
             if rendered := render(term.filter()):
-                self._add("without", rendered, word)
+                self._add_value("without", rendered, word)
         elif not word.key:
             self._words += [word.value] if word.value else []
             self._words_by_field.setdefault("text", word)
         elif word.key.startswith(META) and word.key != META:
-            self._add("where", _comparison(word), word)
+            self._add_value("where", _comparison(word), word)
         elif word.key not in KEYS:
-            hint = f"metadata is asked for by {META}{word.key}{word.operator}{as_value(word.value)}, and text in quotes"
-            raise word.wrong(f"{possible(word.key)}; {hint}")
+            hint = f"write metadata as {META}{word.key}{word.operator}{as_value(word.value)}, and text in quotes"
+            raise word.error(f"{_unknown_key(word.key)}; {hint}")
         else:
-            self._take_key(KEYS[word.key], word)
+            self._add_key(KEYS[word.key], word)
 
     def filter(self) -> FileFilter:
         """Return the filter. Raises InvalidQuery."""
@@ -351,17 +353,17 @@ class _QueryReader:
             return FileFilter.model_validate(values)
         except ValidationError as error:
             word = self._words_by_field[str(error.errors()[0]["loc"][0])]
-            raise word.wrong(in_plain_words(error)) from None
+            raise word.error(first_message(error)) from None
 
-    def _take_key(self, key: QueryKey, word: Word) -> None:
+    def _add_key(self, key: QueryKey, word: Word) -> None:
         if word.operator not in key.operators:
-            raise word.wrong(f"{key.name} is not compared by {word.operator}; write it like {key.example}")
+            raise word.error(f"{key.name} does not support {word.operator}; write it like {key.example}")
         if not word.value and not word.is_quoted:
-            raise word.wrong(f"nothing stands behind it; write it like {key.example}")
+            raise word.error(f"it has no value; write it like {key.example}")
         try:
             if key.name in _AMOUNTS:
-                least, most = bounds(word.operator, _AMOUNTS[key.name](word.value))
-                for field, number, tighter in ((f"min_{key.field}", least, max), (f"max_{key.field}", most, min)):
+                minimum, maximum = bounds(word.operator, _AMOUNTS[key.name](word.value))
+                for field, number, tighter in ((f"min_{key.field}", minimum, max), (f"max_{key.field}", maximum, min)):
                     if number is not None:
                         self._numbers[field] = tighter(self._numbers.get(field, number), number)
                         self._words_by_field.setdefault(field, word)
@@ -369,26 +371,26 @@ class _QueryReader:
                 at = read_time(word.value)
                 self._times[key.field] = _TIGHTEST[key.name](self._times.get(key.field, at), at)
             elif key.is_list:
-                self._add(key.field, key.check(word.value), word)
+                self._add_value(key.field, key.check(word.value), word)
             else:
-                self._set(key, word)
+                self._set_value(key, word)
         except ValueError as error:
-            raise word.wrong(str(error)) from None
+            raise word.error(str(error)) from None
 
-    def _set(self, key: QueryKey, word: Word) -> None:
+    def _set_value(self, key: QueryKey, word: Word) -> None:
         by_id = key.id_field is not None and is_id(word.value)
         if key.only_id and not by_id:
-            raise word.wrong(f"write it like {key.example}")
+            raise word.error(f"write it like {key.example}")
         field = str(key.id_field) if by_id else key.field
         if key.several_field is not None:
-            self._add(key.several_field, word.value, word)
+            self._add_value(key.several_field, word.value, word)
             return
         if field in self._values:
-            raise word.wrong(f"{key.name} was said at column {self._words_by_field[field].column} already")
+            raise word.error(f"{key.name} is already set at column {self._words_by_field[field].column}")
         self._values[field] = word.value
         self._words_by_field[field] = word
 
-    def _add(self, field: str, value: str, word: Word) -> None:
+    def _add_value(self, field: str, value: str, word: Word) -> None:
         values = self._lists.setdefault(field, [])
         if value not in values:
             values.append(value)
@@ -399,7 +401,7 @@ def _comparison(word: Word) -> str:
     """Return a comparison with metadata for a filter's `where`; a value in quotes is text."""
     field = word.key.removeprefix(META)
     if "" in field.split("."):
-        raise word.wrong(f"the field has an empty part; write it like {META}site.latitude>47")
+        raise word.error(f"the field has an empty part; write it like {META}site.latitude>47")
     operator = "=" if word.operator == ":" else word.operator
     if operator == "=" and not word.is_quoted and is_glob(word.value):
         operator = "~"
@@ -407,11 +409,11 @@ def _comparison(word: Word) -> str:
     space = " " if value.startswith("=") else ""
     expression = f"{field}{operator}{space}{value}"
     if WHERE_EXPRESSION.fullmatch(expression) is None:
-        raise word.wrong(f"nothing stands behind it, or more than one line; write it like {META}{field}:VALUE")
+        raise word.error(f"it has no value, or more than one line; write it like {META}{field}:VALUE")
     return expression
 
 
-def whole(file_query: FileQuery) -> FileFilter:
+def combined_filter(file_query: FileQuery) -> FileFilter:
     """Return the filter that a filter and the text of a query mean together. Raises InvalidQuery."""
     plain = FileFilter.model_construct(**{name: getattr(file_query, name) for name in FileFilter.model_fields})
     if file_query.query is None:
@@ -423,5 +425,5 @@ def whole(file_query: FileQuery) -> FileFilter:
         if any(getattr(in_query, field) for field in fields) and any(getattr(plain, field) for field in fields):
             words = (word for word in split(file_query.query) if word.key == key.name and not word.is_negative)
             word = next(words)
-            raise word.wrong(f"{key.name} was said at column {word.column} already")
+            raise word.error(f"{key.name} is already set at column {word.column}")
     return parse(f"{file_query.query} {render(plain)}".strip())

@@ -1,4 +1,4 @@
-"""Search over missions, files and topics, facets, and labels."""
+"""Search over missions, files and topics, facets, labels, and statistics."""
 
 import uuid
 from typing import Annotated
@@ -36,8 +36,8 @@ class SearchRead(Response):
     """The first missions, files and topics that match a query, and their numbers.
 
     `query` is the normalized text; `filter` its meaning. Missions match themselves or by their files. The lists
-    continue at `/missions` and `/files` with the same `query` and `sort=-start`. If very many files match, not
-    `is_exact`: all numbers are estimates with two digits, and the topics are those of sampled files.
+    continue at `/missions` and `/files` with the same `query` and `sort=-start`. `is_exact` is false if very many files
+    match: all numbers are then estimates with two digits, and the topics those of sampled files.
     """
 
     query: str
@@ -100,3 +100,60 @@ class FilesLabelled(Response):
     """The result for each file, in the requested order."""
 
     items: list[FileLabelled]
+
+
+class StatsRow(Response):
+    """Totals of one group, without the trash. `duration_ns` is the sum of the spans of the recordings.
+
+    Grouped by topic or message type, a recording counts in each of its groups, and `messages` are those of the group.
+    """
+
+    group: str | None
+    missions: int
+    files: int
+    recordings: int
+    size_bytes: int
+    duration_ns: int
+    messages: int
+
+
+class StatsRead(Response):
+    """Statistics by `by`: `project`, `mission`, `topic`, `type`, `month`, `format` or `metadata.FIELD`."""
+
+    by: str
+    rows: list[StatsRow]
+    total: StatsRow
+
+
+MAX_BUCKETS = 200
+
+# The maximum number of buckets; the rest of the values that are neither times nor numbers are one more.
+Buckets = Annotated[int, Field(ge=1, le=MAX_BUCKETS)]
+
+
+class Bucket(Response):
+    """Files of one month, of one value of a field, or of numbers from `low` (inclusive) to `high` (exclusive).
+
+    All three are null for files without such a time or value.
+    """
+
+    value: str | None
+    low: float | None = None
+    high: float | None = None
+    stats: StatsRow
+
+
+class Overview(Response):
+    """Totals of a project, or of everything visible, by `month` of recording or by a metadata field.
+
+    Months and numbers are in ascending order; other values by recorded time, longest first, as many as requested, and
+    `other` is the rest. `unit` is that of a number field. `topics` is the number of distinct topic names; null if the
+    caller may see only parts of missions.
+    """
+
+    by: str
+    unit: str | None
+    buckets: list[Bucket]
+    other: StatsRow | None
+    total: StatsRow
+    topics: int | None

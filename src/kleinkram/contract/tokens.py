@@ -1,4 +1,4 @@
-"""Secrets that open something without a sign-in: tokens of scripts, robots and runners, and share links."""
+"""Tokens of scripts, robots and runners, and share links: secrets that give access without a sign-in."""
 
 import datetime
 import enum
@@ -19,7 +19,6 @@ from kleinkram.contract.people import PersonRef
 
 _DIGITS = string.digits + string.ascii_uppercase + string.ascii_lowercase
 CHECKSUM_CHARACTERS = 6
-RANDOM_CHARACTERS = 43
 # For secret scanners; `has_valid_checksum` then verifies a match.
 PATTERN = r"klein_(?:pat|robot|runner|run|link)_[A-Za-z0-9_-]{43}[0-9A-Za-z]{6}"
 _PATTERN = re.compile(PATTERN, re.ASCII)
@@ -45,13 +44,8 @@ def with_checksum(text: str) -> str:
 
 
 def has_valid_checksum(secret: str) -> bool:
-    """Whether a secret has the right form and checksum; it may still be revoked, or never have been issued."""
+    """Return whether a secret has the right form and checksum; it may still be revoked, or never have been issued."""
     return _PATTERN.fullmatch(secret) is not None and with_checksum(secret[:-CHECKSUM_CHARACTERS]) == secret
-
-
-def is_mangled(secret: str) -> bool:
-    """Whether a secret begins like one of ours, but was cut or mistyped."""
-    return secret.startswith(tuple(f"klein_{kind.value}_" for kind in SecretKind)) and not has_valid_checksum(secret)
 
 
 DEFAULT_SCOPES = {
@@ -94,7 +88,7 @@ class TokenCreate(Request):
     @model_validator(mode="after")
     def _fits_its_kind(self) -> Self:
         if self.kind is TokenKind.run:
-            raise ValueError("a run's token comes with the run; nobody makes one")
+            raise ValueError("a run's token is created with the run, not by people")
         if self.kind is TokenKind.robot and not self.is_limited:
             raise ValueError("a robot's token must be limited to projects or missions")
         if self.kind is TokenKind.robot and Scope.admin in self.chosen_scopes:
@@ -104,7 +98,7 @@ class TokenCreate(Request):
         if self.kind is not TokenKind.runner and (self.runner_id or self.runner_labels):
             raise ValueError("only a runner's token names a runner or labels")
         if self.no_end and self.expires_at is not None:
-            raise ValueError("say expires_at or no_end, not both")
+            raise ValueError("specify expires_at or no_end, not both")
         return self
 
 
@@ -158,7 +152,7 @@ MAX_SHARED_FILES = 2_000
 
 
 def is_link(text: str) -> bool:
-    """Whether a text is the address of a share link."""
+    """Return whether a text is the address of a share link."""
     return text.startswith(("http://", "https://")) and f"{SHARE_PAGE}#" in text
 
 
@@ -173,7 +167,7 @@ class ShareCreate(Request):
 class ShareRead(Response):
     """A link without its secret; `prefix` is the beginning of the secret.
 
-    `file_count` is null for a link to a whole mission. Downloads count each file whose URL was requested.
+    `file_count` is null for a link to all files of a mission. Downloads count each file whose URL was requested.
     """
 
     id: uuid.UUID

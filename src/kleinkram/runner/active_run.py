@@ -4,6 +4,7 @@ Each step is recorded before it is done, and may be repeated: after a kill the n
 """
 
 import contextlib
+import errno
 import logging
 import math
 import threading
@@ -12,28 +13,30 @@ from collections.abc import Callable
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import Heartbeat, HeartbeatReply, LeaseStatus, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason, RunState, UsageSample
-from kleinkram.runner.artifact_upload import ResultUpload
-from kleinkram.runner.context import Lease, RunnerContext, StopRequest, StopRequested, StopSignal
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end
 from kleinkram.runner.executors.limits import CANCELLED, boot_time_s
-from kleinkram.runner.files import DISK_FULL_ERRORS, remove_tree
-from kleinkram.runner.inputs import Preparation, job_of
+from kleinkram.runner.inputs import job_of, prepare
 from kleinkram.runner.logs import LogUpload, Redactor
-from kleinkram.runner.results import ProgressReader
-from kleinkram.runner.state_directory import Attempt, Stage
+from kleinkram.runner.results import ProgressReader, ResultUpload
+from kleinkram.runner.state import (
+    Attempt,
+    Lease,
+    RunnerContext,
+    StopRequest,
+    StopRequested,
+    StopSignal,
+    remove_tree,
+)
 
 _log = logging.getLogger("kleinkram.runner")
+# Errors of a full disk or an exceeded quota.
+_DISK_FULL_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT})
 _CHECK_EVERY_S = 0.5
 _SAMPLE_EVERY_S = 5.0
 _MAX_SAMPLES = 100
 # A run that crashes its machine each time is not started for ever.
 _MAX_STARTS = 3
 _CANCEL_EVERY_S = 1.0
-_STATES = {
-    Stage.preparing: RunState.preparing,
-    Stage.running: RunState.running,
-    Stage.collecting: RunState.collecting,
-}
 
 
 class ActiveRun:
@@ -58,19 +61,17 @@ class ActiveRun:
         self._executor = context.executor
         self._attempt = attempt
         self._on_end = on_end
-        self._state = _STATES[attempt.state.stage]
+        self._state = attempt.state.stage
         self._is_confirmed = threading.Event()
         if is_new:
             self._is_confirmed.set()
-        self._is_submitted = attempt.state.stage is Stage.running
+        self._is_submitted = attempt.state.stage is RunState.running
         self._samples: list[UsageSample] = []
         self._usage = attempt.state.usage
         self._progress = ProgressReader(attempt.directory / "out")
         assignment = attempt.state.assignment
         self._redactor = Redactor([token for token in (context.token, assignment.token) if token])
-        self._log = LogUpload(
-            context.executor, context.runners, context.store, assignment, attempt.directory, self._redactor
-        )
+        self._log = LogUpload(context, attempt, self._redactor)
         self._cancelled_at_s = -math.inf
         self._is_cancel_failing = False
         self._upload: ResultUpload | None = None
@@ -148,12 +149,12 @@ class ActiveRun:
         is_detached = False
         try:
             try:
-                if self._attempt.state.stage is not Stage.collecting:
+                if self._attempt.state.stage is not RunState.collecting:
                     ending = self._run_job()
-                    self._attempt.change(stage=Stage.collecting, ending=ending, usage=self._usage)
+                    self._attempt.change(stage=RunState.collecting, ending=ending, usage=self._usage)
                 self._upload_results()
             except OSError as error:
-                if error.errno not in DISK_FULL_ERRORS:
+                if error.errno not in _DISK_FULL_ERRORS:
                     raise
                 _log.error("the run %s is ended, as the disk is full: %s", self.assignment.run_id, error)
                 self._report_disk_full()
@@ -203,13 +204,12 @@ class ActiveRun:
         while not self._is_confirmed.is_set():
             self.stop.wait(0.05)
         self._set_state(RunState.preparing)
-        self._attempt.change(stage=Stage.preparing)
+        self._attempt.change(stage=RunState.preparing)
         self._executor.remove(self._job())
         self._attempt.clear()
-        preparation = Preparation(self._context, self.assignment, self.stop)
-        prepared = preparation.prepare(self._attempt.directory / "in")
+        prepared = prepare(self._context, self.assignment, self.stop, self._attempt.directory / "in")
         self._attempt.change(
-            stage=Stage.running,
+            stage=RunState.running,
             starts=self._attempt.state.starts + 1,
             started_s=boot_time_s(),
             image=prepared.image.reference if prepared.image else None,

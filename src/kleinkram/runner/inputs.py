@@ -12,19 +12,16 @@ from urllib.parse import urlsplit
 import urllib3
 
 from kleinkram.client._http import Backoff
-from kleinkram.client.runs import Runners
-from kleinkram.client.transfer.store import PATIENCE_S, StoreAnswer, StoreClient
-from kleinkram.contract.actions import Network
+from kleinkram.client.transfer.store import TRANSFER_RETRY_S, StoreAnswer
+from kleinkram.contract.actions import ActionDefinition, Network
 from kleinkram.contract.errors import FileUnavailable, InvalidRequest, KleinkramError, NotFound, RunGone
 from kleinkram.contract.names import check_file_path
-from kleinkram.contract.runners import AssignedInput, InputsRequest, RunAssignment
+from kleinkram.contract.runners import InputsRequest, RunAssignment
 from kleinkram.contract.runs import CONTEXT_FILE, EndReason, RunContext
-from kleinkram.runner.context import RunnerContext, StopSignal
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, PinnedImage, RunJob
 from kleinkram.runner.executors.port_forward import PortForward
-from kleinkram.runner.files import remove_tree
 from kleinkram.runner.input_cache import InputCache, InputDamaged, InputFile, NoSpace, PartialInput
-from kleinkram.runner.state_directory import Attempt
+from kleinkram.runner.state import Attempt, RunnerContext, StopSignal, remove_tree
 
 _OWN_DIRECTORY = ".kleinkram"
 _SCRIPT = f"{_OWN_DIRECTORY}/script.py"
@@ -50,89 +47,76 @@ class Prepared(NamedTuple):
     store_url: str
 
 
-class Preparation:
-    """Prepares one run. May be repeated from the start."""
+def prepare(context: RunnerContext, assignment: RunAssignment, stop: StopSignal, directory: Path) -> Prepared:
+    """Pull the image while the inputs are placed in `directory`, which becomes `/in`. May be repeated.
 
-    def __init__(self, context: RunnerContext, assignment: RunAssignment, stop: StopSignal) -> None:
-        self._context = context
-        self._executor = context.executor
-        self._assignment = assignment
-        self._stop = stop
-        self._source = InputDownload(context.runners, context.store, assignment, stop)
-
-    def prepare(self, directory: Path) -> Prepared:
-        """Pull the image while the inputs are placed in `directory`, which becomes `/in`.
-
-        Raises:
-            CannotStart: something is not available here.
-            StopRequested: the run is to stop.
-            RunGone: it is not this runner's.
-        """
-        image = self._image()
-        pulled = _pull_in_thread(self._executor, image) if image else None
-        store_url = None
-        backoff = Backoff(_RETRY_S, self._stop.wait)
-        while store_url is None:
-            store_url = self._try_to_place(directory, backoff)
-        for path in [directory, *directory.rglob("*")]:
-            if path.is_dir():
-                path.chmod(0o755)
-            elif path.stat().st_mode & 0o777 != 0o444:
-                path.chmod(0o444)
-        while pulled and not pulled.done():
-            self._stop.wait(_IMAGE_CHECK_EVERY_S)
-        return Prepared(pulled.result() if pulled else None, store_url)
-
-    def _try_to_place(self, directory: Path, backoff: Backoff) -> str | None:
-        """Place the inputs and return the URL of the store; None where this is to be repeated."""
+    Raises:
+        CannotStart: something is not available here.
+        StopRequested: the run is to stop.
+        RunGone: it is not this runner's.
+    """
+    image = _image_of(context, assignment)
+    pulled = _pull_in_thread(context.executor, image) if image else None
+    source = InputDownload(context, assignment, stop)
+    store_url: str | None = None
+    backoff = Backoff(_RETRY_S, stop.wait)
+    while store_url is None:
         try:
-            self._place(directory)
-            return self._context.service.get().store_url if self._assignment.network is Network.api else ""
-        except RunGone:
+            _place(context, assignment, source, directory)
+            store_url = context.service.get().store_url if assignment.network is Network.api else ""
+        except RunGone:  # noqa: PERF203  each round takes seconds
             raise
         except KleinkramError as error:
             if isinstance(error, _PERMANENT_ERRORS) or not backoff.pause():
                 raise _unavailable(str(error)) from error
-            return None
+    for path in [directory, *directory.rglob("*")]:
+        if path.is_dir():
+            path.chmod(0o755)
+        elif path.stat().st_mode & 0o777 != 0o444:
+            path.chmod(0o444)
+    while pulled and not pulled.done():
+        stop.wait(_IMAGE_CHECK_EVERY_S)
+    return Prepared(pulled.result() if pulled else None, store_url)
 
-    def _place(self, directory: Path) -> None:
-        remove_tree(directory)
-        directory.mkdir()
-        assignment = self._assignment
-        files = {_checked_path(file): InputFile(file.sha256, file.size_bytes) for file in assignment.inputs}
+
+def _place(context: RunnerContext, assignment: RunAssignment, source: "InputDownload", directory: Path) -> None:
+    remove_tree(directory)
+    directory.mkdir()
+    files: dict[str, InputFile] = {}
+    for file in assignment.inputs:
         try:
-            self._executor.place_inputs(directory, files, self._source)
-        except NoSpace as error:
-            raise _unavailable(str(error)) from error
-        except OSError as error:
-            raise _unavailable(f"Its inputs cannot be placed: {error.strerror}.") from error
-        context = self._context.runners.get_context(assignment.run_id, assignment.attempt)
-        trusted = os.environ.get("SSL_CERT_FILE") if assignment.network is Network.api else None
-        authorities = Path(trusted).read_text() if trusted else None
-        write_context(directory, context, assignment.script, authorities)
+            files[check_input_path(file.path)] = InputFile(file.sha256, file.size_bytes)
+        except ValueError as error:  # noqa: PERF203  each error names its file
+            raise _unavailable(f"The file {file.path} {error}.") from error
+    try:
+        context.executor.place_inputs(directory, files, source)
+    except NoSpace as error:
+        raise _unavailable(str(error)) from error
+    except OSError as error:
+        raise _unavailable(f"Its inputs cannot be placed: {error.strerror}.") from error
+    described = context.runners.get_context(assignment.run_id, assignment.attempt)
+    trusted = os.environ.get("SSL_CERT_FILE") if assignment.network is Network.api else None
+    write_context(directory, described, assignment.script, Path(trusted).read_text() if trusted else None)
 
-    def _image(self) -> str | None:
-        """Return the image to run, if any.
 
-        Raises:
-            CannotStart: this runner cannot do what the run needs.
-        """
-        assignment, abilities = self._assignment, self._executor.abilities
-        lacks = None
-        if assignment.network not in abilities.networks:
-            lacks = f"does not offer the network {assignment.network.value!r}"
-        elif assignment.image is not None and not abilities.images:
-            lacks = "runs no images, only scripts"
-        elif assignment.resources.gpus and not abilities.gpus:
-            lacks = "has no GPU for runs"
-        elif assignment.image is None and abilities.images and self._context.default_image is None:
-            lacks = "has no default image to run scripts on"
-        if lacks is not None:
-            raise CannotStart(Ending(EndReason.not_possible, f"Its runner {lacks}."))
-        if assignment.image is None:
-            return self._context.default_image if abilities.images else None
-        is_pinned = assignment.image_digest is None or "@" in assignment.image
-        return assignment.image if is_pinned else f"{assignment.image}@{assignment.image_digest}"
+def _image_of(context: RunnerContext, assignment: RunAssignment) -> str | None:
+    """Return the image to run, if any. Raises CannotStart where this runner cannot do what the run needs."""
+    abilities = context.executor.abilities
+    lacks = None
+    if assignment.network not in abilities.networks:
+        lacks = f"does not offer the network {assignment.network.value!r}"
+    elif assignment.image is not None and not abilities.images:
+        lacks = "runs no images, only scripts"
+    elif assignment.resources.gpus and not abilities.gpus:
+        lacks = "has no GPU for runs"
+    elif assignment.image is None and abilities.images and context.default_image is None:
+        lacks = "has no default image to run scripts on"
+    if lacks is not None:
+        raise CannotStart(Ending(EndReason.not_possible, f"Its runner {lacks}."))
+    if assignment.image is None:
+        return context.default_image if abilities.images else None
+    is_pinned = assignment.image_digest is None or "@" in assignment.image
+    return assignment.image if is_pinned else f"{assignment.image}@{assignment.image_digest}"
 
 
 def _pull_in_thread(executor: Executor, image: str) -> Future[PinnedImage]:
@@ -154,11 +138,11 @@ def _pull_in_thread(executor: Executor, image: str) -> Future[PinnedImage]:
 
 
 class InputDownload:
-    """Downloads the inputs of one run by signed URLs, and resumes broken downloads. `store` is shared by all runs."""
+    """Downloads the inputs of one run by signed URLs, and resumes broken downloads."""
 
-    def __init__(self, runners: Runners, store: StoreClient, assignment: RunAssignment, stop: StopSignal) -> None:
-        self._runners = runners.with_patience(PATIENCE_S, stop.wait)
-        self._store = store
+    def __init__(self, context: RunnerContext, assignment: RunAssignment, stop: StopSignal) -> None:
+        self._runners = context.runners.with_retry(TRANSFER_RETRY_S, stop.wait)
+        self._store = context.store
         self._assignment = assignment
         self._stop = stop
         self._urls: dict[str, str] = {}
@@ -179,18 +163,16 @@ class InputDownload:
             for first in range(0, len(missing), _URLS_PER_REQUEST):
                 batch = missing[first : first + _URLS_PER_REQUEST]
                 self._sign([paths[file.sha256] for file in batch])
-                self._wait_for({pool.submit(self._fetch, cache, file, paths[file.sha256], is_over) for file in batch})
+                downloads = {pool.submit(self._fetch, cache, file, paths[file.sha256], is_over) for file in batch}
+                while downloads:
+                    done, downloads = wait(downloads, timeout=_CHECK_EVERY_S, return_when=FIRST_EXCEPTION)
+                    for download in done:
+                        download.result()
+                    self._stop.check()
         finally:
             # A thread that waits for the store notices this later.
             is_over.set()
             pool.shutdown(wait=False, cancel_futures=True)
-
-    def _wait_for(self, downloads: set[Future[None]]) -> None:
-        while downloads:
-            done, downloads = wait(downloads, timeout=_CHECK_EVERY_S, return_when=FIRST_EXCEPTION)
-            for download in done:
-                download.result()
-            self._stop.check()
 
     def _fetch(self, cache: InputCache, file: InputFile, path: str, is_over: threading.Event) -> None:
         def check() -> None:
@@ -211,7 +193,7 @@ class InputDownload:
 
     def _receive(self, part: PartialInput, path: str, check: Callable[[], None]) -> None:
         """Receive the missing bytes of a file, from where the last connection broke."""
-        backoff, refusals = Backoff(PATIENCE_S, self._stop.wait), 0
+        backoff, refusals = Backoff(TRANSFER_RETRY_S, self._stop.wait), 0
         while part.offset < part.file.size_bytes:
             check()
             before = part.offset
@@ -225,7 +207,7 @@ class InputDownload:
             finally:
                 answer.close()
             if part.offset > before:
-                backoff = Backoff(PATIENCE_S, self._stop.wait)
+                backoff = Backoff(TRANSFER_RETRY_S, self._stop.wait)
             elif answer.answer is StoreAnswer.sign_again and refusals < _MAX_REFUSALS:
                 refusals += 1
                 self._sign([path])
@@ -234,13 +216,6 @@ class InputDownload:
                     raise _unavailable(f"The input {path} cannot be downloaded: {answer.why}.")
             else:
                 raise _unavailable(f"The input {path} cannot be downloaded: {answer.reason}.")
-
-
-def _checked_path(file: AssignedInput) -> str:
-    try:
-        return check_input_path(file.path)
-    except ValueError as error:
-        raise _unavailable(f"The file {file.path} {error}.") from error
 
 
 def _unavailable(message: str) -> CannotStart:
@@ -269,18 +244,17 @@ def write_context(directory: Path, context: RunContext, script: str | None, auth
             path.write_text(text)
 
 
-def script_command(dependencies: Sequence[str], *, in_image: bool) -> list[str]:
-    """Return the command of a script: with the Python of the image, or else this one."""
+def command_of(action: ActionDefinition | RunAssignment, *, in_image: bool) -> list[str]:
+    """Return the command of an action; of a script, with the Python of the image, or else this one."""
+    if action.script is None:
+        return list(action.command)
     python = "python3" if in_image else sys.executable
-    return [python, "-m", "kleinkram.action.launch", _SCRIPT, *dependencies]
+    return [python, "-m", "kleinkram.action.launch", _SCRIPT, *action.dependencies]
 
 
 def job_of(context: RunnerContext, attempt: Attempt) -> RunJob:
     """Return the job of an attempt, which is the same after a restart of the runner."""
     assignment, image = attempt.state.assignment, attempt.state.image
-    command = assignment.command
-    if assignment.script is not None:
-        command = script_command(assignment.dependencies, in_image=image is not None)
     environment = {
         "KLEINKRAM_URL": context.url,
         "KLEINKRAM_TOKEN": assignment.token or "",
@@ -290,20 +264,19 @@ def job_of(context: RunnerContext, attempt: Attempt) -> RunJob:
     }
     if (attempt.directory / "in" / _AUTHORITIES).is_file():
         environment["SSL_CERT_FILE"] = f"/in/{_AUTHORITIES}"
-    urls = (context.url, attempt.state.store_url) if assignment.network is Network.api else ()
+    forwards: dict[PortForward, None] = {}
+    for url in (context.url, attempt.state.store_url) if assignment.network is Network.api else ():
+        if url:
+            parts = urlsplit(url)
+            host, port = parts.hostname or "", parts.port or _DEFAULT_PORTS[parts.scheme]
+            forwards[PortForward(host, port, host, port)] = None
     return RunJob(
         key=attempt.key,
         directory=attempt.directory,
-        command=command,
+        command=command_of(assignment, in_image=image is not None),
         image=image,
         resources=assignment.resources,
         network=assignment.network,
         environment=environment if assignment.token else {},
-        port_forwards=tuple(dict.fromkeys(_port_forward(url) for url in urls if url)),
+        port_forwards=tuple(forwards),
     )
-
-
-def _port_forward(url: str) -> PortForward:
-    parts = urlsplit(url)
-    host, port = parts.hostname or "", parts.port or _DEFAULT_PORTS[parts.scheme]
-    return PortForward(host, port, host, port)

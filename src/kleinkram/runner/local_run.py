@@ -4,8 +4,7 @@ import shutil
 import tempfile
 import threading
 import uuid
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.runs import ActionRef, Cause, EndReason, RunContext
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, RunJob, wait_for_end
-from kleinkram.runner.inputs import check_input_path, script_command, write_context
+from kleinkram.runner.inputs import check_input_path, command_of, write_context
 from kleinkram.runner.results import Results, collect_results
 
 _CHECK_EVERY_S = 0.05
@@ -57,23 +56,26 @@ def run_locally(
         raise InvalidInput(what="The parameters", reason=str(error)) from error
     if out.exists() and any(out.iterdir()):
         raise InvalidInput(what=f"The folder {str(out)!r}", reason="it is not empty")
-    with _job_directory() as directory:
-        files = matching_files(client, action, mission)
-        if not files:
-            raise NothingToDo(reason=f"No file of the mission {mission.name} is an input of {action.name}")
-        for file in files:
-            try:
-                check_input_path(file.path)
-            except ValueError as error:  # noqa: PERF203  (each error names its file)
-                raise InvalidInput(what=f"The file {file.path}", reason=str(error)) from None
-        report = download(client, plan_download(files, directory / "in"), watcher=watcher)
-        for failure in [*report.failures, *report.left_out]:
-            raise failure
-        for path in (directory / "in").rglob("*"):
-            path.chmod(0o755 if path.is_dir() else 0o444)
-        context = make_context(client, action, mission, files, parameters)
+    with tempfile.TemporaryDirectory(prefix="klein-run-") as name:
+        directory = Path(name)
+        # Some executors run the job as another user.
+        directory.chmod(0o711)
+        (directory / "in").mkdir()
+        files = _download_inputs(client, action, mission, directory / "in", watcher)
+        context = RunContext(
+            run_id=None,
+            action=ActionRef(name=action.name, version=None),
+            parameters=parameters,
+            cause=Cause(person=client.me.get().person),
+            mission=mission,
+            files=files,
+            topics=[topic for file in files for topic in client.files.topics(file.id)],
+            recordings=list(client.recordings.list(mission.id)),
+        )
         write_context(directory / "in", context, action.script)
-        job = make_job(action, directory)
+        command = command_of(action, in_image=action.image is not None)
+        key = f"local-{uuid.uuid4().hex[:12]}"
+        job = RunJob(key, directory, command, action.image, action.resources, action.network)
         ending = _run(executor, job, show)
         results = collect_results(executor.collect(job))
         for artifact in results.artifacts:
@@ -85,42 +87,27 @@ def run_locally(
     return LocalRun(ending, results, out)
 
 
-def matching_files(client: Client, action: ActionDefinition, mission: MissionRead) -> list[FileRead]:
-    """Return the files of a mission that are inputs of an action, by path."""
+def _download_inputs(
+    client: Client, action: ActionDefinition, mission: MissionRead, directory: Path, watcher: Watcher
+) -> list[FileRead]:
     inputs = action.inputs
-    criteria = FileFilter(
+    matching = FileFilter(
         mission_id=mission.id, path=inputs.paths, topic=inputs.topics, message_type=inputs.message_types
     )
-    return list(client.files.list(criteria))
-
-
-def make_context(
-    client: Client,
-    action: ActionDefinition,
-    mission: MissionRead,
-    files: list[FileRead],
-    parameters: ParameterValues,
-) -> RunContext:
-    """Return the content of `/in/mission.json` for a local run."""
-    return RunContext(
-        run_id=None,
-        action=ActionRef(name=action.name, version=None),
-        parameters=parameters,
-        cause=Cause(person=client.me.get().person),
-        mission=mission,
-        files=files,
-        topics=[topic for file in files for topic in client.files.topics(file.id)],
-        recordings=list(client.recordings.list(mission.id)),
-    )
-
-
-def make_job(action: ActionDefinition, directory: Path) -> RunJob:
-    """Return the job of an action."""
-    command = list(action.command)
-    if action.script is not None:
-        command = script_command(action.dependencies, in_image=action.image is not None)
-    key = f"local-{uuid.uuid4().hex[:12]}"
-    return RunJob(key, directory, command, action.image, action.resources, action.network)
+    files = list(client.files.list(matching))
+    if not files:
+        raise NothingToDo(reason=f"No file of the mission {mission.name} is an input of {action.name}")
+    for file in files:
+        try:
+            check_input_path(file.path)
+        except ValueError as error:  # noqa: PERF203  (each error names its file)
+            raise InvalidInput(what=f"The file {file.path}", reason=str(error)) from None
+    report = download(client, plan_download(files, directory), watcher=watcher)
+    for failure in [*report.failures, *report.left_out]:
+        raise failure
+    for path in directory.rglob("*"):
+        path.chmod(0o755 if path.is_dir() else 0o444)
+    return files
 
 
 def _run(executor: Executor, job: RunJob, show: Callable[[bytes], None]) -> Ending:
@@ -155,14 +142,3 @@ def _show_log(executor: Executor, job: RunJob, has_ended: threading.Event, show:
         if is_complete:
             return
         has_ended.wait(_CHECK_EVERY_S)
-
-
-@contextmanager
-def _job_directory() -> Iterator[Path]:
-    """Yield a temporary directory for a job."""
-    with tempfile.TemporaryDirectory(prefix="klein-run-") as name:
-        directory = Path(name)
-        # Some executors run the job as another user.
-        directory.chmod(0o711)
-        (directory / "in").mkdir()
-        yield directory

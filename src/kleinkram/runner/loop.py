@@ -10,7 +10,6 @@ import math
 import threading
 import time
 import uuid
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +19,6 @@ from kleinkram.client.config import Endpoint, EndpointSource
 from kleinkram.client.runs import Runners
 from kleinkram.client.server import Service
 from kleinkram.client.transfer.store import StoreClient
-from kleinkram.contract.actions import Resources
 from kleinkram.contract.errors import Forbidden, KleinkramError, NotAuthenticated, NotFound, ScopeMissing
 from kleinkram.contract.runners import (
     HEARTBEAT_S,
@@ -31,12 +29,11 @@ from kleinkram.contract.runners import (
     Heartbeats,
     RunnerRegistration,
 )
+from kleinkram.runner import state as runner_state
 from kleinkram.runner.active_run import ActiveRun
-from kleinkram.runner.context import LEASE_MARGIN_S, Lease, RunnerContext, StopRequest
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.limits import boot_time_s
-from kleinkram.runner.files import remove_tree
-from kleinkram.runner.state_directory import Attempt, StateDirectory, create_attempt, find_attempts
+from kleinkram.runner.state import LEASE_MARGIN_S, Attempt, Lease, RunnerContext, StateDirectory, StopRequest
 
 _log = logging.getLogger("kleinkram.runner")
 _HEARTBEAT_TIMEOUT_S = 10.0
@@ -154,13 +151,13 @@ class Runner:
             connections.close()
 
     def _continue_runs(self) -> None:
-        entries = find_attempts(self._state.runs)
+        entries = self._state.find_attempts()
         attempts = [entry for entry in entries if isinstance(entry, Attempt)]
         self._executor.remove_others([attempt.key for attempt in attempts])
         for entry in entries:
             if isinstance(entry, Path):
                 with contextlib.suppress(OSError):
-                    remove_tree(entry)
+                    runner_state.remove_tree(entry)
         until_s = max(boot_time_s() + _CONFIRMATION_S, self._state.last_heartbeat_s() + LEASE_S - LEASE_MARGIN_S)
         for attempt in attempts:
             _log.info("continuing the run %s", attempt.state.assignment.run_id)
@@ -211,7 +208,13 @@ class Runner:
         """Wait for a run and start it; None where there is none."""
         self._has_capacity.clear()
         active = self._active_runs()
-        free = remaining_capacity(self._executor.capacity, [run.assignment.resources for run in active])
+        capacity, used = self._executor.capacity, [run.assignment.resources for run in active]
+        free = Capacity(
+            cores=max(0.0, round(capacity.cores - sum(resources.cores for resources in used), 6)),
+            memory_bytes=max(0, capacity.memory_bytes - sum(resources.memory_bytes for resources in used)),
+            disk_bytes=max(0, capacity.disk_bytes - sum(resources.disk_bytes for resources in used)),
+            gpus=max(0, capacity.gpus - sum(resources.gpus for resources in used)),
+        )
         if free.cores < _MIN_CORES or min(free.memory_bytes, free.disk_bytes) < _MIN_BYTES:
             self._has_capacity.wait(HEARTBEAT_S)
             return None
@@ -228,7 +231,7 @@ class Runner:
             if assignment is None:
                 return None
             _log.info("got the run %s of %s", assignment.run_id, assignment.action.name)
-            attempt = create_attempt(self._state.runs, assignment)
+            attempt = self._state.create_attempt(assignment)
             # Counted from the request, the lease ends here before it does on the server.
             return self._add(attempt, Lease(requested_s + assignment.lease_s - LEASE_MARGIN_S), is_new=True)
         except NotFound:
@@ -301,13 +304,3 @@ class Runner:
         while not self._is_closed.wait(_ENFORCE_EVERY_S):
             for run in self._active_runs():
                 run.enforce()
-
-
-def remaining_capacity(capacity: Capacity, used: Sequence[Resources]) -> Capacity:
-    """Return the part of a capacity that runs have not reserved."""
-    return Capacity(
-        cores=max(0.0, round(capacity.cores - sum(resources.cores for resources in used), 6)),
-        memory_bytes=max(0, capacity.memory_bytes - sum(resources.memory_bytes for resources in used)),
-        disk_bytes=max(0, capacity.disk_bytes - sum(resources.disk_bytes for resources in used)),
-        gpus=max(0, capacity.gpus - sum(resources.gpus for resources in used)),
-    )

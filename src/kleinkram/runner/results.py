@@ -1,40 +1,61 @@
-"""Reads the results of a job from `/out`: artifacts, report, events. All of it is untrusted; no link is followed."""
+"""The results of a job: reads them from `/out`, uploads them, and reports the end of the run.
+
+The content of `/out` is untrusted: no link in it is followed.
+"""
 
 import contextlib
+import datetime
 import json
+import logging
+import math
 import os
 import stat
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
+from typing import IO
 
 from pydantic import ValidationError
 
+from kleinkram.client._http import Backoff
+from kleinkram.client.errors import ServerUnreachable, StoreTroubled, StoreUnreachable
+from kleinkram.client.transfer.plan import LocalFile, identity_of
+from kleinkram.client.transfer.report import Watcher
+from kleinkram.client.transfer.upload import Uploader
+from kleinkram.contract import errors, reports
 from kleinkram.contract.metadata import check_values
 from kleinkram.contract.names import check_file_path
-from kleinkram.contract.problems import in_plain_words
-from kleinkram.contract.reports import (
-    EVENTS_FILE,
-    MAX_EVENT_BYTES,
-    MAX_FINDINGS,
-    MAX_METRICS,
-    MAX_REPORT_BYTES,
-    REPORT_FILE,
-    Finding,
-    Metric,
-    Progress,
-    Report,
-    ReportEvent,
-)
-from kleinkram.runner.files import open_beneath
+from kleinkram.contract.problems import first_message
+from kleinkram.contract.runners import LOG_PATH, RunAssignment, RunFinish
+from kleinkram.contract.runs import EndReason
+from kleinkram.runner.executors.base import Ending, RunJob
+from kleinkram.runner.executors.limits import DISK_FULL
+from kleinkram.runner.logs import Redactor, write_redacted_log
+from kleinkram.runner.state import RunnerContext, StopSignal
 
 MAX_ARTIFACTS = 100_000
 _MAX_PROBLEMS = 100
+_MAX_EVENTS_BYTES = (reports.MAX_FINDINGS + reports.MAX_METRICS) * reports.MAX_EVENT_BYTES // 16
 _PROGRESS_BYTES = 2**20
 # The limit of all entries, links and directories included, so that a job cannot keep the runner busy.
 _MAX_ENTRIES = 10 * MAX_ARTIFACTS
+_REDACTED_LOG = "log.redacted"
+_JOURNALS = "journals"
+_CONNECTIONS = 4
+_MAX_CHARACTERS = 2000
+_MAX_REPORTED_PROBLEMS = 200
+_MAX_PROGRESS_CHARACTERS = 200
+_ROUNDS = 5
+_RETRY_EVERY_S = 2.0
+# Results stay on the runner while the store or the server is unavailable. After a quarter of an hour without the server
+# another runner may get the run first.
+_UNAVAILABLE_S = 7 * 86400.0
+_UNAVAILABLE_ERRORS = (ServerUnreachable, StoreUnreachable, errors.StoreUnavailable, errors.DatabaseUnavailable)
+_SERVER_ERROR_S = 600.0
+
+_log = logging.getLogger("kleinkram.runner")
 
 
 @dataclass(frozen=True)
@@ -53,7 +74,7 @@ class Results:
     """
 
     artifacts: list[Artifact] = field(default_factory=list)
-    report: Report = field(default_factory=Report)
+    report: reports.Report = field(default_factory=reports.Report)
     problems: list[str] = field(default_factory=list)
     report_error: str | None = None
 
@@ -64,12 +85,12 @@ class ProgressReader:
     def __init__(self, out: Path) -> None:
         self._out = out
         self._offset = 0
-        self.progress: Progress | None = None
+        self.progress: reports.Progress | None = None
 
     def read(self) -> None:
         """Read the events since the last call; invalid ones are reported at the end of the run."""
         try:
-            stream = open_beneath(self._out, EVENTS_FILE)
+            stream = _open_beneath(self._out, reports.EVENTS_FILE)
         except OSError:
             return
         if stream is None:
@@ -81,10 +102,10 @@ class ProgressReader:
             lines, line_end, _ = stream.read(_PROGRESS_BYTES).rpartition(b"\n")
             self._offset += len(lines) + len(line_end)
         for line in reversed(lines.splitlines()):
-            if b'"progress"' not in line or len(line) > MAX_EVENT_BYTES:
+            if b'"progress"' not in line or len(line) > reports.MAX_EVENT_BYTES:
                 continue
             with contextlib.suppress(ValidationError):
-                if (progress := ReportEvent.model_validate_json(line).progress) is not None:
+                if (progress := reports.ReportEvent.model_validate_json(line).progress) is not None:
                     self.progress = progress
                     return
 
@@ -96,17 +117,17 @@ def collect_results(out: Path) -> Results:
     problems = _Problems()
     artifacts = list(islice(_artifacts(out, problems), MAX_ARTIFACTS + 1))
     if len(artifacts) > MAX_ARTIFACTS:
-        problems.add_general(f"It left more than {MAX_ARTIFACTS} files; the others were not stored.")
+        problems.general.append(f"It left more than {MAX_ARTIFACTS} files; the others were not stored.")
         del artifacts[MAX_ARTIFACTS:]
     artifacts.sort(key=lambda artifact: artifact.path)
-    report, report_error = Report(), None
+    report, report_error = reports.Report(), None
     try:
-        if (data := _read(out, REPORT_FILE, MAX_REPORT_BYTES)) is not None:
-            report = Report.model_validate_json(data)
+        if (data := _read(out, reports.REPORT_FILE, reports.MAX_REPORT_BYTES)) is not None:
+            report = reports.Report.model_validate_json(data)
     except _Unreadable as error:
         report_error = str(error)
     except ValidationError as error:
-        report_error = f"{REPORT_FILE} is not a report: {_first(error)}."
+        report_error = f"{reports.REPORT_FILE} is not a report: {_first(error)}."
     report = _merged(_events(out, problems), report, problems)
     paths = {artifact.path for artifact in artifacts}
     for path in [*(preview.path for preview in report.previews), *(artifact.path for artifact in report.put_back)]:
@@ -127,16 +148,12 @@ class _Problems:
     """The first problems; the others are only counted, since there may be any number of them."""
 
     def __init__(self) -> None:
-        self._general: list[str] = []
+        self.general: list[str] = []
         self._first: list[str] = []
         self._more = 0
 
-    def add_general(self, problem: str) -> None:
-        """Add a problem that exists at most once; these come first."""
-        self._general.append(problem)
-
     def add(self, problem: str) -> None:
-        """Add a problem of a single entry."""
+        """Add a problem of a single entry; those in `general` come before."""
         if len(self._first) < _MAX_PROBLEMS:
             self._first.append(problem)
         else:
@@ -144,14 +161,13 @@ class _Problems:
 
     def sentences(self) -> list[str]:
         """Return the problems, and how many more there are."""
-        more = [f"And {self._more} more."] if self._more else []
-        return self._general + self._first + more
+        return [*self.general, *self._first, *([f"And {self._more} more."] if self._more else [])]
 
 
 def _artifacts(out: Path, problems: _Problems) -> Iterator[Artifact]:
     for number, entry in enumerate(_entries(out, problems)):
         if number == _MAX_ENTRIES:
-            problems.add_general(
+            problems.general.append(
                 f"It left more than {_MAX_ENTRIES} files, folders and links: the others were not read."
             )
             return
@@ -178,7 +194,7 @@ def _artifacts(out: Path, problems: _Problems) -> Iterator[Artifact]:
 
 def _entries(out: Path, problems: _Problems) -> Iterator[os.DirEntry[str]]:
     """Yield all entries below a directory of any size, without the report and the events."""
-    excluded = {str(out / REPORT_FILE), str(out / EVENTS_FILE.partition("/")[0])}
+    excluded = {str(out / reports.REPORT_FILE), str(out / reports.EVENTS_FILE.partition("/")[0])}
     pending = deque([str(out)])
     while pending:
         directory = pending.popleft()
@@ -201,7 +217,7 @@ def _read(out: Path, name: str, max_bytes: int) -> bytes | None:
         _Unreadable: it is no regular file, or too large.
     """
     try:
-        stream = open_beneath(out, name)
+        stream = _open_beneath(out, name)
     except OSError as error:
         raise _Unreadable(f"{name} cannot be read: {error.strerror or error}.") from error
     if stream is None:
@@ -213,26 +229,26 @@ def _read(out: Path, name: str, max_bytes: int) -> bytes | None:
     return data
 
 
-def _events(out: Path, problems: _Problems) -> list[ReportEvent]:
+def _events(out: Path, problems: _Problems) -> list[reports.ReportEvent]:
     try:
-        data = _read(out, EVENTS_FILE, (MAX_FINDINGS + MAX_METRICS) * MAX_EVENT_BYTES // 16) or b""
+        data = _read(out, reports.EVENTS_FILE, _MAX_EVENTS_BYTES) or b""
     except _Unreadable as error:
         problems.add(str(error))
         return []
     events = []
     for number, line in enumerate(data.splitlines(), 1):
         try:
-            events.append(ReportEvent.model_validate_json(line))
+            events.append(reports.ReportEvent.model_validate_json(line))
         except ValidationError as error:  # noqa: PERF203  (each line is checked by itself)
-            problems.add(f"Line {number} of {Path(EVENTS_FILE).name} is no event: {_first(error)}.")
+            problems.add(f"Line {number} of {Path(reports.EVENTS_FILE).name} is no event: {_first(error)}.")
     return events
 
 
-def _merged(events: list[ReportEvent], report: Report, problems: _Problems) -> Report:
+def _merged(events: list[reports.ReportEvent], report: reports.Report, problems: _Problems) -> reports.Report:
     """Merge the events with the report, which comes last; the last value of a metric counts."""
-    findings: list[Finding] = [event.finding for event in events if event.finding] + report.findings
+    findings: list[reports.Finding] = [event.finding for event in events if event.finding] + report.findings
     all_metrics = [event.metric for event in events if event.metric] + report.metrics
-    metrics: dict[tuple[str, str | None], Metric] = {(metric.name, metric.file): metric for metric in all_metrics}
+    metrics = list({(metric.name, metric.file): metric for metric in all_metrics}.values())
     previews = {one.path: one for one in [event.preview for event in events] + [*report.previews] if one}
     put_back = {one.to: one for one in [event.put_back for event in events] + [*report.put_back] if one}
     metadata = {name: value for event in events if event.metadata for name, value in event.metadata.items()}
@@ -242,12 +258,13 @@ def _merged(events: list[ReportEvent], report: Report, problems: _Problems) -> R
     except ValueError as error:
         problems.add(f"The proposed metadata {error}: left out.")
         metadata = {}
-    for what, count, limit in (("findings", len(findings), MAX_FINDINGS), ("metrics", len(metrics), MAX_METRICS)):
-        if count > limit:
-            problems.add(f"It reported {count} {what}; only the first {limit} are stored.")
-    return Report.model_construct(
-        findings=findings[:MAX_FINDINGS],
-        metrics=list(metrics.values())[:MAX_METRICS],
+    if len(findings) > reports.MAX_FINDINGS:
+        problems.add(f"It reported {len(findings)} findings; only the first {reports.MAX_FINDINGS} are stored.")
+    if len(metrics) > reports.MAX_METRICS:
+        problems.add(f"It reported {len(metrics)} metrics; only the first {reports.MAX_METRICS} are stored.")
+    return reports.Report.model_construct(
+        findings=findings[: reports.MAX_FINDINGS],
+        metrics=metrics[: reports.MAX_METRICS],
         previews=list(previews.values()),
         metadata=metadata,
         put_back=list(put_back.values()),
@@ -256,4 +273,202 @@ def _merged(events: list[ReportEvent], report: Report, problems: _Problems) -> R
 
 def _first(error: ValidationError) -> str:
     where = ".".join(map(str, error.errors(include_url=False, include_input=False)[0]["loc"]))
-    return json.dumps(where) + ": " + in_plain_words(error) if where else in_plain_words(error)
+    return json.dumps(where) + ": " + first_message(error) if where else first_message(error)
+
+
+def _open_beneath(directory: Path, relative: str) -> IO[bytes] | None:
+    """Open a regular file below a directory that untrusted code wrote to; None where it does not exist.
+
+    Raises:
+        OSError: it is not a regular file, or a link is on the way.
+    """
+    *parents, name = relative.split("/")
+    flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC
+    current = os.open(directory, flags | os.O_DIRECTORY)
+    try:
+        for parent in parents:
+            child = os.open(parent, flags | os.O_DIRECTORY, dir_fd=current)
+            os.close(current)
+            current = child
+        descriptor = os.open(name, flags | os.O_NONBLOCK, dir_fd=current)
+    except FileNotFoundError:
+        return None
+    finally:
+        os.close(current)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(f"{name} is no regular file")
+    return os.fdopen(descriptor, "rb")
+
+
+@dataclass(frozen=True)
+class RejectedFile:
+    """A file that was not stored. `is_temporary`: the store or the server is unavailable."""
+
+    path: str
+    reason: str
+    is_temporary: bool = False
+
+
+class ResultUpload:
+    """Uploads the results of one run, whose job has ended. May be repeated from the start."""
+
+    def __init__(
+        self,
+        context: RunnerContext,
+        job: RunJob,
+        assignment: RunAssignment,
+        *,
+        stop: StopSignal,
+        redactor: Redactor,
+        progress: reports.Progress | None,
+    ) -> None:
+        self._context = context
+        self._job = job
+        self._assignment = assignment
+        self._stop = stop
+        self._redactor = redactor
+        self._uploader: Uploader | None = None
+        # The last progress, and what the upload waits for.
+        self.progress = progress and reports.Progress(fraction=progress.fraction)
+
+    def interrupt(self) -> None:
+        """Have `upload` return soon; from another thread."""
+        if self._uploader is not None:
+            self._uploader.end()
+
+    def upload(self, ending: Ending) -> RunFinish:
+        """Upload the artifacts and the log, and return what to report.
+
+        Raises:
+            StopRequested: the run is to stop.
+            RunGone: it is not this runner's.
+        """
+        out = self._context.executor.collect(self._job)
+        results = collect_results(out)
+        problems = [*results.problems]
+        if results.report_error is not None:
+            problems.append(results.report_error)
+            if ending.reason is EndReason.done:
+                ending = Ending(EndReason.broken_report, results.report_error, ending.exit_code)
+        if ending.reason is EndReason.cancelled and results.artifacts:
+            problems.append(f"It was cancelled: its {len(results.artifacts)} files were not stored.")
+            results.artifacts.clear()
+        files: list[LocalFile] = []
+        rejected: list[RejectedFile] = []
+        log = self._job.directory / _REDACTED_LOG
+        if write_redacted_log(self._context.executor, self._job, self._redactor, log):
+            files.append(LocalFile(log, LOG_PATH, identity_of(log.stat())))
+        for artifact in results.artifacts:
+            source = out / artifact.path
+            try:
+                files.append(LocalFile(source, artifact.path, identity_of(source.lstat())))
+            except FileNotFoundError:  # in NFC the name may be another one, of which there is no file
+                rejected.append(RejectedFile(artifact.path, "its name is not in the form NFC"))
+        rejected += self._upload(files) if files else []
+        for file in rejected:
+            name = "Its log" if file.path == LOG_PATH else file.path
+            problems.append(f"{name} was not stored: {file.reason}")
+        if ending.reason is EndReason.done and any(file.path != LOG_PATH for file in rejected):
+            ending = Ending(EndReason.results_not_stored, problems[-1], ending.exit_code)
+        return self._finish_of(ending, results.report, problems)
+
+    def without_results(self, ending: Ending) -> RunFinish:
+        """Return what to report of a run that was cancelled while its results were uploaded."""
+        problem = "It was cancelled while its results were uploaded: none were stored."
+        return self._finish_of(ending, reports.Report(), [problem])
+
+    def without_disk_space(self) -> RunFinish:
+        """Return what to report of a run that cannot be completed because the disk is full."""
+        problem = "Its results were not stored, or not all of them: the disk of its runner is full."
+        return self._finish_of(Ending.of(DISK_FULL), reports.Report(), [problem])
+
+    def report(self, finish: RunFinish) -> None:
+        """Report the end to the server, for as long as that takes.
+
+        Raises:
+            StopRequested: the run is to stop.
+            RunGone: it is not this runner's.
+            KleinkramError: the server does not accept it.
+        """
+        backoff = Backoff(_SERVER_ERROR_S, self._stop.wait)
+        run_id = self._assignment.run_id
+        while True:
+            try:
+                self._context.runners.with_retry(math.inf, self._stop.wait).finish(run_id, finish)
+                return
+            except errors.RunGone:  # noqa: PERF203  (each round is a request)
+                raise
+            except (errors.InvalidRequest, errors.BodyTooLarge) as error:
+                problem = _shortened(f"The server did not accept its report: {error}")
+                if finish.problems == [problem]:
+                    raise
+                finish = finish.model_copy(update={"report": reports.Report(), "problems": [problem], "samples": []})
+            except errors.KleinkramError as error:
+                _log.warning("reporting the end of the run %s is repeated: %s", run_id, error)
+                if not backoff.pause():
+                    raise
+
+    def _upload(self, files: Sequence[LocalFile]) -> list[RejectedFile]:
+        """Upload files, and repeat rejected ones: afterwards the directory of the run is removed."""
+        rounds, unavailable = 0, Backoff(_UNAVAILABLE_S, self._stop.wait)
+        while True:
+            self._stop.check()
+            try:
+                rejected = self._upload_once(files)
+                self._stop.check()
+            except errors.RunGone:
+                raise
+            except errors.KleinkramError as error:
+                is_temporary = isinstance(error, _UNAVAILABLE_ERRORS)
+                rejected = [RejectedFile(file.path, str(error), is_temporary) for file in files]
+            temporary = next((file.reason for file in rejected if file.is_temporary), None)
+            if temporary is not None:
+                # With the time, as the message stays once all is well again.
+                now = datetime.datetime.now(datetime.timezone.utc)
+                message = f"uploading results again; at {now:%Y-%m-%d %H:%M}Z: {temporary.partition('. ')[0]}"
+                fraction = self.progress.fraction if self.progress else 1
+                message = _shortened(message, _MAX_PROGRESS_CHARACTERS)
+                self.progress = reports.Progress(fraction=fraction, message=message)
+            rounds += not (temporary is not None and unavailable.pause())
+            if not rejected or rounds == _ROUNDS:
+                return rejected
+            run_id = self._assignment.run_id
+            _log.warning("results of the run %s are uploaded again: %s", run_id, rejected[0].reason)
+            paths = {file.path for file in rejected}
+            files = [file for file in files if file.path in paths]
+            self._stop.wait(_RETRY_EVERY_S)
+
+    def _upload_once(self, files: Sequence[LocalFile]) -> list[RejectedFile]:
+        """Upload files by the protocol of all uploads; stored content is not sent again."""
+        run_id = self._assignment.run_id
+        self._uploader = Uploader(
+            self._context.runners.uploads(run_id, self._assignment.attempt),
+            self._context.url,
+            run_id,
+            connections=min(_CONNECTIONS, len(files)),
+            bytes_per_s=None,
+            watcher=Watcher(),
+            journals=self._job.directory / _JOURNALS,
+        )
+        self._uploader.run(files)
+        return [
+            RejectedFile(result.path, str(result.error), is_temporary=isinstance(result.error, StoreTroubled))
+            for result in self._uploader.results
+            if result.error is not None
+        ]
+
+    def _finish_of(self, ending: Ending, report: reports.Report, problems: Sequence[str]) -> RunFinish:
+        return RunFinish(
+            attempt=self._assignment.attempt,
+            reason=ending.reason,
+            message=_shortened(ending.message),
+            exit_code=ending.exit_code,
+            report=report,
+            problems=[_shortened(problem) for problem in problems[:_MAX_REPORTED_PROBLEMS]],
+        )
+
+
+def _shortened(text: str, limit: int = _MAX_CHARACTERS) -> str:
+    """Return a text that can be sent: file names may not be valid Unicode."""
+    return text.encode(errors="backslashreplace").decode().replace("\0", "")[:limit]

@@ -17,13 +17,13 @@ from kleinkram.server.settings import Settings, plain_dsn
 
 _NICENESS = 10
 _NOT_STARTED = 3
-# A page of a hundred rows makes some thousand objects that all go with it: to look for cycles among them every 700, as
-# Python does, finds none, and takes a twentieth of the processor's time.
-_LOOKS_FOR_CYCLES_EVERY = 10_000
+# A page of a hundred rows allocates thousands of objects without cycles. With Python's default of 700, the garbage
+# collector takes 5 % of the CPU time.
+_GC_THRESHOLD = 10_000
 
 
 def main() -> None:
-    """Run one of the server's processes until it is told to stop."""
+    """Run one of the server's processes until it receives a signal to stop."""
     arguments = _parser().parse_args()
     if arguments.command == "check":
         _check(as_json=arguments.as_json)
@@ -46,7 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m kleinkram.server", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("migrate", help="bring the database schema to this version")
-    check = commands.add_parser("check", help="say what is wrong with settings, database, store and this machine")
+    check = commands.add_parser("check", help="check settings, database, store and this machine")
     check.add_argument("--json", action="store_true", dest="as_json")
     worker = commands.add_parser("worker", help="run background jobs")
     api = commands.add_parser("api", help="serve the API")
@@ -71,7 +71,7 @@ def _migrate(settings: Settings) -> None:
 
 
 def _check(*, as_json: bool) -> NoReturn:
-    from kleinkram.server.checks import main as check
+    from kleinkram.server.health.checks import main as check
 
     sys.exit(check(as_json=as_json))
 
@@ -81,7 +81,7 @@ def _work(settings: Settings) -> None:
         from kleinkram.server.health.metrics_server import MetricsPortUnusable
         from kleinkram.server.worker import run_worker
 
-    # Whatever people wait for goes first: uploads, downloads, requests. What reads recordings inherits this.
+    # Requests have priority over jobs. The child processes that read recordings inherit this.
     os.nice(_NICENESS)
     try:
         asyncio.run(run_worker(settings))
@@ -109,7 +109,7 @@ def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
         log_config=None,
         access_log=False,
         server_header=False,
-        proxy_headers=False,  # `proxies` decides whom to believe
+        proxy_headers=False,  # `http/headers.py` decides which proxies to trust
         timeout_graceful_shutdown=10,
     )
     server = ApiServer(config, app)
@@ -121,11 +121,11 @@ def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
 
 @contextlib.contextmanager
 def _loading() -> Iterator[None]:
-    """Collect no garbage meanwhile, seldom later, and never look again at what was loaded: it stays."""
+    """Import modules without garbage collection, and exclude what they allocate from later collections."""
     gc.disable()
     yield
     gc.freeze()
-    gc.set_threshold(_LOOKS_FOR_CYCLES_EVERY)
+    gc.set_threshold(_GC_THRESHOLD)
     gc.enable()
 
 

@@ -11,7 +11,7 @@ import kleinkram
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
 from kleinkram.server.actions.routes import router as actions
 from kleinkram.server.admin.routes import router as admin
-from kleinkram.server.audit.admin_access import AdminReads
+from kleinkram.server.audit.requests import AdminReads, Refusals
 from kleinkram.server.audit.routes import router as audit
 from kleinkram.server.auth.bootstrap import let_owner_in, log_bootstrap_code
 from kleinkram.server.auth.local_accounts import PasswordHasher
@@ -33,7 +33,6 @@ from kleinkram.server.home.routes import router as home_summary
 from kleinkram.server.http.dependencies import requires_actor
 from kleinkram.server.http.errors import install_error_handlers
 from kleinkram.server.http.middleware import RequestMiddleware
-from kleinkram.server.jobs.queue import queue
 from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.overviews.routes import router as overviews
 from kleinkram.server.people.routes import router as people
@@ -87,7 +86,7 @@ ROUTERS = (
 
 # Any operation may fail with any code of the closed list in the schema; clients branch on it (RFC 9457).
 _PROBLEM = {
-    "description": "A failure as a problem document (RFC 9457); `code` says which.",
+    "description": "A failure as a problem document (RFC 9457), identified by `code`.",
     "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/ProblemDocument"}}},
 }
 
@@ -139,8 +138,7 @@ def create_app(settings: Settings) -> FastAPI:
         responses={"default": _PROBLEM},
     )
     app.state.settings = settings
-    app.state.queue = queue
-    app.state.admin_reads = AdminReads()
+    app.state.admin_reads, app.state.refusals = AdminReads(), Refusals()
     app.add_middleware(RequestMiddleware, settings=settings)
     install_error_handlers(app)
     for router in ROUTERS:
@@ -157,4 +155,4 @@ def require_guards(routers: Sequence[APIRouter]) -> None:
         is_guarded = isinstance(route, APIRoute) and requires_actor(route) and route.operation_id in OPERATIONS
         path = getattr(route, "path", str(route))
         if not is_guarded and path not in OPEN_PAGES:
-            raise RuntimeError(f"{path} has no row in access/operations.py, or does not ask who comes")
+            raise RuntimeError(f"{path} has no row in access/operations.py, or does not authenticate")

@@ -1,14 +1,14 @@
-"""Connections and transactions: SQLAlchemy Core over psycopg 3, no ORM.
+"""Connections and transactions, and the SQL expressions that features share: SQLAlchemy Core over psycopg 3, no ORM.
 
-A request has one transaction by default: committed when the route returns, rolled back when it raises. Where the object
-store must be asked in between, a flow opens several with `Database.begin`; what only reads may do without
-(`Database.autocommit`).
+A request has one transaction by default: committed when the route returns, rolled back when it raises. Code that calls
+the object store opens several with `Database.begin`; reads can do without a transaction (`Database.autocommit`).
 """
 
+import hashlib
 import select
 from collections.abc import AsyncIterator, Iterable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager
-from typing import Any
+from typing import Any, overload
 
 import psycopg
 from psycopg.types.array import ListBinaryDumper
@@ -26,10 +26,12 @@ from sqlalchemy import (
     bindparam,
     column,
     event,
+    false,
     func,
     insert,
     literal,
     make_url,
+    or_,
 )
 from sqlalchemy import select as sql_select
 from sqlalchemy.dialects import postgresql
@@ -39,12 +41,15 @@ from sqlalchemy.ext.asyncio import AsyncConnection, AsyncEngine, create_async_en
 from sqlalchemy.types import UserDefinedType
 
 from kleinkram.contract.errors import DatabaseUnavailable
+from kleinkram.contract.names import name_key
 from kleinkram.server.settings import Settings, async_dsn
 
 # Longer than any statement of the API on a large database; workers may need longer.
 STATEMENT_TIMEOUT_S = 30
 _POOL_TIMEOUT_S = 20
 _DISK_FULL = "its disk is full: free space on the server"
+# A row of an index holds 2704 bytes: a topic's name and type together stay well below.
+_MAX_TEXT_BYTES = 1000
 # The first parameter of services: an open transaction that they must not end.
 Connection = AsyncConnection
 
@@ -93,13 +98,13 @@ def _translate_errors() -> Iterator[None]:
 
 
 def open_database(settings: Settings, *, statement_timeout_s: float | None = STATEMENT_TIMEOUT_S) -> Database:
-    """Return a pool that connects when first used, and notices connections that a restart of PostgreSQL broke.
+    """Return a pool that connects when first used, and replaces connections that a restart of PostgreSQL broke.
 
-    A statement that takes longer than `statement_timeout_s` is ended by the database; None leaves that to its settings.
+    The database cancels statements after `statement_timeout_s`; None leaves that to its settings.
     """
     url = make_url(async_dsn(settings.database_url))
     arguments: dict[str, object] = {"connect_timeout": 5, "application_name": "kleinkram"}
-    # Planned for the values of each request: what suits most words, labels and people may be the worst for one of them.
+    # Plan for the values of each request: the best plan for most words, labels and people may be the worst for others.
     options = [*url.normalized_query.get("options", ()), "-c plan_cache_mode=force_custom_plan"]
     if statement_timeout_s is not None:
         options.append(f"-c statement_timeout={round(statement_timeout_s * 1000)}")
@@ -110,7 +115,7 @@ def open_database(settings: Settings, *, statement_timeout_s: float | None = STA
         max_overflow=0,
         pool_timeout=_POOL_TIMEOUT_S,
         connect_args=arguments,
-        # Where no transaction is wanted, none is ended either, and nothing is set on the way: most requests read.
+        # Saves round trips of requests that only read, which are most.
         isolation_level="AUTOCOMMIT",
         skip_autocommit_rollback=True,
         hide_parameters=True,  # in the text of errors, which is logged
@@ -127,7 +132,8 @@ def _send_binary_arrays(connection: Any, *_: object) -> None:
 
 
 def _check_connection(connection: Any, *_: object) -> None:
-    # Readable while idle: PostgreSQL closed it. As reliable as a ping, except for a lost network, without a round trip.
+    # If it is readable while idle, PostgreSQL closed it. Without the round trip of a ping, which would also detect a
+    # lost network.
     poll = select.poll()
     poll.register(connection.driver_connection.pgconn.socket, select.POLLIN)
     if poll.poll(0):
@@ -155,13 +161,54 @@ def by_name(rows: Sequence[Row[Any]]) -> list[dict[str, Any]]:
 
 
 def among(column: ColumnElement[Any], values: Iterable[object]) -> ColumnElement[bool]:
-    """Whether a column has one of some values, sent as one array: the statement is the same for any number of them."""
+    """Whether a column has one of some values, sent as one array: the statement does not depend on their number."""
     return column == any_(literal([*values], ARRAY(column.type)))
 
 
 def among_parameter(column: ColumnElement[Any], name: str) -> ColumnElement[bool]:
     """Like `among`, with the values of the bind parameter `name`."""
     return column == any_(bindparam(name, type_=ARRAY(column.type)))
+
+
+ESCAPE = "\\"
+
+
+def like_pattern(glob: str) -> str:
+    """Return the LIKE pattern of a glob: `*` is any run of characters, `?` is one, all else is itself."""
+    return _escaped(glob).replace("*", "%").replace("?", "_")
+
+
+def containing(text: str) -> str:
+    """Return the LIKE pattern of texts that contain `text`."""
+    return f"%{_escaped(text)}%"
+
+
+def _escaped(text: str) -> str:
+    for special in (ESCAPE, "%", "_"):
+        text = text.replace(special, ESCAPE + special)
+    return text
+
+
+def matches(column: ColumnElement[str], glob: str) -> ColumnElement[bool]:
+    """Whether a column matches a glob, letter case included; without a wildcard, whether it is equal."""
+    if "*" in glob or "?" in glob:
+        return column.like(like_pattern(glob), escape=ESCAPE)
+    return column == glob
+
+
+def matches_key(column: ColumnElement[str], glob: str) -> ColumnElement[bool]:
+    """Whether a column of name keys matches a glob, in any case and Unicode form."""
+    return matches(column, name_key(glob))
+
+
+def matches_any(column: ColumnElement[str], globs: Sequence[str]) -> ColumnElement[bool]:
+    """Whether a column matches at least one glob, letter case included."""
+    return or_(false(), *(matches(column, glob) for glob in globs))
+
+
+def contains_word(column: ColumnElement[str], word: str) -> ColumnElement[bool]:
+    """Whether a text contains a word, in any case."""
+    return column.ilike(containing(word), escape=ESCAPE)
 
 
 def violated_constraint(error: DBAPIError) -> str | None:
@@ -192,3 +239,20 @@ def upsert_rows(table: Table, rows: Sequence[Mapping[str, Any]]) -> postgresql.I
 
 def _select_rows(table: Table, rows: Sequence[Mapping[str, Any]]) -> Select[Any]:
     return sql_select(unnest_rows([table.c[key] for key in rows[0]], rows))
+
+
+@overload
+def fit_text(text: str) -> str: ...
+@overload
+def fit_text(text: None) -> None: ...
+def fit_text(text: str | None) -> str | None:
+    """Return `text` without what PostgreSQL cannot store (NUL, lone surrogates), at most 1000 bytes of UTF-8.
+
+    Longer text is cut and ends with a hash of the whole, so that different texts stay different.
+    """
+    if text is None:
+        return None
+    whole = text.encode("utf-8", "backslashreplace").replace(b"\0", b"\\0")
+    if len(whole) > _MAX_TEXT_BYTES:
+        whole = whole[: _MAX_TEXT_BYTES - 20] + b"..." + hashlib.sha256(whole).hexdigest()[:16].encode()
+    return whole.decode("utf-8", "ignore")

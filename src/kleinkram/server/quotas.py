@@ -1,6 +1,7 @@
-"""Quotas of projects: the files that a project shows and the uploads under way, each with all its bytes.
+"""Quotas of projects, which count visible files and open uploads.
 
-Call these after locking the mission and before locking an upload, blob or file: two requests cannot use the same room.
+Call these after locking the mission and before locking an upload, blob or file, so that two requests cannot use the
+same space.
 """
 
 import uuid
@@ -38,7 +39,7 @@ async def require_room(db: Connection, actor: Actor, *, project_id: uuid.UUID, r
     row = (await db.execute(stmt.where(project.c.id == project_id))).one()
     if requested.files == 0 or (row.quota_bytes is None and row.quota_files is None):
         return
-    # Not the project's row: who fills a mission locks that only for share, and others take the two in reverse order.
+    # Not the project's row: uploads lock it for share only, and other transactions lock the two in reverse order.
     key = int.from_bytes(project_id.bytes[:4], "big", signed=True)
     await db.execute(select(func.pg_advisory_xact_lock(_LOCK_CLASS, key)))
     missions = select(mission.c.id).where(mission.c.project_id == project_id, mission.c.deleted_at.is_(None))
@@ -68,7 +69,7 @@ async def project_of(db: Connection, mission_id: uuid.UUID) -> uuid.UUID:
 
 
 async def _amount_in(db: Connection, missions: Select[tuple[uuid.UUID]]) -> Amount:
-    # One statement, which sees an upload or the file that it became, never neither.
+    # One statement, so that an upload that becomes a file is counted.
     files = select(blob.c.size_bytes).join_from(file, blob, blob.c.id == file.c.blob_id)
     uploads = select(upload.c.size_bytes).where(upload.c.state.in_(UNDER_WAY), upload.c.mission_id.in_(missions))
     live = files.where(file.c.deleted_at.is_(None), file.c.mission_id.in_(missions))

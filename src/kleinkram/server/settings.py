@@ -47,7 +47,7 @@ class OpenTo(str, enum.Enum):
 
 
 class OidcProvider(BaseModel):
-    """One OpenID Connect provider. It is trusted to verify addresses in `trusted_domains`; `*` means every domain."""
+    """An OpenID Connect provider. It is trusted to verify addresses in `trusted_domains`; `*` means every domain."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -341,7 +341,7 @@ class Settings(BaseSettings):
 
     @property
     def store_public_url(self) -> str:
-        """The address that clients' signatures name."""
+        """The URL of the store in signatures for clients."""
         return self.s3_public_url or self.s3_internal_url
 
 
@@ -369,7 +369,7 @@ def _with_password(url: str, password: object) -> str:
 
 
 def origin_of(url: str) -> str:
-    """Return the origin of an address as browsers write it: in small letters, without the usual port."""
+    """Return the origin of an address as browsers write it: in lower case, without the default port."""
     parts = urlsplit(url)
     scheme, host = parts.scheme.lower(), parts.hostname or ""
     host = f"[{host}]" if ":" in host else host
@@ -378,10 +378,10 @@ def origin_of(url: str) -> str:
 
 
 def async_dsn(url: PostgresDsn) -> str:
-    """Return a database address as SQLAlchemy wants it, with the psycopg driver."""
+    """Return a database URL for SQLAlchemy, with the psycopg driver."""
     return f"postgresql+psycopg://{str(url).split('://', 1)[1]}"
 
 
 def plain_dsn(url: PostgresDsn) -> str:
-    """Return a database address as libpq wants it."""
+    """Return a database URL for libpq."""
     return f"postgresql://{str(url).split('://', 1)[1]}"

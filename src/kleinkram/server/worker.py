@@ -1,6 +1,6 @@
 """The worker: a process that runs the jobs of the queue, and puts back jobs of dead workers.
 
-It survives a restart of PostgreSQL: each lane reconnects.
+It survives a restart of PostgreSQL: each queue reconnects.
 """
 
 import asyncio
@@ -18,32 +18,33 @@ from procrastinate.jobs import Job as ProcrastinateJob
 from procrastinate.jobs import Status
 
 import kleinkram
+from kleinkram.server import maintenance as _maintenance
 from kleinkram.server.blobs import jobs as _blob_jobs
 from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Database, open_database
 from kleinkram.server.health.metrics_server import serve_metrics
 from kleinkram.server.health.readiness import heartbeat
-from kleinkram.server.jobs.attempts import Attempts, record_failure
-from kleinkram.server.jobs.back_pressure import BackPressure
+from kleinkram.server.jobs.execution import Attempts, BackPressure, record_failure
 from kleinkram.server.jobs.queue import DEFAULT, EXAMINING, GROUPING, VERIFICATION, queue
 from kleinkram.server.recordings import jobs as _recording_jobs
 from kleinkram.server.recordings.jobs import MetadataCache, RegroupDebounce
-from kleinkram.server.runs import jobs as _run_jobs
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
-from kleinkram.server.uploads import jobs as _upload_jobs
+from kleinkram.server.uploads import completion as _upload_jobs
 
 _log = logging.getLogger("kleinkram.worker")
 _AT_ONCE = 3
 _STALLED_CHECK_S = 20
+# A worker that stops while the database is down waits for this time twice.
+_POOL_TIMEOUT_S = 4.0
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 10.0
 # After running for this long, the pauses start again with the shortest.
 _STEADY_S = 30.0
 # The database is away, refuses connections, or closed one. psycopg's own errors come from opening the pool.
 _DATABASE_AWAY = (ConnectorException, psycopg.OperationalError)
 # Importing the jobs of a feature registers them with the queue.
-JOB_MODULES = (_blob_jobs, _recording_jobs, _run_jobs, _upload_jobs)
+JOB_MODULES = (_blob_jobs, _maintenance, _recording_jobs, _upload_jobs)
 
 
 async def run_worker(settings: Settings) -> None:
@@ -66,8 +67,9 @@ async def run_worker(settings: Settings) -> None:
 async def _open_and_run(settings: Settings, stopping: asyncio.Event) -> None:
     pauses = _Pauses()
     while not stopping.is_set():
-        # Without the timeout, a stopping worker would wait half a minute for an absent database.
-        connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=8, timeout=10)
+        connector = PsycopgConnector(
+            conninfo=plain_dsn(settings.database_url), min_size=1, max_size=8, timeout=_POOL_TIMEOUT_S
+        )
         # Periodic jobs belong to the app they were declared on, so that one is resources the worker's connector.
         with queue.replace_connector(connector) as app:
             try:
@@ -90,7 +92,7 @@ class _Pauses:
             self._pause_s = _FIRST_PAUSE_S
         reason = "a connection ended" if error is None else str(error.__cause__ or error).strip()
         fields = {"reason": reason.partition("\n")[0], "pause_s": self._pause_s}
-        _log.warning(f"the database went away: {what} begins anew after a pause", extra={"fields": fields})
+        _log.warning(f"the database went away: {what} restarts after a pause", extra={"fields": fields})
         await asyncio.sleep(self._pause_s)
         self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
         self._began = time.monotonic()
@@ -99,12 +101,12 @@ class _Pauses:
 async def _run(app: App, settings: Settings) -> None:
     database = open_database(settings, statement_timeout_s=None)
     try:
-        await _run_lanes(app, settings, database)
+        await _run_queues(app, settings, database)
     finally:
         await database.close()
 
 
-async def _run_lanes(app: App, settings: Settings, database: Database) -> None:
+async def _run_queues(app: App, settings: Settings, database: Database) -> None:
     is_over = asyncio.Event()
     async with (
         open_storage(settings) as storage,
@@ -118,16 +120,16 @@ async def _run_lanes(app: App, settings: Settings, database: Database) -> None:
             "context": AppContext(database, storage, settings),
             "readers": readers,
             "back_pressure": back_pressure,
-            "understanding": MetadataCache(readers),
-            "rests": RegroupDebounce(),
+            "metadata_cache": MetadataCache(readers),
+            "regroup_debounce": RegroupDebounce(),
             "attempts": attempts,
         }
-        lanes = ((DEFAULT, _AT_ONCE), (VERIFICATION, 1), (EXAMINING, 1), (GROUPING, 1))
+        queues = ((DEFAULT, _AT_ONCE), (VERIFICATION, 1), (EXAMINING, 1), (GROUPING, 1))
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
         tasks = [
             *(
-                asyncio.create_task(_keep_working(app, resources, is_over, lane=lane, at_once=at_once))
-                for lane, at_once in lanes
+                asyncio.create_task(_keep_working(app, resources, is_over, name=name, at_once=at_once))
+                for name, at_once in queues
             ),
             asyncio.create_task(_rescue_stalled(app, attempts)),
         ]
@@ -145,23 +147,23 @@ async def _run_lanes(app: App, settings: Settings, database: Database) -> None:
 
 
 async def _keep_working(
-    app: App, resources: dict[str, object], is_over: asyncio.Event, *, lane: str, at_once: int
+    app: App, resources: dict[str, object], is_over: asyncio.Event, *, name: str, at_once: int
 ) -> None:
-    """Run the jobs of one lane, again after each loss of the database, until the worker ends."""
+    """Run the jobs of one queue, again after each loss of the database, until the worker ends."""
     pauses = _Pauses()
     while not is_over.is_set():
-        error: Exception | None = None  # a lane whose listener lost its connection ends without an error
+        error: Exception | None = None  # a queue whose listener lost its connection ends without an error
         try:
-            await _work(app, resources, lane=lane, at_once=at_once)
+            await _work(app, resources, name=name, at_once=at_once)
         except _DATABASE_AWAY as raised:
             error = raised
         if not is_over.is_set():
-            await pauses.wait(f"lane {lane}", error)
+            await pauses.wait(f"queue {name}", error)
 
 
-async def _work(app: App, resources: dict[str, object], *, lane: str, at_once: int) -> None:
+async def _work(app: App, resources: dict[str, object], *, name: str, at_once: int) -> None:
     await app.run_worker_async(
-        queues=[lane],
+        queues=[name],
         concurrency=at_once,
         install_signal_handlers=False,
         additional_context=resources,
@@ -193,12 +195,12 @@ async def _rescue_stalled(app: App, attempts: Attempts) -> None:
 async def _abandoned(app: App, attempts: Attempts) -> Iterable[ProcrastinateJob]:
     """Return jobs that this process runs according to the queue, but does not."""
     doing = await app.job_manager.list_jobs_async(status=Status.DOING.value)
-    return [job for job in doing if job.worker_id in attempts.lanes and job.id not in attempts.running]
+    return [job for job in doing if job.worker_id in attempts.worker_ids and job.id not in attempts.running]
 
 
 async def _rescue(app: App, job: ProcrastinateJob) -> None:
     """Put one job back; a periodic one is deleted instead, because its next round is waiting already."""
-    _log.warning("job was left unfinished: it is done again", extra={"fields": {"job": job.task_name, "id": job.id}})
+    _log.warning("job was left unfinished: it will run again", extra={"fields": {"job": job.task_name, "id": job.id}})
     try:
         if job.queueing_lock is not None:
             await app.job_manager.finish_job(job, status=Status.FAILED, delete_job=True)

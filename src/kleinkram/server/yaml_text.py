@@ -192,7 +192,7 @@ class _Builder:
 
 def _scalar(event: ScalarEvent) -> JsonValue:
     text = _storable_text(event)
-    if event.style is not None:  # quoted or a block: text, whatever it looks like
+    if event.style is not None:  # quoted or a block: always text
         return text
     try:
         return resolve_plain(text)

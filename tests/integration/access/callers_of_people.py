@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from kleinkram.contract.access import Right, Scope
-from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
+from kleinkram.server.access.builtin_groups import ADMINS_ID, OWNER_ID
 from tests.integration import people
 from tests.integration.access.call import (
     Caller,

@@ -30,7 +30,7 @@ def klein(api: Api, monkeypatch: pytest.MonkeyPatch) -> Klein:
     return run
 
 
-def test_a_second_person_is_refused_then_granted_then_sees(api: Api, klein: Klein) -> None:
+def test_a_second_person_sees_a_project_only_after_a_grant(api: Api, klein: Klein) -> None:
     ada, bob = person(api), person(api, email="bob@lab.example")
     name = klein(ada, "project", "create", f"alps of {ada.name}")["name"]
     with pytest.raises(NotFound):
@@ -56,7 +56,7 @@ def test_a_second_person_is_refused_then_granted_then_sees(api: Api, klein: Klei
         klein(ada, "access", "revoke", "-p", name, "--to", ada.name)
 
 
-def test_a_group_is_made_filled_granted_and_ended(api: Api, klein: Klein) -> None:
+def test_a_group_is_created_filled_granted_rights_and_deleted(api: Api, klein: Klein) -> None:
     ada, bob = person(api), person(api)
     group(api, members=[ada, bob])
     name = klein(ada, "group", "create", f"drivers of {ada.name}")["name"]
@@ -94,7 +94,7 @@ def test_a_name_of_both_a_person_and_a_group_must_be_disambiguated(api: Api, kle
         klein(bob, "access", "grant", "-p", project["name"], "--to", bob.id, "DELETE")
 
 
-def test_an_admin_sees_everybody_and_lets_them_go(api: Api, klein: Klein) -> None:
+def test_an_admin_lists_and_deactivates_people(api: Api, klein: Klein) -> None:
     ada = person(api, email="ada@lab.example")
     project = api.as_(ada.token).project()
     (actual,) = klein(None, "person", "list", "ada@lab.example")["items"]

@@ -13,7 +13,7 @@ def _soon() -> str:
     return (datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(days=1)).isoformat()
 
 
-def test_a_link_rests_while_its_maker_may_not_share(api: Api) -> None:
+def test_a_share_is_suspended_while_its_creator_lacks_the_right_to_share(api: Api) -> None:
     ada, project = people.person(api), api.project()
     mission_id = api.mission(project["id"])["id"]
     upload(api, mission_id, "a.bag", b"bytes")
@@ -55,7 +55,7 @@ def _waiting(api: Api) -> int:
     return int(count)
 
 
-def test_a_stranger_learns_of_a_public_project_neither_its_quota_nor_what_is_on_its_way(api: Api) -> None:
+def test_guests_see_neither_quota_nor_uploads_of_a_public_project(api: Api) -> None:
     project = api.project()
     mission_id = api.mission(project["id"])["id"]
     upload(api, mission_id, "there.bag", b"there")

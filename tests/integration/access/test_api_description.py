@@ -135,19 +135,19 @@ def _ask_much(requested: ProxiedRequest, examples: int, *, operations: int | Non
     return wrong
 
 
-def test_everything_is_answered_as_described(requested: ProxiedRequest) -> None:
+def test_every_operation_answers_as_described(requested: ProxiedRequest) -> None:
     wrong = _ask_much(requested, _SAMPLE_SIZE, operations=_SOME)
     assert not wrong, "\n\n".join(wrong)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_much_is_answered_as_described(requested: ProxiedRequest) -> None:
+def test_many_generated_requests_are_answered_as_described(requested: ProxiedRequest) -> None:
     wrong = _ask_much(requested, _MANY)
     assert not wrong, "\n\n".join(wrong)
 
 
 @pytest.mark.soak
-def test_very_much_is_answered_as_described(requested: ProxiedRequest) -> None:
+def test_very_many_generated_requests_are_answered_as_described(requested: ProxiedRequest) -> None:
     wrong = _ask_much(requested, _VERY_MANY)
     assert not wrong, "\n\n".join(wrong)

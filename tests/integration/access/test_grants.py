@@ -77,7 +77,7 @@ def test_a_grant_is_created_listed_changed_and_revoked(
     assert {event["noun_name"] for event in message} == {bob.name}
 
 
-def test_the_same_grant_again_changes_nothing_and_another_takes_its_place(
+def test_an_equal_grant_changes_nothing_and_another_one_replaces_it(
     api: Api, ada: Person, bob: Person, project: Any
 ) -> None:
     path, hers = f"/projects/{project['id']}/grants", api.as_(ada.token)
@@ -123,7 +123,7 @@ def test_a_grant_cannot_outlast_the_rights_of_its_grantor(api: Api, ada: Person,
     his.post(path, {**expected, "expires_at": in_days(0.5)}).ok(201)
 
 
-def test_a_temporary_membership_bounds_the_grants_made_through_it(api: Api, ada: Person, project: Any) -> None:
+def test_grants_cannot_outlast_the_membership_they_are_based_on(api: Api, ada: Person, project: Any) -> None:
     guest = person(api)
     lab = group(api, members=[ada])
     join(api, guest, lab, expires_s=3600)
@@ -132,7 +132,7 @@ def test_a_temporary_membership_bounds_the_grants_made_through_it(api: Api, ada:
     api.as_(guest.token).post(path, {"person_id": guest.id, "right": "DELETE"}).refused(403, "right_exceeded")
 
 
-def test_writers_touch_no_owner(api: Api, ada: Person, bob: Person, project: Any) -> None:
+def test_writers_cannot_change_grants_of_owners(api: Api, ada: Person, bob: Person, project: Any) -> None:
     grant(api, bob, Right.write, project_id=project["id"])
     path, his = f"/projects/{project['id']}/grants", api.as_(bob.token)
     (owners,) = [item for item in his.all(path) if item["to"]["id"] == ada.id]
@@ -142,7 +142,7 @@ def test_writers_touch_no_owner(api: Api, ada: Person, bob: Person, project: Any
     assert api.as_(ada.token).get(f"/projects/{project['id']}").ok()["right"] == "DELETE"
 
 
-def test_the_last_owner_neither_goes_nor_ends(api: Api, ada: Person, bob: Person, project: Any) -> None:
+def test_the_last_owner_cannot_be_removed_or_limited_in_time(api: Api, ada: Person, bob: Person, project: Any) -> None:
     path, hers = f"/projects/{project['id']}/grants", api.as_(ada.token)
     (own,) = hers.all(path)
     for refused in (
@@ -161,9 +161,7 @@ def test_the_last_owner_neither_goes_nor_ends(api: Api, ada: Person, bob: Person
     hers.get(f"/projects/{project['id']}").refused(404, "not_found")
 
 
-def test_two_owners_who_remove_each_other_at_the_same_time_cannot_both_succeed(
-    api: Api, ada: Person, bob: Person, project: Any
-) -> None:
+def test_two_owners_cannot_remove_each_other_at_the_same_time(api: Api, ada: Person, bob: Person, project: Any) -> None:
     path = f"/projects/{project['id']}/grants"
     his = grant(api, bob, Right.delete, project_id=project["id"])
     (hers,) = [item["id"] for item in api.as_(bob.token).all(path) if item["to"]["id"] == ada.id]
@@ -177,7 +175,7 @@ def test_two_owners_who_remove_each_other_at_the_same_time_cannot_both_succeed(
     assert len(api.all(path)) == 1
 
 
-def test_two_owners_who_leave_at_the_same_time_cannot_leave_a_project_without_owner(
+def test_two_owners_who_leave_at_once_cannot_leave_a_project_unowned(
     api: Api, ada: Person, bob: Person, project: Any
 ) -> None:
     path = f"/projects/{project['id']}/grants"
@@ -192,7 +190,9 @@ def test_two_owners_who_leave_at_the_same_time_cannot_leave_a_project_without_ow
     assert len(api.all(path)) == 1
 
 
-def test_an_address_is_answered_the_same_whether_or_not_somebody_has_it(api: Api, ada: Person, project: Any) -> None:
+def test_a_grant_to_an_address_is_answered_alike_with_and_without_an_account(
+    api: Api, ada: Person, project: Any
+) -> None:
     path, hers = f"/projects/{project['id']}", api.as_(ada.token)
     known, unknown = (f"{uuid.uuid4().hex}@lab.example" for _ in range(2))
     zoe = person(api, email=known)
@@ -228,7 +228,7 @@ def test_only_visible_people_can_be_granted_rights_by_id(api: Api, ada: Person, 
         hers.post(path, {**people, "right": "READ"}).refused(404, "not_found")
 
 
-def test_a_grant_names_one_and_ends_in_the_future(api: Api, ada: Person, project: Any) -> None:
+def test_a_grant_has_one_grantee_and_expires_in_the_future(api: Api, ada: Person, project: Any) -> None:
     path, hers = f"/projects/{project['id']}/grants", api.as_(ada.token)
     for body in (
         {"right": "READ"},
@@ -244,7 +244,7 @@ def test_a_grant_names_one_and_ends_in_the_future(api: Api, ada: Person, project
     assert len(hers.all(path)) == 1
 
 
-def test_a_right_ends_the_second_its_time_passes(api: Api, ada: Person, bob: Person, project: Any) -> None:
+def test_a_right_ends_when_it_expires(api: Api, ada: Person, bob: Person, project: Any) -> None:
     path, his = f"/projects/{project['id']}", api.as_(bob.token)
     values = api.as_(ada.token).post(f"{path}/grants", {"person_id": bob.id, "right": "READ", "expires_at": in_days(1)})
     his.get(path).ok()
@@ -257,7 +257,7 @@ def test_a_right_ends_the_second_its_time_passes(api: Api, ada: Person, bob: Per
     assert his.get(path).ok()["right"] == "READ"
 
 
-def test_a_mission_right_shows_the_projects_name_and_nothing_else_of_it(
+def test_a_right_on_a_mission_shows_only_its_projects_name_in_lists(
     api: Api, ada: Person, bob: Person, project: Any
 ) -> None:
     hers, his = api.as_(ada.token), api.as_(bob.token)
@@ -295,7 +295,7 @@ def test_the_higher_of_two_rights_counts(api: Api, ada: Person, bob: Person, pro
     assert his.get(f"/missions/{mission['id']}").ok()["right"] == "DELETE"
 
 
-def test_access_says_who_has_what_from_where(api: Api, ada: Person, bob: Person, project: Any) -> None:
+def test_access_lists_people_rights_and_reasons(api: Api, ada: Person, bob: Person, project: Any) -> None:
     hers = api.as_(ada.token)
     mission = hers.mission(project["id"])
     carol, dan, guest = person(api), person(api), person(api)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.access import GroupKind, Right
-from kleinkram.server.access.groups import ADMINS_ID, join_email_groups
+from kleinkram.server.access.builtin_groups import ADMINS_ID, join_email_groups
 from kleinkram.server.db import open_database
 from kleinkram.server.groups.affiliations import AffiliationUnusable, ensure_affiliations
 from kleinkram.server.settings import Affiliation
@@ -56,7 +56,7 @@ def test_a_new_group_is_edited_by_its_creator_and_visible_to_members(api: Api, a
     assert (event["operation"], event["actor"]["id"], event["as_admin"]) == ("group.create", ada.id, False)
 
 
-def test_editors_manage_and_members_see(api: Api, ada: Person, bob: Person) -> None:
+def test_editors_manage_members_and_members_can_only_read(api: Api, ada: Person, bob: Person) -> None:
     made = made_by(api, ada)
     hers, his, path = api.as_(ada.token), api.as_(bob.token), f"/groups/{made['id']}"
     added = hers.call("PUT", f"{path}/members/{bob.id}", {"expires_at": in_days(1)}).ok()
@@ -80,7 +80,7 @@ def test_editors_manage_and_members_see(api: Api, ada: Person, bob: Person) -> N
     assert message == ["group.delete", "group.member", "group.rename", "group.member", "group.member", "group.create"]
 
 
-def test_a_membership_gives_rights_until_the_second_it_ends(api: Api, ada: Person, bob: Person) -> None:
+def test_a_membership_gives_rights_until_it_expires(api: Api, ada: Person, bob: Person) -> None:
     made, project = made_by(api, ada), api.as_(ada.token).project()
     path, his = f"/groups/{made['id']}", api.as_(bob.token)
     grant(api, made["id"], Right.write, project_id=project["id"])
@@ -119,7 +119,7 @@ def test_only_visible_people_can_be_added(api: Api, ada: Person) -> None:
     api.as_(ada.token).call("PUT", f"{path}/{stranger.id}", past).refused(422, "invalid_request")
 
 
-def test_nobody_lets_others_or_themselves_in_for_longer_than_they_are(api: Api, ada: Person, bob: Person) -> None:
+def test_nobody_grants_a_membership_longer_than_their_own(api: Api, ada: Person, bob: Person) -> None:
     made = made_by(api, ada)
     path, his = f"/groups/{made['id']}/members", api.as_(bob.token)
     join(api, bob, made["id"], is_editor=True, expires_s=86_400)
@@ -129,7 +129,7 @@ def test_nobody_lets_others_or_themselves_in_for_longer_than_they_are(api: Api, 
     his.call("PUT", f"{path}/{bob.id}", {"is_editor": True, "expires_at": in_days(0.5)}).ok()
 
 
-def test_a_name_is_taken_whatever_its_case(api: Api, ada: Person, bob: Person) -> None:
+def test_group_names_are_unique_ignoring_case(api: Api, ada: Person, bob: Person) -> None:
     made = made_by(api, ada)
     api.as_(bob.token).post("/groups", {"name": made["name"].upper()}).refused(409, "name_taken")
     other = made_by(api, bob)
@@ -155,9 +155,7 @@ def test_projects_of_a_group_always_have_an_owner(api: Api, ada: Person, bob: Pe
     assert hers.get(path).ok()["member_count"] == 2
 
 
-def test_two_members_of_an_owning_group_who_leave_at_the_same_time_cannot_leave_it_empty(
-    api: Api, ada: Person, bob: Person
-) -> None:
+def test_two_members_who_leave_at_once_cannot_empty_an_owning_group(api: Api, ada: Person, bob: Person) -> None:
     made, project = made_by(api, ada), api.as_(ada.token).project()
     grants, path, hers = f"/projects/{project['id']}/grants", f"/groups/{made['id']}", api.as_(ada.token)
     hers.call("PUT", f"{path}/members/{bob.id}", {}).ok()
@@ -169,7 +167,7 @@ def test_two_members_of_an_owning_group_who_leave_at_the_same_time_cannot_leave_
     assert sorted(future.result().status for future in sent) == [204, 409]
 
 
-def test_deleting_a_group_takes_its_grants_and_says_so(api: Api, ada: Person, bob: Person) -> None:
+def test_deleting_a_group_deletes_and_audits_its_grants(api: Api, ada: Person, bob: Person) -> None:
     made, project = made_by(api, ada), api.as_(ada.token).project()
     mission = api.as_(ada.token).mission(project["id"])
     join(api, bob, made["id"])
@@ -231,7 +229,7 @@ def test_a_setting_restricts_who_creates_projects_and_groups(start_api: Callable
     assert made["after"]["grants"] == {"Lab": "READ"}
 
 
-def test_an_affiliation_is_filled_by_exact_domain(start_api: Callable[..., Api]) -> None:
+def test_an_affiliation_contains_people_with_exactly_its_domains(start_api: Callable[..., Api]) -> None:
     lab = Affiliation(name="Lab", domains=("lab.example", "LAB.example.org"))
     api = start_api(affiliations=(lab,))
     inside = [person(api, email=f"a@{domain}") for domain in ("lab.example", "Lab.Example.ORG")]
@@ -263,7 +261,7 @@ def test_a_verified_address_joins_its_affiliation_at_once(start_api: Callable[..
     assert [row["name"] for row in api.as_(ada.token).all("/groups")] == ["Lab"]
 
 
-def test_other_settings_make_other_members_and_what_is_left_goes_to_the_admins(start_api: Callable[..., Api]) -> None:
+def test_changed_affiliations_update_members_and_pass_projects_to_admins(start_api: Callable[..., Api]) -> None:
     api = start_api(affiliations=(Affiliation(name="Lab", domains=("lab.example",)),))
     ada, bob = person(api, email="ada@lab.example"), person(api, email="bob@else.example")
     _run(api, [Affiliation(name="Lab", domains=("lab.example",))])
@@ -286,14 +284,14 @@ def test_other_settings_make_other_members_and_what_is_left_goes_to_the_admins(s
     api.delete(f"/groups/{lab['id']}").ok(204)
 
 
-def test_an_affiliation_cannot_take_the_name_of_a_group_that_people_made(start_api: Callable[..., Api]) -> None:
+def test_an_affiliation_cannot_have_the_name_of_a_custom_group(start_api: Callable[..., Api]) -> None:
     api = start_api()
     group(api, "Lab", kind=GroupKind.custom)
     with pytest.raises(AffiliationUnusable, match="'lab'"):
         _run(api, [Affiliation(name="lab", domains=("lab.example",))])
 
 
-def test_several_processes_may_start_at_once(start_api: Callable[..., Api]) -> None:
+def test_several_processes_can_start_at_once(start_api: Callable[..., Api]) -> None:
     api = start_api()
     for number in range(5):
         person(api, email=f"p{number}@lab.example")

@@ -61,7 +61,7 @@ def test_a_hidden_mission_looks_like_a_missing_one(api: Api, hidden: Any, member
     assert _same_but_for_ids(*answers), answers
 
 
-def test_changes_to_what_is_hidden_are_refused_like_those_to_nothing(api: Api, hidden: Any, member: Person) -> None:
+def test_changes_to_hidden_objects_are_refused_like_missing_ones(api: Api, hidden: Any, member: Person) -> None:
     theirs, mission = api.as_(member.token), api.mission(hidden["id"])["id"]
     pairs = [
         (f"/projects/{hidden['id']}", f"/projects/{uuid.uuid4()}"),
@@ -75,7 +75,7 @@ def test_changes_to_what_is_hidden_are_refused_like_those_to_nothing(api: Api, h
     assert _same_but_for_ids(*moves), moves
 
 
-def test_a_name_that_is_taken_out_of_sight_says_that_and_no_more(api: Api, hidden: Any, member: Person) -> None:
+def test_a_name_taken_by_a_hidden_object_reveals_nothing_else(api: Api, hidden: Any, member: Person) -> None:
     """Names of projects are one space, as people speak of them: see docs/access.md. Whose it is, is not answers."""
     problem = api.as_(member.token).post("/projects", {"name": hidden["name"]}).refused(409, "name_taken")
     message = problem.keys() - {"type", "title", "status", "detail", "code", "request_id"}
@@ -93,7 +93,7 @@ def test_a_hash_does_not_reveal_whether_the_bytes_exist(api: Api, hidden: Any, m
     assert [sorted(item["upload"]) for item in decisions[1:]] == [sorted(decisions[0]["upload"])] * 3
 
 
-def test_one_who_may_only_upload_learns_no_hash_and_no_other_path(api: Api, member: Person) -> None:
+def test_upload_rights_alone_reveal_no_hash_and_no_other_path(api: Api, member: Person) -> None:
     mission = _own_mission(api, member)
     there = b"what is there"
     upload(api, mission, "Runs/one.bin", there)
@@ -120,7 +120,7 @@ def test_a_hidden_person_looks_like_a_missing_one(api: Api, member: Person) -> N
     assert _same_but_for_ids(*values), values
 
 
-def test_a_right_on_a_mission_shows_its_projects_name_and_no_more(api: Api, hidden: Any, member: Person) -> None:
+def test_a_right_on_a_mission_shows_only_the_name_of_its_project(api: Api, hidden: Any, member: Person) -> None:
     mine, other = (api.mission(hidden["id"], name=name)["id"] for name in ("mine", "theirs"))
     people.grant(api, member, Right.delete, mission_id=mine)
     theirs = api.as_(member.token)

@@ -29,7 +29,7 @@ def _file(api: Api) -> Path:
     return file
 
 
-def test_an_owner_who_revoked_their_own_token_has_a_new_one_after_the_next_start(start_api: StartApi) -> None:
+def test_a_revoked_owner_token_is_replaced_at_the_next_start(start_api: StartApi) -> None:
     api = start_api()
     revoked = api.token or ""
     assert _start_again(api) == revoked, "as long as it is good, it stays"
@@ -48,7 +48,9 @@ def test_an_owner_who_revoked_their_own_token_has_a_new_one_after_the_next_start
     api.as_(renewed).get("/me").refused(401, "not_authenticated")
 
 
-def test_a_file_that_takes_no_other_token_is_named(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_owner_token_file_that_cannot_be_written_is_named(
+    start_api: StartApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
     api = start_api()
     api.delete(f"/tokens/{api.get('/me').ok()['credential']['id']}").ok(204)
 

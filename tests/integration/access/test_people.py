@@ -68,7 +68,7 @@ def test_project_members_see_people_of_a_mission_but_not_vice_versa(api: Api, ad
     assert sees(api, bob, carol)
 
 
-def test_an_address_that_was_granted_to_does_not_show_who_has_it(api: Api, ada: Person, bob: Person) -> None:
+def test_a_grant_to_an_address_does_not_reveal_its_owner(api: Api, ada: Person, bob: Person) -> None:
     project = api.as_(ada.token).project()
     address = api.sql("SELECT email FROM person_email WHERE person_id = %s", bob.id)[0][0]
     grant(api, email_group(api, address), Right.write, project_id=project["id"])
@@ -77,7 +77,7 @@ def test_an_address_that_was_granted_to_does_not_show_who_has_it(api: Api, ada: 
     assert sees(api, bob, ada)
 
 
-def test_the_admins_and_the_public_make_no_acquaintance(api: Api, ada: Person, bob: Person) -> None:
+def test_the_admins_group_and_public_projects_do_not_make_people_visible(api: Api, ada: Person, bob: Person) -> None:
     boss = person(api, admin=True)
     project = api.as_(ada.token).project()
     api.sql("UPDATE project SET is_public = true WHERE id = %s", project["id"])
@@ -89,7 +89,7 @@ def test_the_admins_and_the_public_make_no_acquaintance(api: Api, ada: Person, b
     api.as_(quiet.secret).get(f"/people/{ada.id}").refused(404, "not_found")
 
 
-def test_addresses_show_to_admins_and_to_editors_of_a_shared_group(api: Api, ada: Person, bob: Person) -> None:
+def test_addresses_are_visible_to_admins_and_editors_of_a_shared_group(api: Api, ada: Person, bob: Person) -> None:
     made = group(api, members=[ada, bob])
     (address,) = api.get(f"/people/{bob.id}").ok()["emails"]
     path, hers = f"/people/{bob.id}", api.as_(ada.token)
@@ -103,7 +103,7 @@ def test_addresses_show_to_admins_and_to_editors_of_a_shared_group(api: Api, ada
     assert len(hers.get(f"/people/{ada.id}").ok()["emails"]) == 1
 
 
-def test_by_a_group_of_ones_own_nobody_learns_an_address_or_of_anybody(api: Api, ada: Person, bob: Person) -> None:
+def test_creating_a_group_reveals_neither_addresses_nor_people(api: Api, ada: Person, bob: Person) -> None:
     hers, unknown = api.as_(ada.token), person(api, email=f"{uuid.uuid4().hex}@lab.example")
     group(api, members=[ada, bob])  # she sees him, as one among others
     people_before = {row["id"] for row in hers.all("/people")}
@@ -122,13 +122,13 @@ def test_by_a_group_of_ones_own_nobody_learns_an_address_or_of_anybody(api: Api,
     assert hers.get(f"/people/{bob.id}").ok()["emails"] == [address]
 
 
-def test_an_editor_of_one_group_is_none_of_another(api: Api, ada: Person, bob: Person) -> None:
+def test_an_editor_of_one_group_has_no_rights_on_another(api: Api, ada: Person, bob: Person) -> None:
     group(api, members=[ada, bob])
     join(api, ada, group(api), is_editor=True)
     assert api.as_(ada.token).get(f"/people/{bob.id}").ok()["emails"] == []
 
 
-def test_an_address_that_nobody_verified_shows_to_nobody(api: Api, ada: Person, bob: Person) -> None:
+def test_unverified_addresses_are_hidden(api: Api, ada: Person, bob: Person) -> None:
     api.sql("UPDATE person_email SET verified_at = NULL, verified_by = NULL WHERE person_id = %s", bob.id)
     assert api.get(f"/people/{bob.id}").ok()["emails"] == []
 
@@ -155,7 +155,7 @@ def test_a_limited_token_shows_no_other_person_and_no_group(api: Api, ada: Perso
     assert [row["id"] for row in limited.all("/people")] == [boss.id]
 
 
-def test_only_admins_make_admins_and_let_people_go(api: Api, ada: Person, bob: Person) -> None:
+def test_only_admins_appoint_admins_and_deactivate_people(api: Api, ada: Person, bob: Person) -> None:
     group(api, members=[ada, bob])
     hers = api.as_(ada.token)
     for path in ("admin", "deactivate", "reactivate"):

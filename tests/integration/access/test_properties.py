@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from kleinkram.contract.access import Right
-from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
+from kleinkram.server.access.builtin_groups import ADMINS_ID, OWNER_ID
 from tests.integration.access.rights_model import (
     ADMINS,
     CREATE,
@@ -329,12 +329,12 @@ _CHECKS = [HealthCheck.function_scoped_fixture]
 @pytest.mark.timeout(400)
 @settings(max_examples=5, deadline=None, phases=_PHASES, suppress_health_check=_CHECKS)
 @given(seed=st.integers(0, 2**32))
-def test_rights_are_the_highest_grant_that_is_not_over_and_projects_keep_an_owner(api: Api, seed: int) -> None:
+def test_the_highest_unexpired_grant_counts_and_projects_keep_an_owner(api: Api, seed: int) -> None:
     live_through(api, seed, steps=_STEPS)
 
 
 @pytest.mark.soak
 @settings(max_examples=_MANY, deadline=None, phases=_PHASES, suppress_health_check=_CHECKS)
 @given(seed=st.integers(0, 2**32))
-def test_rights_through_many_long_histories(api: Api, seed: int) -> None:
+def test_rights_are_correct_in_many_long_histories(api: Api, seed: int) -> None:
     live_through(api, seed, steps=60)

@@ -27,7 +27,9 @@ def stranger(api: Api) -> Api:
     return api.as_(None)
 
 
-def test_a_stranger_lists_searches_reads_and_downloads(api: Api, sample: Sample, stranger: Api, public: Any) -> None:
+def test_guests_can_list_search_read_and_download_public_data(
+    api: Api, sample: Sample, stranger: Api, public: Any
+) -> None:
     hidden = api.mission(api.project()["id"])
     sample.file(hidden["id"], "hidden.mcap")
     mission = api.mission(public["id"], metadata_yaml="robot: anymal\n")
@@ -53,7 +55,7 @@ def test_a_stranger_lists_searches_reads_and_downloads(api: Api, sample: Sample,
     assert api.sql("SELECT address FROM audit_event WHERE id = %s", fetched["id"]) == [("127.0.0.1",)]
 
 
-def test_the_sdk_needs_no_token_for_it(api: Api, sample: Sample, public: Any) -> None:
+def test_the_sdk_reads_public_data_without_a_token(api: Api, sample: Sample, public: Any) -> None:
     file_id = sample.file(api.mission(public["id"])["id"], "a.mcap")
     with connect(api.url) as client:
         assert client.projects.get(public["name"]).licence == "CC-BY-4.0"
@@ -64,7 +66,7 @@ def test_the_sdk_needs_no_token_for_it(api: Api, sample: Sample, public: Any) ->
             client.projects.create("x")
 
 
-def test_a_stranger_does_nothing_else(api: Api, sample: Sample, stranger: Api, public: Any) -> None:
+def test_guests_can_do_nothing_else(api: Api, sample: Sample, stranger: Api, public: Any) -> None:
     mission = api.mission(public["id"])
     file_id = sample.file(mission["id"], "a.mcap")
     refused = [
@@ -95,14 +97,14 @@ def test_private_again_or_deleted_projects_are_hidden_from_strangers(api: Api, s
     assert operations[:4] == ["project.delete", "project.publish", "project.unpublish", "project.publish"]
 
 
-def test_anybody_with_an_account_reads_too_and_only_that(api: Api, public: Any) -> None:
+def test_everybody_with_an_account_can_only_read_public_data(api: Api, public: Any) -> None:
     ada = people.person(api)
     hers = api.as_(ada.token)
     assert hers.get(f"/projects/{public['id']}").ok()["right"] == "READ"
     hers.post(f"/projects/{public['id']}/missions", {"name": "x"}).refused(403, "forbidden")
 
 
-def test_a_limited_token_does_not_reach_a_public_project_beside_its_own(api: Api, public: Any) -> None:
+def test_a_limited_token_does_not_reach_public_projects_outside_its_limits(api: Api, public: Any) -> None:
     ada = people.person(api)
     project = api.project()
     people.grant(api, ada, Right.create, project_id=project["id"])
@@ -112,7 +114,7 @@ def test_a_limited_token_does_not_reach_a_public_project_beside_its_own(api: Api
 
 
 @pytest.mark.parametrize("change", [{"is_public": True}, {"licence": "MIT"}, {"citation": "me"}])
-def test_publishing_is_for_owners_and_takes_a_token_for_it(api: Api, change: dict[str, object]) -> None:
+def test_publishing_requires_ownership_and_the_scope_admin(api: Api, change: dict[str, object]) -> None:
     ada = people.person(api)
     project = api.project()
     path = f"/projects/{project['id']}"

@@ -24,7 +24,7 @@ def _begin(api: Api, mission_id: str, sizes: dict[str, int]) -> Answer:
     return api.post(f"/missions/{mission_id}/uploads", {"files": files})
 
 
-def test_an_upload_beyond_the_quota_is_refused_with_numbers_before_it_starts(api: Api) -> None:
+def test_an_upload_beyond_the_quota_is_refused_at_its_start_with_numbers(api: Api) -> None:
     project, mission = _bounded(api, quota_bytes=1000)
     upload(api, mission["id"], "first", b"x" * 700)
     refused = _begin(api, mission["id"], {"a": 200, "b": 101}).refused(507, "quota_exceeded")
@@ -36,7 +36,7 @@ def test_an_upload_beyond_the_quota_is_refused_with_numbers_before_it_starts(api
     assert (seen["used_bytes"], seen["used_files"], seen["size_bytes"]) == (1000, 3, 700)
 
 
-def test_files_are_counted_too(api: Api) -> None:
+def test_quotas_limit_the_number_of_files(api: Api) -> None:
     _, mission = _bounded(api, quota_files=2)
     _begin(api, mission["id"], {"a": 1, "b": 1}).ok()
     refused = _begin(api, mission["id"], {"c": 0}).refused(507, "quota_exceeded")
@@ -67,7 +67,7 @@ def test_resumed_and_duplicate_uploads_need_no_more_quota(api: Api) -> None:
     assert linked["decision"] == "upload"
 
 
-def test_a_copy_counts_as_what_it_shows(api: Api) -> None:
+def test_duplicates_count_with_all_their_bytes(api: Api) -> None:
     _, mission = _bounded(api, quota_bytes=100)
     body = b"z" * 60
     upload(api, mission["id"], "a", body)
@@ -81,7 +81,7 @@ def test_a_copy_counts_as_what_it_shows(api: Api) -> None:
     ).refused(507, "quota_exceeded")
 
 
-def test_many_at_once_do_not_share_the_last_room(api: Api) -> None:
+def test_concurrent_uploads_cannot_exceed_the_quota(api: Api) -> None:
     project, _ = _bounded(api, quota_files=3)
     missions = [api.mission(project["id"])["id"] for _ in range(6)]
     gate, statuses = threading.Barrier(6), []
@@ -99,7 +99,7 @@ def test_many_at_once_do_not_share_the_last_room(api: Api) -> None:
     assert api.get(f"/projects/{project['id']}").ok()["used_files"] == 3
 
 
-def test_moving_into_a_project_takes_room_there(api: Api, sample: Sample) -> None:
+def test_moving_into_a_project_counts_toward_its_quota(api: Api, sample: Sample) -> None:
     source = api.project()
     mission = api.mission(source["id"])
     files = [sample.file(mission["id"], name, size_bytes=60) for name in ("a", "b")]
@@ -112,7 +112,7 @@ def test_moving_into_a_project_takes_room_there(api: Api, sample: Sample) -> Non
     api.patch(f"/files/{files[0]}", {"mission_id": second["id"]}).ok()
 
 
-def test_restoring_takes_the_room_back(api: Api, sample: Sample) -> None:
+def test_restoring_counts_toward_the_quota_again(api: Api, sample: Sample) -> None:
     project, mission = _bounded(api, quota_bytes=100)
     file_id = sample.file(mission["id"], "a", size_bytes=60)
     api.delete(f"/files/{file_id}").ok()
@@ -136,7 +136,7 @@ def test_a_missing_file_can_be_uploaded_again_into_a_full_project(api: Api) -> N
     assert decision["decision"] == "upload"
 
 
-def test_quotas_are_for_admins(api: Api) -> None:
+def test_only_admins_set_quotas(api: Api) -> None:
     ada = people.person(api)
     project = api.project()
     people.grant(api, ada, Right.delete, project_id=project["id"])

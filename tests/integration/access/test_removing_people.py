@@ -82,7 +82,7 @@ def test_a_group_owns_its_projects_until_its_last_member_leaves(api: Api, ada: P
     assert leave(api, bob)["projects"] == [project["name"]]
 
 
-def test_memberships_and_grants_are_back_when_they_are_and_tokens_are_not(api: Api, ada: Person) -> None:
+def test_reactivation_restores_memberships_and_grants_but_no_tokens(api: Api, ada: Person) -> None:
     bob = person(api)
     lab, project = group(api, members=[ada, bob]), api.as_(bob.token).project()
     grant(api, lab, Right.write, project_id=project["id"])
@@ -100,7 +100,7 @@ def test_memberships_and_grants_are_back_when_they_are_and_tokens_are_not(api: A
     assert len(api.all("/audit", {"noun_id": ada.id, "operation": "person.reactivate"})) == 1
 
 
-def test_the_last_active_owner_cannot_go_while_the_other_has_left(api: Api, ada: Person) -> None:
+def test_the_last_active_owner_cannot_leave_after_the_other_was_removed(api: Api, ada: Person) -> None:
     bob = person(api)
     project = api.as_(bob.token).project()
     grant(api, ada, Right.delete, project_id=project["id"])
@@ -136,7 +136,7 @@ def test_a_person_removed_while_creating_a_project_leaves_none_without_owner(api
         assert api.all("/projects", {"name": name}) == []
 
 
-def test_an_admin_who_leaves_is_none_and_the_group_keeps_them_in_its_record(api: Api) -> None:
+def test_a_removed_admin_loses_access_until_reactivated(api: Api) -> None:
     boss = person(api, admin=True)
     leave(api, boss)
     api.as_(boss.token).get("/people").refused(401, "not_authenticated")

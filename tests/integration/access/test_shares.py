@@ -74,7 +74,7 @@ def outing(api: Api, sample: Sample) -> Outing:
     return Outing(project, mission, first, second, other, split, alone)
 
 
-def test_a_link_to_a_mission_shows_it_whole_and_nothing_else(api: Api, outing: Outing) -> None:
+def test_a_share_of_a_mission_shows_all_of_it_and_nothing_else(api: Api, outing: Outing) -> None:
     api.mission(outing.project["id"])
     made = _link(api, outing.mission["id"])
     assert has_valid_checksum(made["secret"])
@@ -90,7 +90,7 @@ def test_a_link_to_a_mission_shows_it_whole_and_nothing_else(api: Api, outing: O
     guest.get(f"/projects/{outing.project['id']}").refused(404, "not_found")
 
 
-def test_a_link_to_one_half_leaks_nothing_of_the_rest(api: Api, outing: Outing) -> None:
+def test_a_share_of_one_split_file_reveals_nothing_of_the_others(api: Api, outing: Outing) -> None:
     guest = api.as_(_link(api, outing.mission["id"], file_ids=[outing.first, outing.first])["secret"])
     assert {key: guest.get("/share").ok()[key] for key in ("file_count", "size_bytes", "is_whole_mission")} == {
         "file_count": 1,
@@ -120,7 +120,7 @@ def test_a_link_to_one_half_leaks_nothing_of_the_rest(api: Api, outing: Outing) 
     assert [total[name] for name in ("missions", "files", "recordings", "duration_ns")] == [1, 1, 0, 0]
 
 
-def test_a_link_to_both_halves_shows_their_recording(api: Api, outing: Outing) -> None:
+def test_a_share_of_all_split_files_shows_their_recording(api: Api, outing: Outing) -> None:
     guest = api.as_(_link(api, outing.mission["id"], file_ids=[outing.first, outing.second])["secret"])
     assert [item["id"] for item in guest.all(f"/missions/{outing.mission['id']}/recordings")] == [outing.split]
     total = guest.get("/stats", {"by": "project"}).ok()["total"]
@@ -146,7 +146,7 @@ def test_a_share_of_files_gives_no_access_to_anything_else(
         assert guest.all(nowhere, {"text": "anymal"}) == []
 
 
-def test_the_sdk_takes_the_address_of_a_link(api: Api, outing: Outing) -> None:
+def test_the_sdk_accepts_the_url_of_a_share(api: Api, outing: Outing) -> None:
     mission_id = uuid.UUID(outing.mission["id"])
     with connect(api.url, api.token) as client:
         ends = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(days=1)
@@ -163,7 +163,7 @@ def test_the_sdk_takes_the_address_of_a_link(api: Api, outing: Outing) -> None:
         assert [item.id for item in client.shares.list(mission_id=mission_id, ended=True)] == [made.share.id]
 
 
-def test_a_link_only_reads(api: Api, outing: Outing) -> None:
+def test_a_share_only_allows_reading(api: Api, outing: Outing) -> None:
     guest = api.as_(_link(api, outing.mission["id"])["secret"])
     mission_id = outing.mission["id"]
     guest.patch(f"/missions/{mission_id}", {"notes": "x"}).refused(403, "scope_missing")
@@ -178,7 +178,7 @@ def test_a_link_only_reads(api: Api, outing: Outing) -> None:
         guest.get(path).refused(403, "scope_missing")
 
 
-def test_downloads_are_counted_and_recorded_under_the_link(api: Api, outing: Outing) -> None:
+def test_downloads_with_a_share_are_counted_and_audited(api: Api, outing: Outing) -> None:
     made = _link(api, outing.mission["id"])
     guest = api.as_(made["secret"])
     guest.post("/files/download", {"file_ids": [outing.first, outing.other]}).ok()
@@ -192,7 +192,7 @@ def test_downloads_are_counted_and_recorded_under_the_link(api: Api, outing: Out
     assert remaining == [(made["share"]["id"], "127.0.0.1")]
 
 
-def test_a_link_ends_when_it_is_revoked_expired_or_its_mission_is_gone(api: Api, outing: Outing) -> None:
+def test_a_share_ends_when_revoked_expired_or_its_mission_is_deleted(api: Api, outing: Outing) -> None:
     mission_id = outing.mission["id"]
     revoked, expired, rests = (_link(api, mission_id) for _ in range(3))
     guests = [api.as_(item["secret"]) for item in (revoked, expired, rests)]
@@ -226,7 +226,7 @@ def test_a_share_ends_when_its_creator_loses_access(api: Api, outing: Outing) ->
     guest.get("/share").refused(401, "not_authenticated")
 
 
-def test_making_one_takes_write_and_a_token_for_it(api: Api, outing: Outing) -> None:
+def test_creating_a_share_requires_write_and_the_scope_admin(api: Api, outing: Outing) -> None:
     ada = people.person(api)
     path, body = f"/missions/{outing.mission['id']}/shares", {"name": "x", "expires_at": _in(days=1)}
     hers = api.as_(ada.token)
@@ -241,13 +241,13 @@ def test_making_one_takes_write_and_a_token_for_it(api: Api, outing: Outing) -> 
 @pytest.mark.parametrize(
     "expires", [{}, {"expires_at": None}, {"expires_at": _in(days=-1)}, {"expires_at": _in(days=91)}]
 )
-def test_a_link_must_end_and_within_what_the_settings_allow(api: Api, outing: Outing, expires: dict[str, Any]) -> None:
+def test_a_share_must_expire_within_the_maximum_lifetime(api: Api, outing: Outing, expires: dict[str, Any]) -> None:
     body = {"name": "x", **expires}
     refused = api.post(f"/missions/{outing.mission['id']}/shares", body).refused(422, "invalid_request")
     assert "expires_at" in refused["detail"]
 
 
-def test_a_link_is_to_files_of_its_mission(api: Api, sample: Sample, outing: Outing) -> None:
+def test_a_share_contains_only_files_of_its_mission(api: Api, sample: Sample, outing: Outing) -> None:
     elsewhere = sample.file(api.mission(outing.project["id"])["id"], "a.mcap")
     body = {"name": "x", "expires_at": _in(days=1), "file_ids": [outing.first, elsewhere]}
     api.post(f"/missions/{outing.mission['id']}/shares", body).refused(404, "not_found")
@@ -272,7 +272,7 @@ def test_its_creator_and_writers_can_revoke_a_share(api: Api, outing: Outing) ->
     hers.delete(f"/shares/{second}").ok(204)
 
 
-def test_the_page_of_a_link_is_the_same_for_all_and_runs_only_what_is_ours(api: Api) -> None:
+def test_the_share_page_is_static_and_loads_only_our_scripts(api: Api) -> None:
     pool = urllib3.PoolManager(retries=False)
     page = pool.request("GET", f"{api.url}/s")
     assert page.status == 200
@@ -287,6 +287,6 @@ def test_the_page_of_a_link_is_the_same_for_all_and_runs_only_what_is_ours(api: 
     assert pool.request("GET", f"{api.url}/s/static/page.py").status == 404
 
 
-def test_without_a_link_there_is_nothing_to_show(api: Api) -> None:
+def test_the_share_endpoint_requires_a_share(api: Api) -> None:
     api.get("/share").refused(404, "not_found")
     api.as_(None).get("/share").refused(404, "not_found")

@@ -48,12 +48,12 @@ def _link(api: Api, file: dict[str, str]) -> str:
     return str(api.post("/files/download", {"file_ids": [file["id"]]}).ok()["items"][0]["url"])
 
 
-def test_addresses_live_as_long_as_decided() -> None:
+def test_signed_urls_have_the_configured_lifetime() -> None:
     for name in ("download_url_s", "part_url_s"):
         assert Settings.model_fields[name].default <= _LONGEST_S, "decision 13 says how long, and why"
 
 
-def test_an_address_is_good_for_reading_one_object(api: Api, mission_id: str) -> None:
+def test_a_signed_url_only_allows_reading_one_object(api: Api, mission_id: str) -> None:
     mine, other = (upload(api, mission_id, name, name.encode()) for name in ("mine", "other"))
     actual = api.sql("SELECT path, key FROM file JOIN blob ON blob.id = blob_id WHERE mission_id = %s", mission_id)
     keys = {str(path): str(key) for path, key in actual}
@@ -68,7 +68,7 @@ def test_an_address_is_good_for_reading_one_object(api: Api, mission_id: str) ->
     assert fetch(_link(api, other))[1] == b"other"
 
 
-def test_an_address_of_a_part_takes_that_part_and_no_other(api: Api, mission_id: str) -> None:
+def test_the_url_of_a_part_accepts_only_that_part(api: Api, mission_id: str) -> None:
     body = os.urandom(1000)
     started = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     signed = sign(api, started, [(1, body)]).ok()["items"][0]
@@ -130,7 +130,7 @@ def _download(api: Api, who: Person, mission_id: str, dest: Path, act: Callable[
         return report.results[0]
 
 
-def test_a_download_that_outlives_its_addresses_gets_new_ones(brief: Api, tmp_path: Path, large: bytes) -> None:
+def test_a_long_download_renews_expired_urls(brief: Api, tmp_path: Path, large: bytes) -> None:
     mission_id, partner = _mission(brief, Right.read)
     file = upload(brief, mission_id, "run.bin", large)
     result = _download(brief, partner, mission_id, tmp_path, lambda: None)
@@ -140,7 +140,7 @@ def test_a_download_that_outlives_its_addresses_gets_new_ones(brief: Api, tmp_pa
     assert operations.count("file.download") > 1, "each address given out is in the record"
 
 
-def test_a_download_ends_when_the_right_to_it_does(brief: Api, tmp_path: Path, large: bytes) -> None:
+def test_a_download_ends_when_the_right_is_revoked(brief: Api, tmp_path: Path, large: bytes) -> None:
     mission_id, partner = _mission(brief, Right.read)
     upload(brief, mission_id, "run.bin", large)
     result = _download(brief, partner, mission_id, tmp_path, lambda: _withdraw(brief, partner))

@@ -25,7 +25,7 @@ def _in_days(days: float) -> str:
 
 @pytest.mark.parametrize(("kind", "days"), [("personal", 90), ("runner", 365)])
 @pytest.mark.parametrize("text", [{}, {"expires_at": None}])
-def test_a_token_ends_after_the_usual_time(api: Api, kind: str, days: float, text: dict[str, None]) -> None:
+def test_a_token_expires_after_the_default_lifetime(api: Api, kind: str, days: float, text: dict[str, None]) -> None:
     made = api.post("/tokens", {"name": "usual", "kind": kind, **text}).ok(201)
     assert _days(made) == pytest.approx(days, abs=0.1)
 
@@ -43,6 +43,6 @@ def test_a_server_may_allow_tokens_without_an_end(lasting: Api) -> None:
     lasting.post("/tokens", {"name": "c", "no_end": True, "expires_at": _in_days(1)}).refused(422, "invalid_request")
 
 
-def test_the_server_says_how_long_tokens_are_good(api: Api, lasting: Api) -> None:
+def test_the_service_endpoint_returns_the_lifetimes_of_tokens(api: Api, lasting: Api) -> None:
     text = [item.get("/service").ok() for item in (api, lasting)]
     assert [(item["token_days_default"], item["token_days_max"]) for item in text] == [(90, 365), (90, 0)]

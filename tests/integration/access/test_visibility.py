@@ -185,7 +185,7 @@ def _search(api: Api, path: str, **query: str) -> list[str]:
     return _ids(api.get(path, {"limit": "500", **query}).ok()["items"])
 
 
-def test_each_thing_by_its_id(lab: Lab) -> None:
+def test_objects_by_their_id(lab: Lab) -> None:
     for eye, api in _looks(lab):
         for project in lab.projects:
             assert api.get(f"/projects/{project.id}").status == (
@@ -211,7 +211,7 @@ def test_the_trash(lab: Lab) -> None:
         assert _ids(_listed(api, "/trash")) == sorted(owned), eye
 
 
-def test_the_record(lab: Lab) -> None:
+def test_the_audit_log(lab: Lab) -> None:
     for eye, api in _looks(lab):
         if eye.secret is None or eye.is_link or not eye.reads:
             continue
@@ -219,7 +219,7 @@ def test_the_record(lab: Lab) -> None:
         assert message == {project.id for project in lab.projects if visibility_model.level(eye, project) == 4}, eye
 
 
-def test_a_page_of_somebody_elses_list_goes_on_with_ones_own(lab: Lab) -> None:
+def test_the_cursor_of_another_persons_list_shows_only_own_rows(lab: Lab) -> None:
     """A cursor does not reveal hidden objects."""
     admin = next(eye for eye in lab.eyes if eye.is_admin and eye.reach is None)
     cursor = lab.api.as_(admin.secret).get("/missions", {"limit": "1"}).ok()["next"]

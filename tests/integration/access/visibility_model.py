@@ -9,7 +9,7 @@ import uuid
 from dataclasses import dataclass, field
 
 from kleinkram.contract.access import Right, Scope
-from kleinkram.server.access.groups import OWNER_ID
+from kleinkram.server.access.builtin_groups import OWNER_ID
 from tests.integration import people
 from tests.integration.access.world import trash
 from tests.integration.api_server import Api

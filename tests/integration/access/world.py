@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from kleinkram.contract.access import Right, TokenKind
-from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
+from kleinkram.server.access.builtin_groups import ADMINS_ID, OWNER_ID
 from tests.integration import people
 from tests.integration.access.credentials import MEMBER, PLACED, UNPLACED, Carrier, Reach
 from tests.integration.access.expectations import Place

@@ -7,7 +7,7 @@ import pytest
 from kleinkram.client import connect
 from kleinkram.contract.errors import NotFound, StoreUnavailable
 from kleinkram.server.blobs import service
-from kleinkram.server.jobs.attempts import ATTEMPTS
+from kleinkram.server.jobs.execution import ATTEMPTS
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -36,7 +36,7 @@ def test_storage_is_reported_by_state(lab: Api) -> None:
     assert message["uploads"] == {"state": "under_way", "count": 1, "size_bytes": 11}
 
 
-def test_a_failed_job_is_shown_and_put_back(lab: Api) -> None:
+def test_a_failed_job_is_listed_and_retried(lab: Api) -> None:
     insert = "INSERT INTO procrastinate_jobs (queue_name, task_name, status, args) VALUES"
     job_id = lab.sql(f"{insert} ('default', 'verify_blob', 'failed', '{{\"ref\": \"x\"}}') RETURNING id")[0][0]
     with connect(lab.url, lab.token) as client:
@@ -52,7 +52,7 @@ def test_a_failed_job_is_shown_and_put_back(lab: Api) -> None:
     assert event["after"] == {"job": job_id}
 
 
-def test_a_job_that_fails_leaves_a_sentence_that_goes_with_it(lab: Api, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_of_a_failed_job_is_stored_and_deleted_with_it(lab: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     sample = Sample(lab)
     blob_id = str(sample.blob(size_bytes=3))
     fails = [StoreUnavailable(reason="it is on holiday")]
@@ -79,7 +79,7 @@ def test_a_job_that_fails_leaves_a_sentence_that_goes_with_it(lab: Api, monkeypa
     assert lab.sql("SELECT 1 FROM job_error WHERE job_id = %s", job_id) == []
 
 
-def test_a_job_shows_why_it_failed_while_it_is_tried_again(
+def test_the_error_of_a_job_is_shown_while_it_is_retried(
     lab: Api, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     blob_id = str(Sample(lab).blob(size_bytes=3))
@@ -126,7 +126,7 @@ def test_all_failed_jobs_are_retried_and_none_is_scheduled_later(lab: Api) -> No
     lab.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'collect_garbage'")
 
 
-def test_health_says_how_database_and_store_are(lab: Api) -> None:
+def test_health_reports_database_and_store(lab: Api) -> None:
     message = lab.get("/admin/health").ok()
     assert message["not_ready"] is None
     assert message["database_bytes"] > 1_000_000

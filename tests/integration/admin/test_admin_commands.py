@@ -45,7 +45,7 @@ def _fail_a_job(lab: Api) -> int:
     return job_id
 
 
-def test_failed_jobs_are_shown_with_why_and_put_back(lab: Api, klein: Klein) -> None:
+def test_failed_jobs_are_shown_with_their_error_and_retried(lab: Api, klein: Klein) -> None:
     job_id = _fail_a_job(lab)
     shown = klein("jobs")
     assert f"{job_id}  verify_blob" in shown
@@ -56,7 +56,7 @@ def test_failed_jobs_are_shown_with_why_and_put_back(lab: Api, klein: Klein) -> 
     assert json.loads(klein("jobs", "--json"))["failed"] == []
 
 
-def test_all_failed_jobs_are_put_back_by_one_command(lab: Api, klein: Klein) -> None:
+def test_all_failed_jobs_are_retried_by_one_command(lab: Api, klein: Klein) -> None:
     _fail_a_job(lab)
     _fail_a_job(lab)
     assert json.loads(klein("retry", "--all", "--json")) == {"retried": 2}

@@ -80,7 +80,7 @@ def test_downloads_of_public_data_are_not_recorded_as_admin_access(api: Api, sam
     assert _marks(api, admin)[-1] == ("file.download", False)
 
 
-def test_a_move_is_judged_on_both_sides(api: Api, admin: Person) -> None:
+def test_a_move_requires_rights_on_both_projects(api: Api, admin: Person) -> None:
     source, target = api.project()["id"], api.project()["id"]
     mission = api.mission(source)["id"]
     people.grant(api, admin, Right.create, project_id=target)
@@ -89,7 +89,7 @@ def test_a_move_is_judged_on_both_sides(api: Api, admin: Person) -> None:
     assert _marks(api, admin)[-2:] == [("mission.leave", True), ("mission.arrive", False)]
 
 
-def test_a_token_without_the_power_uses_none(api: Api, admin: Person, sample: Sample) -> None:
+def test_a_token_without_admin_rights_is_not_marked_as_admin_access(api: Api, admin: Person, sample: Sample) -> None:
     plain = people.token(api, admin.id, [Scope.write])
     project = api.project()["id"]
     people.grant(api, admin, Right.write, project_id=project)
@@ -98,12 +98,12 @@ def test_a_token_without_the_power_uses_none(api: Api, admin: Person, sample: Sa
     assert _marks(api, admin) == [("project.update", False), ("access.denied", False)]
 
 
-@pytest.mark.parametrize(("creators", "by_power"), [("everybody", False), ("affiliated", False), ("admins", True)])
-def test_making_a_project_takes_power_where_the_setting_leaves_it_to_admins(
-    start_api: StartApi, creators: str, by_power: bool
+@pytest.mark.parametrize(("creators", "needs_admin"), [("everybody", False), ("affiliated", False), ("admins", True)])
+def test_creating_a_project_is_admin_access_if_the_setting_requires_admins(
+    start_api: StartApi, creators: str, needs_admin: bool
 ) -> None:
     api = start_api(creators=creators)
     admin = people.person(api, admin=True)
     api.as_(admin.token).project()
     api.as_(admin.token).post("/groups", {"name": "field team"}).ok(201)
-    assert _marks(api, admin) == [("project.create", by_power), ("group.create", by_power)]
+    assert _marks(api, admin) == [("project.create", needs_admin), ("group.create", needs_admin)]

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.access import Right, Scope
-from kleinkram.server.audit import admin_access
+from kleinkram.server.audit import requests
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -24,14 +24,14 @@ def _looks(api: Api, who: Person) -> list[Any]:
     return [(event["noun"], event["noun_id"] or event["noun_name"]) for event in reversed(api.all("/audit", query))]
 
 
-def test_one_look_an_hour_is_noted_for_each_mission_and_project(own: Api) -> None:
+def test_admin_reads_are_audited_once_an_hour_for_each_object(own: Api) -> None:
     project = own.project()["id"]
     mission, other = own.mission(project)["id"], own.mission(project)["id"]
     file_id = Sample(own).file(mission, "a.mcap")
     admin = people.person(own, admin=True)
     requested = own.as_(admin.token)
     for _ in range(2):
-        own.app.state.admin_reads = admin_access.AdminReads()  # as in another process
+        own.app.state.admin_reads = requests.AdminReads()  # as in another process
         requested.get(f"/files/{file_id}").ok()
         requested.get(f"/missions/{mission}/recordings").ok()
         requested.get("/files", {"mission_id": mission}).ok()
@@ -41,7 +41,7 @@ def test_one_look_an_hour_is_noted_for_each_mission_and_project(own: Api) -> Non
     (event,) = own.all("/audit", {"operation": "admin.look", "mission_id": mission})
     assert (event["as_admin"], event["project_id"], event["after"]) == (True, project, {"operation": "get_file"})
     own.sql("UPDATE audit_event SET at = at - interval '61 minutes' WHERE operation = 'admin.look'")
-    own.app.state.admin_reads = admin_access.AdminReads()
+    own.app.state.admin_reads = requests.AdminReads()
     requested.get(f"/missions/{mission}").ok()
     assert _looks(own, admin)[3:] == [("mission", mission)]
 
@@ -59,7 +59,7 @@ def test_reads_with_own_rights_are_not_recorded_as_admin_access(own: Api, right:
     assert _looks(own, admin) == [("project", project)]
 
 
-def test_the_record_and_the_trash_take_more_than_reading(own: Api) -> None:
+def test_reads_of_the_audit_log_with_only_write_are_admin_reads(own: Api) -> None:
     project = own.project()["id"]
     admin = people.person(own, admin=True)
     people.grant(own, admin, Right.write, project_id=project)
@@ -70,7 +70,7 @@ def test_the_record_and_the_trash_take_more_than_reading(own: Api) -> None:
     assert _looks(own, admin) == [("project", project)]
 
 
-def test_lists_of_everything_are_noted_by_their_name_where_they_show_more_than_one_s_own(start_api: StartApi) -> None:
+def test_lists_that_show_an_admin_more_are_audited_by_operation(start_api: StartApi) -> None:
     api = start_api()
     owner = people.person(api, admin=True)
     requested = api.as_(owner.token)
@@ -87,7 +87,7 @@ def test_lists_of_everything_are_noted_by_their_name_where_they_show_more_than_o
     assert _looks(api, other) == [("server", "list_files"), ("server", "get_stats")]
 
 
-def test_without_the_power_or_for_what_is_not_there_nothing_is_noted(own: Api) -> None:
+def test_reads_without_admin_rights_or_of_missing_objects_are_not_audited(own: Api) -> None:
     project = own.project()["id"]
     admin = people.person(own, admin=True)
     plain = people.token(own, admin.id, [Scope.write])
@@ -98,7 +98,7 @@ def test_without_the_power_or_for_what_is_not_there_nothing_is_noted(own: Api) -
     assert _looks(own, admin) == []
 
 
-def test_a_limited_token_s_looks_are_those_within_its_limits(own: Api) -> None:
+def test_admin_reads_with_a_limited_token_are_audited_inside_its_limits(own: Api) -> None:
     here, there = own.project()["id"], own.project()["id"]
     admin = people.person(own, admin=True)
     requested = own.as_(people.token(own, admin.id, limits=[here]).secret)

@@ -18,7 +18,7 @@ def test_events_are_listed_latest_first(api: Api) -> None:
     assert (latest["before"], latest["after"]) == ({"notes": ""}, {"notes": "x"})
 
 
-def test_narrows_by_noun(api: Api) -> None:
+def test_events_are_filtered_by_noun(api: Api) -> None:
     project = api.project()
     mission = api.mission(project["id"])
     query = {"project_id": project["id"], "noun": "mission"}
@@ -33,14 +33,14 @@ def test_failed_requests_write_no_audit_entry(api: Api) -> None:
     assert len(api.all("/audit", {"project_id": project["id"]})) == 1
 
 
-def test_a_wrong_query_is_named(api: Api) -> None:
+def test_invalid_query_parameters_are_named(api: Api) -> None:
     api.get("/audit", {"noun_id": "x"}).refused(422, "invalid_request")
     api.get("/audit", {"colour": "red"}).refused(422, "invalid_request")
     api.get("/audit", {"cursor": "x"}).refused(422, "invalid_cursor")
     api.post("/audit", {}).refused(405, "method_not_allowed")
 
 
-def test_pages_stay_while_the_record_grows(api: Api) -> None:
+def test_pages_are_stable_while_events_are_added(api: Api) -> None:
     project = api.project()
     for _ in range(3):
         api.mission(project["id"])

@@ -133,7 +133,7 @@ def test_every_operation_that_changes_something_is_listed(world: World) -> None:
 
 
 @pytest.mark.parametrize("operation", [name for name, written in WRITES.items() if any("[" not in w for w in written)])
-def test_an_operation_writes_what_it_did(world: World, admin: Principal, operation: str) -> None:
+def test_an_operation_writes_its_audit_events(world: World, admin: Principal, operation: str) -> None:
     written = set()
     for caller in CALLERS[operation]:
         requested, request_id = caller.request(admin), uuid.uuid4().hex

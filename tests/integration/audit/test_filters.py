@@ -53,7 +53,7 @@ def _operations(answer: Answer) -> list[str]:
         ({"share_id": str(uuid.uuid4())}, []),
     ],
 )
-def test_narrows(api: Api, lab: Lab, expected: dict[str, str], actual: list[str]) -> None:
+def test_events_are_filtered(api: Api, lab: Lab, expected: dict[str, str], actual: list[str]) -> None:
     ids = {"mission": lab["mission"], "robot": lab["robot"].id, "guest": lab["guest"].id}
     query = {name: ids.get(value, value) for name, value in expected.items()}
     if expected.get("person") == "guest":
@@ -61,7 +61,7 @@ def test_narrows(api: Api, lab: Lab, expected: dict[str, str], actual: list[str]
     assert _operations(api.get("/audit", {"project_id": lab["project"], **query})) == actual
 
 
-def test_narrows_by_time_from_inclusive_to_exclusive(api: Api, lab: Lab) -> None:
+def test_since_is_inclusive_and_until_exclusive(api: Api, lab: Lab) -> None:
     within = {"project_id": lab["project"]}
     latest, made, first = api.get("/audit", within).ok()["items"]
     assert _operations(api.get("/audit", {**within, "since": made["at"]})) == ["file.download", "mission.create"]
@@ -73,7 +73,7 @@ def test_narrows_by_time_from_inclusive_to_exclusive(api: Api, lab: Lab) -> None
     api.get("/audit", {"since": "yesterday"}).refused(422, "invalid_request")
 
 
-def test_says_with_what_it_was_done_and_where(api: Api, lab: Lab) -> None:
+def test_events_contain_credential_and_place(api: Api, lab: Lab) -> None:
     (event,) = api.get("/audit", {"project_id": lab["project"], "token_id": lab["robot"].id}).ok()["items"]
     assert event["actor"] == {"id": lab["guest"].id, "name": lab["guest"].name}
     assert event["token"]["id"] == lab["robot"].id
@@ -95,7 +95,7 @@ def test_uses_of_a_share_are_distinguished_and_owners_see_their_addresses(api: A
     assert event["share"] == {"id": link.id, "name": ""}
 
 
-def test_owners_see_their_projects_and_not_where_colleagues_work_from(api: Api, lab: Lab) -> None:
+def test_owners_see_events_of_their_projects_without_addresses_of_others(api: Api, lab: Lab) -> None:
     other = api.project()["id"]
     owner, reader = people.person(api), people.person(api)
     people.grant(api, owner, Right.delete, project_id=lab["project"])
@@ -120,7 +120,7 @@ def _export(api: Api, token: str | None, query: dict[str, str]) -> tuple[urllib3
     return answer, [AuditRead.model_validate_json(line) for line in answer.data.splitlines() if answer.status == 200]
 
 
-def test_exports_what_a_list_shows_the_other_way_round(api: Api, lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_export_has_the_events_of_the_list_oldest_first(api: Api, lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("kleinkram.server.audit.service._EXPORT_BATCH", 2)
     query = {"project_id": lab["project"]}
     answer, events = _export(api, api.token, query)
@@ -128,7 +128,7 @@ def test_exports_what_a_list_shows_the_other_way_round(api: Api, lab: Lab, monke
     assert [json.loads(event.model_dump_json()) for event in reversed(events)] == api.all("/audit", query)
 
 
-def test_an_export_holds_no_connection_and_shows_no_more_than_a_list(api: Api, lab: Lab) -> None:
+def test_an_export_occupies_no_connection_and_shows_no_more_than_a_list(api: Api, lab: Lab) -> None:
     reader = people.person(api)
     assert _export(api, reader.token, {})[1] == []
     assert _export(api, None, {})[0].status == 401

@@ -8,8 +8,8 @@ import pytest
 
 from kleinkram.contract.access import Right
 from kleinkram.contract.errors import Forbidden
-from kleinkram.server.audit import refusals
-from kleinkram.server.audit.refusals import Refusals
+from kleinkram.server.audit import requests
+from kleinkram.server.audit.requests import Refusals
 from kleinkram.server.auth.bootstrap import ensure_owner
 from kleinkram.server.context import AppContext
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
@@ -28,7 +28,7 @@ def _noted(api: Api, operation: str) -> list[Any]:
     ("sent", "reason"),
     [("Bearer wrong-secret", "the token is not valid here"), ("Basic eDp5", "the request has no bearer token")],
 )
-def test_a_failed_sign_in_is_noted_without_its_token(start_api: StartApi, sent: str, reason: str) -> None:
+def test_a_failed_sign_in_is_audited_without_its_token(start_api: StartApi, sent: str, reason: str) -> None:
     api = start_api()
     headers = {"Authorization": sent, "X-Request-Id": "mine"}
     api.call("GET", f"/projects/{uuid.uuid4()}", headers=headers).refused(401, "not_authenticated")
@@ -52,10 +52,10 @@ def test_a_denial_is_recorded_although_the_transaction_is_rolled_back(start_api:
     assert event["address"] == "127.0.0.1"
 
 
-def test_a_flood_of_refusals_is_noted_in_part_and_touches_the_database_no_more(
+def test_many_refusals_are_audited_in_part_without_further_statements(
     start_api: StartApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(refusals, "PER_MINUTE", 5)
+    monkeypatch.setattr(requests, "PER_MINUTE", 5)
     api = start_api()
     with api.statements() as statements, ThreadPoolExecutor(4) as pool:
         calls = [pool.submit(api.call, "GET", "/projects", headers={"Authorization": "x"}) for _ in range(30)]
@@ -63,11 +63,11 @@ def test_a_flood_of_refusals_is_noted_in_part_and_touches_the_database_no_more(
     assert len(_noted(api, "auth.refused")) == len(statements) == 5
 
 
-def test_the_noise_of_strangers_hides_nobody_s_denial_and_is_one_row_a_minute(
+def test_refusals_of_guests_hide_no_denials_and_are_summed_up(
     start_api: StartApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(refusals, "PER_MINUTE", 3)
-    monkeypatch.setattr(refusals, "MINUTE_S", 2.0)
+    monkeypatch.setattr(requests, "PER_MINUTE", 3)
+    monkeypatch.setattr(requests, "MINUTE_S", 2.0)
     api = start_api()
     ada, project = people.person(api), api.project()["id"]
     people.grant(api, ada, Right.read, project_id=project)
@@ -87,8 +87,8 @@ def test_the_noise_of_strangers_hides_nobody_s_denial_and_is_one_row_a_minute(
     assert len(summed()) <= 2
 
 
-def test_each_who_is_known_has_a_share_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(refusals, "PER_MINUTE", 2)
+def test_each_known_actor_has_a_limit_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(requests, "PER_MINUTE", 2)
     noted, ada = Refusals(), uuid.uuid4()
     requested = [
         (None, 1000),
@@ -103,7 +103,7 @@ def test_each_who_is_known_has_a_share_of_their_own(monkeypatch: pytest.MonkeyPa
     assert [noted.admits(whose, now) for whose, now in requested] == [True, True, False, True, True, False, True, True]
 
 
-def test_the_owner_s_tokens_are_recorded_as_they_come_and_go(start_api: StartApi) -> None:
+def test_creation_and_revocation_of_owner_tokens_are_audited(start_api: StartApi) -> None:
     api = start_api()
 
     async def replace(context: AppContext) -> None:
@@ -117,7 +117,7 @@ def test_the_owner_s_tokens_are_recorded_as_they_come_and_go(start_api: StartApi
     assert operations == [("token.create", tokens[0]), ("token.revoke", tokens[0]), ("token.create", tokens[1])]
 
 
-def test_the_owners_of_a_place_see_who_was_denied_something_there(start_api: StartApi) -> None:
+def test_owners_see_denials_in_their_projects(start_api: StartApi) -> None:
     api = start_api()  # of its own: a process notes only so many refusals a minute
     project = api.project()["id"]
     mission = api.mission(project)["id"]

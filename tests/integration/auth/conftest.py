@@ -2,7 +2,7 @@
 
 import pytest
 
-from kleinkram.server.audit import refusals
+from kleinkram.server.audit import requests
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 
@@ -15,4 +15,4 @@ def api(start_api: StartApi) -> Api:
 
 @pytest.fixture(autouse=True)
 def _all_refusals_are_noted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(refusals, "PER_MINUTE", 10_000)
+    monkeypatch.setattr(requests, "PER_MINUTE", 10_000)

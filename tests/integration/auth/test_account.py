@@ -11,7 +11,7 @@ from kleinkram import connect
 from kleinkram.cli.main import app
 from kleinkram.contract.access import Scope
 from kleinkram.contract.errors import LastSignInMethod, NotFound
-from kleinkram.server.access.groups import OWNER_ID
+from kleinkram.server.access.builtin_groups import OWNER_ID
 from kleinkram.server.settings import Affiliation
 from tests.integration import people
 from tests.integration.auth.accounts import PASSWORD, account, any_email, sign_in, signed_in
@@ -40,7 +40,7 @@ def _unlink(browser: Browser, identity: Any) -> Any:
     return browser.call("DELETE", f"/api/v1/me/identities/{identity['id']}")
 
 
-def test_an_account_says_what_is_known_of_one(start_api: StartApi) -> None:
+def test_an_account_returns_addresses_affiliations_and_sign_in_methods(start_api: StartApi) -> None:
     eth = Affiliation(name="ETH", domains=("lab.example",))
     api = start_api(affiliations=[eth])
     made = account(api)
@@ -55,7 +55,7 @@ def test_an_account_says_what_is_known_of_one(start_api: StartApi) -> None:
     api.as_(robot.secret).get("/me/account").refused(403, "scope_missing")
 
 
-def test_a_provider_is_unlinked_where_a_password_stays_and_nothing_else_ends(lab: Lab) -> None:
+def test_unlinking_a_provider_ends_nothing_else(lab: Lab) -> None:
     made = account(lab.api)
     linked = _link(lab, made.browser, f"ada {made.id}", email=made.email, email_verified=True)
     assert (linked["provider"], linked["is_last"]) == ("The Lab", False)
@@ -90,7 +90,7 @@ def test_an_unlinked_identity_is_linked_again_only_by_the_signed_in_person(lab: 
     assert lab.sign_in(subject).me()["person"]["id"] == other.id
 
 
-def test_the_last_way_in_stays(lab: Lab) -> None:
+def test_the_last_sign_in_method_cannot_be_unlinked(lab: Lab) -> None:
     browser = lab.sign_in("only", **known_as(any_email()))
     (only,) = _identities(browser)
     assert only["is_last"] is True
@@ -111,7 +111,7 @@ def test_one_of_two_sign_in_methods_removed_at_the_same_time_remains(lab: Lab) -
     assert len(_identities(browser)) == 1
 
 
-def test_a_password_that_is_not_taken_here_is_no_way_in(start_api: StartApi, lab: Lab) -> None:
+def test_a_password_without_local_accounts_is_no_sign_in_method(start_api: StartApi, lab: Lab) -> None:
     settings = provider_settings("lab", lab.provider.url)
     here = Lab(start_api(oidc_providers=[settings], local_accounts=False), lab.provider)
     email = any_email()
@@ -122,7 +122,7 @@ def test_a_password_that_is_not_taken_here_is_no_way_in(start_api: StartApi, lab
     assert browser.get("/api/v1/me/account").ok()["has_password"] is False
 
 
-def test_a_provider_that_is_gone_is_no_way_in(lab: Lab) -> None:
+def test_a_removed_provider_is_no_sign_in_method(lab: Lab) -> None:
     browser = lab.sign_in("remains", **known_as(any_email()))
     lab.api.sql(
         "INSERT INTO identity (id, person_id, issuer, subject)"
@@ -135,7 +135,7 @@ def test_a_provider_that_is_gone_is_no_way_in(lab: Lab) -> None:
     _unlink(browser, gone).ok(204)
 
 
-def test_the_owner_s_link_is_a_way_in(lab: Lab) -> None:
+def test_the_owner_link_is_a_sign_in_method(lab: Lab) -> None:
     owner = lab.api.get("/me").ok()["person"]["id"]
     assert owner == str(OWNER_ID)
     link = lab.api.post("/auth/owner-link").ok()["url"]
@@ -144,7 +144,7 @@ def test_the_owner_s_link_is_a_way_in(lab: Lab) -> None:
     _unlink(browser, _link(lab, browser, "the owner")).ok(204)
 
 
-def test_nobody_unlinks_what_is_somebody_else_s(lab: Lab) -> None:
+def test_identities_of_others_cannot_be_unlinked(lab: Lab) -> None:
     browser = lab.sign_in("theirs", **known_as(any_email()))
     other = account(lab.api, name="Bob")
     _link(lab, other.browser, f"bob {other.id}")
@@ -156,7 +156,7 @@ def test_nobody_unlinks_what_is_somebody_else_s(lab: Lab) -> None:
     assert "another person" in sentence(other.browser.get(lab.provider.authorize(begun["url"])))
 
 
-def test_programs_and_the_terminal_do_the_same(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sdk_and_cli_unlink_identities(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     made = account(lab.api)
     linked = _link(lab, made.browser, f"terminal {made.id}", email="x@lab.example")
     token = people.token(lab.api, made.id).secret
@@ -185,7 +185,7 @@ def test_programs_and_the_terminal_do_the_same(lab: Lab, monkeypatch: pytest.Mon
             client.me.unlink_identity(again["id"])
 
 
-def test_a_changed_password_is_a_way_in_too(lab: Lab) -> None:
+def test_a_changed_password_is_a_sign_in_method(lab: Lab) -> None:
     made = account(lab.api)
     linked = _link(lab, made.browser, f"changed {made.id}")
     new = "staple battery horse"

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from kleinkram.server.access.groups import ADMINS_ID
+from kleinkram.server.access.builtin_groups import ADMINS_ID
 from kleinkram.server.auth.bootstrap import log_bootstrap_code
+from kleinkram.server.auth.one_time_codes import delete_expired_codes
 from kleinkram.server.context import AppContext
-from kleinkram.server.jobs.queue import delete_expired_rows
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.auth.accounts import PASSWORD, account, any_email, code_of, signed_in
@@ -132,7 +132,7 @@ def test_codes_and_logins_are_deleted_after_retention(api: Api) -> None:
 
     async def forget(context: AppContext) -> None:
         async with context.database.begin() as db:
-            await delete_expired_rows(db)
+            await delete_expired_codes(db)
 
     on_site(api, forget)
     assert api.sql("SELECT count(*) FROM one_time_code") == remaining

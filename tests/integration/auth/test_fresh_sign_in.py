@@ -35,7 +35,9 @@ _SENSITIVE = [
 
 
 @pytest.mark.parametrize(("method", "path", "body"), _SENSITIVE)
-def test_after_a_while_one_signs_in_again_for_it(api: Api, ada: Account, method: str, path: str, body: object) -> None:
+def test_sensitive_operations_require_a_recent_sign_in(
+    api: Api, ada: Account, method: str, path: str, body: object
+) -> None:
     _age(api, ada)
     refused = ada.browser.call(method, f"/api/v1{path}", body).refused(403, "sign_in_too_old")
     assert "sign in again" in refused["detail"]
@@ -55,9 +57,7 @@ def test_a_password_is_changed_only_after_signing_in_again(api: Api, ada: Accoun
     assert "session.renew" in [event["operation"] for event in api.get("/audit", {"person_id": ada.id}).ok()["items"]]
 
 
-def test_an_admins_old_sign_in_makes_no_admin_and_resets_nobodys_password_or_second_factor(
-    api: Api, ada: Account
-) -> None:
+def test_an_old_sign_in_of_an_admin_cannot_change_other_accounts(api: Api, ada: Account) -> None:
     api.post(f"/people/{ada.id}/admin").ok()
     _age(api, ada)
     for method, path in (("POST", "reset"), ("DELETE", "totp"), ("POST", "admin")):
@@ -66,7 +66,7 @@ def test_an_admins_old_sign_in_makes_no_admin_and_resets_nobodys_password_or_sec
     ada.browser.post(f"/people/{ada.id}/reset").ok(201)
 
 
-def test_an_old_session_of_the_owner_of_klein_up_makes_no_link_that_signs_in(api: Api) -> None:
+def test_an_old_session_of_the_owner_creates_no_sign_in_link(api: Api) -> None:
     browser = Browser(api)
     browser.post("/auth/link", {"code": code_of(api.post("/auth/owner-link").ok()["url"])}).ok()
     api.sql("UPDATE session SET authenticated_at = now() - interval '16 minutes'")
@@ -74,12 +74,12 @@ def test_an_old_session_of_the_owner_of_klein_up_makes_no_link_that_signs_in(api
     api.post("/auth/owner-link").ok()
 
 
-def test_other_tokens_are_made_without_it(api: Api, ada: Account) -> None:
+def test_tokens_without_the_scope_admin_need_no_recent_sign_in(api: Api, ada: Account) -> None:
     _age(api, ada)
     ada.browser.post("/tokens", {"name": "writes", "scopes": ["write"]}).ok(201)
 
 
-def test_an_old_token_makes_no_token_with_the_scope_admin(api: Api) -> None:
+def test_an_old_token_creates_no_token_with_the_scope_admin(api: Api) -> None:
     who = people.person(api)
     theirs = api.as_(who.token)
     theirs.post("/tokens", {"name": "made soon after", "scopes": ["admin"]}).ok(201)
@@ -94,6 +94,6 @@ def test_a_token_made_by_a_token_is_no_sign_in(api: Api) -> None:
     api.as_(made["secret"]).post("/tokens", {"name": "grandchild", "scopes": ["admin"]}).refused(403, "sign_in_too_old")
 
 
-def test_the_owner_of_klein_up_makes_tokens_by_the_file_at_any_time(api: Api) -> None:
+def test_the_owner_token_file_creates_tokens_at_any_time(api: Api) -> None:
     api.sql("UPDATE token SET created_at = now() - interval '1 year' WHERE name = 'local owner'")
     api.post("/tokens", {"name": "of the owner", "scopes": ["admin"]}).ok(201)

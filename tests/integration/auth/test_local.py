@@ -18,7 +18,7 @@ from tests.integration.jobs import on_site
 OTHER_PASSWORD = "a wholly different one"
 
 
-def test_an_invitation_makes_an_account_and_a_password_opens_it_again(api: Api) -> None:
+def test_an_invited_person_creates_an_account_and_signs_in_by_password(api: Api) -> None:
     made = account(api, name="Ada Lovelace")
     assert made.browser.me()["emails"] == [made.email]
     again = Browser(api)
@@ -30,7 +30,7 @@ def test_an_invitation_makes_an_account_and_a_password_opens_it_again(api: Api) 
     assert {"session.create"} <= operations
 
 
-def test_an_invitation_is_good_once_and_a_newer_one_takes_its_place(api: Api) -> None:
+def test_an_invitation_is_valid_once_and_until_a_newer_one(api: Api) -> None:
     email = any_email()
     older, newer = (code_of(api.post("/people/invitations", {"email": email}).ok(201)["url"]) for _ in range(2))
     accepted = {"name": "Ada", "password": PASSWORD}
@@ -41,7 +41,7 @@ def test_an_invitation_is_good_once_and_a_newer_one_takes_its_place(api: Api) ->
     api.post("/people/invitations", {"email": email}).refused(409, "name_taken")
 
 
-def test_an_expired_invitation_is_not_good(api: Api) -> None:
+def test_an_expired_invitation_is_refused(api: Api) -> None:
     email = any_email()
     code = code_of(api.post("/people/invitations", {"email": email}).ok(201)["url"])
     api.sql("UPDATE one_time_code SET expires_at = now() WHERE email = %s", email)
@@ -49,13 +49,13 @@ def test_an_expired_invitation_is_not_good(api: Api) -> None:
     Browser(api).post("/auth/invitation", accepted).refused(410, "code_gone")
 
 
-def test_only_admins_invite_and_reset(api: Api) -> None:
+def test_only_admins_invite_people_and_reset_passwords(api: Api) -> None:
     made = account(api)
     made.browser.post("/people/invitations", {"email": any_email()}).refused(403, "forbidden")
     made.browser.post(f"/people/{made.id}/reset").refused(403, "forbidden")
 
 
-def test_an_invited_person_is_in_the_group_of_their_address_and_sees_what_it_was_granted(api: Api) -> None:
+def test_an_invited_person_gets_the_rights_granted_to_their_address(api: Api) -> None:
     email, project = any_email(), api.project()
     people.grant(api, people.email_group(api, email), Right.read, project_id=project["id"])
     made = account(api, email=email)
@@ -63,7 +63,7 @@ def test_an_invited_person_is_in_the_group_of_their_address_and_sees_what_it_was
 
 
 @pytest.mark.parametrize("wrong", ["not the password", "", PASSWORD + " "])
-def test_a_wrong_password_is_refused_as_is_an_address_that_nobody_has(api: Api, wrong: str) -> None:
+def test_wrong_passwords_and_unknown_addresses_are_refused_alike(api: Api, wrong: str) -> None:
     made = account(api)
     answers = [
         Browser(api).post("/auth/password", {"email": email, "password": wrong})
@@ -74,7 +74,7 @@ def test_a_wrong_password_is_refused_as_is_an_address_that_nobody_has(api: Api, 
     assert all("set-cookie" not in answer.headers for answer in answers)
 
 
-def test_failed_sign_ins_are_recorded_without_what_was_typed(start_api: StartApi) -> None:
+def test_failed_sign_ins_are_audited_without_the_input(start_api: StartApi) -> None:
     api = start_api()
     Browser(api).post("/auth/password", {"email": "ada@lab.example", "password": "hunter2-hunter2"})
     (event,) = (item for item in api.all("/audit") if item["operation"] == "auth.refused")
@@ -82,7 +82,7 @@ def test_failed_sign_ins_are_recorded_without_what_was_typed(start_api: StartApi
     assert "hunter2" not in str(event)
 
 
-def test_changing_a_password_takes_the_old_one_and_signs_other_browsers_out(api: Api) -> None:
+def test_changing_a_password_requires_the_old_one_and_ends_other_sessions(api: Api) -> None:
     made, other = account(api), Browser(api)
     sign_in(other, made.email)
     expected = {"old_password": "wrong", "new_password": OTHER_PASSWORD}
@@ -94,7 +94,7 @@ def test_changing_a_password_takes_the_old_one_and_signs_other_browsers_out(api:
     sign_in(Browser(api), made.email, OTHER_PASSWORD)
 
 
-def test_a_password_is_not_one_s_name_or_address(api: Api) -> None:
+def test_a_password_cannot_be_ones_name_or_address(api: Api) -> None:
     email = any_email()
     code = code_of(api.post("/people/invitations", {"email": email}).ok(201)["url"])
     accepted = {"code": code, "name": "Ada Lovelace"}
@@ -111,7 +111,7 @@ def test_a_short_password_is_refused(api: Api) -> None:
     Browser(api).post("/auth/invitation", {"code": code, "password": "nine char"}).refused(422, "invalid_request")
 
 
-def test_a_reset_link_chooses_a_new_password_and_signs_all_browsers_out(api: Api) -> None:
+def test_a_reset_link_sets_a_new_password_and_ends_all_sessions(api: Api) -> None:
     made, other = account(api), Browser(api)
     link = api.post(f"/people/{made.id}/reset").ok(201)["url"]
     assert link.startswith(f"{made.browser.public_url}/sign-in/reset#")
@@ -124,7 +124,7 @@ def test_a_reset_link_chooses_a_new_password_and_signs_all_browsers_out(api: Api
     assert {"password.reset_link", "password.reset"} <= {event["operation"] for event in api.events(made.id)}
 
 
-def test_a_reset_ends_personal_tokens_and_leaves_robots_a_change_ends_none(api: Api) -> None:
+def test_a_reset_revokes_only_personal_tokens_and_a_change_none(api: Api) -> None:
     made, project = account(api), api.project()
     people.grant(
         api,
@@ -165,7 +165,7 @@ def test_one_time_links_do_not_survive_removal_and_return(api: Api) -> None:
 
 
 @pytest.mark.parametrize("how", ["deactivate", "dismiss"])
-def test_links_end_with_the_power_of_the_admin_who_made_them(api: Api, how: str) -> None:
+def test_links_end_when_their_creator_loses_admin_rights(api: Api, how: str) -> None:
     removed, victim = people.person(api, admin=True), account(api)
     theirs = api.as_(removed.token)
     invitation = code_of(theirs.post("/people/invitations", {"email": any_email()}).ok(201)["url"])
@@ -193,7 +193,7 @@ def test_a_removed_person_cannot_sign_in_and_has_no_session(api: Api) -> None:
     api.post(f"/people/{made.id}/reset").refused(404, "not_found")
 
 
-def test_a_hash_of_older_parameters_is_renewed_by_signing_in(api: Api) -> None:
+def test_signing_in_renews_a_hash_with_older_parameters(api: Api) -> None:
     from argon2 import PasswordHasher
 
     made = account(api)
@@ -205,7 +205,7 @@ def test_a_hash_of_older_parameters_is_renewed_by_signing_in(api: Api) -> None:
     sign_in(Browser(api), made.email)
 
 
-def test_guessing_is_refused_to_an_address_whether_it_is_there_or_not(
+def test_sign_in_attempts_are_limited_for_unknown_addresses_too(
     start_api: StartApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rate_limit, "_WINDOW", rate_limit._WINDOW * 60 * 24 * 365)
@@ -225,7 +225,9 @@ def _guess(api: Api, email: str, password: str, address: str) -> int:
     return api.as_(None).call("POST", "/auth/password", body, headers=headers).status
 
 
-def test_nobody_locks_an_account_for_its_owner(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_attempts_do_not_lock_out_the_owner_of_an_account(
+    start_api: StartApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(rate_limit, "_WINDOW", rate_limit._WINDOW * 60 * 24 * 365)
     api = start_api(sign_ins_per_minute=2, trusted_proxies=["127.0.0.1/32"])
     made = account(api)
@@ -234,7 +236,7 @@ def test_nobody_locks_an_account_for_its_owner(start_api: StartApi, monkeypatch:
     assert _guess(api, made.email, PASSWORD, "198.51.100.1") == 200
 
 
-def test_an_account_that_is_tried_from_everywhere_is_tried_in_turns(
+def test_attempts_on_an_account_from_many_addresses_are_delayed(
     start_api: StartApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rate_limit, "_WINDOW", rate_limit._WINDOW * 60 * 24 * 365)
@@ -253,7 +255,7 @@ def test_an_account_that_is_tried_from_everywhere_is_tried_in_turns(
     assert [round(waited - waits[2]) for waited in waits[2:]] == [0, 2000, 4000]
 
 
-def test_without_local_accounts_there_is_no_password_to_sign_in_with(start_api: StartApi) -> None:
+def test_password_sign_in_is_off_without_local_accounts(start_api: StartApi) -> None:
     api = start_api(local_accounts=False)
     methods = Browser(api).get("/api/v1/auth/methods").ok()
     assert methods == {"password": False, "providers": [], "bootstrap": False}
@@ -262,7 +264,7 @@ def test_without_local_accounts_there_is_no_password_to_sign_in_with(start_api: 
     api.post("/people/invitations", {"email": any_email()}).refused(403, "forbidden")
 
 
-def test_a_session_says_from_where_it_is(api: Api) -> None:
+def test_a_session_lists_address_and_browser(api: Api) -> None:
     made = account(api)
     (own,) = made.browser.get("/api/v1/me/sessions").ok()["items"]
     assert (own["method"], own["address"], own["user_agent"]) == ("password", "127.0.0.1", USER_AGENT)

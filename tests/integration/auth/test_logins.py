@@ -45,7 +45,7 @@ def test_a_program_on_the_same_machine_gets_a_token_once(api: Api, ada: Account)
     assert (event["operation"], event["actor"]["id"]) == ("token.create", ada.id)
 
 
-def test_a_code_is_of_no_use_without_its_verifier(api: Api, ada: Account) -> None:
+def test_a_code_is_useless_without_its_verifier(api: Api, ada: Account) -> None:
     verifier = secrets.token_urlsafe(48)
     code, nobody = _approve(ada.browser, verifier), api.as_(None)
     stolen = {"code": code, "code_verifier": secrets.token_urlsafe(48)}
@@ -53,7 +53,7 @@ def test_a_code_is_of_no_use_without_its_verifier(api: Api, ada: Account) -> Non
     nobody.post("/auth/cli/token", {"code": code, "code_verifier": verifier}).ok()
 
 
-def test_a_code_is_good_for_no_longer_than_its_time_and_its_session(api: Api) -> None:
+def test_a_code_expires_with_its_lifetime_or_session(api: Api) -> None:
     made, nobody = signed_in(api), api.as_(None)
     verifier = secrets.token_urlsafe(48)
     late = _approve(made.browser, verifier)
@@ -80,7 +80,7 @@ def test_redirects_to_other_than_loopback_are_refused(ada: Account, expected: di
     ada.browser.post("/auth/cli/approve", {**requested, **expected}).refused(422, "invalid_request")
 
 
-def test_approving_takes_somebody_who_is_signed_in(api: Api) -> None:
+def test_approving_requires_a_browser_session(api: Api) -> None:
     requested = {"port": 40123, "state": "a" * 20, "code_challenge": "A" * 43}
     Browser(api).post("/auth/cli/approve", requested).refused(401, "not_authenticated")
     Browser(api).post("/auth/device/approve", {"user_code": "BCDF-GHJK"}).refused(401, "not_authenticated")
@@ -95,7 +95,7 @@ def _rest(api: Api) -> None:
     api.sql("UPDATE login_request SET polled_at = polled_at - interval '1 minute'")
 
 
-def test_a_robot_gets_a_token_once_its_code_was_typed(api: Api, ada: Account) -> None:
+def test_a_device_gets_a_token_after_its_code_was_approved(api: Api, ada: Account) -> None:
     began, nobody = _begin(api), api.as_(None)
     requested = {"device_code": began["device_code"]}
     assert nobody.post("/auth/device/token", requested).refused(400, "sign_in_pending")["interval_s"] == 5
@@ -119,7 +119,7 @@ def test_a_refused_program_is_notified(api: Api, ada: Account) -> None:
     api.as_(None).post("/auth/device/token", requested).refused(403, "sign_in_denied")
 
 
-def test_a_code_that_nobody_typed_in_time_is_over(api: Api, ada: Account) -> None:
+def test_an_unapproved_code_expires(api: Api, ada: Account) -> None:
     began = _begin(api)
     api.sql("UPDATE login_request SET expires_at = now() WHERE user_code = %s", began["user_code"].replace("-", ""))
     requested = {"device_code": began["device_code"]}
@@ -135,12 +135,12 @@ def test_signing_out_everywhere_revokes_tokens_not_yet_fetched(api: Api) -> None
     api.as_(None).post("/auth/device/token", requested).refused(410, "sign_in_expired")
 
 
-def test_unknown_codes_are_over(api: Api, ada: Account) -> None:
+def test_unknown_codes_are_reported_as_expired(api: Api, ada: Account) -> None:
     api.as_(None).post("/auth/device/token", {"device_code": "x" * 43}).refused(410, "sign_in_expired")
     ada.browser.post("/auth/device/status", {"user_code": "BCDFGHJK"}).refused(410, "code_gone")
 
 
-def test_ended_logins_are_forgotten(api: Api, ada: Account) -> None:
+def test_finished_logins_are_deleted(api: Api, ada: Account) -> None:
     _begin(api)
     api.sql("UPDATE login_request SET expires_at = now() - interval '2 hours'")
     _begin(api)

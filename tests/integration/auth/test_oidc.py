@@ -29,7 +29,7 @@ def latest_refusal(api: Api) -> Any:
     return next(event["after"] for event in events if event["noun_name"] == "GET /sign-in/callback/{provider}")
 
 
-def test_the_first_sign_in_makes_an_account_and_the_next_finds_it(lab: Lab) -> None:
+def test_the_first_sign_in_creates_an_account_and_the_next_opens_it(lab: Lab) -> None:
     email = any_email()
     first = lab.sign_in("ada-1", **known_as(email)).me()
     assert (first["person"]["name"], first["emails"]) == ("Ada Lovelace", [email])
@@ -40,7 +40,7 @@ def test_the_first_sign_in_makes_an_account_and_the_next_finds_it(lab: Lab) -> N
     assert operations == ["session.create", "session.create"]
 
 
-def test_a_verified_address_opens_what_was_granted_to_it(lab: Lab) -> None:
+def test_a_verified_address_gives_the_rights_granted_to_it(lab: Lab) -> None:
     email, project = any_email(), lab.api.project()
     people.grant(lab.api, people.email_group(lab.api, email), Right.read, project_id=project["id"])
     browser = lab.sign_in("granted", **known_as(email))
@@ -53,7 +53,7 @@ def test_claims_missing_in_the_id_token_are_fetched_from_userinfo(lab: Lab) -> N
     assert lab.sign_in("shy", **known_as(email)).me()["emails"] == [email]
 
 
-def test_a_browser_goes_where_it_wanted_to_and_nowhere_else(lab: Lab) -> None:
+def test_a_browser_returns_only_to_pages_of_this_server(lab: Lab) -> None:
     lab.provider.sign_in_as("traveller", **known_as(any_email()))
     answer = lab.come_back(Browser(lab.api), return_to="/projects?a=1")
     assert answer.headers["location"] == "/projects?a=1"
@@ -65,7 +65,7 @@ def test_a_browser_goes_where_it_wanted_to_and_nowhere_else(lab: Lab) -> None:
 # Whose account it is
 
 
-def test_a_trusted_address_opens_the_account_that_is_there(lab: Lab) -> None:
+def test_a_trusted_address_opens_the_existing_account(lab: Lab) -> None:
     made = account(lab.api)
     browser = lab.sign_in("linked", **known_as(made.email))
     assert browser.me()["person"]["id"] == made.id
@@ -76,7 +76,7 @@ def test_a_trusted_address_opens_the_account_that_is_there(lab: Lab) -> None:
 
 
 @pytest.mark.parametrize("verified", [False, None, "false", 0])
-def test_an_address_that_is_not_verified_opens_nobody_s_account(lab: Lab, verified: object) -> None:
+def test_an_unverified_address_opens_no_account(lab: Lab, verified: object) -> None:
     made = account(lab.api)
     message = lab.refuses(f"thief {made.id}", email=made.email, email_verified=verified)
     assert "does not get an account" in message
@@ -87,7 +87,7 @@ def test_an_address_that_is_not_verified_opens_nobody_s_account(lab: Lab, verifi
     assert lab.api.sql("SELECT count(*) FROM identity WHERE person_id = %s", made.id) == [(0,)]
 
 
-def test_an_address_of_a_domain_that_is_not_trusted_opens_nobody_s_account(lab: Lab) -> None:
+def test_an_address_of_an_untrusted_domain_opens_no_account(lab: Lab) -> None:
     for domain in ("other.example", "sub.lab.example", "lab.example.evil.example"):
         made = account(lab.api, email=f"{any_email().partition('@')[0]}@{domain}")
         assert "does not get an account" in lab.refuses(f"thief of {domain}", **known_as(made.email))
@@ -100,7 +100,7 @@ def test_a_reassigned_address_does_not_open_the_account_of_its_former_owner(lab:
     assert lab.api.sql("SELECT count(*) FROM identity WHERE person_id = %s", former) == [(1,)]
 
 
-def test_one_links_a_provider_oneself_when_signed_in(lab: Lab) -> None:
+def test_a_signed_in_person_links_a_provider(lab: Lab) -> None:
     made = account(lab.api)
     lab.provider.sign_in_as("mine", email="me@private.example", email_verified=True)
     message = made.browser.post("/auth/providers/lab/link", {"return_to": "/account"}).ok()
@@ -110,7 +110,7 @@ def test_one_links_a_provider_oneself_when_signed_in(lab: Lab) -> None:
     assert made.browser.me()["emails"] == [made.email]
 
 
-def test_an_identity_that_is_somebody_else_s_is_not_linked(lab: Lab) -> None:
+def test_an_identity_of_another_person_is_not_linked(lab: Lab) -> None:
     lab.sign_in("taken", **known_as(any_email()))
     made = account(lab.api)
     lab.provider.sign_in_as("taken")
@@ -119,12 +119,12 @@ def test_an_identity_that_is_somebody_else_s_is_not_linked(lab: Lab) -> None:
     assert "another person" in sentence(answer)
 
 
-def test_linking_ends_with_the_session_that_began_it(lab: Lab) -> None:
+def test_linking_fails_after_the_session_has_ended(lab: Lab) -> None:
     made = account(lab.api)
     lab.provider.sign_in_as("late")
     message = made.browser.post("/auth/providers/lab/link", {}).ok()
     made.browser.post("/auth/sign-out").ok(204)
-    assert "signed out meanwhile" in sentence(made.browser.get(lab.provider.authorize(message["url"])))
+    assert "you have signed out" in sentence(made.browser.get(lab.provider.authorize(message["url"])))
     assert lab.api.sql("SELECT count(*) FROM identity WHERE subject = 'late'") == [(0,)]
 
 
@@ -153,7 +153,7 @@ def test_an_invitation_ends_when_its_creator_loses_the_right_to_invite(start_api
     assert "require an invitation" in invited.refuses("ghost", **known_as(email))
 
 
-def test_anybody_may_be_let_in_without_their_address_being_believed(start_api: StartApi, lab: Lab) -> None:
+def test_open_registration_does_not_trust_addresses(start_api: StartApi, lab: Lab) -> None:
     settings = provider_settings("lab", lab.provider.url, open_to=OpenTo.anybody, trusted_domains=[])
     anybody = Lab(start_api(oidc_providers=[settings]), lab.provider)
     assert anybody.sign_in("whoever", **known_as(any_email())).me()["emails"] == []
@@ -209,12 +209,12 @@ def _with(**changed: Any) -> Change:
         *(_without(name) for name in ("iss", "aud", "exp", "iat", "nonce", "sub")),
     ],
 )
-def test_an_id_token_that_is_not_for_this_sign_in_is_not_believed(lab: Lab, change: Change) -> None:
+def test_an_id_token_for_another_sign_in_is_refused(lab: Lab, change: Change) -> None:
     lab.provider.change = change
     assert "could not confirm who you are" in lab.refuses(**known_as(any_email()))
 
 
-def test_an_id_token_that_somebody_else_signed_is_not_believed(lab: Lab) -> None:
+def test_an_id_token_signed_by_another_key_is_refused(lab: Lab) -> None:
     lab.sign_in("signed", **known_as(any_email()))
     published = lab.provider.keys
     kid = published[0].kid
@@ -232,7 +232,7 @@ def test_an_id_token_that_somebody_else_signed_is_not_believed(lab: Lab) -> None
     assert "the signature of its ID token is not valid" in lab.refuses("signed", **known_as(any_email()))
 
 
-def test_an_answer_that_is_nested_without_end_is_no_answer(lab: Lab) -> None:
+def test_a_deeply_nested_response_of_a_provider_is_refused(lab: Lab) -> None:
     lab.sign_in("deep", **known_as(any_email()))
     real = lab.provider.answer
 
@@ -243,7 +243,7 @@ def test_an_answer_that_is_nested_without_end_is_no_answer(lab: Lab) -> None:
     assert "The sign-in with The Lab failed" in lab.refuses("deep")
 
 
-def test_new_keys_of_a_provider_are_fetched_when_they_are_needed(lab: Lab) -> None:
+def test_rotated_keys_of_a_provider_are_fetched(lab: Lab) -> None:
     lab.sign_in("rotating", **known_as(any_email()))
     lab.sign_in("rotating")
     assert lab.provider.seen.count("/jwks") == 1
@@ -253,7 +253,7 @@ def test_new_keys_of_a_provider_are_fetched_when_they_are_needed(lab: Lab) -> No
     assert lab.provider.seen.count("/.well-known/openid-configuration") == 1
 
 
-def test_a_way_back_works_once_and_in_the_browser_that_began_it(lab: Lab) -> None:
+def test_a_callback_works_once_and_only_in_the_same_browser(lab: Lab) -> None:
     lab.provider.sign_in_as("once", **known_as(any_email()))
     browser, other = Browser(lab.api), Browser(lab.api)
     back = lab.provider.authorize(browser.post("/auth/providers/lab", {}).ok()["url"])
@@ -264,14 +264,14 @@ def test_a_way_back_works_once_and_in_the_browser_that_began_it(lab: Lab) -> Non
     assert "not started in this browser" in sentence(browser.get(back))
 
 
-def test_two_tabs_of_a_browser_sign_in_side_by_side(lab: Lab) -> None:
+def test_two_tabs_of_a_browser_can_sign_in_concurrently(lab: Lab) -> None:
     lab.provider.sign_in_as("tabs", **known_as(any_email()))
     browser = Browser(lab.api)
     backs = [lab.provider.authorize(browser.post("/auth/providers/lab", {}).ok()["url"]) for _ in range(2)]
     assert [browser.get(back).status for back in backs] == [303, 303]
 
 
-def test_a_wrong_state_or_one_that_is_too_old_is_refused(lab: Lab) -> None:
+def test_wrong_and_expired_states_are_refused(lab: Lab) -> None:
     lab.provider.sign_in_as("late", **known_as(any_email()))
     browser = Browser(lab.api)
     back = lab.provider.authorize(browser.post("/auth/providers/lab", {}).ok()["url"])
@@ -281,7 +281,7 @@ def test_a_wrong_state_or_one_that_is_too_old_is_refused(lab: Lab) -> None:
     assert lab.provider.seen.count("/token") == 0
 
 
-def test_an_answer_of_another_issuer_is_refused(lab: Lab) -> None:
+def test_a_response_of_another_issuer_is_refused(lab: Lab) -> None:
     browser = Browser(lab.api)
     back = lab.provider.authorize(browser.post("/auth/providers/lab", {}).ok()["url"])
     assert "not from The Lab" in sentence(browser.get(re.sub("iss=[^&]+", "iss=https%3A%2F%2Fevil.example", back)))
@@ -293,21 +293,21 @@ def test_an_answer_of_another_issuer_is_refused(lab: Lab) -> None:
 @pytest.mark.parametrize(
     ("error", "message"), [("access_denied", "denied access"), ("<script>alert(1)</script>", "&lt;script&gt;")]
 )
-def test_a_refused_consent_is_a_sentence_and_an_event(lab: Lab, error: str, message: str) -> None:
+def test_refused_consent_is_explained_and_audited(lab: Lab, error: str, message: str) -> None:
     lab.provider.error = error
     assert message in lab.refuses()
     assert "The Lab" in latest_refusal(lab.api)["reason"]
 
 
 @pytest.mark.parametrize("dies_at", ["/token", "/jwks", "/userinfo"])
-def test_a_provider_that_dies_on_the_way_is_a_sentence_and_an_event(lab: Lab, dies_at: str) -> None:
+def test_a_provider_that_fails_during_sign_in_is_explained_and_audited(lab: Lab, dies_at: str) -> None:
     lab.provider.is_dead.add(dies_at)
     lab.provider.userinfo_claims = True
     assert "The sign-in with The Lab failed" in lab.refuses(**known_as(any_email()))
     assert latest_refusal(lab.api) == {"provider": "The Lab", "reason": "it answered with status 503"}
 
 
-def test_an_unreachable_or_misconfigured_provider_is_reported_before_the_redirect(lab: Lab) -> None:
+def test_an_unusable_provider_is_reported_before_the_redirect(lab: Lab) -> None:
     lab.provider.is_dead.add("/.well-known/openid-configuration")
     Browser(lab.api).post("/auth/providers/lab", {}).refused(503, "provider_unavailable")
     lab.provider.is_dead.clear()
@@ -316,7 +316,7 @@ def test_an_unreachable_or_misconfigured_provider_is_reported_before_the_redirec
     Browser(lab.api).post("/auth/providers/nobody", {}).refused(404, "not_found")
 
 
-def test_beginning_takes_a_page_of_ours(lab: Lab) -> None:
+def test_only_our_pages_start_a_provider_sign_in(lab: Lab) -> None:
     foreign = Browser(lab.api, origin="https://evil.example")
     foreign.post("/auth/providers/lab", {}).refused(401, "not_authenticated")
     assert foreign.cookies == {}

@@ -45,7 +45,7 @@ def _enrolled(who: Account, **more: Any) -> dict[str, Any]:
     return {"email": who.email, "password": PASSWORD, **more}
 
 
-def test_signing_in_takes_password_and_code(api: Api, ada: Account) -> None:
+def test_signing_in_requires_password_and_code(api: Api, ada: Account) -> None:
     other = Browser(api)
     sign_in(other, ada.email)
     device, codes = _enrol(api, ada)
@@ -61,7 +61,7 @@ def test_signing_in_takes_password_and_code(api: Api, ada: Account) -> None:
     assert browser.is_signed_in()
 
 
-def test_a_code_is_taken_once(api: Api, ada: Account) -> None:
+def test_a_code_is_valid_once(api: Api, ada: Account) -> None:
     device, _ = _enrol(api, ada)
     enrolled_with = device.code()
     Browser(api).post("/auth/password", _enrolled(ada, second_factor=enrolled_with)).refused(401, "second_factor_wrong")
@@ -70,7 +70,7 @@ def test_a_code_is_taken_once(api: Api, ada: Account) -> None:
     Browser(api).post("/auth/password", _enrolled(ada, second_factor=code)).refused(401, "second_factor_wrong")
 
 
-def test_a_recovery_code_is_good_once(api: Api, ada: Account) -> None:
+def test_a_recovery_code_is_valid_once(api: Api, ada: Account) -> None:
     _, codes = _enrol(api, ada)
     browser = Browser(api)
     browser.post("/auth/password", _enrolled(ada, second_factor=codes[0].lower())).ok()
@@ -84,7 +84,7 @@ def test_a_recovery_code_is_good_once(api: Api, ada: Account) -> None:
     assert {"totp.enable", "totp.use_recovery_code", "totp.renew_codes"} <= set(operations)
 
 
-def test_after_ten_wrong_codes_the_right_one_is_not_taken_for_a_while(api: Api, ada: Account) -> None:
+def test_ten_wrong_codes_cause_a_lockout(api: Api, ada: Account) -> None:
     device, _ = _enrol(api, ada)
     for _ in range(10):
         Browser(api).post("/auth/password", _enrolled(ada, second_factor="not it")).refused(401, "second_factor_wrong")
@@ -101,7 +101,7 @@ def test_the_second_factor_is_required_only_after_confirmation(api: Api, ada: Ac
     assert ada.browser.get("/api/v1/me/account").ok()["totp"] is None
 
 
-def test_an_admins_link_to_a_new_password_takes_the_code_too(api: Api, ada: Account) -> None:
+def test_a_password_reset_requires_the_code_too(api: Api, ada: Account) -> None:
     device, _ = _enrol(api, ada)
     code = code_of(api.post(f"/people/{ada.id}/reset").ok(201)["url"])
     new = {"code": code, "password": "another good password"}
@@ -118,7 +118,7 @@ def test_an_admin_resets_the_second_factor_of_a_lost_device(api: Api, ada: Accou
     api.delete(f"/people/{ada.id}/totp").refused(404, "not_found")
 
 
-def test_one_switches_it_off_by_oneself(api: Api, ada: Account) -> None:
+def test_a_person_disables_their_second_factor(api: Api, ada: Account) -> None:
     _enrol(api, ada)
     ada.browser.post("/me/totp").refused(409, "name_taken")
     ada.browser.call("DELETE", "/api/v1/me/totp").ok(204)
@@ -134,7 +134,7 @@ def test_the_secret_of_the_second_factor_is_shown_once(api: Api, ada: Account) -
     assert begun["secret"] not in str(message)
 
 
-def test_an_account_without_a_password_has_none(api: Api) -> None:
+def test_an_account_without_a_password_has_no_second_factor(api: Api) -> None:
     from tests.integration.auth.accounts import signed_in
 
     signed_in(api).browser.post("/me/totp").refused(403, "forbidden")

@@ -20,21 +20,21 @@ def _signed_in(api: Api) -> tuple[Browser, Answer]:
     return browser, browser.post("/auth/password", {"email": made.email, "password": PASSWORD})
 
 
-def test_the_cookie_is_for_this_server_alone_and_for_no_script(api: Api) -> None:
+def test_the_cookie_is_host_only_and_hidden_from_scripts(api: Api) -> None:
     _, answer = _signed_in(api)
     attributes = {part.strip().lower() for part in answer.headers["set-cookie"].split(";")[1:]}
     assert {"httponly", "samesite=lax", "path=/"} <= attributes
     assert not any(part.startswith(("domain", "secure")) for part in attributes)
 
 
-def test_with_tls_the_cookie_is_secure_and_no_other_host_s(start_api: StartApi) -> None:
+def test_with_tls_the_cookie_is_secure_and_has_the_host_prefix(start_api: StartApi) -> None:
     _, answer = _signed_in(start_api(public_url=_SECURE_URL))
     name, _, rest = answer.headers["set-cookie"].partition("=")
     assert name == "__Host-kleinkram"
     assert "secure" in {part.strip().lower() for part in rest.split(";")}
 
 
-def test_signing_in_again_ends_what_the_browser_was_signed_in_as(api: Api) -> None:
+def test_signing_in_ends_the_browsers_previous_session(api: Api) -> None:
     ada, ben = account(api), account(api, name="Ben")
     before = ada.browser.cookies[COOKIE]
     sign_in(ada.browser, ben.email)
@@ -42,14 +42,14 @@ def test_signing_in_again_ends_what_the_browser_was_signed_in_as(api: Api) -> No
     assert not Browser(api, cookies={COOKIE: before}).is_signed_in()
 
 
-def test_a_session_that_somebody_planted_is_not_the_one_that_is_signed_in(api: Api) -> None:
+def test_signing_in_never_reuses_a_planted_session(api: Api) -> None:
     made, browser = account(api), Browser(api, cookies={COOKIE: "planted" * 8})
     sign_in(browser, made.email)
     assert browser.is_signed_in()
     assert not Browser(api, cookies={COOKIE: "planted" * 8}).is_signed_in()
 
 
-def test_signing_out_ends_the_session_and_takes_the_cookie(api: Api) -> None:
+def test_signing_out_ends_the_session_and_deletes_the_cookie(api: Api) -> None:
     browser, _ = _signed_in(api)
     locked = dict(browser.cookies)
     browser.post("/auth/sign-out").ok(204)
@@ -58,7 +58,7 @@ def test_signing_out_ends_the_session_and_takes_the_cookie(api: Api) -> None:
     Browser(api, cookies=locked).post("/auth/sign-out").ok(204)
 
 
-def test_one_sees_one_s_own_browsers_and_ends_one_of_them_or_all(api: Api) -> None:
+def test_a_person_lists_and_ends_their_sessions(api: Api) -> None:
     made, stranger = account(api), signed_in(api)
     others = [Browser(api), Browser(api)]
     for other in others:
@@ -73,7 +73,7 @@ def test_one_sees_one_s_own_browsers_and_ends_one_of_them_or_all(api: Api) -> No
     assert [item.is_signed_in() for item in (*others, made.browser, stranger.browser)] == [False, False, False, True]
 
 
-def test_a_token_lists_and_ends_browsers_too_unless_it_is_limited_to_less(api: Api) -> None:
+def test_an_unlimited_admin_token_lists_and_ends_sessions(api: Api) -> None:
     made = signed_in(api)
     full = people.token(api, made.id)
     less = people.token(api, made.id, [Scope.write])
@@ -91,14 +91,14 @@ def test_idle_sessions_expire(api: Api) -> None:
     assert len(made.browser.get("/api/v1/me/sessions").ok()["items"]) == 1
 
 
-def test_a_session_ends_after_its_time_however_often_it_is_used(api: Api) -> None:
+def test_a_session_ends_after_its_lifetime_even_if_used(api: Api) -> None:
     made = signed_in(api)
     api.sql("UPDATE session SET expires_at = now() WHERE person_id = %s", made.id)
     assert not made.browser.is_signed_in()
 
 
 @pytest.mark.parametrize("origin", ["https://evil.example", "null", "http://127.0.0.1:8001", None])
-def test_no_other_site_s_page_changes_anything_or_signs_anybody_in(api: Api, origin: str | None) -> None:
+def test_pages_of_other_sites_change_nothing_and_sign_nobody_in(api: Api, origin: str | None) -> None:
     made = account(api)
     foreign = made.browser.from_page_of(origin)
     foreign.post("/projects", {"name": "planted"}).refused(401, "not_authenticated")
@@ -115,7 +115,7 @@ def test_tokens_cannot_use_operations_for_browsers(api: Api) -> None:
     token.post("/auth/password/change", {"old_password": "x", "new_password": "y" * 12}).refused(403, "scope_missing")
 
 
-def test_the_pages_carry_nothing_inline_and_let_nobody_frame_them(api: Api) -> None:
+def test_sign_in_pages_have_no_inline_code_and_cannot_be_framed(api: Api) -> None:
     for page in ("", "/link", "/invitation", "/reset", "/bootstrap", "/device", "/cli"):
         answer = Browser(api).get(f"/sign-in{page}")
         html = answer.ok()

@@ -23,7 +23,7 @@ import pytest
 
 from kleinkram.server.backup import database as backup_database
 from kleinkram.server.backup.database import Connection, DatabaseFacts
-from kleinkram.server.blobs.jobs import collect_garbage
+from kleinkram.server.maintenance import collect_garbage
 from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.api_server import Api
 from tests.integration.backup.instances import (

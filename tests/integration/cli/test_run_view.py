@@ -59,7 +59,7 @@ def test_all_fields_of_a_run_are_shown_and_names_are_escaped() -> None:
     assert "\x1b" not in text
 
 
-def test_lineage_reads_both_ways() -> None:
+def test_lineage_shows_creator_and_readers() -> None:
     file = file_read("derived/slam.bag", content=b"x")
     maker, reader = (RunRead.model_validate(run_detail(RunState.done).model_dump()) for _ in range(2))
     sha256 = file.sha256 or ""
@@ -73,13 +73,13 @@ def test_lineage_reads_both_ways() -> None:
     with scripted(Page(items=[file], next=None), whole) as script:
         text = shown(script, "lineage", "derived/slam.bag")
     assert str(maker.id) in text
-    assert "drive.bag (not there any more, or not yours to see)" in text
+    assert "drive.bag (deleted, or not visible to you)" in text
     assert "plot.svg" in text
     assert "More runs read it" in text
 
     uploaded = LineageRead(file=own, made_by=None, read_by=[], truncated=False)
     with scripted(Page(items=[file], next=None), uploaded) as script:
-        assert "Uploaded: no run made it." in shown(script, "lineage", "derived/slam.bag")
+        assert "Uploaded, not created by a run." in shown(script, "lineage", "derived/slam.bag")
 
 
 def test_an_action_shows_its_parameters() -> None:

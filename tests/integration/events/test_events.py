@@ -51,7 +51,7 @@ def test_events_follow_a_file_from_announcement_to_summary_and_verification(lab:
         ears.receive(noun="recording", change="changed", mission_id=mission["id"])
 
 
-def test_missions_and_files_that_are_made_renamed_moved_and_deleted(lab: Api) -> None:
+def test_creating_renaming_moving_and_deleting_send_events(lab: Api) -> None:
     project, target = lab.project(), lab.project()
     with listening(lab) as ears:
         mission = lab.mission(project["id"])
@@ -109,7 +109,7 @@ def _ended_behind_the_back(lab: Api, member: people.Person) -> None:
 
 
 @pytest.mark.parametrize("end", [_ended_token, _ended_account, _ended_behind_the_back])
-def test_the_stream_ends_with_what_it_was_opened_by(lab: Api, end: Callable[[Api, people.Person], None]) -> None:
+def test_a_stream_ends_with_its_session_or_token(lab: Api, end: Callable[[Api, people.Person], None]) -> None:
     mission = lab.mission(lab.project()["id"])
     member = people.person(lab)
     people.grant(lab, member, Right.read, mission_id=mission["id"])
@@ -122,7 +122,7 @@ def test_the_stream_ends_with_what_it_was_opened_by(lab: Api, end: Callable[[Api
         assert [data for event, data in ears.events if event == "change" and data["noun"] == "mission"] == []
 
 
-def test_a_browser_s_stream_ends_when_it_signs_out(lab: Api) -> None:
+def test_signing_out_ends_the_stream_of_the_browser(lab: Api) -> None:
     member = people.person(lab)
     cookie = {"Cookie": f"kleinkram={people.session(lab, member)}"}
     with listening(lab, headers=cookie) as ears:
@@ -131,7 +131,7 @@ def test_a_browser_s_stream_ends_when_it_signs_out(lab: Api) -> None:
         ears.ends()
 
 
-def test_a_change_of_rights_makes_clients_reload_and_ends_events_of_hidden_objects(lab: Api) -> None:
+def test_changed_rights_make_clients_reload_and_hide_events(lab: Api) -> None:
     mission, other = lab.mission(lab.project()["id"]), lab.mission(lab.project()["id"])
     member = people.person(lab)
     people.grant(lab, member, Right.read, mission_id=other["id"])
@@ -176,7 +176,7 @@ def test_a_slow_client_must_reload(lab: Api, monkeypatch: pytest.MonkeyPatch) ->
         assert len(ears.events) < 15
 
 
-def test_one_account_gets_so_many_streams(lab: Api, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_streams_per_account_are_limited(lab: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hubs, "MAX_STREAMS_PER_PERSON", 2)
     member, other = people.person(lab), people.person(lab)
     with listening(lab.as_(member.token)), ExitStack() as second:

@@ -29,7 +29,7 @@ def settings(postgres: RunningPostgres, store: RunningStore, template_database: 
     }
 
 
-def test_a_program_that_follows_goes_on_after_a_restart(
+def test_a_stream_client_continues_after_a_restart(
     settings: dict[str, Any], postgres: RunningPostgres, tmp_path: Path
 ) -> None:
     admin_url = postgres.migrate_url(settings["database_url"].rpartition("/")[2])

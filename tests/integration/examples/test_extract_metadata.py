@@ -11,14 +11,14 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from kleinkram.action.testing import Tried, try_out
+from kleinkram.action.testing import TryOutResult, try_out
 from kleinkram.client.actions import read_manifest
 
 FOLDER = Path(__file__).parents[3] / "examples" / "actions" / "extract-metadata"
 GPS_STEP_M = 1.0
 
 
-def extract(folder: Path, files: Mapping[str, Path | bytes], **parameters: str) -> Tried:
+def extract(folder: Path, files: Mapping[str, Path | bytes], **parameters: str) -> TryOutResult:
     ran = try_out(FOLDER / "extract_metadata.py", folder, files=files, parameters={**parameters})
     assert ran.exit_code == 0, ran.log
     return ran

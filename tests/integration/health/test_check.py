@@ -10,8 +10,8 @@ import pytest
 import urllib3
 
 from kleinkram.recordings import isolation
-from kleinkram.server import checks
-from kleinkram.server.http.headers import CHECK_HEADER, Seen, proof
+from kleinkram.server.health import checks
+from kleinkram.server.http.headers import CHECK_HEADER, RequestOrigin, operator_code
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.ports import choose_port
@@ -53,11 +53,11 @@ def _api(start_api: StartApi) -> Api:
 
 def test_nothing_is_wrong_with_a_server_that_works(api: Api) -> None:
     code, actual = _check(_environment(api))
-    assert {name: item for name, item in actual.items() if item["level"] == "problem"} == {}
+    assert {name: item for name, item in actual.items() if item["severity"] == "problem"} == {}
     assert code == 0
-    assert actual["proof by the store"]["message"] == "It verifies crc64nvme."
-    assert actual["reader"]["level"] == actual["proxy headers"]["level"] == actual["schema"]["level"] == "ok"
-    assert actual["workers"]["level"] == "warning", "none runs"
+    assert actual["checksums of the store"]["message"] == "It verifies crc64nvme."
+    assert actual["reader"]["severity"] == actual["proxy headers"]["severity"] == actual["schema"]["severity"] == "ok"
+    assert actual["workers"]["severity"] == "warning", "none runs"
 
 
 def test_a_wrong_bucket_and_a_misspelt_setting_are_named(api: Api) -> None:
@@ -69,27 +69,27 @@ def test_a_wrong_bucket_and_a_misspelt_setting_are_named(api: Api) -> None:
     assert (code, "did you mean KLEINKRAM_TRUSTED_PROXIES" in actual["settings"]["message"]) == (1, True)
 
 
-def test_one_role_for_all_and_a_service_that_is_away_are_named(api: Api, postgres: RunningPostgres) -> None:
+def test_a_single_role_and_an_unreachable_database_are_named(api: Api, postgres: RunningPostgres) -> None:
     environment = _environment(api)
     owner = environment["KLEINKRAM_MIGRATION_DATABASE_URL"]
     code, actual = _check(
         {**environment, "KLEINKRAM_DATABASE_URL": owner, "KLEINKRAM_SERVING_ROLE": "kleinkram_migrate"}
     )
-    assert (code, actual["serving role"]["level"]) == (1, "problem")
-    assert "audit record" in actual["serving role"]["message"]
+    assert (code, actual["serving role"]["severity"]) == (1, "problem")
+    assert "audit log" in actual["serving role"]["message"]
     nowhere = f"postgresql://me:hunter22@127.0.0.1:{choose_port()}/kleinkram"
     code, actual = _check({**environment, "KLEINKRAM_DATABASE_URL": nowhere})
-    assert (code, actual["database"]["level"]) == (1, "problem")
+    assert (code, actual["database"]["severity"]) == (1, "problem")
 
 
 def test_a_reader_that_cannot_start_is_named(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(isolation, "CHILD_COMMAND", ("/nowhere/python",))
-    (actual,) = checks._reader(api.app.state.settings)
-    assert (actual.level, "No such file" in actual.message) == (checks.Level.problem, True)
+    actual = checks._reader(api.app.state.settings)
+    assert (actual.severity.value, "No such file" in actual.message) == ("problem", True)
 
 
 @pytest.mark.parametrize(
-    ("text", "level", "words"),
+    ("text", "severity", "words"),
     [
         ({}, "ok", "as 203.0.113.7"),
         ({"is_trusted": False}, "problem", "KLEINKRAM_TRUSTED_PROXIES=10.0.0.3"),
@@ -97,21 +97,21 @@ def test_a_reader_that_cannot_start_is_named(api: Api, monkeypatch: pytest.Monke
         ({"scheme": "http"}, "problem", "X-Forwarded-Proto"),
     ],
 )
-def test_headers_missing_from_a_proxy_are_named(api: Api, text: dict[str, Any], level: str, words: str) -> None:
-    seen = {"peer": "10.0.0.3", "is_trusted": True, "forwarded": True, "address": "203.0.113.7", "scheme": "https"}
+def test_headers_missing_from_a_proxy_are_named(api: Api, text: dict[str, Any], severity: str, words: str) -> None:
+    origin = {"peer": "10.0.0.3", "is_trusted": True, "forwarded": True, "address": "203.0.113.7", "scheme": "https"}
     settings = api.app.state.settings.model_copy(update={"public_url": "https://lab.example"})
-    actual = checks._proxy(settings, Seen.model_validate({**seen, **text}))
-    assert (actual.level.value, words in actual.message + actual.remedy) == (level, True)
+    actual = checks._proxy(settings, RequestOrigin.model_validate({**origin, **text}))
+    assert (actual.severity.value, words in actual.message + actual.remedy) == (severity, True)
 
 
 def test_only_operators_see_how_a_request_arrived(api: Api) -> None:
     url = f"{api.url}/health/live"
     assert urllib3.request("GET", url, headers={CHECK_HEADER: "guess"}).data == b"live\n"
-    message = urllib3.request("GET", url, headers={CHECK_HEADER: proof(api.app.state.settings)}).json()
+    message = urllib3.request("GET", url, headers={CHECK_HEADER: operator_code(api.app.state.settings)}).json()
     assert (message["peer"], message["forwarded"]) == ("127.0.0.1", False)
 
 
-def test_rights_that_the_serving_role_lacks_or_has_beyond_need_are_named(start_api: StartApi) -> None:
+def test_missing_and_excessive_rights_of_the_serving_role_are_named(start_api: StartApi) -> None:
     api = start_api()
     environment, role = _environment(api), api.app.state.settings.serving_role
     for change, undo, words in (
@@ -121,6 +121,6 @@ def test_rights_that_the_serving_role_lacks_or_has_beyond_need_are_named(start_a
     ):
         api.sql(change)
         code, actual = _check(environment)
-        assert (code, actual["rights of the serving role"]["level"]) == (1, "problem"), change
+        assert (code, actual["rights of the serving role"]["severity"]) == (1, "problem"), change
         assert words in actual["rights of the serving role"]["message"]
         api.sql(undo)

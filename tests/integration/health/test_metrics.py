@@ -12,7 +12,9 @@ def _values(text: str, name: str) -> dict[str, float]:
     return {line.rsplit(" ", 1)[0]: float(line.rsplit(" ", 1)[1]) for line in lines}
 
 
-def test_the_site_is_reported_once_however_many_processes_run(start_api: StartApi, postgres: RunningPostgres) -> None:
+def test_one_of_several_processes_reports_the_gauges_of_the_server(
+    start_api: StartApi, postgres: RunningPostgres
+) -> None:
     first = start_api()
     folder = first.app.state.settings.owner_token_file.parent
     settings = first.app.state.settings.model_dump(exclude_unset=True, exclude={"owner_token_file"})
@@ -29,7 +31,7 @@ def test_the_site_is_reported_once_however_many_processes_run(start_api: StartAp
         assert not _values(first.metrics(), "kleinkram_workers")
 
 
-def test_series_are_not_doubled_by_when_they_began(api: Api) -> None:
+def test_no_created_series_are_exported(api: Api) -> None:
     api.get("/projects").ok()
     assert _values(api.metrics(), "kleinkram_requests_total")
     assert "_created" not in api.metrics()
@@ -55,7 +57,7 @@ def test_a_job_that_waits_for_another_attempt_counts_as_old(start_api: StartApi)
     assert _values(text, "kleinkram_jobs_retrying") == {'kleinkram_jobs_retrying{task="collect_garbage"}': 1}
 
 
-def test_workers_are_processes_that_are_alive(start_api: StartApi) -> None:
+def test_only_living_workers_are_counted(start_api: StartApi) -> None:
     api = start_api()
     api.sql("INSERT INTO procrastinate_workers DEFAULT VALUES")
     insert = "INSERT INTO worker_process (id, host, pid, version, seen_at, ended_at) VALUES"
@@ -66,10 +68,10 @@ def test_workers_are_processes_that_are_alive(start_api: StartApi) -> None:
     api.sql("DELETE FROM worker_process WHERE seen_at > now() - interval '1 min'")
     message = api.get("/admin/health").ok()
     assert message["workers_at"] == []
-    assert "no worker process was heard of for 7 min" in message["warnings"][0]
+    assert "No worker process has run for 7 min" in message["warnings"][0]
 
 
-def test_a_process_s_own_metrics_come_where_the_site_s_cannot_be_read(start_api: StartApi) -> None:
+def test_metrics_of_the_process_are_served_without_the_database(start_api: StartApi) -> None:
     api = start_api()
     api.sql("ALTER TABLE worker_process RENAME TO worker_process_of_another_schema")
     text = api.metrics()

@@ -32,7 +32,7 @@ def test_metrics_are_not_on_the_port_that_a_proxy_publishes(api: Api, far: Api) 
     assert "kleinkram_build_info" in api.metrics()
 
 
-def test_networks_that_watch_are_a_setting(start_api: StartApi) -> None:
+def test_monitoring_networks_are_a_setting(start_api: StartApi) -> None:
     api = start_api(trusted_proxies="127.0.0.1", monitoring_networks="203.0.113.0/24")
     api.sql("UPDATE alembic_version SET version_num = 'other'")
     assert "migrations" in _get(api, "/health/ready", _FROM_AFAR)[1]
@@ -40,7 +40,7 @@ def test_networks_that_watch_are_a_setting(start_api: StartApi) -> None:
         assert _get(api, "/health/ready", headers) == (503, "not ready\n")
 
 
-def test_why_it_is_not_ready_is_for_those_who_watch(start_api: StartApi) -> None:
+def test_only_monitoring_networks_see_why_it_is_not_ready(start_api: StartApi) -> None:
     api = start_api()
     api.sql("UPDATE alembic_version SET version_num = 'other'")
     assert _get(api, "/health/ready", _FROM_AFAR) == (503, "not ready\n")

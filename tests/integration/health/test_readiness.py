@@ -41,21 +41,21 @@ def test_readiness_names_unavailable_services(start_api: StartApi) -> None:
     api = start_api()
     status, text = _ready(api)
     assert (status, text.splitlines()[0]) == (200, "ready")
-    assert "no worker process was ever heard of" in text, "nobody should find out from files that stay unread"
+    assert "No worker process has ever run" in text, "nobody should find out from files that stay unread"
     other = start_api()
     other.sql("UPDATE alembic_version SET version_num = 'other'")
     status, text = _ready(other)
     assert (status, "run the migrations" in text) == (503, True)
 
 
-def test_a_store_that_does_not_answer_is_not_waited_for(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readiness_does_not_wait_for_a_silent_store(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(readiness, "_STORE_TIMEOUT_S", 0.1)
     api = start_api()
     api.app.state.storage = _Silent()
-    assert _ready(api) == (503, "the object store did not answer within 0.1 seconds\n")
+    assert _ready(api) == (503, "The object store did not answer within 0.1 seconds.\n")
 
 
-def test_a_store_that_does_not_answer_holds_up_nobody(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_silent_store_blocks_no_other_requests(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(readiness, "_STORE_TIMEOUT_S", 60)
     monkeypatch.setattr(routes, "_HOLDS_S", 3600)
     api = start_api(database_connections=2)

@@ -65,7 +65,7 @@ def test_an_old_api_is_not_ready_on_a_schema_that_it_does_not_know(api: Api) -> 
     wait_until(lambda: "open it with commit 530100f" in _ready(api)[1])
 
 
-def test_an_old_migrate_on_a_later_schema_says_a_sentence(api: Api) -> None:
+def test_an_old_migrate_on_a_later_schema_fails_with_an_explanation(api: Api) -> None:
     _migrate_to(api, _LATER, _LATER)
     ran = _migrate(api)
     assert ran.returncode == 1

@@ -57,7 +57,7 @@ def test_probing_finds_the_capabilities_of_a_reliable_store(api: Api, store: Run
 
 
 @pytest.mark.parametrize("blink", [Lost(), Reply(503, "SlowDown")], ids=["an answer lost", "once too busy"])
-def test_one_blink_changes_nothing(api: Api, store: RunningStore, blink: "Reply | Lost") -> None:
+def test_one_failed_probe_changes_nothing(api: Api, store: RunningStore, blink: "Reply | Lost") -> None:
     actual = _probes(api, store, [_from(number, 1, blink) for number in range(_QUESTIONS)])
     assert actual == [_TRUTH] * _QUESTIONS
 

@@ -40,7 +40,7 @@ def test_a_request_with_too_large_headers_is_refused(api: Api) -> None:
         assert connection.recv(100).startswith(b"HTTP/1.1 431 ")
 
 
-def test_a_head_that_is_allowed_is_read_as_often_as_one_likes(api: Api) -> None:
+def test_many_allowed_heads_on_one_connection_are_read(api: Api) -> None:
     request = b"GET /health/live HTTP/1.1\r\nHost: x\r\nX-Much: " + b"a" * 40_000 + b"\r\n\r\n"
     with _connect(api) as connection:
         for _ in range(3):
@@ -54,7 +54,7 @@ def test_a_head_that_is_allowed_is_read_as_often_as_one_likes(api: Api) -> None:
 
 
 @pytest.mark.parametrize("begun", [b"", b"GET /health/live HTTP/1.1\r\nHost:"])
-def test_a_head_that_never_ends_is_not_waited_for(api: Api, begun: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_incomplete_head_times_out(api: Api, begun: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(web_server, "_HEAD_TIMEOUT_S", 0.2)
     with _connect(api) as connection:
         connection.sendall(begun)
@@ -110,14 +110,14 @@ def test_trailers_are_not_headers(api: Api) -> None:
         assert connection.recv(100).startswith(b"HTTP/1.1 401 ")
 
 
-def test_a_body_that_comes_too_slowly_is_not_waited_for(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_body_times_out(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(web_server, "_BODY_TIMEOUT_S", 0.2)
     with _connect(api) as connection:
         connection.sendall(_BEGUN_BODY)
         assert connection.recv(100).startswith(b"HTTP/1.1 408 ")
 
 
-def test_a_body_that_keeps_pace_may_take_longer(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_body_that_is_fast_enough_may_take_longer(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(web_server, "_BODY_TIMEOUT_S", 0.3)
     monkeypatch.setattr(web_server, "_BODY_BYTES_PER_S", 40_000)
     with _connect(api) as connection:
@@ -129,7 +129,7 @@ def test_a_body_that_keeps_pace_may_take_longer(api: Api, monkeypatch: pytest.Mo
         assert time.monotonic() - began > 1
 
 
-def test_the_rest_of_a_refused_body_is_not_waited_for(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_connection_of_a_refused_body_is_closed_soon(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(web_server, "_LINGER_S", 0.2)
     too_large = _BEGUN_BODY.replace(b"60000", b"600000000")
     with _connect(api) as connection:
@@ -148,7 +148,7 @@ def test_empty_lines_keep_no_connection_open(api: Api, monkeypatch: pytest.Monke
         assert connection.recv(100) == b""
 
 
-def test_open_bodies_shut_nobody_out(start_api: StartApi) -> None:
+def test_incomplete_bodies_do_not_lock_others_out(start_api: StartApi) -> None:
     api = start_api(connections_per_address=16)
     with ExitStack() as stack:
         attackers = [stack.enter_context(_connect(api)) for _ in range(40)]
@@ -160,7 +160,7 @@ def test_open_bodies_shut_nobody_out(start_api: StartApi) -> None:
         assert attackers[0].recv(100)[:13] in {b"HTTP/1.1 408 ", b""}
 
 
-def test_requests_that_are_being_answered_do_not_give_way(start_api: StartApi) -> None:
+def test_connections_with_a_response_in_progress_are_not_replaced(start_api: StartApi) -> None:
     api = start_api(connections_per_address=16)
     stream = f"GET /api/v1/events HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {api.token}\r\n\r\n".encode()
     with ExitStack() as stack:
@@ -209,17 +209,17 @@ def test_connections_are_counted_by_address() -> None:
     assert _count(connections, "10.1.2.3", most=50) == 50, "a trusted proxy"
 
 
-def test_there_is_a_limit_of_all_connections() -> None:
+def test_the_total_of_connections_is_limited() -> None:
     connections = OpenConnections(per_address=3, total=5)
     assert [_count(connections, f"192.0.2.{number}", most=3) for number in range(3)] == [3, 2, 0]
 
 
-def test_a_closed_connection_is_counted_no_longer() -> None:
+def test_a_closed_connection_is_not_counted() -> None:
     connections = OpenConnections(per_address=1, total=1)
     one = cast("LimitedHttp", _Connection())
     for _ in range(3):
         assert connections.add(one, "192.0.2.1")
-        connections.remove(one, "192.0.2.1")
+        connections.remove(one)
 
 
 def test_the_soft_limit_of_open_files_is_raised() -> None:

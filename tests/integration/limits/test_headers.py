@@ -38,7 +38,9 @@ def _headers(api: Api, method: str, path: str, token: str | None, body: bytes | 
         ("GET", "/openapi.json", False, None),
     ],
 )
-def test_every_answer_is_guarded(api: Api, method: str, path: str, with_token: bool, body: bytes | None) -> None:
+def test_every_response_has_security_headers(
+    api: Api, method: str, path: str, with_token: bool, body: bytes | None
+) -> None:
     headers = _headers(api, method, path, api.token if with_token else None, body)
     assert headers.items() >= GUARDS.items()
     policy = dict(part.strip().split(" ", 1) for part in headers["content-security-policy"].split(";"))
@@ -58,12 +60,12 @@ def _address_noted(api: Api, **headers: str) -> str:
     return str(api.all("/audit", {"operation": "a*"})[0]["address"])
 
 
-def test_nobody_is_believed_about_where_a_request_comes_from(api: Api) -> None:
+def test_forwarded_headers_of_untrusted_peers_are_ignored(api: Api) -> None:
     assert _address_noted(api, **{"X-Forwarded-For": "203.0.113.9"}) == "127.0.0.1"
     assert _address_noted(api, Forwarded="for=203.0.113.9") == "127.0.0.1"
 
 
-def test_only_the_entry_of_a_trusted_proxy_in_forwarded_headers_counts(start_api: StartApi) -> None:
+def test_only_entries_of_trusted_proxies_in_forwarded_headers_count(start_api: StartApi) -> None:
     api = start_api(trusted_proxies="127.0.0.0/8, 10.0.0.0/8")
     assert _address_noted(api, **{"X-Forwarded-For": "203.0.113.9"}) == "203.0.113.9"
     assert _address_noted(api, **{"X-Forwarded-For": "192.0.2.1, 203.0.113.9, 10.1.1.1"}) == "203.0.113.9"

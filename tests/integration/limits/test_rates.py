@@ -69,7 +69,7 @@ def test_cheap_requests_and_other_clients_are_not_limited(strict: Api) -> None:
     _fresh(strict).get("/stats").ok()
 
 
-def test_announcing_files_is_limited_and_says_so_before_it_holds_a_name(strict: Api) -> None:
+def test_begin_uploads_is_limited_before_names_are_reserved(strict: Api) -> None:
     mission = strict.mission(strict.project()["id"])["id"]
     api = _fresh(strict)
     for name in ("a.bin", "a.bin", "a.bin"):
@@ -79,7 +79,7 @@ def test_announcing_files_is_limited_and_says_so_before_it_holds_a_name(strict: 
     assert strict.sql("SELECT count(*) FROM upload WHERE mission_id = %s AND path = 'b.bin'", mission) == [(0,)]
 
 
-def test_an_address_without_a_credential_is_counted_by_itself(strict: Api) -> None:
+def test_requests_without_credential_are_counted_by_address(strict: Api) -> None:
     mission = strict.mission(strict.project()["id"])["id"]
     link = strict.as_(people.share(strict, mission).secret)
     strict.sql("DELETE FROM rate_count")
@@ -94,7 +94,7 @@ def test_an_address_without_a_credential_is_counted_by_itself(strict: Api) -> No
     link.get("/stats").refused(429, "rate_limited")
 
 
-def test_many_credentials_of_one_address_end_at_the_address(strict: Api) -> None:
+def test_many_credentials_of_one_address_share_its_limit(strict: Api) -> None:
     strict.sql("DELETE FROM rate_count")
     carriers = [_fresh(strict) for _ in range(11)]
     statuses = [api.get("/stats").status for api in carriers for _ in range(3)]
@@ -102,7 +102,7 @@ def test_many_credentials_of_one_address_end_at_the_address(strict: Api) -> None
     strict.sql("DELETE FROM rate_count")
 
 
-def test_those_who_ask_at_once_are_all_counted(strict: Api) -> None:
+def test_concurrent_requests_are_all_counted(strict: Api) -> None:
     api = _fresh(strict)
     with ThreadPoolExecutor(8) as pool:
         statuses = [answer.status for answer in pool.map(lambda _: api.get("/stats"), range(16))]
@@ -130,7 +130,7 @@ def test_without_a_limit_nothing_is_counted(strict: Api) -> None:
     assert strict.sql("SELECT count(*) FROM rate_count WHERE key LIKE %s", "x:%") == [(0,)]
 
 
-def test_a_window_ends_and_is_forgotten(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_counts_of_past_windows_are_deleted(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rate_limit, "_WINDOW", datetime.timedelta(seconds=60))
     api = start_api(searches_per_minute=1)
     api.sql(
@@ -168,13 +168,13 @@ def test_the_client_follows_retry_after(strict: Api, monkeypatch: pytest.MonkeyP
         strict.sql("DELETE FROM rate_count")
 
     with pytest.raises(NotFound):
-        client.repeat("/files/download", DownloadLinks, nothing, wait=wait)
+        client.with_retry(_http.RETRY_TIMEOUT_S, wait).repeat("/files/download", DownloadLinks, nothing)
     assert len(waited) == 1
     assert waited[0] >= 1
     client.close()
 
 
-def test_the_client_does_not_wait_for_ever(strict: Api) -> None:
+def test_the_client_gives_up_after_a_while(strict: Api) -> None:
     client, nothing = _limited(strict)
     with pytest.raises(RateLimited, match="Try again in"):
         client.send("POST", "/files/download", DownloadLinks, nothing)

@@ -76,7 +76,7 @@ def story(start_api: StartApi) -> Iterator[Story]:
     ours.setLevel(levels[1])
 
 
-def test_no_secret_is_ever_written_down(story: Story) -> None:
+def test_no_secret_is_stored_or_logged(story: Story) -> None:
     settings: Settings = story.api.app.state.settings
     s3_key = settings.s3_secret_key.get_secret_value()
     story.keep(owner_token=str(story.api.token), password=PASSWORD, s3_key=s3_key, database=_password(settings))
@@ -212,7 +212,7 @@ async def _context_text(context: AppContext) -> str:
     return f"{context!r} {context.database!r} {context.database.engine!r} {context.storage!r}"
 
 
-def test_a_wrong_setting_is_named_without_what_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_invalid_setting_is_named_without_its_value(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("S3_INTERNAL_URL", "S3_ACCESS_KEY", "S3_SECRET_KEY"):
         monkeypatch.setenv(f"KLEINKRAM_{name}", "given")
     monkeypatch.setenv("KLEINKRAM_DATABASE_URL", "mysql://me:hunter22@db/kleinkram")

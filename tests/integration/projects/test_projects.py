@@ -17,7 +17,7 @@ fields:
 """
 
 
-def test_makes_a_project_and_reads_it_back(api: Api) -> None:
+def test_a_project_is_created_and_read(api: Api) -> None:
     name = f"Field day {uuid.uuid4()} 🤖"
     made = api.post("/projects", {"name": name, "description": "Zürich"}).ok(201)
     assert (made["name"], made["description"], made["created_by"]["name"]) == (name, "Zürich", "owner")
@@ -41,7 +41,7 @@ def test_each_change_is_one_audit_row(api: Api) -> None:
     assert all(event["request_id"] for event in events)
 
 
-def test_a_name_is_taken_whatever_its_case_or_unicode_form(api: Api) -> None:
+def test_project_names_are_unique_ignoring_case_and_unicode_form(api: Api) -> None:
     tail = uuid.uuid4().hex
     api.post("/projects", {"name": f"Zu\u0308rich {tail}"}).ok(201)
     problem = api.post("/projects", {"name": f"ZÜRICH {tail}"}).refused(409, "name_taken")
@@ -64,12 +64,12 @@ def test_a_name_may_change_its_case(api: Api) -> None:
     ["", " ", "a\nb", "a\x00b", "x" * 300, "..", "a/b", "a*", "\u202eevil", str(uuid.uuid4()), "\ud800"],
     ids=["empty", "blank", "newline", "nul", "long", "dots", "slash", "star", "bidi", "id", "surrogate"],
 )
-def test_refuses_a_hostile_name_and_says_which_field(api: Api, name: str) -> None:
+def test_an_invalid_name_is_refused_with_its_field(api: Api, name: str) -> None:
     problem = api.post("/projects", {"name": name}).refused(422, "invalid_request")
     assert [one["field"] for one in problem["problems"]] == ["body.name"]
 
 
-def test_refuses_what_it_does_not_know(api: Api) -> None:
+def test_unknown_fields_are_refused(api: Api) -> None:
     problem = api.post("/projects", {"name": "x", "colour": "red"}).refused(422, "invalid_request")
     assert problem["problems"][0]["field"] == "body.colour"
     api.get("/projects", {"colour": "red"}).refused(422, "invalid_request")
@@ -95,7 +95,7 @@ def test_an_unknown_id_is_not_found(api: Api) -> None:
     api.call("PUT", f"/projects/{unknown}").refused(405, "method_not_allowed")
 
 
-def test_declares_fields_and_keeps_their_order(api: Api) -> None:
+def test_declared_fields_keep_their_order(api: Api) -> None:
     made = api.project(fields_yaml=FIELDS)
     assert made["metadata_fields"]["undeclared"] == "refuse"
     assert [field["name"] for field in made["metadata_fields"]["fields"]] == ["robot", "temperature"]
@@ -103,7 +103,7 @@ def test_declares_fields_and_keeps_their_order(api: Api) -> None:
     assert created["after"]["metadata_fields"]["fields"][1]["unit"] == "degC"
 
 
-def test_fields_that_cannot_be_used_are_all_named_with_their_place(api: Api) -> None:
+def test_all_invalid_fields_are_named_with_their_position(api: Api) -> None:
     text = (
         "fields:\n"
         "  - {name: a, type: string, pattern: '('}\n"
@@ -135,12 +135,12 @@ def test_a_wrong_field_is_named(api: Api, text: str, field: str) -> None:
     assert [one["field"] for one in problem["problems"]] == [field]
 
 
-def test_fields_that_are_no_yaml_name_line_and_column(api: Api) -> None:
+def test_yaml_errors_in_fields_have_line_and_column(api: Api) -> None:
     problem = api.post("/projects", {"name": "x", "fields_yaml": "fields:\n\t- a\n"}).refused(422, "yaml_invalid")
     assert (problem["line"], problem["column"]) == (2, 1)
 
 
-def test_changed_fields_report_missions_and_break_none(api: Api) -> None:
+def test_changed_fields_report_missions_without_changing_them(api: Api) -> None:
     project = api.project()
     good = api.mission(project["id"], metadata_yaml="robot: spot\n")
     bad = api.mission(project["id"], metadata_yaml="robot: husky\ncolour: red\n")
@@ -169,7 +169,7 @@ def test_changed_fields_judge_more_missions_than_fit_one_batch(api: Api) -> None
     assert (changed["mission_count"], changed["unsatisfied_mission_count"]) == (1002, 1002)
 
 
-def test_counts_what_it_holds_without_the_trash(api: Api, sample: Sample) -> None:
+def test_project_counts_exclude_the_trash(api: Api, sample: Sample) -> None:
     project = api.project()
     remaining, gone = (api.mission(project["id"])["id"] for _ in range(2))
     files = [sample.file(remaining, "a.mcap", size_bytes=10), sample.file(remaining, "b.mcap", size_bytes=20)]
@@ -180,7 +180,7 @@ def test_counts_what_it_holds_without_the_trash(api: Api, sample: Sample) -> Non
     assert (seen["mission_count"], seen["file_count"], seen["size_bytes"], seen["duration_ns"]) == (1, 2, 30, 3_000)
 
 
-def test_a_deleted_project_is_gone_with_all_it_holds_and_its_name_is_free(api: Api, sample: Sample) -> None:
+def test_deleting_a_project_hides_its_contents_and_frees_its_name(api: Api, sample: Sample) -> None:
     project = api.project()
     mission = api.mission(project["id"])
     file_id = sample.file(mission["id"], "a.mcap", size_bytes=7)
@@ -194,7 +194,7 @@ def test_a_deleted_project_is_gone_with_all_it_holds_and_its_name_is_free(api: A
     assert api.project(name=project["name"])["id"] != project["id"]
 
 
-def test_lists_by_name_and_by_time_both_ways(api: Api) -> None:
+def test_projects_are_sorted_by_name_and_time_in_both_directions(api: Api) -> None:
     tail = uuid.uuid4().hex
     for letter in "bca":
         api.project(name=f"{letter} {tail}")
@@ -288,7 +288,7 @@ def test_a_cursor_of_another_list_is_refused(api: Api) -> None:
     api.get("/missions", {"cursor": cursor}).refused(422, "invalid_cursor")
 
 
-def test_a_list_takes_the_same_number_of_queries_however_long(api: Api) -> None:
+def test_the_number_of_queries_does_not_depend_on_the_length_of_a_list(api: Api) -> None:
     tail = uuid.uuid4().hex
     counts = []
     for number in range(3):
@@ -305,7 +305,7 @@ def test_a_list_takes_the_same_number_of_queries_however_long(api: Api) -> None:
     ids=["nul", "surrogate", "huge", "number", "id", "date", "nothing", "empty"],
 )
 @pytest.mark.parametrize("sort", ["name", "created"])
-def test_a_forged_cursor_is_refused_or_leads_nowhere_else(api: Api, sort: str, value: str) -> None:
+def test_a_forged_cursor_is_refused_or_shows_nothing_else(api: Api, sort: str, value: str) -> None:
     tail = uuid.uuid4().hex
     for number in range(2):
         api.project(name=f"{number} {tail}")
@@ -319,7 +319,7 @@ def test_a_forged_cursor_is_refused_or_leads_nowhere_else(api: Api, sort: str, v
     assert api.get("/projects", {**query, "cursor": real}).ok()["items"][0]["name"] == f"1 {tail}"
 
 
-def test_a_body_that_is_too_large_or_no_json_is_refused(api: Api) -> None:
+def test_too_large_and_non_json_bodies_are_refused(api: Api) -> None:
     problem = api.post("/projects", b" " * (4 * 1024 * 1024 + 1)).refused(413, "body_too_large")
     assert problem["limit_bytes"] == 4 * 1024 * 1024
     api.post("/projects", b"{").refused(422, "invalid_request")

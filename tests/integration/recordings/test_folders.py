@@ -12,7 +12,7 @@ from sqlalchemy import event
 from kleinkram.recordings import Depth
 from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
 from kleinkram.server.context import AppContext
-from kleinkram.server.jobs.back_pressure import BackPressure
+from kleinkram.server.jobs.execution import BackPressure
 from kleinkram.server.recordings import derive as derivation
 from kleinkram.server.recordings import jobs as recording_jobs
 from kleinkram.server.recordings.derive import Derived

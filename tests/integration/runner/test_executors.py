@@ -18,7 +18,7 @@ from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors import local
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end
-from kleinkram.runner.executors.docker import container_log
+from kleinkram.runner.executors.docker import container as docker_container
 from kleinkram.runner.executors.limits import GRACE_S, boot_time_s
 from kleinkram.runner.executors.port_forward import PortForward
 from tests.integration.runner.conftest import EVERYWHERE, Bench, log_of
@@ -35,7 +35,7 @@ def isolated(bench: Bench) -> Bench:
 
 
 def ending_of_start(bench: Bench, job: RunJob) -> Ending:
-    """Return how a job ended that cannot be started, whether its executor notices that at once or later."""
+    """Return how a job ended that cannot be started, whether the executor notices it on submission or later."""
     try:
         bench.executor.submit(job)
     except CannotStart as error:
@@ -276,7 +276,7 @@ def test_a_cancelled_run_may_clean_up(bench: Bench) -> None:
 
 @pytest.mark.slow
 def test_endless_output_is_cut(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (local, container_log):
+    for module in (local, docker_container):
         monkeypatch.setattr(module, "LOG_BYTES", 1_000_000)
     job, ending = bench.run("while True: print('y' * 1000)", time_s=2)
     assert ending.reason is EndReason.time
@@ -354,7 +354,7 @@ def test_images_need_an_engine(bench: Bench) -> None:
 
 
 def answers(server: socket.socket, words: bytes) -> None:
-    """Answer whoever connects with these words and what was said."""
+    """Answer each connection with these words and the data received."""
 
     def answer() -> None:
         with contextlib.suppress(OSError):

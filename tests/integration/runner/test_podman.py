@@ -25,7 +25,7 @@ def test_podman_offers_no_gpus(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(("words", "reason"), [(["kill"], EndReason.lost), (["stop", "-t", "3"], EndReason.signal)])
-def test_ended_by_hand(bench: Bench, words: list[str], reason: EndReason) -> None:
+def test_the_reason_of_a_container_ended_by_hand(bench: Bench, words: list[str], reason: EndReason) -> None:
     assert bench.engine is not None
     job = bench.job(COUNTS)
     bench.executor.submit(job)
@@ -34,7 +34,7 @@ def test_ended_by_hand(bench: Bench, words: list[str], reason: EndReason) -> Non
 
 
 def test_podman_may_forget_its_containers(bench: Bench) -> None:
-    """Whether somebody ended a container is not known then; how it ended is."""
+    """It is then unknown whether a request ended a container; its exit code is known."""
     assert bench.engine is not None
     settings = bench.engine.folder / "containers.conf"
     before = settings.read_text()

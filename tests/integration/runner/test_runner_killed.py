@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner import state_directory
+from kleinkram.runner import state
 from kleinkram.runner.executors import process_supervisor
 from kleinkram.runner.executors.base import wait_for_end
 from kleinkram.runner.executors.docker.executor import DockerExecutor
@@ -19,7 +19,7 @@ from tests.integration.runner.test_executors import LASTING, until_logged_by
 
 
 class Killed(BaseException):
-    """Ends a runner in the middle of a line."""
+    """Raised to end a runner in the middle of a function."""
 
 
 PROCESS_ONLY = pytest.mark.parametrize("bench", ["process"], indirect=True)
@@ -29,7 +29,7 @@ PROCESS_ONLY = pytest.mark.parametrize("bench", ["process"], indirect=True)
 def test_a_runner_killed_before_it_recorded_the_pid_finds_the_job_again(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The next one may not start it again in the same directory: two of them would spoil each other's results."""
+    """The next runner must not start it again in the same directory: two jobs would mix their results."""
     job = bench.job("print('once')")
 
     def die(*_: object) -> None:
@@ -45,7 +45,7 @@ def test_a_runner_killed_before_it_recorded_the_pid_finds_the_job_again(
 
 
 @PROCESS_ONLY
-def test_a_supervisor_whose_job_was_removed_meanwhile_does_nothing(bench: Bench) -> None:
+def test_a_supervisor_without_its_job_does_nothing(bench: Bench) -> None:
     job = bench.job("print('once')")
     (job.directory / "supervisor").touch()
     lock = os.open(job.directory / "supervisor", os.O_RDWR)
@@ -74,7 +74,7 @@ def test_a_runner_killed_right_after_it_submitted_a_job_finds_it_again(
 
 @EVERYWHERE
 def test_a_removed_container_is_reported_lost_and_may_be_started_again(bench: Bench) -> None:
-    """As by Ctrl-C: the next runner begins anew, with the log of before, which is in the store already."""
+    """As by Ctrl-C: the next runner starts the run again and keeps its log, which is already in the store."""
     job = bench.job(LASTING)
     bench.executor.submit(job)
     until_logged_by(bench, LASTING, "ready")
@@ -84,7 +84,7 @@ def test_a_removed_container_is_reported_lost_and_may_be_started_again(bench: Be
     assert ending is not None
     assert ending.reason is EndReason.lost
     for path in job.directory.iterdir():
-        if path.name not in state_directory._PRESERVED:
+        if path.name not in state._PRESERVED:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
     (job.directory / "in").mkdir()
     next_one.submit(job)

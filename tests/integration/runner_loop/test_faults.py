@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import signal
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
 from kleinkram.client import _http
-from kleinkram.client.transfer import upload_pipeline
+from kleinkram.client.transfer import store
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
-from kleinkram.runner import artifact_upload
-from kleinkram.runner.context import LEASE_MARGIN_S
+from kleinkram.runner import results
+from kleinkram.runner.state import LEASE_MARGIN_S
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer
@@ -39,7 +38,7 @@ def heartbeat_of(runners: Runners) -> Path | None:
 
 
 def is_alive(heartbeat: Path) -> bool:
-    """Whether a run goes on."""
+    """Whether a run still executes."""
     before = heartbeat.read_text()
     until = time.monotonic() + 0.5
     while time.monotonic() < until:
@@ -86,8 +85,8 @@ def test_a_killed_runner_reattaches_to_its_run(server: FakeServer, runners: Runn
 def test_rejected_reports_are_sent_again(
     server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch, refusals: int, reason: EndReason
 ) -> None:
-    """Its folder goes when it is over: a run is not given up for one upload that was."""
-    monkeypatch.setattr(artifact_upload, "_RETRY_EVERY_S", 0.1)
+    """The folder of a run is removed at its end, so failed uploads are repeated."""
+    monkeypatch.setattr(results, "_RETRY_EVERY_S", 0.1)
     server.uploads.refuses = refusals
     runners.start()
     run = server.launch("from kleinkram.action import out\nfor n in 'ab': (out / n).write_text(n)\nprint('began')\n")
@@ -100,20 +99,19 @@ def test_rejected_reports_are_sent_again(
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have a runner give up soon, and begin anew at once."""
-    monkeypatch.setattr(artifact_upload, "_RETRY_EVERY_S", 0.01)
-    monkeypatch.setattr(sys.modules["kleinkram.client.transfer.upload"], "PATIENCE_S", 0.1)
-    monkeypatch.setattr(upload_pipeline, "PATIENCE_S", 0.1)
+    """Make a runner give up soon and retry immediately."""
+    monkeypatch.setattr(results, "_RETRY_EVERY_S", 0.01)
+    monkeypatch.setattr(store, "TRANSFER_RETRY_S", 0.1)
     monkeypatch.setattr(_http, "LONGEST_WAIT_S", 0.05)
 
 
 @pytest.mark.usefixtures("impatient")
 def test_results_are_uploaded_once_the_store_is_available(server: FakeServer, runners: Runners) -> None:
-    """However long that takes: more rounds than one that refuses them is given."""
+    """The number of rounds is not limited as it is for rejected files."""
     server.has_no_store.set()
     runners.start()
     run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')\nprint('began')\n")
-    wait_until(lambda: server.requests["/uploads/complete"] > 2 * artifact_upload._ROUNDS)
+    wait_until(lambda: server.requests["/uploads/complete"] > 2 * results._ROUNDS)
     assert run.finishes == []
     server.has_no_store.clear()
     assert ended(run).finishes[0].reason is EndReason.done
@@ -124,19 +122,19 @@ def test_results_are_uploaded_once_the_store_is_available(server: FakeServer, ru
 @pytest.mark.parametrize(
     ("store_says", "waits_for"),
     [
-        (b"", "is away or full (the store answered 503)"),  # as a proxy does in its place
-        (b"<Error><Code>InternalError</Code></Error>", "for minutes, the store answered 503 InternalError"),
+        (b"", "is unreachable or full (the store answered 503)"),  # as a proxy does in its place
+        (b"<Error><Code>InternalError</Code></Error>", "for several minutes, the store answered 503 InternalError"),
     ],
 )
 def test_results_stay_on_the_runner_while_the_store_fails(
     server: FakeServer, runners: Runners, store_says: bytes, waits_for: str
 ) -> None:
-    """That is no refusal of theirs, and whoever looks at the run sees what it waits for."""
+    """These files are not rejected, and the progress of the run names the reason."""
     server.store_says = store_says
     server.store_refuses.set()
     runners.start()
     run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')\nprint('began')\n")
-    wait_until(lambda: server.requests["/runner/runs/*/uploads"] > 2 * artifact_upload._ROUNDS)
+    wait_until(lambda: server.requests["/runner/runs/*/uploads"] > 2 * results._ROUNDS)
     wait_until(lambda: run.progress and waits_for in run.progress[-1].message)
     assert run.finishes == []
     server.store_refuses.clear()

@@ -34,7 +34,7 @@ def _refusal() -> str:
     ("wrong", "right"),
     [("TRUSTED_PROXY", "TRUSTED_PROXIES"), ("TRASHDAYS", "TRASH_DAYS"), ("S3_SECRET", "S3_SECRET_KEY")],
 )
-def test_a_misspelt_setting_is_named_with_the_one_that_was_meant(
+def test_a_misspelt_setting_is_reported_with_a_suggestion(
     monkeypatch: pytest.MonkeyPatch, wrong: str, right: str
 ) -> None:
     monkeypatch.setenv(f"KLEINKRAM_{wrong}", "1")
@@ -79,7 +79,7 @@ def test_all_invalid_settings_are_reported_at_once_by_name(monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("command", ["migrate", "api", "worker"])
-def test_a_process_without_its_settings_says_a_sentence(command: str) -> None:
+def test_missing_settings_are_reported_as_a_sentence(command: str) -> None:
     ran = subprocess.run(
         [sys.executable, "-m", "kleinkram.server", command], env={}, capture_output=True, text=True, check=False
     )
@@ -103,7 +103,7 @@ def test_secrets_come_from_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     assert settings.oidc_providers[0].name == "lab"
 
 
-def test_a_secret_s_file_is_there_and_the_only_source(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_secret_has_one_source_and_its_file_must_exist(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     empty = tmp_path / "empty"
     empty.touch()
     monkeypatch.setenv("KLEINKRAM_S3_SECRET_KEY_FILE", str(empty))
@@ -116,14 +116,14 @@ def test_a_secret_s_file_is_there_and_the_only_source(monkeypatch: pytest.Monkey
     assert "KLEINKRAM_TRASH_DAYS_FILE is not a setting" in _refusal(), "only secrets come from files"
 
 
-def test_a_secret_that_stands_where_its_file_should_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_secret_set_instead_of_its_file_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("KLEINKRAM_S3_SECRET_KEY")
     monkeypatch.setenv("KLEINKRAM_S3_SECRET_KEY_FILE", "hunter22")
     assert "KLEINKRAM_S3_SECRET_KEY_FILE: what it names (not an absolute path) cannot be read" in _refusal()
     assert "hunter22" not in _refusal()
 
 
-def test_the_name_of_a_secret_s_file_may_be_in_small_letters(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_variables_of_secret_files_ignore_case(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     secret = tmp_path / "secret"
     secret.write_text("of a file")
     monkeypatch.setenv("kleinkram_s3_secret_key_file", str(secret))

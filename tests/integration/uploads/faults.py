@@ -10,10 +10,10 @@ from functools import partial
 from types import FunctionType
 from typing import Any, cast
 
-from kleinkram.server.blobs import jobs, queries, scrub, service
+from kleinkram.server.blobs import queries, scrub, service
 from kleinkram.server.blobs.verification import ObjectChecksums
+from kleinkram.server.maintenance import collect_garbage
 from kleinkram.server.uploads import completion, parts, rules
-from kleinkram.server.uploads import jobs as upload_jobs
 from kleinkram.server.uploads import queries as upload_queries
 from kleinkram.server.uploads import service as upload_service
 from tests.integration.uploads.state_machine import Machine, Upload
@@ -33,11 +33,11 @@ class Fault:
 
 @contextmanager
 def planted(fault: Fault) -> Iterator[None]:
-    """Have a function of the server do the wrong thing until the block ends, whoever calls it by whatever name."""
+    """Replace the code of a server function until the block ends, for all its callers."""
     function = fault.function
     assert isinstance(function, FunctionType)
     source = textwrap.dedent(inspect.getsource(function))
-    assert source.count(fault.right) == 1, f"{function.__qualname__} has changed: plant {fault.name!r} anew"
+    assert source.count(fault.right) == 1, f"{function.__qualname__} has changed: adapt {fault.name!r}"
     made: dict[str, Any] = {}
     exec(source.replace(fault.right, fault.wrong), {**vars(sys.modules[function.__module__])}, made)
     sound, function.__code__ = function.__code__, made[function.__name__].__code__
@@ -59,7 +59,7 @@ def live(life: Machine, history: str) -> None:
         "abort": lambda: life.abort(announced[0]),
         "complete": lambda: life.complete(announced[0]),
         "bring": lambda: life.bring("a.bin", b"one"),
-        "bring twin": lambda: life.bring("b.bin", b"one"),
+        "bring duplicate": lambda: life.bring("b.bin", b"one"),
         "delete": lambda: life.delete(0),
         "restore": lambda: life.restore(0),
         **{f"object {what}": partial(life.lie, 0, what) for what in ("gone", "cut", "altered", "whole")},
@@ -105,7 +105,7 @@ FAULTS = [
     ),
     Fault(
         "expiry leaves the reservation",
-        upload_jobs.maintain_uploads,
+        completion.maintain_uploads,
         ".values(state=UploadState.expired.value)",
         ".values(state=UploadState.open.value)",
         "expire",
@@ -113,7 +113,7 @@ FAULTS = [
     ),
     Fault(
         "expiry leaves the object",
-        upload_jobs._clean_up,
+        completion._clean_up,
         _THE_OBJECT_GOES,
         "pass\n",
         "every_object_is_known",
@@ -157,11 +157,11 @@ FAULTS = [
         _FILES_REFER,
         "exists().where(file.c.blob_id == blob.c.id, file.c.origin == 'upload')",
         "collect_garbage",
-        "bring, bring twin, delete, empty trash",
+        "bring, bring duplicate, delete, empty trash",
     ),
     Fault(
         "garbage collection leaves the object",
-        jobs.collect_garbage,
+        collect_garbage,
         _THE_OBJECT_GOES,
         "pass\n",
         "every_object_is_known",
@@ -173,7 +173,7 @@ FAULTS = [
         "& (verified | own)",
         "",
         "_see_that_it_can_be_read",
-        "bring, object gone, verify, bring twin",
+        "bring, object gone, verify, bring duplicate",
     ),
     Fault(
         "what is lost counts as being there",

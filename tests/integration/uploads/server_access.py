@@ -13,7 +13,7 @@ from kleinkram.server.blobs import jobs
 from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
-from kleinkram.server.jobs.back_pressure import BackPressure
+from kleinkram.server.jobs.execution import BackPressure
 from kleinkram.server.s3.storage import open_storage
 from tests.integration.api_server import Api
 

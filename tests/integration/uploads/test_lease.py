@@ -21,7 +21,7 @@ _LEASE_S = 8.0
 
 
 class _Listening(Watcher):
-    """Keeps what a person would read meanwhile."""
+    """Records the messages for the user."""
 
     def __init__(self) -> None:
         self.received: list[str] = []
@@ -38,7 +38,7 @@ def _api(start_api: StartApi) -> Api:
 
 @pytest.fixture(name="client")
 def _client(api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Client]:
-    """Somebody without a journal of what is under way."""
+    """A client without a journal of the uploads under way."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     with connect(api.url, api.token) as client:
         yield client
@@ -56,9 +56,7 @@ def _send(client: Client, mission_id: str, file: Path, watcher: _Listening) -> T
     return upload(client, uuid.UUID(mission_id), plan_upload([file]), watcher=watcher).results[0]
 
 
-def test_the_second_client_takes_over_when_the_lease_ends(
-    api: Api, client: Client, mission_id: str, file: Path
-) -> None:
+def test_the_second_client_continues_when_the_lease_ends(api: Api, client: Client, mission_id: str, file: Path) -> None:
     body = file.read_bytes()
     dead = begin(api, mission_id, {"run.bin": body}, hashed=False)[0]["upload"]
     send(api, dead, body, only=[1])
@@ -74,14 +72,14 @@ def test_the_second_client_takes_over_when_the_lease_ends(
     assert complete(api, dead, body)["problem"]["code"] == "upload_gone"
 
 
-def test_a_client_that_lives_keeps_its_name(api: Api, client: Client, mission_id: str, file: Path) -> None:
+def test_a_live_client_keeps_its_reserved_name(api: Api, client: Client, mission_id: str, file: Path) -> None:
     theirs = os.urandom(_PART + 2000)
     alive = begin(api, mission_id, {"run.bin": theirs}, hashed=False)[0]["upload"]
     watcher = _Listening()
     with ThreadPoolExecutor(1) as pool:
         sending = pool.submit(_send, client, mission_id, file, watcher)
         wait_until(lambda: bool(watcher.received))
-        # Leases are told to the second: a renewal within the same one would not be seen.
+        # Leases are reported in whole seconds: a renewal in the same second would not be visible.
         late = "SELECT lease_ends_at - now() < interval '6.5 s' FROM upload WHERE id = %s"
         wait_until(lambda: api.sql(late, alive["id"]) == [(True,)])
         send(api, alive, theirs)  # asking where to send renews the lease

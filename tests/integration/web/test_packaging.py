@@ -6,7 +6,7 @@ import tarfile
 import zipfile
 from pathlib import Path
 
-from kleinkram.server.http.pages import BUILT
+from kleinkram.server.http.web_app import BUILT
 
 _ROOT = Path(__file__).parents[3]
 

@@ -9,7 +9,7 @@ import pytest
 import urllib3
 
 from kleinkram.server.access.operations import PLACES
-from kleinkram.server.http.pages import BUILT
+from kleinkram.server.http.web_app import BUILT
 from tests.integration.api_server import Api
 
 _POOL = urllib3.PoolManager(retries=False, timeout=20)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.server.http.pages import BUILT
+from kleinkram.server.http.web_app import BUILT
 from tests.requirements import missing, need, path_of
 from tests.system.cluster import Cluster
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import urllib3
 
-from kleinkram.server.jobs.attempts import ATTEMPTS
+from kleinkram.server.jobs.execution import ATTEMPTS
 from tests.system.backend import sql
 from tests.system.cluster import Cluster
 from tests.system.web.conftest import Act

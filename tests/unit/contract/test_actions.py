@@ -19,14 +19,14 @@ def test_amounts_are_parsed_with_units() -> None:
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ({"image": None}, "has an 'image' or a 'script'"),
+        ({"image": None}, "requires an 'image' or a 'script'"),
         ({"image": None, "script": "print()", "command": ["ls"]}, "has no 'command'"),
         ({"image": "--privileged"}, "String should match"),
         ({"parameters": [{"name": "a", "type": "string"}] * 2}, "'a' is declared twice"),
-        ({"parameters": [{"name": "a", "type": "choice"}]}, "a choice has 'choices'"),
+        ({"parameters": [{"name": "a", "type": "choice"}]}, "'choices' are required for a choice"),
         ({"parameters": [{"name": "a", "type": "string", "minimum": 1}]}, "only for integers and numbers"),
         ({"parameters": [{"name": "a", "type": "integer", "default": 1.5}]}, "is a whole number, not 1.5"),
-        ({"resources": {"memory": "4 elephants"}}, "say bytes"),
+        ({"resources": {"memory": "4 elephants"}}, "write bytes"),
         ({"resources": {"time": "0.5s"}}, "not a whole number"),
         ({"resources": {"cores": 0}}, "greater than 0"),
         ({"network": "host"}, "'none', 'api' or 'open'"),

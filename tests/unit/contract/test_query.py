@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import BlobState, ContentState, FileFilter
 from kleinkram.contract.metadata import WHERE_EXPRESSION
-from kleinkram.contract.query import parse, phrases, render, whole
+from kleinkram.contract.query import combined_filter, parse, phrases, render
 from kleinkram.contract.search import FileQuery
 
 _ID = uuid.UUID("2b1d0c9e-0000-4000-8000-000000000000")
@@ -59,7 +59,7 @@ _DAY = datetime.datetime(2026, 5, 1, tzinfo=datetime.timezone.utc)
         ('-""', {}),
     ],
 )
-def test_a_text_means_a_filter(text: str, fields: dict[str, Any]) -> None:
+def test_queries_are_parsed_to_filters(text: str, fields: dict[str, Any]) -> None:
     assert parse(text) == FileFilter(**fields)
     assert parse(render(parse(text))) == parse(text)
 
@@ -79,7 +79,7 @@ def test_a_text_means_a_filter(text: str, fields: dict[str, Any]) -> None:
         ('project:"Town"', "project:Town"),
     ],
 )
-def test_a_query_has_one_spelling(text: str, message: str) -> None:
+def test_queries_are_normalized(text: str, message: str) -> None:
     assert render(parse(text)) == message
 
 
@@ -87,23 +87,23 @@ def test_a_query_has_one_spelling(text: str, message: str) -> None:
     ("text", "column", "words"),
     [
         ("alps topc:/imu", 6, "did you mean 'topic'?"),
-        ("robot:anymal", 1, "metadata is asked for by meta.robot:anymal"),
+        ("robot:anymal", 1, "write metadata as meta.robot:anymal"),
         ("http://x", 1, "text in quotes"),
-        ("topic:", 1, "nothing stands behind it; write it like topic:/imu/*"),
-        ("meta.robot:", 1, "nothing stands behind it"),
+        ("topic:", 1, "it has no value; write it like topic:/imu/*"),
+        ("meta.robot:", 1, "it has no value"),
         ("meta.a..b:3", 1, "an empty part"),
-        ("a topic>3", 3, "topic is not compared by >"),
+        ("a topic>3", 3, "topic does not support >"),
         ("size:big", 1, "kB, MB, GB, TB"),
         ("size>1apple", 1, "kB, MB, GB, TB"),
         ("size<0", 1, "nothing is smaller than 0"),
-        ("size>99999999TB", 1, "nothing is so large"),
+        ("size>99999999TB", 1, "the number is too large"),
         ("duration>10", 1, "a number with d, h, m, s"),
         ("after:yesterday", 1, "2026-05-01"),
         ("after:2026-02-30", 1, "2026-05-01"),
         ("month:2026-13", 1, "2026-05"),
         ("content:bad", 1, "one of pending, indexed, recovered"),
         ("recording:front", 1, "recording:ID"),
-        (f"recording:{uuid.UUID(int=1)} recording:{uuid.UUID(int=2)}", 48, "said at column 1 already"),
+        (f"recording:{uuid.UUID(int=1)} recording:{uuid.UUID(int=2)}", 48, "already set at column 1"),
         ('alps "50% of', 6, "the quote that opens at column 6 is not closed"),
         ('alps topic:"/a"b', 15, "a space is missing behind the quote"),
         ("a -topc:/x", 3, "did you mean 'topic'?"),
@@ -120,17 +120,17 @@ def test_unreadable_queries_name_the_column(text: str, column: int, words: str) 
 
 
 @pytest.mark.parametrize("field", ["without", "where"])
-def test_a_filter_whose_terms_say_nothing_has_no_text(field: str) -> None:
+def test_filters_with_invalid_terms_cannot_be_rendered(field: str) -> None:
     matching = FileFilter.model_validate({field: ["a b"]})
     with pytest.raises(InvalidQuery):
         render(matching)
 
 
-def test_a_text_and_a_filter_beside_it_are_one() -> None:
+def test_a_query_and_a_filter_are_combined() -> None:
     requested = FileQuery(query="alps label:a size>1GB", text="rain", label=["b"], min_size_bytes=5, content=["broken"])
-    assert render(whole(requested)) == "alps rain label:a label:b content:broken size>1GB"
-    assert type(whole(FileQuery(text="rain"))) is FileFilter
-    assert whole(FileQuery(text="rain")) == FileFilter(text="rain")
+    assert render(combined_filter(requested)) == "alps rain label:a label:b content:broken size>1GB"
+    assert type(combined_filter(FileQuery(text="rain"))) is FileFilter
+    assert combined_filter(FileQuery(text="rain")) == FileFilter(text="rain")
 
 
 def test_several_projects_or_missions_mean_any_of_them() -> None:
@@ -140,8 +140,8 @@ def test_several_projects_or_missions_mean_any_of_them() -> None:
     assert parse("project:a project:a") == FileFilter(project="a")
     for matching in (FileFilter(projects=["a", "b c"]), FileFilter(missions=[first, second, "night"], project="a")):
         assert parse(render(matching)) == matching
-    with pytest.raises(InvalidQuery, match="said at column 1 already"):
-        whole(FileQuery(query="project:a", projects=["b", "c"]))  # both would have to hold
+    with pytest.raises(InvalidQuery, match="already set at column 1"):
+        combined_filter(FileQuery(query="project:a", projects=["b", "c"]))  # both would have to hold
 
 
 _text = st.text(st.characters(exclude_characters="\x00", exclude_categories=["Cs"]), max_size=12)
@@ -180,7 +180,7 @@ _filters = st.builds(
 
 
 @given(_filters, st.lists(_filters, max_size=2))
-def test_the_text_of_a_filter_means_that_filter(plain: FileFilter, others: list[FileFilter]) -> None:
+def test_rendered_filters_parse_to_the_same_filter(plain: FileFilter, others: list[FileFilter]) -> None:
     """Words and comparisons may be spelled in more ways than one: these come back in the one spelling."""
     terms = [f"-{term}" for other in others for term in map(render, _single(other))][:50]
     matching = plain.model_copy(update={"without": parse(" ".join(terms)).without})
@@ -214,7 +214,7 @@ def _single(matching: FileFilter) -> list[FileFilter]:
 
 
 @given(_value)
-def test_any_text_is_read_or_refused_by_name(text: str) -> None:
+def test_any_text_parses_or_raises_invalid_query(text: str) -> None:
     try:
         matching = parse(text)
     except InvalidQuery as error:

@@ -11,14 +11,13 @@ import pytest
 
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.runner.executors.base import RunJob
-from kleinkram.runner.executors.docker import container_log
+from kleinkram.runner.executors.docker import container as docker_container
 from kleinkram.runner.executors.docker.client import ContainerInfo, DockerClient, OutputPiece
-from kleinkram.runner.executors.docker.container import LOG_LABEL
-from kleinkram.runner.executors.docker.container_log import ContainerLog
+from kleinkram.runner.executors.docker.container import LOG_LABEL, ContainerLog
 
 
 class StoredOutput(DockerClient):
-    """An engine that stores this output of a container, and nothing else."""
+    """An engine that only stores the output of a container."""
 
     def __init__(self, pieces: list[bytes]) -> None:
         super().__init__(Path("/nowhere"))
@@ -67,6 +66,6 @@ def test_a_full_disk_is_noticed(tmp_path: Path) -> None:
 
 
 def test_a_log_is_copied_up_to_its_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(container_log, "LOG_BYTES", 10)
+    monkeypatch.setattr(docker_container, "LOG_BYTES", 10)
     assert copy(tmp_path, [b"a word and more\n"]).has_space
     assert (tmp_path / "log").read_bytes().startswith(b"a word and\n[kleinkram] the log is full")

@@ -7,7 +7,7 @@ from fastapi.routing import APIRoute
 
 from kleinkram.server.access.operations import OPERATIONS
 from kleinkram.server.app import ROUTERS
-from kleinkram.server.audit.admin_access import is_admin_read
+from kleinkram.server.audit.requests import is_admin_read
 
 _ROOT = Path(__file__).parents[3]
 _TEXTS = (_ROOT / "web/src/texts/audit.ts").read_text()

@@ -3,7 +3,7 @@
 import pytest
 
 from kleinkram.contract.errors import StoreUnavailable
-from kleinkram.server.jobs.attempts import error_sentence
+from kleinkram.server.jobs.execution import error_sentence
 
 
 @pytest.mark.parametrize(
@@ -18,10 +18,10 @@ from kleinkram.server.jobs.attempts import error_sentence
         (ValueError("x" * 1000), "ValueError: " + "x" * 488),
     ],
 )
-def test_a_sentence(error: Exception, sentence: str) -> None:
+def test_errors_are_stored_as_one_sentence(error: Exception, sentence: str) -> None:
     assert error_sentence(error) == sentence
 
 
-def test_an_error_with_a_sentence_of_its_own_says_that() -> None:
+def test_an_error_keeps_its_own_sentence() -> None:
     error = StoreUnavailable(reason="it is away")
     assert error_sentence(error) == error.sentence()

@@ -23,12 +23,12 @@ def _routes() -> list[APIRoute]:
     return [route for router in ROUTERS for route in router.routes if isinstance(route, APIRoute)]
 
 
-def test_every_route_requires_actor_comes_or_is_for_everybody() -> None:
+def test_every_route_requires_an_actor_or_is_an_open_page() -> None:
     open_to_all = sorted(route.path for route in _routes() if not requires_actor(route))
     assert open_to_all == sorted(OPEN_PAGES)
 
 
-def test_every_route_of_the_api_is_in_the_schema_and_the_other_way_round() -> None:
+def test_the_schema_has_exactly_the_routes_of_the_api() -> None:
     """So that nothing is served which tests made from the schema do not see."""
     app = create_app(Settings.model_validate(_SETTINGS))
     described = {operation["operationId"] for path in app.openapi()["paths"].values() for operation in path.values()}
@@ -38,7 +38,7 @@ def test_every_route_of_the_api_is_in_the_schema_and_the_other_way_round() -> No
     assert {route.operation_id for route in _routes()} - served == {None, "end_provider_sign_in"}
 
 
-def test_every_operation_describes_its_failures_as_problems_with_a_closed_list_of_codes() -> None:
+def test_every_operation_describes_failures_as_problem_documents() -> None:
     schema = create_app(Settings.model_validate(_SETTINGS)).openapi()
     problem = {"schema": {"$ref": "#/components/schemas/ProblemDocument"}}
     for path in schema["paths"].values():
@@ -49,7 +49,7 @@ def test_every_operation_describes_its_failures_as_problems_with_a_closed_list_o
     assert set(ERRORS) == set(ErrorCode)
 
 
-def test_every_operation_has_a_route_or_is_what_another_turns_into() -> None:
+def test_every_operation_has_a_route_except_derived_ones() -> None:
     routed = {route.operation_id for route in _routes()}
     assert OPERATIONS.keys() - routed == {"move_mission", "move_file", "publish_project", "set_project_quota"}
 
@@ -59,7 +59,7 @@ def test_no_route_is_served_twice() -> None:
     assert len(named) == len(set(named))
 
 
-def test_a_route_that_nobody_has_spoken_for_does_not_start() -> None:
+def test_a_route_without_permissions_prevents_the_start() -> None:
     router = APIRouter()
 
     @router.get("/unsaid", operation_id="unsaid")
@@ -70,7 +70,7 @@ def test_a_route_that_nobody_has_spoken_for_does_not_start() -> None:
         require_guards([router])
 
 
-def test_a_route_that_does_not_ask_who_comes_does_not_start() -> None:
+def test_a_route_without_authentication_prevents_the_start() -> None:
     router = APIRouter()
 
     @router.get("/unguarded", operation_id="get_project")
@@ -88,7 +88,7 @@ def test_unknown_route_types_prevent_the_start() -> None:
         require_guards([router])
 
 
-def test_a_transaction_requires_actor_comes() -> None:
+def test_a_transaction_requires_an_actor() -> None:
     router = APIRouter()
 
     @router.get("/with-transaction")

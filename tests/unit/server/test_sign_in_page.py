@@ -18,21 +18,21 @@ def example(page: str, variable: str) -> str:
     return result[1]
 
 
-def test_the_provider_that_is_set_up_step_by_step_is_understood() -> None:
+def test_the_provider_of_the_documentation_is_valid() -> None:
     (provider,) = TypeAdapter(tuple[OidcProvider, ...]).validate_json(example(SIGN_IN, "KLEINKRAM_OIDC_PROVIDERS"))
     assert f"/sign-in/callback/{provider.name}`" in SIGN_IN, "the redirect URI has the provider's name"
     assert provider.trusts("lab.example")
     assert not provider.trusts("students.lab.example")
 
 
-def test_every_field_of_a_provider_is_named_and_no_other() -> None:
+def test_the_documentation_names_exactly_the_fields_of_a_provider() -> None:
     answer = SIGN_IN.partition("All fields of a provider:")[2].partition("Several providers")[0]
     names = set(re.findall(r"`([a-z_]+)`", answer)) - {"client_secret_basic", "client_secret_post", "none"}
     assert names == set(OidcProvider.model_fields)
     assert all(f"`{way.value}`" in SIGN_IN for way in OpenTo)
 
 
-def test_every_issuer_in_the_table_is_one_that_is_taken() -> None:
+def test_every_documented_issuer_is_valid() -> None:
     table = SIGN_IN.partition("| provider | `issuer`")[2].partition("\n\n")[0]
     issuers = re.findall(r"`(https://[^`]+)`", table)
     assert len(issuers) >= 7
@@ -41,7 +41,7 @@ def test_every_issuer_in_the_table_is_one_that_is_taken() -> None:
         assert OidcProvider.model_validate(fields).issuer == issuer
 
 
-def test_the_affiliations_of_the_access_page_are_understood() -> None:
+def test_the_documented_affiliations_are_valid() -> None:
     text = example((DOCS / "access.md").read_text(), "KLEINKRAM_AFFILIATIONS")
     (affiliation,) = TypeAdapter(tuple[Affiliation, ...]).validate_python(json.loads(text))
     assert affiliation.domains == ("lab.example",)

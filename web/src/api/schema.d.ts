@@ -2595,10 +2595,9 @@ export interface components {
         };
         /**
          * ActionRead
-         * @description An action with its latest version. `project` is null where it is the whole lab's. `may_change`: the asker may.
+         * @description An action with its latest version. `project` is null for the whole lab; `may_change`: the caller may change it.
          *
-         *     `etag` names its latest version and whether it is archived: given back with a change or a further version, that
-         *     is refused where somebody else came first.
+         *     `etag` covers the latest version and `archived`: a change or a further version with an outdated one is refused.
          */
         ActionRead: {
             /** Archived */
@@ -2782,7 +2781,7 @@ export interface components {
         };
         /**
          * AlreadyPresent
-         * @description The mission already has this very file under this name: nothing to send. `file` is null for who may not read.
+         * @description The mission already has this file. Send nothing. `file` is null without the right to read.
          */
         AlreadyPresent: {
             /**
@@ -2933,7 +2932,7 @@ export interface components {
         };
         /**
          * BlobState
-         * @description State of a file's bytes: checksums confirmed by the store; read by the server; missing; or altered.
+         * @description State of a file's bytes: received by the store, read and verified by the server, missing, or altered.
          * @enum {string}
          */
         BlobState: "stored" | "verified" | "lost" | "corrupt";
@@ -2946,9 +2945,9 @@ export interface components {
         };
         /**
          * Bucket
-         * @description Files of one month, of one value of a field, or of the numbers from `low` on up to below `high`.
+         * @description Files of one month, of one value of a field, or of numbers from `low` (inclusive) to `high` (exclusive).
          *
-         *     All three are null for what has no such time or value.
+         *     All three are null for files without such a time or value.
          */
         Bucket: {
             /** High */
@@ -3047,7 +3046,7 @@ export interface components {
         };
         /**
          * Completed
-         * @description The store agreed; the file exists. It is null for who may not read, where another brought the same bytes.
+         * @description The upload is complete and the file exists. `file` is null without the right to read.
          */
         Completed: {
             file: components["schemas"]["FileRead"] | null;
@@ -3064,7 +3063,7 @@ export interface components {
         };
         /**
          * ContentState
-         * @description What is known of the meaning of the bytes (see the concepts page).
+         * @description What the server has read of a file's content (see the concepts page).
          * @enum {string}
          */
         ContentState: "pending" | "indexed" | "recovered" | "broken" | "opaque" | "error";
@@ -3111,7 +3110,7 @@ export interface components {
         };
         /**
          * Deduplicated
-         * @description The same bytes are kept already and you may read them: the file now exists, nothing to send.
+         * @description The server already has these bytes, and you may read them. The file now exists; send nothing.
          */
         Deduplicated: {
             /**
@@ -3149,10 +3148,10 @@ export interface components {
         };
         /**
          * Density
-         * @description Distribution of messages over time.
+         * @description The number of messages in equal bins of log time.
          *
-         *     `counts[k]` are the messages from `start_ns + k * bin_ns` on, that time included, up to the next bin. `bin_ns` is a
-         *     power of two, and `start_ns` a multiple of it. Stamps that cannot be true are in no bin.
+         *     `counts[k]` covers `start_ns + k * bin_ns` (inclusive) to `start_ns + (k + 1) * bin_ns` (exclusive). `bin_ns` is a
+         *     power of two, and `start_ns` a multiple of it. Implausible timestamps are in no bin.
          */
         Density: {
             /** Bin Ns */
@@ -3179,7 +3178,7 @@ export interface components {
         };
         /**
          * DerivedTokens
-         * @description Treatment of tokens that were created with a revoked token.
+         * @description What happens to tokens that were created with a revoked token.
          * @enum {string}
          */
         DerivedTokens: "ended" | "valid";
@@ -3250,7 +3249,7 @@ export interface components {
         };
         /**
          * DownloadLink
-         * @description Where to read one file's bytes: GET with or without a Range header, until `expires_at`.
+         * @description A URL to GET the bytes of a file from before `expires_at`, with or without a Range header.
          */
         DownloadLink: {
             /** Crc64Nvme */
@@ -3277,7 +3276,7 @@ export interface components {
         };
         /**
          * DownloadLinks
-         * @description Links, one a file, in the order asked.
+         * @description URLs of files, in the requested order.
          */
         DownloadLinks: {
             /** Items */
@@ -3285,7 +3284,7 @@ export interface components {
         };
         /**
          * DownloadRequest
-         * @description Files to fetch, or only to look into; the record says which.
+         * @description Files to download or preview; the audit log contains the purpose.
          */
         DownloadRequest: {
             /** File Ids */
@@ -3388,7 +3387,7 @@ export interface components {
         };
         /**
          * FetchPurpose
-         * @description What addresses of files are asked for, by the word of whoever asks: either gives all bytes, for as long.
+         * @description What the URLs of files are for, according to the caller. Both give access to all bytes.
          * @enum {string}
          */
         FetchPurpose: "download" | "preview";
@@ -3414,7 +3413,7 @@ export interface components {
         FieldType: "string" | "number" | "boolean" | "date" | "location" | "link" | "choice";
         /**
          * FileFact
-         * @description One thing more that a file says of itself, such as the number of poses of a trajectory.
+         * @description A further property of a file, such as the number of poses of a trajectory.
          */
         FileFact: {
             /** Name */
@@ -3426,14 +3425,13 @@ export interface components {
         };
         /**
          * FileFilter
-         * @description Which files: all that are given must hold; within one list any may. Names and paths may be globs (`*`, `?`).
+         * @description A filter of files; all criteria must match, and of the values in one list, any. Names and paths may be globs.
          *
-         *     `where` compares metadata of the mission, as in `MissionFilter`. `format` is what the content is
-         *     (`mcap`, `rosbag1`, `db3`, …), whatever the extension. `problem` are codes of problems inside the file, or globs:
-         *     `*` finds files with any problem. Sizes in bytes; `recorded_*` against the file's span.
-         *     Quotes in `text` make several words one. `projects` and `missions` are names, globs or ids of several, of which any
-         *     may hold; `project` and `mission` are one name or glob. `month` is the one in which the recording began,
-         *     UTC. `without` are terms of the query language (see the page on searching) of which none may hold.
+         *     `project` and `mission` are a name or a glob, `projects` and `missions` names, globs or ids. `where` compares
+         *     metadata of the mission, as in `MissionFilter`. Quotes in `text` group words. `format` is that of the content
+         *     (`mcap`, `rosbag1`, `db3`, …), whatever the extension. `problem` are codes of quality warnings or globs.
+         *     `recorded_*` are compared with the span of the file. `month` is the month (UTC) in which the recording began.
+         *     `without` are terms of the query language (see the page on searching), of which none may match.
          */
         FileFilter: {
             /**
@@ -3542,7 +3540,7 @@ export interface components {
         };
         /**
          * FileLoss
-         * @description What of a damaged recording cannot be read. `messages` is null where nothing in the file tells.
+         * @description The unreadable part of a damaged recording. `messages` is null if the file does not tell the number.
          */
         FileLoss: {
             /** Bytes */
@@ -3554,7 +3552,7 @@ export interface components {
         };
         /**
          * FileProblem
-         * @description Something odd inside a recording, in plain words.
+         * @description A quality warning about a recording.
          */
         FileProblem: {
             /** Code */
@@ -3566,12 +3564,11 @@ export interface components {
         };
         /**
          * FileRead
-         * @description A file of a mission: its place, its bytes, and what they hold. Checksums are lower-case hex.
+         * @description A file of a mission: its path, its bytes, and their content. Checksums are lower-case hex.
          *
-         *     `sha256` is the uploader's word until `state` is `verified`; `md5` is null until then. `summarised_at` is null until
-         *     the server has looked at the content, whatever came of it. `depth` says how far it read; null until then.
-         *     `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed. `etag` names
-         *     the path and labels that people gave it last, as with missions.
+         *     `sha256` is as reported by the uploader until `state` is `verified`; `md5` is null until then. `summarised_at` and
+         *     `depth` are null until the server has read the content. `damaged_at` is when the file was found to be lost or
+         *     corrupt, `state_reason` how. `etag` covers the path and the labels.
          */
         FileRead: {
             /** Compression */
@@ -3649,7 +3646,7 @@ export interface components {
         FileSort: "path" | "-path" | "created" | "-created" | "size" | "-size" | "start" | "-start";
         /**
          * FileUpdate
-         * @description What to change of a file; what is left out stays. A path renames, a mission moves; no object is touched.
+         * @description Changes of a file; omitted fields stay. `path` renames it, `mission_id` moves it; no bytes are copied.
          */
         FileUpdate: {
             /** Labels */
@@ -3787,7 +3784,7 @@ export interface components {
          * @description A group. Expired memberships and deactivated people do not count.
          *
          *     `is_member`, `is_editor` and `expires_at` are the caller's own membership. `domains` and `default_right` are the
-         *     settings of an affiliation group. Changes with `etag` are refused if somebody else changed the group meanwhile.
+         *     settings of an affiliation group. A change with an outdated `etag` is refused.
          */
         GroupRead: {
             /**
@@ -3828,7 +3825,7 @@ export interface components {
         };
         /**
          * HashRequired
-         * @description Something of this name or size is kept already: ask again with the sha256.
+         * @description The server has a file with this name or size. Announce the file again with its sha256.
          */
         HashRequired: {
             /**
@@ -4096,7 +4093,7 @@ export interface components {
         };
         /**
          * Location
-         * @description A place on earth. Degrees, WGS 84; altitude in metres above the ellipsoid.
+         * @description A place on earth in degrees (WGS 84); altitude in metres above the ellipsoid.
          */
         Location: {
             /** Altitude */
@@ -4142,7 +4139,7 @@ export interface components {
          * LogChunkRead
          * @description A chunk of the log of a run from the byte `offset` on; the next one begins at `next_offset`.
          *
-         *     It ends with a whole line, unless the log ends or the line is very long. `is_over`: the log ends at `next_offset`.
+         *     It ends with a complete line, unless the log ends or the line is very long. `is_over`: the log ends there.
          */
         LogChunkRead: {
             /** Attempt */
@@ -4197,8 +4194,8 @@ export interface components {
          * MemberRead
          * @description A member of a group. Only its editors and admins see `emails`, and members who are not active.
          *
-         *     `is_active`: the membership has not expired, and the person is not deactivated. Changes with `etag` are refused if
-         *     somebody else changed the membership meanwhile.
+         *     `is_active`: the membership has not expired, and the person is not deactivated. A change with an outdated `etag` is
+         *     refused.
          */
         MemberRead: {
             /**
@@ -4250,7 +4247,7 @@ export interface components {
          * MetadataField
          * @description One field that a project declares.
          *
-         *     `unit` belongs to numbers, `pattern` (Rust regex syntax, whole value) to strings, `choices` to choices.
+         *     `unit` is for numbers, `pattern` (Rust regex syntax, for the entire value) for strings, `choices` for choices.
          */
         MetadataField: {
             /** Choices */
@@ -4327,9 +4324,9 @@ export interface components {
         };
         /**
          * MissionCreate
-         * @description A mission to make, whose metadata must satisfy the project's fields.
+         * @description A mission to create, whose metadata must satisfy the project's fields.
          *
-         *     Said as a document, `metadata_yaml`, which is kept to the letter, or as the values of a form, `metadata`.
+         *     The metadata is a YAML document, `metadata_yaml`, which is stored unchanged, or values, `metadata`.
          */
         MissionCreate: {
             /** Metadata */
@@ -4348,13 +4345,12 @@ export interface components {
         };
         /**
          * MissionRead
-         * @description A mission and what it amounts to.
+         * @description A mission and its totals.
          *
-         *     `start_ns` and `end_ns` (log clock, since 1970, UTC) span its recordings without suspect stamps.
-         *     `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
-         *     content nobody has read yet, those included that only the verification will read; `recordings_current` says whether
-         *     recordings and span follow from today's files. `right` is the asker's own on it, from wherever it comes.
-         *     `etag` names what people edited last: given back with a change, that is refused where somebody else came first.
+         *     `start_ns` and `end_ns` (log time, ns since 1970) span its recordings without implausible timestamps.
+         *     `metadata_problems` is what does not satisfy the project's fields. `pending_file_count` is the number of files whose
+         *     content the server has not read yet. `recordings_current`: recordings and span reflect the current files. `right` is
+         *     the caller's. `etag` covers the edited fields: a change with an outdated one is refused.
          */
         MissionRead: {
             /** Completed At */
@@ -4403,7 +4399,7 @@ export interface components {
         };
         /**
          * MissionRef
-         * @description A mission, as named beside what it holds.
+         * @description The id, name and project of a mission.
          */
         MissionRef: {
             /**
@@ -4425,8 +4421,8 @@ export interface components {
          * MissionTemplate
          * @description Template for the next mission of a project: as YAML, or as a form of `fields` with initial `values`.
          *
-         *     `carried` are values of the mission `prefilled_from`, for somebody to confirm field by field. In the YAML they
-         *     stand in comments. Dates, weather and operator are not among them.
+         *     `carried` are values of the mission `prefilled_from`, to be confirmed field by field; in the YAML they are comments.
+         *     Dates, weather and operator are not carried over.
          */
         MissionTemplate: {
             /**
@@ -4523,9 +4519,8 @@ export interface components {
          * MissionUpdate
          * @description Changes of a mission; omitted fields stay. A new `project_id` moves the mission with its files.
          *
-         *     `metadata_yaml` is all metadata anew; with `merge_yaml`, it changes the fields that it names, and a field without a
-         *     value (null) is removed. `metadata` changes the fields that it names, null takes one away, and the
-         *     document that values all is dropped.
+         *     `metadata_yaml` replaces all metadata; with `merge_yaml`, it changes only the fields that it contains. `metadata`
+         *     changes the fields that it contains and drops the stored YAML document. A field with the value null is removed.
          */
         MissionUpdate: {
             /** Completed */
@@ -4587,9 +4582,9 @@ export interface components {
          * Overview
          * @description Totals of a project, or of everything visible, by `month` of recording or by a metadata field.
          *
-         *     Months and numbers come in their order. Other values come with the longest recorded first, as many as were asked
-         *     for, and `other` is all that are left. `unit` is that of a field of numbers. `topics` are the distinct names of
-         *     topics; null for who is shown less than whole missions.
+         *     Months and numbers are in ascending order; other values by recorded time, longest first, as many as requested, and
+         *     `other` is the rest. `unit` is that of a number field. `topics` is the number of distinct topic names; null if the
+         *     caller may see only parts of missions.
          */
         Overview: {
             /** Buckets */
@@ -4860,7 +4855,7 @@ export interface components {
         ParameterType: "string" | "integer" | "number" | "boolean" | "choice" | "topic";
         /**
          * PartsSign
-         * @description Parts to sign, of one or several uploads: many small files take one request.
+         * @description Parts to sign, of one or several uploads.
          */
         PartsSign: {
             /** Parts */
@@ -4868,7 +4863,7 @@ export interface components {
         };
         /**
          * PartToSign
-         * @description A part about to be sent, with its checksum in lower-case hex (of the kind that the upload names).
+         * @description A part to send, with its checksum in lower-case hex, of the kind that the upload specifies.
          */
         PartToSign: {
             /** Checksum */
@@ -5110,7 +5105,7 @@ export interface components {
         };
         /**
          * ProjectUpdate
-         * @description Changes of a project; omitted fields stay. Metadata fields are replaced as a whole.
+         * @description Changes of a project; omitted fields stay. Metadata fields are all replaced.
          *
          *     Everybody may read a public project, also without an account. A quota of null is no quota; admins set quotas.
          */
@@ -5201,10 +5196,10 @@ export interface components {
         };
         /**
          * RecordingRead
-         * @description One logical capture of 1..n files. `missing` are members that its metadata names and the mission lacks.
+         * @description A recording of one or more files. `missing` are files that its metadata lists and the mission does not have.
          *
-         *     `content` is that of all members together: `recovered` where something can be read and something is damaged or
-         *     missing. `problems` are those of the whole; what is odd inside one file is among the problems of that file.
+         *     `content` is of all files together: `recovered` if only a part can be read. `problems` are those of the recording;
+         *     each file has its own.
          */
         RecordingRead: {
             content: components["schemas"]["ContentState"];
@@ -5263,7 +5258,7 @@ export interface components {
         };
         /**
          * Report
-         * @description The whole report of a run. `metadata` is a proposal; a person accepts or ignores it.
+         * @description The report of a run. `metadata` is a proposal; a person accepts or ignores it.
          */
         Report: {
             /**
@@ -5631,7 +5626,7 @@ export interface components {
         };
         /**
          * RunnerRegistration
-         * @description A runner's description of itself, sent whenever it starts. `id` is permanent; its state directory holds it.
+         * @description A runner's description of itself, sent at each start. `id` is permanent, and stored in its state directory.
          *
          *     `default_image` is the digest of the image that it runs scripts on; null where it has none.
          */
@@ -5676,12 +5671,12 @@ export interface components {
         };
         /**
          * RunRead
-         * @description A run.
+         * @description A run of an action on a mission.
          *
-         *     `reason`, `message` and `exit_code` say how it ended; `waits_for` why it is still queued. `image_digest` is of the
-         *     image that was run. `reuses_id` names the earlier run whose results this run reuses; it has none of its own.
-         *     `metrics` are the first reported ones, those of the whole run before those of single files; empty in a lineage.
-         *     `may_cancel`: the reader may cancel it, and it has not ended.
+         *     `reason`, `message` and `exit_code` describe how it ended, `waits_for` why it is still queued. `image_digest` is of
+         *     the image that was run. `reuses_id` is the earlier run whose results this run reuses; it has none of its own.
+         *     `metrics` are the first reported ones, those of the run before those of single files; empty in a lineage.
+         *     `may_cancel`: the caller may cancel it, and it has not ended.
          */
         RunRead: {
             action: components["schemas"]["ActionRef"];
@@ -5772,10 +5767,10 @@ export interface components {
         };
         /**
          * RunsCreate
-         * @description An action to run on each of some missions: a published one by id, in its latest version unless `version` is set;
-         *     or an unpublished definition.
+         * @description An action to run on each of some missions: a published one by id, or an unpublished definition.
          *
-         *     Results of an earlier successful run with the same version, image, parameters and inputs are reused unless `force`.
+         *     Without `version`, the latest version runs. Results of an earlier successful run with the same version, image,
+         *     parameters and inputs are reused unless `force`.
          */
         RunsCreate: {
             /** Action Id */
@@ -5898,8 +5893,8 @@ export interface components {
          * @description The first missions, files and topics that match a query, and their numbers.
          *
          *     `query` is the normalized text; `filter` its meaning. Missions match themselves or by their files. The lists
-         *     continue at `/missions` and `/files` with the same `query` and `sort=-start`. If very many files match, not
-         *     `is_exact`: all numbers are estimates with two digits, and the topics are those of sampled files.
+         *     continue at `/missions` and `/files` with the same `query` and `sort=-start`. `is_exact` is false if very many files
+         *     match: all numbers are then estimates with two digits, and the topics those of sampled files.
          */
         SearchRead: {
             files: components["schemas"]["Page_FileRead_"];
@@ -5918,7 +5913,8 @@ export interface components {
          * ServiceRead
          * @description A server: `GET /api/v1/service`. `name` is the lab's; `person` is the caller, if they have an account.
          *
-         *     Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers.
+         *     Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers. `token_days_max` 0: tokens
+         *     without an end are allowed.
          */
         ServiceRead: {
             /** Checksum */
@@ -5999,7 +5995,7 @@ export interface components {
         };
         /**
          * Severity
-         * @description How bad a finding is.
+         * @description The severity of a finding.
          * @enum {string}
          */
         Severity: "info" | "warning" | "error";
@@ -6053,7 +6049,7 @@ export interface components {
          * ShareRead
          * @description A link without its secret; `prefix` is the beginning of the secret.
          *
-         *     `file_count` is null for a link to a whole mission. Downloads count each file whose URL was requested.
+         *     `file_count` is null for a link to all files of a mission. Downloads count each file whose URL was requested.
          */
         ShareRead: {
             /**
@@ -6125,7 +6121,7 @@ export interface components {
         };
         /**
          * SignedParts
-         * @description Signed parts, in the order asked; asking also renews the leases of their uploads.
+         * @description Signed parts, in the order of the request, which also renewed the leases of their uploads.
          */
         SignedParts: {
             /** Items */
@@ -6157,7 +6153,7 @@ export interface components {
         };
         /**
          * StatsRead
-         * @description Statistics by `by` (`project`, `mission`, `topic`, `type`, `month`, `format` or `metadata.FIELD`), and in all.
+         * @description Statistics by `by`: `project`, `mission`, `topic`, `type`, `month`, `format` or `metadata.FIELD`.
          */
         StatsRead: {
             /** By */
@@ -6168,9 +6164,9 @@ export interface components {
         };
         /**
          * StatsRow
-         * @description One group. `duration_ns` sums the recordings' spans; files in the trash do not count.
+         * @description Totals of one group, without the trash. `duration_ns` is the sum of the spans of the recordings.
          *
-         *     Grouped by topic or message type, a recording counts in each of its groups, and `messages` are that group's own.
+         *     Grouped by topic or message type, a recording counts in each of its groups, and `messages` are those of the group.
          */
         StatsRow: {
             /** Duration Ns */
@@ -6190,7 +6186,7 @@ export interface components {
         };
         /**
          * StoredPart
-         * @description A part that the store already holds.
+         * @description A part that the store has.
          */
         StoredPart: {
             /** Etag */
@@ -6381,9 +6377,9 @@ export interface components {
         };
         /**
          * TopicRead
-         * @description One topic of one recording file. Times: integer nanoseconds of the log clock; `rate_hz` = (count - 1) / span.
+         * @description One topic of one recording file. Times are log times in ns since 1970; `rate_hz` is (count - 1) / span.
          *
-         *     `density` is told in lists of one file, where it is known, and nowhere else.
+         *     `density` is null in lists of several files.
          */
         TopicRead: {
             /** Count */
@@ -6539,7 +6535,7 @@ export interface components {
         };
         /**
          * UploadDecisions
-         * @description One decision a file, in the order asked.
+         * @description One decision per file, in the order of the request.
          */
         UploadDecisions: {
             /** Items */
@@ -6547,10 +6543,10 @@ export interface components {
         };
         /**
          * UploadFile
-         * @description One file that a client wants to upload. Hashes where they are known already, lower-case hex.
+         * @description One file to upload. The hashes are lower-case hex, and may be left out if they are not known yet.
          *
-         *     Clients send both hashes of small files at once: most are then decided in one response, which also contains the
-         *     URL of the part where there is only one.
+         *     Clients announce small files with both hashes: then one response decides about most of them, and contains the URL
+         *     of a file's only part.
          *     `upload_id` resumes an earlier upload of the same path and size, or starts one with that id. Repeating a request
          *     with the same id therefore returns the upload that the first request created.
          */
@@ -6568,7 +6564,7 @@ export interface components {
         };
         /**
          * UploadFinish
-         * @description An upload whose parts are all sent; the hashes are of the whole file.
+         * @description An upload whose parts are all sent, and the hashes of the file.
          */
         UploadFinish: {
             /** Crc64Nvme */
@@ -6583,7 +6579,7 @@ export interface components {
         };
         /**
          * UploadOutcomes
-         * @description One outcome an upload, in the order asked.
+         * @description One outcome per upload, in the order of the request.
          */
         UploadOutcomes: {
             /** Items */
@@ -6591,7 +6587,7 @@ export interface components {
         };
         /**
          * UploadRead
-         * @description An upload under way. `parts` are those the store holds, in order; empty for one that has just begun.
+         * @description An upload. `parts` are those that the store has, in order.
          */
         UploadRead: {
             checksum: components["schemas"]["ChecksumKind"];
@@ -6646,7 +6642,7 @@ export interface components {
          * UploadRequired
          * @description Send the parts that `upload` does not list.
          *
-         *     `part` is where the only part of a file goes, signed for the checksum that was announced; else ask for addresses.
+         *     `part`: the URL of the file's only part, signed for the announced checksum. Otherwise, request URLs of the parts.
          */
         UploadRequired: {
             /**
@@ -6667,7 +6663,7 @@ export interface components {
         };
         /**
          * UploadState
-         * @description `open` takes parts, `completing` is being finished by the server, the others are ends.
+         * @description `open` accepts parts, the server finishes one that is `completing`; the others are final.
          * @enum {string}
          */
         UploadState: "open" | "completing" | "done" | "aborted" | "expired";
@@ -6746,7 +6742,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_ActionRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6779,7 +6775,7 @@ export interface operations {
                     "application/json": components["schemas"]["ActionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6810,7 +6806,7 @@ export interface operations {
                     "application/json": components["schemas"]["ActionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6848,7 +6844,7 @@ export interface operations {
                     "application/json": components["schemas"]["ActionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6882,7 +6878,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_ActionVersionRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6920,7 +6916,7 @@ export interface operations {
                     "application/json": components["schemas"]["ActionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6949,7 +6945,7 @@ export interface operations {
                     "application/json": components["schemas"]["AdminHealth"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6978,7 +6974,7 @@ export interface operations {
                     "application/json": components["schemas"]["AdminJobs"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7007,7 +7003,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7036,7 +7032,7 @@ export interface operations {
                     "application/json": components["schemas"]["RetriedJobs"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7065,7 +7061,7 @@ export interface operations {
                     "application/json": components["schemas"]["ScrubState"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7098,7 +7094,7 @@ export interface operations {
                     "application/json": components["schemas"]["ScrubRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7127,7 +7123,7 @@ export interface operations {
                     "application/json": components["schemas"]["AdminSettings"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7156,7 +7152,7 @@ export interface operations {
                     "application/json": components["schemas"]["AdminStorage"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7203,7 +7199,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_AuditRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7248,7 +7244,7 @@ export interface operations {
                     "application/jsonl": string;
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7281,7 +7277,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7314,7 +7310,7 @@ export interface operations {
                     "application/json": components["schemas"]["LoopbackApproved"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7347,7 +7343,7 @@ export interface operations {
                     "application/json": components["schemas"]["SignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7380,7 +7376,7 @@ export interface operations {
                     "application/json": components["schemas"]["CodeRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7413,7 +7409,7 @@ export interface operations {
                     "application/json": components["schemas"]["DeviceCode"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7446,7 +7442,7 @@ export interface operations {
                     "application/json": components["schemas"]["DeviceRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7479,7 +7475,7 @@ export interface operations {
                     "application/json": components["schemas"]["DeviceRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7512,7 +7508,7 @@ export interface operations {
                     "application/json": components["schemas"]["DeviceRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7545,7 +7541,7 @@ export interface operations {
                     "application/json": components["schemas"]["SignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7578,7 +7574,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7611,7 +7607,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7640,7 +7636,7 @@ export interface operations {
                     "application/json": components["schemas"]["SignInMethods"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7669,7 +7665,7 @@ export interface operations {
                     "application/json": components["schemas"]["OneTimeLink"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7702,7 +7698,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7733,7 +7729,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7764,7 +7760,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7799,7 +7795,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProviderBegun"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7834,7 +7830,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProviderBegun"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7869,7 +7865,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProviderBegun"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7902,7 +7898,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7929,7 +7925,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7965,7 +7961,7 @@ export interface operations {
                     "text/event-stream": unknown;
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8025,7 +8021,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_FileRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8056,7 +8052,7 @@ export interface operations {
                     "application/json": components["schemas"]["FileRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8089,7 +8085,7 @@ export interface operations {
                     "application/json": components["schemas"]["Deleted"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8127,7 +8123,7 @@ export interface operations {
                     "application/json": components["schemas"]["FileRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8158,7 +8154,7 @@ export interface operations {
                     "application/json": components["schemas"]["LineageRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8192,7 +8188,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_TopicRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8223,7 +8219,7 @@ export interface operations {
                     "application/json": components["schemas"]["FileRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8256,7 +8252,7 @@ export interface operations {
                     "application/json": components["schemas"]["DownloadLinks"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8289,7 +8285,7 @@ export interface operations {
                     "application/json": components["schemas"]["FilesLabelled"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8329,7 +8325,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_FindingRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8363,7 +8359,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_GroupRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8396,7 +8392,7 @@ export interface operations {
                     "application/json": components["schemas"]["GroupRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8427,7 +8423,7 @@ export interface operations {
                     "application/json": components["schemas"]["GroupRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8456,7 +8452,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8494,7 +8490,7 @@ export interface operations {
                     "application/json": components["schemas"]["GroupRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8529,7 +8525,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_MemberRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8568,7 +8564,7 @@ export interface operations {
                     "application/json": components["schemas"]["MemberRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8598,7 +8594,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8627,7 +8623,7 @@ export interface operations {
                     "application/json": components["schemas"]["HomeRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8656,7 +8652,7 @@ export interface operations {
                     "application/json": components["schemas"]["HomeStorage"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8685,7 +8681,7 @@ export interface operations {
                     "application/json": components["schemas"]["MeRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8714,7 +8710,7 @@ export interface operations {
                     "application/json": components["schemas"]["AccountRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8743,7 +8739,7 @@ export interface operations {
                     "application/json": components["schemas"]["IdentityRead"][];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8772,7 +8768,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8804,7 +8800,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_SessionRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8831,7 +8827,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8860,7 +8856,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8889,7 +8885,7 @@ export interface operations {
                     "application/json": components["schemas"]["TotpEnrolment"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8916,7 +8912,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8949,7 +8945,7 @@ export interface operations {
                     "application/json": components["schemas"]["RecoveryCodes"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8978,7 +8974,7 @@ export interface operations {
                     "application/json": components["schemas"]["RecoveryCodes"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9026,7 +9022,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_MissionRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9057,7 +9053,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9090,7 +9086,7 @@ export interface operations {
                     "application/json": components["schemas"]["Deleted"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9128,7 +9124,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9162,7 +9158,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_AccessRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9196,7 +9192,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_GrantRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9231,7 +9227,7 @@ export interface operations {
                     "application/json": components["schemas"]["GrantRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9261,7 +9257,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9297,7 +9293,7 @@ export interface operations {
                     "application/json": components["schemas"]["GrantRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9331,7 +9327,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_RecordingRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9366,7 +9362,7 @@ export interface operations {
                     "application/json": components["schemas"]["ShareMade"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9400,7 +9396,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionTimeline"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9435,7 +9431,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionTopics"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9469,7 +9465,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_UploadRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9504,7 +9500,7 @@ export interface operations {
                     "application/json": components["schemas"]["UploadDecisions"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9537,7 +9533,7 @@ export interface operations {
                     "application/json": components["schemas"]["Overview"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9572,7 +9568,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_PersonRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9603,7 +9599,7 @@ export interface operations {
                     "application/json": components["schemas"]["PersonRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9634,7 +9630,7 @@ export interface operations {
                     "application/json": components["schemas"]["PersonRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9665,7 +9661,7 @@ export interface operations {
                     "application/json": components["schemas"]["PersonRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9696,7 +9692,7 @@ export interface operations {
                     "application/json": components["schemas"]["Departure"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9727,7 +9723,7 @@ export interface operations {
                     "application/json": components["schemas"]["PersonRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9758,7 +9754,7 @@ export interface operations {
                     "application/json": components["schemas"]["OneTimeLink"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9787,7 +9783,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9820,7 +9816,7 @@ export interface operations {
                     "application/json": components["schemas"]["OneTimeLink"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9856,7 +9852,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_ProjectRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9889,7 +9885,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProjectRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9920,7 +9916,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProjectRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9953,7 +9949,7 @@ export interface operations {
                     "application/json": components["schemas"]["Deleted"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9991,7 +9987,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProjectRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10025,7 +10021,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_AccessRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10059,7 +10055,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_GrantRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10094,7 +10090,7 @@ export interface operations {
                     "application/json": components["schemas"]["GrantRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10124,7 +10120,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10160,7 +10156,7 @@ export interface operations {
                     "application/json": components["schemas"]["GrantRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10195,7 +10191,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10229,7 +10225,7 @@ export interface operations {
                     "application/json": components["schemas"]["Overview"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10260,7 +10256,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionTemplate"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10291,7 +10287,7 @@ export interface operations {
                     "application/json": components["schemas"]["RecordingRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10331,7 +10327,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_MetricRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10364,7 +10360,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunContext"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10399,7 +10395,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunFinished"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10434,7 +10430,7 @@ export interface operations {
                     "application/json": components["schemas"]["InputUrls"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10469,7 +10465,7 @@ export interface operations {
                     "application/json": components["schemas"]["LogChunkUpload"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10502,7 +10498,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10537,7 +10533,7 @@ export interface operations {
                     "application/json": components["schemas"]["UploadDecisions"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10569,7 +10565,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_RunnerRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10602,7 +10598,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunnerRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10637,7 +10633,7 @@ export interface operations {
                     "application/json": components["schemas"]["ClaimReply"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10672,7 +10668,7 @@ export interface operations {
                     "application/json": components["schemas"]["HeartbeatReplies"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10714,7 +10710,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_RunRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10747,7 +10743,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunsCreated"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10778,7 +10774,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunDetail"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10812,7 +10808,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_ArtifactRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10847,7 +10843,7 @@ export interface operations {
                     "application/json": components["schemas"]["ArtifactUrls"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10878,7 +10874,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10912,7 +10908,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_RunInput_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10946,7 +10942,7 @@ export interface operations {
                     "application/json": components["schemas"]["LogChunkRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10979,7 +10975,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11012,7 +11008,7 @@ export interface operations {
                     "application/json": components["schemas"]["SearchRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11043,7 +11039,7 @@ export interface operations {
                     "application/json": components["schemas"]["FacetsRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11072,7 +11068,7 @@ export interface operations {
                     "application/json": components["schemas"]["ServiceRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11101,7 +11097,7 @@ export interface operations {
                     "application/json": components["schemas"]["SharedRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11135,7 +11131,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_ShareRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11164,7 +11160,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11221,7 +11217,7 @@ export interface operations {
                     "application/json": components["schemas"]["StatsRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11256,7 +11252,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_TokenRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11289,7 +11285,7 @@ export interface operations {
                     "application/json": components["schemas"]["TokenMade"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11320,7 +11316,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11379,7 +11375,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_TopicRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11412,7 +11408,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_TrashRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11442,7 +11438,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11473,7 +11469,7 @@ export interface operations {
                     "application/json": components["schemas"]["UploadRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11502,7 +11498,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11535,7 +11531,7 @@ export interface operations {
                     "application/json": components["schemas"]["UploadOutcomes"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11568,7 +11564,7 @@ export interface operations {
                     "application/json": components["schemas"]["SignedParts"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;

@@ -4,18 +4,19 @@ Imports only the standard library: supervisors start faster.
 """
 
 import contextlib
+import os
 import signal
 import time
 from pathlib import Path
 from typing import NamedTuple
-
-from kleinkram.runner.files import disk_usage_bytes
 
 GRACE_S = 3.0
 LOG, ENDING, USAGE = "log", "ending.json", "usage.json"
 LEASE = "lease"
 LOG_IS_FULL = b"\n[kleinkram] the log is full: the output from here on is not stored\n"
 _DISK_EVERY_S = 1.0
+# An empty file takes space, too: an entry of its directory and an inode.
+_ENTRY_BYTES = 1024
 # Of the kernel's flags of a process: PF_EXITING.
 _IS_EXITING = 4
 
@@ -75,13 +76,27 @@ class LimitMonitor:
 
     def check_disk(self) -> None:
         """Check what the job has written to `/out` and `/tmp`."""
-        if sum(disk_usage_bytes(self._directory / name) for name in ("out", "tmp")) > self._limits.disk_bytes:
+        if sum(_disk_usage_bytes(self._directory / name) for name in ("out", "tmp")) > self._limits.disk_bytes:
             self.stop(("disk", f"It wrote more than its limit of {_mb(self._limits.disk_bytes)} to disk."), grace_s=0)
 
     def check_memory(self, memory_bytes: int) -> None:
         """Check the memory of all processes together."""
         if memory_bytes > self._limits.memory_bytes:
             self.stop(out_of_memory(self._limits.memory_bytes), grace_s=0)
+
+
+def _disk_usage_bytes(directory: Path) -> int:
+    """Return the disk space of all entries below a directory; links are not followed."""
+    total = 0
+    pending = [str(directory)]
+    while pending:
+        # Entries may disappear at any moment.
+        with contextlib.suppress(OSError), os.scandir(pending.pop()) as entries:
+            for entry in entries:
+                total += entry.stat(follow_symlinks=False).st_blocks * 512 + _ENTRY_BYTES
+                if entry.is_dir(follow_symlinks=False):
+                    pending.append(entry.path)
+    return total
 
 
 def _is_lease_expired(directory: Path) -> bool:

@@ -12,17 +12,16 @@ import contextlib
 import os
 import shutil
 import zlib
-from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from kleinkram.contract.runners import Capacity, Isolation
 from kleinkram.contract.runs import LOG_BYTES, EndReason
+from kleinkram.runner.durable_files import write_in_place
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, InputSource, RunJob
 from kleinkram.runner.executors.limits import LEASE, LOG, JobLimits
 from kleinkram.runner.executors.port_forward import loopback_addresses
-from kleinkram.runner.files import write_in_place
 from kleinkram.runner.input_cache import InputCache, InputFile
 
 _MEMORY_SHARE = 0.8
@@ -119,13 +118,9 @@ class LocalExecutor(Executor):
         """Return the directory that the job saw as `/out`."""
         return job.directory / "out"
 
-    @abstractmethod
-    def _network_refusal(self, network: str) -> str:
-        """Return why jobs cannot have a network."""
-
-    def _check_network(self, job: RunJob) -> None:
+    def _check_network(self, job: RunJob, refusal: str) -> None:
         if job.network not in self.abilities.networks:
-            raise cannot_start(self._network_refusal(job.network.value))
+            raise cannot_start(refusal)
         try:
             loopback_addresses([forward.host for forward in job.port_forwards])
         except ValueError as error:

@@ -18,11 +18,11 @@ from kleinkram.action.run_files import IN_VARIABLE, OUT_VARIABLE
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import ExecutorAbilities, Isolation
 from kleinkram.contract.runs import EndReason, Usage
+from kleinkram.runner.durable_files import reserve, write_atomically
 from kleinkram.runner.executors import process_sandbox, process_supervisor
 from kleinkram.runner.executors.base import Ending, PinnedImage, RunJob
 from kleinkram.runner.executors.limits import ENDING, USAGE
 from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
-from kleinkram.runner.files import reserve, write_atomically
 
 _LOCK_RETRIES = 50
 _POLL_EVERY_S = 0.02
@@ -59,7 +59,8 @@ class ProcessExecutor(LocalExecutor):
         """Start the supervisor of a job."""
         if job.image is not None:
             raise cannot_start(_NO_IMAGES)
-        self._check_network(job)
+        network = job.network.value
+        self._check_network(job, f"Without a container engine, no run here has the network {network!r}.")
         uid = make_directories(job, own_uid=os.getuid() == 0 and self._is_isolated)
         task = {
             "command": list(job.command),
@@ -175,6 +176,3 @@ class ProcessExecutor(LocalExecutor):
             name: f"{job.directory}{value}" if value.startswith("/in/") else value
             for name, value in job.environment.items()
         }
-
-    def _network_refusal(self, network: str) -> str:
-        return f"Without a container engine, no run here has the network {network!r}."

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from kleinkram.runner.durable_files import write_all, write_atomically
 from kleinkram.runner.executors import kernel, port_forward
 from kleinkram.runner.executors.limits import (
     CANCELLED,
@@ -38,7 +39,6 @@ from kleinkram.runner.executors.process_sandbox import (
     apply_limits,
     run_in_sandbox,
 )
-from kleinkram.runner.files import write_all, write_atomically
 
 JOB, LOCK = "job.json", "supervisor"
 _CHECK_EVERY_S = 0.1
@@ -264,7 +264,7 @@ def _usage_of(pid: int) -> _ProcessUsage:
 
 
 def main() -> None:
-    """Run the job; do nothing where a runner has removed it meanwhile."""
+    """Run the job; do nothing where a runner has already removed it."""
     directory, lock = Path(sys.argv[1]), int(sys.argv[2])
     os.set_inheritable(lock, False)
     write_pid(lock, os.getpid())

@@ -1,1 +1,1 @@
-"""Access: who is asking, and what they may see. Every query of every feature starts here."""
+"""Access: the actor of a request, their permissions, and the selects of visible objects that all queries start from."""

@@ -15,7 +15,7 @@ from sqlalchemy import ColumnElement, Select, bindparam, case, exists, func, or_
 from kleinkram.contract.access import Right, Scope, TokenKind
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.tokens import SecretKind, has_valid_checksum, with_checksum
-from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID, OWNER_TOKEN_NAME
+from kleinkram.server.access.builtin_groups import ADMINS_ID, OWNER_ID, OWNER_TOKEN_NAME
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import membership, mission, person, project, session, share, share_file, token, token_limit
 
@@ -61,7 +61,7 @@ class Actor:
     is_admin: bool = False
     scopes: frozenset[Scope] = ALL_SCOPES
     limits: Limits | None = None
-    # For the token of a run: the highest right it has, whatever the rights of the person who started it.
+    # For the token of a run: its highest right, even if the person who started the run has higher ones.
     run_id: uuid.UUID | None = None
     max_right: Right | None = None
     # For the token of a runner: the runner it is bound to; None before its first use.
@@ -76,11 +76,11 @@ class Actor:
         """The person, for responses."""
         return None if self.person_id is None else PersonRef(id=self.person_id, name=self.name)
 
-    def asking(self, operation: str, *, request_id: str | None, address: str | None) -> "Actor":
+    def for_request(self, operation: str, *, request_id: str | None, address: str | None) -> "Actor":
         """Return the actor for this request."""
         return replace(self, operation=operation, request_id=request_id, address=address)
 
-    def without_power(self) -> "Actor":
+    def without_admin(self) -> "Actor":
         """Return the actor without admin rights."""
         return replace(self, is_admin=False)
 

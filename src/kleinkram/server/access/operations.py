@@ -12,7 +12,7 @@ from kleinkram.contract.access import Right, Scope
 class ResourceKind(str, enum.Enum):
     """The kind of object on which an operation requires its right."""
 
-    visible = "visible"  # whatever is visible to the actor
+    visible = "visible"  # all objects that are visible to the actor
     server = "server"  # for admins
     project = "project"
     mission = "mission"
@@ -23,7 +23,7 @@ class ResourceKind(str, enum.Enum):
 class Permission:
     """Requirements of an operation. `guests`: also without an account, on public and shared objects.
 
-    `runners`: also by runners, for their runs, whatever their scopes; `only_runners`: by nobody else.
+    `runners`: also by runners for their runs, with any scopes; `only_runners`: by nobody else.
     `reads`: tokens also need the scope read. `browsers`: only with a browser session, no token.
     `fresh`: only shortly after signing in. `unrestricted`: only with a credential without limits.
     """

@@ -1,4 +1,4 @@
-"""Permission checks: what a credential is for, its holder's right on a place, and that every project keeps an owner.
+"""Checks before a change: the credential's scope, its holder's right, the ETag; and that every project keeps an owner.
 
 A permanent owner is an active person in a group without an end, which has DELETE on the project without an end. Grants
 to an address do not count: whether anybody has it is not revealed to the granter.
@@ -10,18 +10,10 @@ from typing import NamedTuple
 
 from sqlalchemy import Select, exists, func, insert, select
 
+from kleinkram.contract import errors
 from kleinkram.contract.access import GroupKind, Right, Scope
-from kleinkram.contract.errors import (
-    Forbidden,
-    LastAdmin,
-    LastOwner,
-    NotAuthenticated,
-    NotFound,
-    ScopeMissing,
-    SignInTooOld,
-)
 from kleinkram.server.access.actor import Actor, ActorKind, find_person, unexpired
-from kleinkram.server.access.groups import ADMINS_ID, own_group, own_project
+from kleinkram.server.access.builtin_groups import ADMINS_ID, own_group, own_project
 from kleinkram.server.access.operations import OPERATIONS, ResourceKind
 from kleinkram.server.access.visible import level_on_mission, level_on_project, visible_missions, visible_projects
 from kleinkram.server.db import Connection
@@ -50,14 +42,14 @@ class OwnedProject(NamedTuple):
 
 
 def admit(actor: Actor, operation: str) -> None:
-    """Check that a credential may be used for an operation, whatever the rights of its holder.
+    """Check that a credential may be used for an operation, regardless of the rights of its holder.
 
     Raises NotAuthenticated, ScopeMissing or Forbidden.
     """
     permission = OPERATIONS[operation]
     missing = None
     if actor.kind is ActorKind.stranger and not permission.guests:
-        raise NotAuthenticated(reason="this requires an account")
+        raise errors.NotAuthenticated(reason="this requires an account")
     if actor.kind is ActorKind.share and not permission.guests:
         missing = "an account"
     elif actor.kind is ActorKind.runner and not permission.runners:
@@ -71,17 +63,17 @@ def admit(actor: Actor, operation: str) -> None:
     elif permission.browsers and actor.session_id is None:
         missing = "a browser session"
     if missing is not None:
-        raise ScopeMissing(operation=_phrase(operation), needs=missing)
+        raise errors.ScopeMissing(operation=_phrase(operation), needs=missing)
     if permission.on is ResourceKind.server and not actor.is_admin:
-        raise Forbidden(noun="server", operation=_phrase(operation), needs="admin rights")
+        raise errors.Forbidden(noun="server", operation=_phrase(operation), needs="admin rights")
     if (permission.unrestricted or permission.on is ResourceKind.server) and actor.limits is not None:
-        raise ScopeMissing(operation=_phrase(operation), needs="a token without limits")
+        raise errors.ScopeMissing(operation=_phrase(operation), needs="a token without limits")
 
 
 def require_fresh_sign_in(actor: Actor, operation: str, *, within_s: float) -> None:
     """Check that the actor signed in recently. Raises SignInTooOld."""
     if actor.sign_in_age_s is None or actor.sign_in_age_s > within_s:
-        raise SignInTooOld(operation=_phrase(operation), minutes=round(within_s / 60, 1))
+        raise errors.SignInTooOld(operation=_phrase(operation), minutes=round(within_s / 60, 1))
 
 
 def is_public_endpoint(operation: str) -> bool:
@@ -117,12 +109,12 @@ async def still_shares(db: Connection, guest: Actor) -> bool:
 async def ensure_active_person(db: Connection, person_id: uuid.UUID | None) -> None:
     """Check, before a credential is created, that a person is active, and keep them so until the transaction ends.
 
-    Otherwise the credential of a person who is deactivated meanwhile would be valid again once they are reactivated.
+    Otherwise the credential of a person who is deactivated concurrently would be valid again after reactivation.
     Raises NotAuthenticated.
     """
     active = select(person.c.id).where(person.c.id == person_id, person.c.deactivated_at.is_(None))
     if (await db.execute(active.with_for_update(read=True, key_share=True))).first() is None:
-        raise NotAuthenticated(reason="the account was deactivated")
+        raise errors.NotAuthenticated(reason="the account was deactivated")
 
 
 async def lock_person(db: Connection, person_id: uuid.UUID) -> None:
@@ -142,10 +134,10 @@ def _mission_level(actor: Actor, mission_id: uuid.UUID) -> Select[tuple[int]]:
 
 def _require_level(level: int | None, operation: str, *, noun: str, noun_id: uuid.UUID) -> None:
     if level is None:
-        raise NotFound(noun=noun, ref=str(noun_id))
+        raise errors.NotFound(noun=noun, ref=str(noun_id))
     needed = OPERATIONS[operation].right or Right.read
     if level < needed.level:
-        raise Forbidden(noun=noun, operation=_phrase(operation), needs=needed.value)
+        raise errors.Forbidden(noun=noun, operation=_phrase(operation), needs=needed.value)
 
 
 def _phrase(operation: str) -> str:
@@ -171,7 +163,7 @@ def owned_by_groups(group_ids: Collection[uuid.UUID]) -> Select[tuple[uuid.UUID]
 async def ensure_owner_remains(db: Connection, project_ids: Sequence[uuid.UUID]) -> None:
     """Check that projects, also in the trash, still have a permanent owner. Raises LastOwner."""
     if unowned := await _unowned(db, project_ids):
-        raise LastOwner(projects=[owned.name for owned in unowned])
+        raise errors.LastOwner(projects=[owned.name for owned in unowned])
 
 
 async def ensure_admin_remains(db: Connection) -> None:
@@ -179,7 +171,7 @@ async def ensure_admin_remains(db: Connection) -> None:
     lasting = (membership.c.group_id == ADMINS_ID) & membership.c.expires_at.is_(None)
     admins = select(person.c.id).join_from(membership, person, person.c.id == membership.c.person_id)
     if (await db.execute(admins.where(lasting, person.c.deactivated_at.is_(None)).limit(1))).first() is None:
-        raise LastAdmin
+        raise errors.LastAdmin
 
 
 async def give_to_admins(db: Connection, project_ids: Sequence[uuid.UUID]) -> list[OwnedProject]:
@@ -218,7 +210,7 @@ async def require_creator(db: Connection, actor: Actor, creators: Creators, *, n
     """
     operation = f"create a {noun}"
     if actor.limits is not None:
-        raise Forbidden(noun="server", operation=operation, needs="a token without limits")
+        raise errors.Forbidden(noun="server", operation=operation, needs="a token without limits")
     if creators == "everybody":
         return False
     if creators == "affiliated":
@@ -232,13 +224,13 @@ async def require_creator(db: Connection, actor: Actor, creators: Creators, *, n
     if actor.is_admin:
         return True
     needs = "admin rights" if creators == "admins" else "an affiliation with the lab"
-    raise Forbidden(noun="server", operation=operation, needs=needs)
+    raise errors.Forbidden(noun="server", operation=operation, needs=needs)
 
 
 async def grant_first_rights(db: Connection, actor: Actor, project_id: uuid.UUID) -> dict[str, Right]:
     """Make the creator of a project its owner, and give affiliation groups their default rights; returns the latter.
 
-    Raises LastOwner if the creator was deactivated meanwhile.
+    Raises LastOwner if the creator was deactivated concurrently.
     """
     await lock_rights(db)
     await own_project(db, project_id=project_id, group_id=await own_group(db, actor.person_id))
@@ -250,3 +242,15 @@ async def grant_first_rights(db: Connection, actor: Actor, project_id: uuid.UUID
         await db.execute(insert(access_grant), grants)
     await ensure_owner_remains(db, [project_id])
     return {row.name: Right.of_level(row.default_level) for row in rows}
+
+
+def require_match(if_match: str | None, etag: str, *, noun: str, name: str) -> None:
+    """Check that an object still has one of the ETags in an If-Match header; without a header, there is no check.
+
+    Raises EditConflict.
+    """
+    if if_match is None:
+        return
+    expected = {part.strip().removeprefix("W/").strip('"') for part in if_match.split(",")}
+    if not expected & {etag, "*"}:
+        raise errors.EditConflict(noun=noun, name=name, etag=etag)

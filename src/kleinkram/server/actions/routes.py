@@ -13,20 +13,17 @@ from kleinkram.contract.actions import (
     ActionVersionRead,
     VersionCreate,
 )
-from kleinkram.contract.base import Cursor, Page, PageSize
+from kleinkram.contract.base import Page
 from kleinkram.server.actions import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
 from kleinkram.server.http.headers import IfMatch
-from kleinkram.server.pagination import PageRequest
+from kleinkram.server.pagination import PageQuery
 
 router = APIRouter(prefix="/api/v1/actions", tags=["actions"])
 
 
-class ActionListQuery(ActionFilter):
+class ActionListQuery(ActionFilter, PageQuery):
     """The query of a list of actions."""
-
-    limit: PageSize = 100
-    cursor: Cursor | None = None
 
 
 @router.get("", operation_id="list_actions")
@@ -34,7 +31,7 @@ async def list_actions(
     query: Annotated[ActionListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[ActionRead]:
     """List actions by name: those of projects that you may read, and those of the whole lab."""
-    return await service.list_actions(db, actor, matching=query, page=PageRequest(query.limit, query.cursor))
+    return await service.list_actions(db, actor, matching=query, page=query.page)
 
 
 @router.post("", operation_id="create_action", status_code=201)
@@ -61,14 +58,10 @@ async def update_action(
 
 @router.get("/{action_id}/versions", operation_id="list_action_versions")
 async def list_action_versions(
-    action_id: uuid.UUID,
-    db: Reading,
-    actor: CurrentActor,
-    limit: Annotated[PageSize, Query()] = 100,
-    cursor: Cursor | None = None,
+    action_id: uuid.UUID, query: Annotated[PageQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[ActionVersionRead]:
     """List the versions of an action, latest first."""
-    return await service.list_versions(db, actor, action_id=action_id, page=PageRequest(limit, cursor))
+    return await service.list_versions(db, actor, action_id=action_id, page=query.page)
 
 
 @router.post("/{action_id}/versions", operation_id="publish_action_version", status_code=201)

@@ -5,10 +5,11 @@ import json
 import uuid
 from typing import Any
 
-from sqlalchemy import Row, func, insert, select, update
+from sqlalchemy import ColumnElement, RowMapping, Select, false, func, insert, literal, or_, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.exc import IntegrityError
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.actions import (
     ActionCreate,
     ActionDefinition,
@@ -20,15 +21,21 @@ from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FieldProblem, Forbidden, InvalidRequest, NameTaken, NotFound
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
-from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.rights import require_creator, require_project
-from kleinkram.server.actions import queries
-from kleinkram.server.audit.service import Event, record
-from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.http.headers import require_match
-from kleinkram.server.pagination import PageRequest, fetch_page
+from kleinkram.contract.people import PersonRef
+from kleinkram.contract.projects import ProjectRef
+from kleinkram.server.access.actor import Actor, ActorKind
+from kleinkram.server.access.rights import require_creator, require_match, require_project
+from kleinkram.server.access.visible import visible_projects
+from kleinkram.server.audit.log import Event, audit
+from kleinkram.server.db import Connection, matches_key, violated_constraint
+from kleinkram.server.pagination import Order, PageRequest, read_page
 from kleinkram.server.settings import Creators
-from kleinkram.server.tables import action, action_version
+from kleinkram.server.tables import action, action_version, person, project
+
+_ACTION_ORDER = Order([action.c.name, action.c.id])
+# Latest first.
+_VERSION_ORDER = Order([action_version.c.number, action_version.c.id], descending=True)
+_publisher = person.alias("publisher")
 
 
 async def list_actions(db: Connection, actor: Actor, *, matching: ActionFilter, page: PageRequest) -> Page[ActionRead]:
@@ -37,9 +44,14 @@ async def list_actions(db: Connection, actor: Actor, *, matching: ActionFilter, 
     Raises:
         InvalidCursor: the cursor is not of this list.
     """
-    row = queries.action_rows(actor, queries.narrow(queries.visible_actions(actor), matching))
-    rows = await fetch_page(db, row, queries.ACTION_ORDER, page)
-    return Page(items=[queries.to_action(row) for row in rows.items], next=rows.next, total=rows.total)
+    stmt = _visible_actions(actor)
+    if matching.name is not None:
+        stmt = stmt.where(matches_key(action.c.name_key, matching.name))
+    if matching.project_id is not None:
+        stmt = stmt.where(or_(action.c.project_id.is_(None), action.c.project_id == matching.project_id))
+    if matching.archived is not None:
+        stmt = stmt.where(action.c.archived_at.is_not(None) if matching.archived else action.c.archived_at.is_(None))
+    return await read_page(db, stmt, _ACTION_ORDER, page, lambda row: _to_action(row._mapping))
 
 
 async def get_action(db: Connection, actor: Actor, action_id: uuid.UUID) -> ActionRead:
@@ -48,7 +60,7 @@ async def get_action(db: Connection, actor: Actor, action_id: uuid.UUID) -> Acti
     Raises:
         NotFound: it is not there, or not for this actor.
     """
-    return queries.to_action(await _row(db, actor, action_id))
+    return _to_action(await _row(db, actor, action_id))
 
 
 async def create_action(db: Connection, actor: Actor, *, requested: ActionCreate, creators: Creators) -> ActionRead:
@@ -59,9 +71,9 @@ async def create_action(db: Connection, actor: Actor, *, requested: ActionCreate
         Forbidden: this actor may not publish there; for the whole lab, the settings reserve that to others.
         NameTaken: an action of this name exists.
     """
-    by_power = False
+    needs_admin = False
     if requested.project_id is None:
-        by_power = await require_creator(db, actor, creators, noun="action")
+        needs_admin = await require_creator(db, actor, creators, noun="action")
     else:
         await require_project(db, actor, "create_action", requested.project_id)
     action_id, name = uuid.uuid4(), requested.definition.name
@@ -74,7 +86,7 @@ async def create_action(db: Connection, actor: Actor, *, requested: ActionCreate
         raise NameTaken(noun="action", name=name) from error
     await _add_version(db, actor, action_id, 1, requested.definition)
     made = await get_action(db, actor, action_id)
-    await record(db, actor, _event("action.create", made, by_power=by_power))
+    await audit(db, actor, _event("action.create", made, needs_admin=needs_admin))
     return made
 
 
@@ -98,7 +110,7 @@ async def add_version(
     require_match(if_match, old.etag, noun="action", name=old.name)
     await _add_version(db, actor, action_id, old.latest.number + 1, definition)
     made = await get_action(db, actor, action_id)
-    await record(db, actor, _event("action.publish", made))
+    await audit(db, actor, _event("action.publish", made))
     return made
 
 
@@ -123,7 +135,7 @@ async def set_archived(
     except IntegrityError as error:
         raise NameTaken(noun="action", name=old.name) from error
     made = await get_action(db, actor, action_id)
-    await record(db, actor, _event("action.archive" if archived else "action.restore", made))
+    await audit(db, actor, _event("action.archive" if archived else "action.restore", made))
     return made
 
 
@@ -137,8 +149,7 @@ async def list_versions(
         InvalidCursor: the cursor is not of this list.
     """
     await _row(db, actor, action_id)
-    rows = await fetch_page(db, queries.versions_of(action_id), queries.VERSION_ORDER, page)
-    return Page(items=[queries.to_version(row) for row in rows.items], next=rows.next, total=rows.total)
+    return await read_page(db, _versions_of(action_id), _VERSION_ORDER, page, lambda row: _to_version(row._mapping))
 
 
 async def get_version(db: Connection, actor: Actor, *, action_id: uuid.UUID, number: int | None) -> ActionVersionRead:
@@ -149,16 +160,17 @@ async def get_version(db: Connection, actor: Actor, *, action_id: uuid.UUID, num
         InvalidRequest: it is archived.
     """
     row = await _row(db, actor, action_id)
-    if row.archived_at is not None:
-        problem = FieldProblem(field="action_id", message=f"{row.name} is archived; restore it, or choose another")
+    name = row["name"]
+    if row["archived_at"] is not None:
+        problem = FieldProblem(field="action_id", message=f"{name} is archived; restore it, or choose another")
         raise InvalidRequest(problems=[problem])
     if number is None:
-        return queries.to_version(row)
-    stmt = queries.versions_of(action_id).where(action_version.c.number == number)
-    version = (await db.execute(stmt)).one_or_none()
+        return _to_version(row)
+    stmt = _versions_of(action_id).where(action_version.c.number == number)
+    version = (await db.execute(stmt)).mappings().one_or_none()
     if version is None:
-        raise NotFound(noun="version", ref=f"{row.name}@{number}")
-    return queries.to_version(version)
+        raise NotFound(noun="version", ref=f"{name}@{number}")
+    return _to_version(version)
 
 
 async def store_unpublished(db: Connection, actor: Actor, definition: ActionDefinition) -> tuple[uuid.UUID, str | None]:
@@ -181,12 +193,83 @@ async def _changeable(db: Connection, actor: Actor, action_id: uuid.UUID) -> Act
     return row
 
 
-async def _row(db: Connection, actor: Actor, action_id: uuid.UUID) -> Row[Any]:
-    stmt = queries.visible_actions(actor).where(action.c.id == action_id)
-    row = (await db.execute(queries.action_rows(actor, stmt))).one_or_none()
+async def _row(db: Connection, actor: Actor, action_id: uuid.UUID) -> RowMapping:
+    stmt = _visible_actions(actor).where(action.c.id == action_id)
+    row = (await db.execute(stmt)).mappings().one_or_none()
     if row is None:
         raise NotFound(noun="action", ref=str(action_id))
     return row
+
+
+def _visible_actions(actor: Actor) -> Select[Any]:
+    """Return the actions of projects that `actor` may read and, with an account, of the whole lab."""
+    is_of_lab = action.c.project_id.is_(None)
+    may_change_of_lab = is_of_lab & (literal(actor.is_admin) | (action.c.created_by_id == actor.person_id))
+    sees_lab = actor.kind is ActorKind.person and actor.limits is None
+    readable = visible_projects(actor).with_only_columns(project.c.id)
+    writable = visible_projects(actor, Right.write).with_only_columns(project.c.id)
+    newest = select(func.max(action_version.c.number)).where(action_version.c.action_id == action.c.id)
+    return (
+        select(
+            action,
+            *_version_columns(),
+            project.c.name.label("project_name"),
+            person.c.name.label("created_by_name"),
+            or_(may_change_of_lab, action.c.project_id.in_(writable)).label("may_change"),
+        )
+        .outerjoin(project, project.c.id == action.c.project_id)
+        .join(person, person.c.id == action.c.created_by_id)
+        .join(action_version, action_version.c.action_id == action.c.id)
+        .join(_publisher, _publisher.c.id == action_version.c.created_by_id)
+        .where(or_(is_of_lab if sees_lab else false(), action.c.project_id.in_(readable)))
+        .where(action_version.c.number == newest.correlate(action).scalar_subquery())
+    )
+
+
+def _versions_of(action_id: uuid.UUID) -> Select[Any]:
+    stmt = select(*_version_columns()).join_from(
+        action_version, _publisher, _publisher.c.id == action_version.c.created_by_id
+    )
+    return stmt.where(action_version.c.action_id == action_id)
+
+
+def _version_columns() -> list[ColumnElement[Any]]:
+    return [
+        action_version.c.id.label("version_id"),
+        action_version.c.number,
+        action_version.c.definition,
+        action_version.c.image_digest,
+        action_version.c.created_at.label("version_created_at"),
+        action_version.c.created_by_id.label("version_created_by_id"),
+        _publisher.c.name.label("version_created_by_name"),
+    ]
+
+
+def _to_version(row: RowMapping) -> ActionVersionRead:
+    return ActionVersionRead(
+        id=row["version_id"],
+        number=row["number"],
+        definition=ActionDefinition.model_validate(row["definition"]),
+        image_digest=row["image_digest"],
+        created_at=row["version_created_at"],
+        created_by=PersonRef(id=row["version_created_by_id"], name=row["version_created_by_name"]),
+    )
+
+
+def _to_action(row: RowMapping) -> ActionRead:
+    latest = _to_version(row)
+    has_project = row["project_id"] is not None
+    return ActionRead(
+        id=row["id"],
+        name=row["name"],
+        description=latest.definition.description,
+        project=ProjectRef(id=row["project_id"], name=row["project_name"]) if has_project else None,
+        latest=latest,
+        archived=row["archived_at"] is not None,
+        created_at=row["created_at"],
+        created_by=PersonRef(id=row["created_by_id"], name=row["created_by_name"]),
+        may_change=row["may_change"],
+    )
 
 
 async def _add_version(
@@ -202,7 +285,7 @@ def _stored(definition: ActionDefinition) -> dict[str, Any]:
     return {"definition": document, "definition_sha256": hashlib.sha256(written.encode()).digest()}
 
 
-def _event(operation: str, made: ActionRead, *, by_power: bool = False) -> Event:
+def _event(operation: str, made: ActionRead, *, needs_admin: bool = False) -> Event:
     project_id = made.project.id if made.project else None
     after: Metadata = {"version": made.latest.number}
-    return Event(operation, "action", made.id, made.name, project_id, after=after, by_power=by_power)
+    return Event(operation, "action", made.id, made.name, project_id, after=after, needs_admin=needs_admin)

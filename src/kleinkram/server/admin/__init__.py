@@ -1,1 +1,1 @@
-"""Admin: the whole server, for its admins."""
+"""Operations for admins of the server."""

@@ -1,4 +1,4 @@
-"""What admins see of the whole server: store, jobs, scrubs, health and settings."""
+"""The state of the server for admins: store, jobs, scrubs, health and settings."""
 
 import datetime
 from typing import Any
@@ -6,39 +6,21 @@ from typing import Any
 from sqlalchemy import Select, exists, func, select, text
 
 import kleinkram
-from kleinkram.contract.admin import (
-    AdminHealth,
-    AdminJobs,
-    AdminSettings,
-    AdminStorage,
-    FailedJob,
-    JobAmount,
-    RetriedJobs,
-    RetryingJob,
-    ScrubRead,
-    ScrubState,
-    SettingRead,
-    StateAmount,
-)
+from kleinkram.checks import CheckSeverity, find_problems
+from kleinkram.contract import admin
 from kleinkram.contract.errors import NotAuthenticated, NotFound
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.runs import RunState
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.blobs import scrub
 from kleinkram.server.blobs.scrub import ScrubRow
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.health.readiness import find_workers, readiness
+from kleinkram.server.health.readiness import check_service, find_workers
 from kleinkram.server.home.service import is_low, store_use
 from kleinkram.server.migrations import HEAD
-from kleinkram.server.runners.eligibility import (
-    Needs,
-    has_single_person,
-    invitation_warning,
-    known_runners,
-    runs_problem,
-)
+from kleinkram.server.runs.eligibility import NEEDS_COLUMNS, Needs, QueuedRuns, known_runners
 from kleinkram.server.settings import Settings, is_secret
 from kleinkram.server.tables import blob, file, mission, project, run, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
@@ -77,7 +59,7 @@ _BLOB_BYTES = func.coalesce(func.sum(blob.c.size_bytes), 0).label("size_bytes")
 _UPLOAD_BYTES = func.coalesce(func.sum(upload.c.size_bytes), 0).label("size_bytes")
 
 
-async def get_storage(db: Connection, settings: Settings) -> AdminStorage:
+async def get_storage(db: Connection, settings: Settings) -> admin.AdminStorage:
     """Return what is in the store, by state."""
     blobs = select(_NUMBER, _BLOB_BYTES).where(blob.c.marked_for_deletion_at.is_(None))
     of_blob = exists().where(file.c.blob_id == blob.c.id)
@@ -91,11 +73,11 @@ async def get_storage(db: Connection, settings: Settings) -> AdminStorage:
     by_state = blobs.add_columns(blob.c.state).group_by(blob.c.state).order_by(blob.c.state)
     garbage = select(_NUMBER, _BLOB_BYTES).where(blob.c.marked_for_deletion_at.is_not(None))
     uploads = select(_NUMBER, _UPLOAD_BYTES).where(upload.c.state.in_(UNDER_WAY))
-    return AdminStorage(
+    return admin.AdminStorage(
         store=await store_use(db, settings),
         is_low=is_low(settings),
         blobs=[
-            StateAmount(state=row.state, count=row.number, size_bytes=int(row.size_bytes))
+            admin.StateAmount(state=row.state, count=row.number, size_bytes=int(row.size_bytes))
             for row in await db.execute(by_state)
         ],
         trash=await _amount(db, "trash", blobs.where(of_blob, ~is_live)),
@@ -104,17 +86,17 @@ async def get_storage(db: Connection, settings: Settings) -> AdminStorage:
     )
 
 
-async def _amount(db: Connection, state: str, stmt: Select[Any]) -> StateAmount:
+async def _amount(db: Connection, state: str, stmt: Select[Any]) -> admin.StateAmount:
     row = (await db.execute(stmt)).one()
-    return StateAmount(state=state, count=row.number, size_bytes=int(row.size_bytes))
+    return admin.StateAmount(state=state, count=row.number, size_bytes=int(row.size_bytes))
 
 
-async def get_jobs(db: Connection) -> AdminJobs:
+async def get_jobs(db: Connection) -> admin.AdminJobs:
     """Return the queue, the jobs that wait for another attempt, and the last failed ones."""
-    return AdminJobs(
-        queue=[JobAmount.model_validate(row._asdict()) for row in await db.execute(_QUEUE)],
-        failed=[FailedJob.model_validate(row._asdict()) for row in await db.execute(_FAILED)],
-        retrying=[RetryingJob.model_validate(row._asdict()) for row in await db.execute(_RETRYING)],
+    return admin.AdminJobs(
+        queue=[admin.JobAmount.model_validate(row._asdict()) for row in await db.execute(_QUEUE)],
+        failed=[admin.FailedJob.model_validate(row._asdict()) for row in await db.execute(_FAILED)],
+        retrying=[admin.RetryingJob.model_validate(row._asdict()) for row in await db.execute(_RETRYING)],
     )
 
 
@@ -123,55 +105,56 @@ async def retry_job(db: Connection, actor: Actor, job_id: int) -> None:
     kind = (await db.execute(_RETRY, {"id": job_id})).scalar_one_or_none()
     if kind is None:
         raise NotFound(noun="failed job", ref=str(job_id))
-    await record(db, actor, Event("job.retry", "job", None, kind, None, after={"job": job_id}, by_power=True))
+    await audit(db, actor, Event("job.retry", "job", None, kind, None, after={"job": job_id}, needs_admin=True))
 
 
-async def retry_jobs(db: Connection, actor: Actor) -> RetriedJobs:
+async def retry_jobs(db: Connection, actor: Actor) -> admin.RetriedJobs:
     """Put all failed jobs back into the queue, and return their number."""
     count: int = (await db.execute(_RETRY_ALL)).scalar_one()
     if count:
-        await record(db, actor, Event("job.retry", "job", None, "all", None, after={"jobs": count}, by_power=True))
-    return RetriedJobs(count=count)
+        await audit(db, actor, Event("job.retry", "job", None, "all", None, after={"jobs": count}, needs_admin=True))
+    return admin.RetriedJobs(count=count)
 
 
-async def get_scrub(db: Connection, settings: Settings) -> ScrubState:
+async def get_scrub(db: Connection, settings: Settings) -> admin.ScrubState:
     """Return the last scrub, and the blobs by state."""
     last = await scrub.last_scrub(db, settings.store_id)
     rows = await scrub.blobs_by_state(db)
-    return ScrubState(
+    return admin.ScrubState(
         last=None if last is None else _to_scrub(last),
         every_hours=settings.scrub_hours,
         again_after_days=settings.reverify_days,
         oldest_verification_at=await scrub.oldest_verification(db),
-        blobs=[StateAmount(state=row.state, count=row.number, size_bytes=row.size_bytes) for row in rows],
+        blobs=[admin.StateAmount(state=row.state, count=row.number, size_bytes=row.size_bytes) for row in rows],
     )
 
 
-async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, accept_losses: bool) -> ScrubRead:
+async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, accept_losses: bool) -> admin.ScrubRead:
     """Request a scrub and return it, or the one that is already running."""
     if actor.person_id is None:
         raise NotAuthenticated(reason="starting a scrub requires an account")
     row = await scrub.request_scrub(db, settings.store_id, by_id=actor.person_id, accept_losses=accept_losses)
     after: Metadata = {"accept_losses": accept_losses}
-    await record(db, actor, Event("store.scrub", "store", None, settings.store_id, None, after=after, by_power=True))
+    await audit(db, actor, Event("store.scrub", "store", None, settings.store_id, None, after=after, needs_admin=True))
     return _to_scrub(row)
 
 
-async def get_health(context: AppContext, *, takes_pages: bool) -> AdminHealth:
+async def get_health(context: AppContext, *, takes_pages: bool) -> admin.AdminHealth:
     """Return the state of the server; asks the store without holding a connection."""
-    ready = await readiness(context.database, context.storage)
+    results = await check_service(context.database, context.storage)
     live = (mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None), run.c.state == RunState.queued.value)
-    needs = [mission.c.project_id, *(run.c[name] for name in Needs._fields if name != "project_id")]
-    queued = select(*needs, _NUMBER).join_from(run, mission).join(project).where(*live).group_by(*needs)
+    queued = select(*NEEDS_COLUMNS, _NUMBER).join_from(run, mission).join(project).where(*live)
     async with context.database.begin() as db:
         server = (await db.execute(_SERVER)).one()
         now = datetime.datetime.now(datetime.timezone.utc)
         workers = await find_workers(db)
-        known, alone = await known_runners(db), await has_single_person(db)
-        queued_runs = (await db.execute(queued.order_by(_NUMBER.desc()).limit(200))).all()
-    return AdminHealth(
-        not_ready=ready.missing,
-        warnings=list(ready.warnings),
+        known = await known_runners(db)
+        rows = await db.execute(queued.group_by(*NEEDS_COLUMNS).order_by(_NUMBER.desc()).limit(200))
+        queued_runs = [QueuedRuns(Needs(*row[:-1]), row.number) for row in rows]
+    warnings = [f"{result.message} {result.remedy}" for result in results if result.severity is CheckSeverity.warning]
+    return admin.AdminHealth(
+        not_ready=next((result.message for result in find_problems(results)), None),
+        warnings=warnings,
         version=kleinkram.__version__,
         schema_version=HEAD,
         database_version=server.version,
@@ -180,20 +163,20 @@ async def get_health(context: AppContext, *, takes_pages: bool) -> AdminHealth:
         clock_skew_s=(now - server.now).total_seconds(),
         workers_at=workers.seen_at,
         worker_last_at=workers.last_seen_at,
-        runs_problem=runs_problem(queued_runs, known, single_person=alone),
-        invitation_warning=invitation_warning(known, single_person=alone),
+        runs_problem=known.runs_problem(queued_runs),
+        invitation_warning=known.invitation_warning(),
         store_checksum=context.storage.checksum.value,
         store_refuses_overwrites=context.storage.capabilities.writes_once,
         store_allows_browser_uploads=takes_pages,
     )
 
 
-def get_settings(settings: Settings) -> AdminSettings:
+def get_settings(settings: Settings) -> admin.AdminSettings:
     """Return every setting in force; of secrets, only whether they are set."""
     values = settings.model_dump(mode="json")
-    return AdminSettings(
+    return admin.AdminSettings(
         settings=[
-            SettingRead(
+            admin.SettingRead(
                 name=f"KLEINKRAM_{name.upper()}",
                 value=None if is_secret(name) else values[name],
                 is_set=name in settings.model_fields_set,
@@ -204,5 +187,5 @@ def get_settings(settings: Settings) -> AdminSettings:
     )
 
 
-def _to_scrub(row: ScrubRow) -> ScrubRead:
-    return ScrubRead.model_validate({name: getattr(row, name) for name in ScrubRead.model_fields})
+def _to_scrub(row: ScrubRow) -> admin.ScrubRead:
+    return admin.ScrubRead.model_validate({name: getattr(row, name) for name in admin.ScrubRead.model_fields})

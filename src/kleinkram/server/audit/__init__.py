@@ -1,1 +1,1 @@
-"""Audit: the record of what happened. Written in the transaction of the change it tells of."""
+"""The audit log: what happened, who did it, and who was refused."""

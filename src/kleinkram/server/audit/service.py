@@ -1,125 +1,99 @@
-"""Writing and reading the audit log."""
+"""Reading the audit log: lists and exports of the events that an actor may see."""
 
-import uuid
-from collections.abc import AsyncIterator, Sequence
-from dataclasses import dataclass, field
+import datetime
+from collections.abc import AsyncIterator
+from typing import Any
 
-from sqlalchemy import Integer, column, insert, select
+from sqlalchemy import Row, Select, union
 
 from kleinkram.contract.access import Right
-from kleinkram.contract.audit import AuditFilter, AuditRead, ChangeKind
+from kleinkram.contract.audit import AuditFilter, AuditRead, CredentialRef
 from kleinkram.contract.base import Page
-from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.people import PersonRef
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.operations import OPERATIONS, ResourceKind
-from kleinkram.server.audit.queries import AUDIT_ORDER, EventPlace, lacks_own_right, matching_events, to_event
-from kleinkram.server.change_events import ChangeEvent, publish
-from kleinkram.server.db import Connection, Database, insert_rows, unnest_rows
-from kleinkram.server.pagination import PageRequest, read_page
-from kleinkram.server.tables import audit_event
+from kleinkram.server.access.visible import trashed_projects, visible_projects
+from kleinkram.server.db import Connection, Database, matches
+from kleinkram.server.pagination import Order, PageRequest, read_page
+from kleinkram.server.tables import audit_event, person, project, share, token
 
+_LATEST_FIRST = Order([audit_event.c.id], descending=True)
 _EXPORT_BATCH = 500
-# Above every level of a right: only admins may.
-_ADMIN_LEVEL = Right.delete.level + 1
-# What the verbs of operations change; requests, reads and refusals change nothing, all others change an object.
-_CREATED = frozenset({"create", "give", "upload", "link", "arrive", "restore", "bootstrap", "put_back"})
-_REMOVED = frozenset({"delete", "revoke", "leave", "abort", "purge"})
-_NO_CHANGE = frozenset({"download", "verify", "preview", "denied", "refused", "limited", "approve", "reset_link"})
-
-
-@dataclass(frozen=True)
-class Event:
-    """A change of an object: `operation` is `<noun>.<verb>`; `before` and `after` contain only changed fields.
-
-    `takes` is the operation of `access/operations.py` whose right was required, if not the request's own.
-    `by_power`: only an admin could do it, if that does not depend on a right on a project or mission.
-    """
-
-    operation: str
-    noun: str
-    noun_id: uuid.UUID | None
-    noun_name: str
-    project_id: uuid.UUID | None
-    before: Metadata = field(default_factory=dict)
-    after: Metadata = field(default_factory=dict)
-    mission_id: uuid.UUID | None = None
-    takes: str | None = None
-    by_power: bool = False
-
-
-async def record(db: Connection, actor: Actor | None, *events: Event) -> None:
-    """Add events to the audit log in the caller's transaction; `actor` is None for jobs of the server.
-
-    For unknown requesters, pass `STRANGER.asking(...)`, which keeps the request id and the address.
-    """
-    await record_all(db, actor, events)
-
-
-async def record_all(db: Connection, actor: Actor | None, events: Sequence[Event]) -> None:
-    """Add many events to the audit log, and publish the changes once the transaction commits.
-
-    Events of admins are marked where their own rights, at the time of this call, would not have sufficed.
-    """
-    if not events:
-        return
-    rows = [_to_row(actor, event) for event in events]
-    if actor is None or not actor.is_admin:
-        await db.execute(insert_rows(audit_event, rows))
-    else:
-        places = [EventPlace(event.project_id, event.mission_id, _needed_level(actor, event)) for event in events]
-        numbers = {place: number for number, place in enumerate(dict.fromkeys(places), start=1)}
-        numbered = [{**row, "place": numbers[place]} for row, place in zip(rows, places, strict=True)]
-        values = unnest_rows([*(audit_event.c[key] for key in rows[0]), column("place", Integer)], numbered)
-        marks = lacks_own_right(actor, [*numbers])
-        marked = select(*(values.c[key] for key in rows[0]), marks[values.c.place])
-        await db.execute(insert(audit_event).from_select([*rows[0], "as_admin"], marked))
-    changes = []
-    for event in events:
-        verb = event.operation.partition(".")[2]
-        if verb not in _NO_CHANGE:
-            kind = ChangeKind.created if verb in _CREATED else ChangeKind.changed
-            kind = ChangeKind.removed if verb in _REMOVED else kind
-            by_id = actor.person_id if actor is not None and event.project_id is None else None
-            changes.append(ChangeEvent(event.noun, kind, event.noun_id, event.project_id, event.mission_id, by_id))
-    await publish(db, changes)
-
-
-def _to_row(actor: Actor | None, event: Event) -> dict[str, object]:
-    row: dict[str, object] = {name: value for name, value in vars(event).items() if name in audit_event.c}
-    if actor is not None:
-        row["actor_id"] = actor.person_id
-        row |= {name: getattr(actor, name) for name in ("token_id", "session_id", "share_id", "address", "request_id")}
-    return row
-
-
-def _needed_level(actor: Actor, event: Event) -> int:
-    operation = event.takes or actor.operation
-    permission = None if operation is None else OPERATIONS[operation]
-    if event.by_power or (permission is not None and permission.on is ResourceKind.server):
-        return _ADMIN_LEVEL
-    if permission is None:
-        return Right.delete.level  # unknown, so no less suffices
-    return 0 if permission.right is None else permission.right.level
 
 
 async def list_events(db: Connection, actor: Actor, *, matching: AuditFilter, page: PageRequest) -> Page[AuditRead]:
     """Return a page of the events that match, latest first. Raises InvalidCursor."""
-    return await read_page(db, matching_events(actor, matching), AUDIT_ORDER, page, lambda row: to_event(row, actor))
+    return await read_page(db, _matching_events(actor, matching), _LATEST_FIRST, page, lambda row: _read(row, actor))
 
 
 async def export_events(database: Database, actor: Actor, *, matching: AuditFilter) -> AsyncIterator[AuditRead]:
     """Yield the events that match, oldest first, with at most `_EXPORT_BATCH` in memory.
 
-    Each batch has its own transaction, so that a slow reader holds no connection. Events that are recorded meanwhile
-    may or may not be included.
+    Each batch has its own transaction, so that a slow reader holds no connection. Events that are added during the
+    export may or may not be included.
     """
     last_id = 0
     while True:
-        stmt = matching_events(actor, matching).where(audit_event.c.id > last_id)
+        stmt = _matching_events(actor, matching).where(audit_event.c.id > last_id)
         async with database.begin() as db:
             rows = (await db.execute(stmt.order_by(audit_event.c.id).limit(_EXPORT_BATCH))).all()
         for row in rows:
-            yield to_event(row, actor)
+            yield _read(row, actor)
         if len(rows) < _EXPORT_BATCH:
             return
         last_id = rows[-1].id
+
+
+def _matching_events(actor: Actor, matching: AuditFilter) -> Select[Any]:
+    """Return the events that match and that `actor` may see: those of projects they own; for admins, all."""
+    same = {
+        audit_event.c.actor_id: matching.person_id,
+        audit_event.c.token_id: matching.token_id,
+        audit_event.c.share_id: matching.share_id,
+        audit_event.c.noun: matching.noun,
+        audit_event.c.noun_id: matching.noun_id,
+        audit_event.c.project_id: matching.project_id,
+        audit_event.c.mission_id: matching.mission_id,
+        audit_event.c.as_admin: matching.as_admin,
+    }
+    globs = {audit_event.c.operation: matching.operation, person.c.name: matching.person, token.c.name: matching.token}
+    names = person.c.name.label("actor_name"), token.c.name.label("token_name"), share.c.name.label("share_name")
+    stmt = (
+        audit_event.select()
+        .add_columns(*names)
+        .outerjoin(person, person.c.id == audit_event.c.actor_id)
+        .outerjoin(token, token.c.id == audit_event.c.token_id)
+        .outerjoin(share, share.c.id == audit_event.c.share_id)
+        .where(*(column == value for column, value in same.items() if value is not None))
+        .where(*(matches(column, glob) for column, glob in globs.items() if glob is not None))
+    )
+    if not actor.is_admin or actor.limits is not None:
+        owned = union(
+            visible_projects(actor, Right.delete).with_only_columns(project.c.id),
+            trashed_projects(actor).with_only_columns(project.c.id),
+        )
+        stmt = stmt.where(audit_event.c.project_id.in_(owned))
+    if matching.project_ids:
+        stmt = stmt.where(audit_event.c.project_id.in_(matching.project_ids))
+    if matching.mission_ids:
+        stmt = stmt.where(audit_event.c.mission_id.in_(matching.mission_ids))
+    if matching.since is not None:
+        stmt = stmt.where(audit_event.c.at >= _aware(matching.since))
+    return stmt if matching.until is None else stmt.where(audit_event.c.at < _aware(matching.until))
+
+
+def _aware(at: datetime.datetime) -> datetime.datetime:
+    return at if at.tzinfo else at.replace(tzinfo=datetime.timezone.utc)
+
+
+def _read(row: Row[Any], actor: Actor) -> AuditRead:
+    """Return the event in a row of `_matching_events`, as `actor` may see it."""
+    # The address of a colleague is hidden; of guests, it is all that is known.
+    shows_origin = actor.is_admin or row.actor_id is None or row.actor_id == actor.person_id
+    hidden = {} if shows_origin else {"session_id": None, "address": None}
+    refs = {
+        "actor": PersonRef(id=row.actor_id, name=row.actor_name) if row.actor_id else None,
+        "token": CredentialRef(id=row.token_id, name=row.token_name) if row.token_id else None,
+        "share": CredentialRef(id=row.share_id, name=row.share_name or "") if row.share_id else None,
+    }
+    values = {name: value for name, value in row._mapping.items() if name in AuditRead.model_fields}
+    return AuditRead.model_validate({**values, **refs, **hidden})

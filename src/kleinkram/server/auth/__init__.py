@@ -1,1 +1,1 @@
-"""Signing in: who somebody is, by a provider's word, a password, or a link that is good once; sessions; logins."""
+"""Authentication: sign-in by provider, password or one-time link; sessions, second factors, and logins of the CLI."""

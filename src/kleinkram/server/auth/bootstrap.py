@@ -14,7 +14,7 @@ from kleinkram.contract.errors import CodeGone, FieldProblem, Forbidden, Invalid
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.tokens import SecretKind
 from kleinkram.server.access.actor import Actor, new_secret, secret_hash, secret_prefix, unexpired
-from kleinkram.server.access.groups import (
+from kleinkram.server.access.builtin_groups import (
     ADMINS_ID,
     OWNER_ID,
     OWNER_TOKEN_NAME,
@@ -22,7 +22,7 @@ from kleinkram.server.access.groups import (
     add_verified_address,
     make_admin,
 )
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.auth.local_accounts import refuse_obvious_password, set_password
 from kleinkram.server.auth.one_time_codes import CodeRequest, create_code, use_code
 from kleinkram.server.db import Connection
@@ -77,7 +77,7 @@ async def bootstrap_admin(
         await set_password(db, person_id, password_hash)
     await make_admin(db, person_id)
     event = Event("server.bootstrap", "person", person_id, name, None, after={"email": request.email})
-    await record(db, actor, event)
+    await audit(db, actor, event)
     return person_id
 
 
@@ -87,7 +87,7 @@ async def create_owner_link(db: Connection, actor: Actor, *, settings: Settings)
         raise Forbidden(noun="server", operation="sign in as its owner", needs="the owner's token")
     code = await create_code(db, CodeRequest(CodePurpose.owner, settings.owner_link_s, person_id=OWNER_ID))
     after: Metadata = {"expires_at": code.expires_at.isoformat()}
-    await record(db, actor, Event("link.create", "person", OWNER_ID, actor.name, None, after=after))
+    await audit(db, actor, Event("link.create", "person", OWNER_ID, actor.name, None, after=after))
     return code.link(settings, CodePurpose.owner)
 
 
@@ -96,7 +96,7 @@ OWNER_NAME = "owner"
 
 
 async def let_owner_in(db: Connection, token_file: Path) -> None:
-    """Make the local owner exist, with the token in a file; one that was revoked is replaced there by a new one.
+    """Create the local owner with the token in a file; a revoked token is replaced by a new one in the file.
 
     Raises RuntimeError.
     """
@@ -113,13 +113,13 @@ async def let_owner_in(db: Connection, token_file: Path) -> None:
 
 
 async def ensure_owner(db: Connection, secret_token: str) -> bool:
-    """Make the local owner exist, with exactly this token; an older one stops working. What changed is recorded.
+    """Create the local owner with exactly this token, revoke an older one, and audit the changes.
 
-    Returns whether it is theirs: one that was revoked is not, and then nothing changes.
+    Returns False, without changes, if the token was revoked.
     """
     await add_person(db, name=OWNER_NAME, person_id=OWNER_ID)
     await make_admin(db, OWNER_ID)
-    # Processes that start together do this one after the other.
+    # Serializes processes that start at the same time.
     await db.execute(select(person.c.id).where(person.c.id == OWNER_ID).with_for_update(key_share=True))
     secret = secret_hash(secret_token)
     stored = (await db.execute(select(token.c.revoked_at).where(token.c.secret_sha256 == secret))).one_or_none()
@@ -132,12 +132,12 @@ async def ensure_owner(db: Connection, secret_token: str) -> bool:
     values |= {"prefix": secret_prefix(secret_token)}
     await db.execute(insert(token).values(scopes=[Scope.admin.value], **values))
     events = [Event("token.revoke", "token", token_id, OWNER_TOKEN_NAME, None) for token_id in revoked.scalars()]
-    await record(db, None, *events, Event("token.create", "token", made, OWNER_TOKEN_NAME, None))
+    await audit(db, None, *events, Event("token.create", "token", made, OWNER_TOKEN_NAME, None))
     return True
 
 
 def _write_private(path: Path, text: str) -> None:
-    """Write a file of mode 0600 whole, or not at all."""
+    """Write a file of mode 0600 atomically."""
     unfinished = path.with_name(path.name + ".new")
     unfinished.unlink(missing_ok=True)
     descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)

@@ -18,34 +18,17 @@ from argon2.exceptions import InvalidHashError, VerificationError
 from sqlalchemy import func, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.accounts import (
-    MAX_PASSWORD_CHARACTERS,
-    InvitationAccept,
-    InvitationCreate,
-    OneTimeLink,
-    PasswordReset,
-    PasswordSignIn,
-)
-from kleinkram.contract.errors import (
-    FieldProblem,
-    Forbidden,
-    InvalidRequest,
-    NameTaken,
-    NotFound,
-    SignInFailed,
-    SignInRefused,
-    SlowDown,
-)
+from kleinkram.contract import accounts, errors
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.people import email_key
 from kleinkram.server.access.actor import Actor, find_person
-from kleinkram.server.access.groups import add_person, add_verified_address
+from kleinkram.server.access.builtin_groups import add_person, add_verified_address
 from kleinkram.server.access.rights import lock_person
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.auth.one_time_codes import CodeRequest, create_code, require_person, use_code
 from kleinkram.server.auth.sessions import end_sessions
 from kleinkram.server.db import Connection, Database
-from kleinkram.server.runners.eligibility import has_single_person, invitation_warning, known_runners
+from kleinkram.server.runs.eligibility import known_runners
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import password, person, person_email
 from kleinkram.server.tables.sign_in import CodePurpose
@@ -106,7 +89,7 @@ class PasswordHasher:
 
     async def _run(self, work: Callable[[], T]) -> T:
         if self._waiting >= _MAX_WAITING:
-            raise SlowDown(interval_s=_RETRY_AFTER_S)
+            raise errors.SlowDown(interval_s=_RETRY_AFTER_S)
         self._waiting += 1
         try:
             async with self._slots:
@@ -117,7 +100,7 @@ class PasswordHasher:
 
 @cache
 def _unknown_hash() -> str:
-    return _argon2.hash(secrets.token_urlsafe(MAX_PASSWORD_CHARACTERS // 8))
+    return _argon2.hash(secrets.token_urlsafe(accounts.MAX_PASSWORD_CHARACTERS // 8))
 
 
 def refuse_obvious_password(password: str, *, field: str, about: tuple[str | None, ...]) -> None:
@@ -131,7 +114,7 @@ def refuse_obvious_password(password: str, *, field: str, about: tuple[str | Non
         rest = rest.replace(word, "")
     if rest != folded and len(rest) < _MIN_OTHER_CHARACTERS:
         message = "is little more than your name or address, or the name of this server; choose another"
-        raise InvalidRequest(problems=[FieldProblem(field=field, message=message)])
+        raise errors.InvalidRequest(problems=[errors.FieldProblem(field=field, message=message)])
 
 
 def _words_of(texts: tuple[str | None, ...]) -> set[str]:
@@ -151,7 +134,7 @@ def _refuse_weak(password: str, *, field: str, about: tuple[str | None, ...]) ->
     message = (
         f"is not safe: {reason[0].lower()}{reason[1:]}. Choose another, such as four words that do not belong together"
     )
-    raise InvalidRequest(problems=[FieldProblem(field=field, message=message)])
+    raise errors.InvalidRequest(problems=[errors.FieldProblem(field=field, message=message)])
 
 
 @dataclass(frozen=True)
@@ -162,7 +145,9 @@ class VerifiedPassword:
     password_hash: str
 
 
-async def verify_password(database: Database, hasher: PasswordHasher, sign_in: PasswordSignIn) -> VerifiedPassword:
+async def verify_password(
+    database: Database, hasher: PasswordHasher, sign_in: accounts.PasswordSignIn
+) -> VerifiedPassword:
     """Return the person with this address and password; a hash with old parameters is renewed.
 
     Raises SignInFailed or SlowDown.
@@ -173,7 +158,7 @@ async def verify_password(database: Database, hasher: PasswordHasher, sign_in: P
         rows = await db.execute(stmt.where(person_email.c.email_key == email_key(sign_in.email), active))
         row = rows.one_or_none()
     if not await hasher.verify(None if row is None else row.hash, sign_in.password) or row is None:
-        raise SignInFailed
+        raise errors.SignInFailed
     if not hasher.is_outdated(row.hash):
         return VerifiedPassword(row.id, row.hash)
     renewed = await hasher.hash(sign_in.password)
@@ -187,7 +172,7 @@ async def require_unchanged_password(db: Connection, verified: VerifiedPassword)
     """Check that a password has not changed since it was verified. Raises SignInFailed."""
     stmt = select(password.c.hash).where(password.c.person_id == verified.person_id).with_for_update(read=True)
     if (await db.execute(stmt)).scalar_one_or_none() != verified.password_hash:
-        raise SignInFailed
+        raise errors.SignInFailed
 
 
 async def verify_own_password(
@@ -198,7 +183,7 @@ async def verify_own_password(
         stmt = select(password.c.hash).where(password.c.person_id == actor.person_id)
         password_hash: str | None = (await db.execute(stmt)).scalar_one_or_none()
     if not await hasher.verify(password_hash, entered) or password_hash is None or actor.person_id is None:
-        raise SignInFailed
+        raise errors.SignInFailed
     return VerifiedPassword(actor.person_id, password_hash)
 
 
@@ -211,22 +196,22 @@ async def change_password(
         db, verified.person_id, name=actor.name, new=new, password_hash=password_hash, field="new_password"
     )
     await end_sessions(db, actor, except_session_id=actor.session_id)
-    await record(db, actor, Event("password.change", "person", actor.person_id, actor.name, None))
+    await audit(db, actor, Event("password.change", "person", actor.person_id, actor.name, None))
 
 
 async def create_invitation(
-    db: Connection, actor: Actor, *, invitation: InvitationCreate, settings: Settings
-) -> OneTimeLink:
+    db: Connection, actor: Actor, *, invitation: accounts.InvitationCreate, settings: Settings
+) -> accounts.OneTimeLink:
     """Return a link that invites a person to an account; earlier ones for the address become invalid.
 
     Raises Forbidden or NameTaken.
     """
     if not settings.local_accounts and not settings.oidc_providers:
-        raise Forbidden(
+        raise errors.Forbidden(
             noun="server", operation="invite people", needs="local accounts, which this server has switched off"
         )
     if await has_account(db, invitation.email):
-        raise NameTaken(noun="person", name=invitation.email)
+        raise errors.NameTaken(noun="person", name=invitation.email)
     request = CodeRequest(
         CodePurpose.invitation,
         settings.invitation_s,
@@ -236,13 +221,13 @@ async def create_invitation(
     )
     code = await create_code(db, request)
     after: Metadata = {"email": invitation.email, "expires_at": code.expires_at.isoformat()}
-    await record(db, actor, Event("invitation.create", "invitation", code.id, invitation.email, None, after=after))
-    warning = invitation_warning(await known_runners(db), single_person=await has_single_person(db))
+    await audit(db, actor, Event("invitation.create", "invitation", code.id, invitation.email, None, after=after))
+    warning = (await known_runners(db)).invitation_warning()
     return code.link(settings, CodePurpose.invitation).model_copy(update={"warning": warning})
 
 
 async def accept_invitation(
-    db: Connection, actor: Actor, *, accepted: InvitationAccept, password_hash: str
+    db: Connection, actor: Actor, *, accepted: accounts.InvitationAccept, password_hash: str
 ) -> uuid.UUID:
     """Create the account that a link invites to; returns the person.
 
@@ -254,36 +239,40 @@ async def accept_invitation(
     refuse_obvious_password(accepted.password, field="password", about=(name, email))
     person_id = await add_person(db, name=name)
     if not await add_verified_address(db, person_id, email, by="invitation"):
-        raise SignInRefused(reason=f"{email} has an account already. Sign in with it.")
+        raise errors.SignInRefused(reason=f"{email} has an account already. Sign in with it.")
     await _set_checked_password(
         db, person_id, name=name, new=accepted.password, password_hash=password_hash, field="password"
     )
     invited_by = None if code.created_by_id is None else str(code.created_by_id)
     after: Metadata = {"method": "invitation", "email": email, "invited_by": invited_by}
-    await record(db, actor, Event("person.create", "person", person_id, name, None, after=after))
+    await audit(db, actor, Event("person.create", "person", person_id, name, None, after=after))
     return person_id
 
 
-async def create_reset_link(db: Connection, actor: Actor, *, person_id: uuid.UUID, settings: Settings) -> OneTimeLink:
+async def create_reset_link(
+    db: Connection, actor: Actor, *, person_id: uuid.UUID, settings: Settings
+) -> accounts.OneTimeLink:
     """Return a link with which a person chooses a new password; an earlier one becomes invalid.
 
     Raises NotFound or Forbidden.
     """
     if not settings.local_accounts:
-        raise Forbidden(
+        raise errors.Forbidden(
             noun="server", operation="reset a password", needs="local accounts, which this server has switched off"
         )
     owner = await find_person(db, person_id)
     if owner is None:
-        raise NotFound(noun="person", ref=str(person_id))
+        raise errors.NotFound(noun="person", ref=str(person_id))
     request = CodeRequest(CodePurpose.reset, settings.reset_link_s, person_id=person_id, created_by_id=actor.person_id)
     code = await create_code(db, request)
     after: Metadata = {"expires_at": code.expires_at.isoformat()}
-    await record(db, actor, Event("password.reset_link", "person", person_id, owner.name, None, after=after))
+    await audit(db, actor, Event("password.reset_link", "person", person_id, owner.name, None, after=after))
     return code.link(settings, CodePurpose.reset)
 
 
-async def reset_password(db: Connection, guest: Actor, *, reset: PasswordReset, password_hash: str) -> uuid.UUID:
+async def reset_password(
+    db: Connection, guest: Actor, *, reset: accounts.PasswordReset, password_hash: str
+) -> uuid.UUID:
     """Set a new password with an admin's link; returns the person.
 
     Signs all browsers of the person out and revokes their personal tokens.
@@ -293,14 +282,14 @@ async def reset_password(db: Connection, guest: Actor, *, reset: PasswordReset, 
     person_id = require_person(await use_code(db, reset.code, CodePurpose.reset))
     owner = await find_person(db, person_id)
     if owner is None:
-        raise SignInRefused(reason="this account is deactivated. Ask an admin of this server.")
-    actor = owner.asking(guest.operation or "", request_id=guest.request_id, address=guest.address)
+        raise errors.SignInRefused(reason="this account is deactivated. Ask an admin of this server.")
+    actor = owner.for_request(guest.operation or "", request_id=guest.request_id, address=guest.address)
     await lock_person(db, person_id)
     await _set_checked_password(
         db, person_id, name=owner.name, new=reset.password, password_hash=password_hash, field="password"
     )
     ended: Metadata = {"sessions": await end_sessions(db, actor), "tokens": await end_personal_tokens(db, actor)}
-    await record(db, actor, Event("password.reset", "person", person_id, owner.name, None, after=ended))
+    await audit(db, actor, Event("password.reset", "person", person_id, owner.name, None, after=ended))
     return person_id
 
 

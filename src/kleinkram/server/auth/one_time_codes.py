@@ -1,6 +1,6 @@
 """One-time codes: links for signing in, invitations, password resets, and the code of the first admin.
 
-A code that an admin created ends with their admin rights: who leaves must not come back with a link.
+A code that an admin created ends with their admin rights, so that former admins cannot return with a link.
 """
 
 import datetime
@@ -9,15 +9,15 @@ import uuid
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from sqlalchemy import ColumnElement, exists, func, insert, select, update
+from sqlalchemy import ColumnElement, delete, exists, func, insert, select, update
 
 from kleinkram.contract.accounts import CodeRead, OneTimeLink
 from kleinkram.contract.errors import CodeGone
 from kleinkram.server.access.actor import secret_hash, unexpired
-from kleinkram.server.access.groups import ADMINS_ID
+from kleinkram.server.access.builtin_groups import ADMINS_ID
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import Settings
-from kleinkram.server.tables import membership, one_time_code, person
+from kleinkram.server.tables import login_request, membership, oidc_login, one_time_code, person
 from kleinkram.server.tables.sign_in import CodePurpose
 
 _SECRET_BYTES = 32
@@ -140,3 +140,9 @@ def is_valid() -> tuple[ColumnElement[bool], ...]:
 
 def _is_valid_code(secret: str) -> tuple[ColumnElement[bool], ...]:
     return (one_time_code.c.secret_sha256 == secret_hash(secret), *is_valid())
+
+
+async def delete_expired_codes(db: Connection) -> None:
+    """Delete codes a month after their end, device logins after a day, and expired sign-ins by a provider."""
+    for table, days in ((one_time_code, 30), (login_request, 1), (oidc_login, 0)):
+        await db.execute(delete(table).where(table.c.expires_at < func.now() - datetime.timedelta(days=days)))

@@ -1,6 +1,6 @@
 """The sign-in pages: plain HTML with one script and stylesheet of this server, and the callback of providers.
 
-Loading a page changes nothing; actions go through the JSON API. Everything that others sent is escaped.
+Loading a page changes nothing; actions use the JSON API. All text from others is escaped.
 """
 
 from functools import cache
@@ -14,12 +14,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kleinkram.contract.errors import KleinkramError, NotFound, SignInRefused
 from kleinkram.server.auth import provider_accounts
+from kleinkram.server.auth.dependencies import CurrentSignIn, SignInContext
 from kleinkram.server.auth.provider_accounts import bound_browser, take_request
-from kleinkram.server.auth.sign_in import CurrentSignIn, SignInContext
 from kleinkram.server.http.dependencies import CurrentSettings
-from kleinkram.server.http.errors import record_refusal
+from kleinkram.server.http.errors import audit_refusal
 from kleinkram.server.http.headers import PAGE_POLICY
-from kleinkram.server.http.pages import PAGE_HEAD, brand
+from kleinkram.server.http.web_app import PAGE_HEAD, brand
 from kleinkram.server.settings import Settings
 
 # Pages for people, not part of the API.
@@ -163,14 +163,14 @@ async def end_provider_sign_in(
     try:
         return await _finish_sign_in(context, provider, query)
     except KleinkramError as error:
-        await record_refusal(request, error)
+        await audit_refusal(request, error)
         return error_page(context.settings, error)
 
 
 async def _finish_sign_in(context: SignInContext, name: str, query: CallbackQuery) -> Response:
     provider = context.providers.get(name)
     browser_secret = bound_browser(context.request, context.settings)
-    async with context.database.begin() as db:  # the request is used up, whatever happens afterwards
+    async with context.database.begin() as db:  # of its own, so that the request is used up even if the rest fails
         request = await take_request(db, provider=name, state=query.state, browser_secret=browser_secret)
     actor, settings = context.actor, provider.settings
     if query.error == "access_denied":
@@ -187,7 +187,7 @@ async def _finish_sign_in(context: SignInContext, name: str, query: CallbackQuer
             person_id = await provider_accounts.open_account(db, actor, verified=verified, provider=settings)
             await context.start_session(db, response, person_id=person_id, method=verified.issuer)
         elif request.session_id != actor.session_id:
-            raise SignInRefused(reason="you signed out meanwhile, so nothing changed. Sign in and start again.")
+            raise SignInRefused(reason="you have signed out, so nothing changed. Sign in and start again.")
         elif request.reauthenticates:
             await provider_accounts.reauthenticate(db, actor, verified=verified, provider=settings)
         else:

@@ -29,8 +29,8 @@ from kleinkram.contract.errors import NotFound, SignInRefused
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.people import check_email, email_domain, email_key
 from kleinkram.server.access.actor import Actor, secret_hash
-from kleinkram.server.access.groups import add_person, add_verified_address
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.access.builtin_groups import add_person, add_verified_address
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.auth.one_time_codes import is_valid
 from kleinkram.server.auth.sessions import renew_session
 from kleinkram.server.db import Connection
@@ -49,14 +49,14 @@ _SECRET = re.compile(r"[A-Za-z0-9_-]{43}")
 
 @dataclass(frozen=True)
 class VerifiedIdentity:
-    """The person that a provider vouches for. `email_verified` is the provider's claim."""
+    """The person whom a provider identified. `email_verified` is the provider's claim."""
 
     issuer: str
     subject: str
     email: str | None
     email_verified: bool
     name: str | None
-    # When they last entered their password there, if the provider tells: seconds since 1970, by its clock.
+    # When they last entered their password there, if the provider sends it: seconds since 1970, by its clock.
     auth_time: int | None = None
 
 
@@ -64,8 +64,8 @@ class VerifiedIdentity:
 class AuthorizationRequest:
     """One request; `state` travels through the browser, the other secrets stay on the server.
 
-    With `session_id`, the signed-in person links an identity to their account or, with `reauthenticates`, proves who
-    they are once more.
+    With `session_id`, the signed-in person links an identity to their account or, with `reauthenticates`, signs in
+    again.
     """
 
     return_to: str
@@ -287,7 +287,7 @@ async def _link(
     linked = linked.on_conflict_do_update(index_elements=["issuer", "subject"], set_=relinked)
     identity_id: uuid.UUID = (await db.execute(linked.returning(identity.c.id))).scalar_one()
     after: Metadata = {"issuer": verified.issuer, "email": verified.email, "person_id": str(person_id)}
-    await record(db, actor, Event("identity.link", "identity", identity_id, provider.title, None, after=after))
+    await audit(db, actor, Event("identity.link", "identity", identity_id, provider.title, None, after=after))
 
 
 async def _new_account(
@@ -310,7 +310,7 @@ async def _new_account(
             break
     person_id = await add_person(db, name=name)
     after: Metadata = {"method": provider.issuer, "email": verified.email, "by_invitation": is_invited}
-    await record(db, requester, Event("person.create", "person", person_id, name, None, after=after))
+    await audit(db, requester, Event("person.create", "person", person_id, name, None, after=after))
     await _link(db, requester, person_id=person_id, verified=verified, provider=provider)
     await _verify_address(db, person_id, trusted_address, provider)
     return person_id

@@ -12,7 +12,7 @@ from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NotFound, SignInRefused
 from kleinkram.server.access.actor import Actor, find_person, secret_hash
 from kleinkram.server.access.rights import ensure_active_person
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection
 from kleinkram.server.pagination import Order, PageRequest, fetch_page
 from kleinkram.server.settings import Settings
@@ -66,7 +66,7 @@ async def start_session(
             expires_at=func.now() + datetime.timedelta(seconds=lifetime_s),
         )
     )
-    await record(db, actor, Event("session.create", "session", session_id, person.name, None, after={"method": method}))
+    await audit(db, actor, Event("session.create", "session", session_id, person.name, None, after={"method": method}))
     if browser.previous_secret:
         await _end(db, actor, session.c.secret_sha256 == secret_hash(browser.previous_secret))
     return NewSession(actor, secret)
@@ -76,7 +76,7 @@ async def renew_session(db: Connection, actor: Actor, *, method: str) -> None:
     """Record that the person has just reauthenticated in this session."""
     stmt = update(session).where(session.c.id == actor.session_id)
     await db.execute(stmt.values(authenticated_at=func.now()))
-    await record(
+    await audit(
         db, actor, Event("session.renew", "session", actor.session_id, actor.name, None, after={"method": method})
     )
 
@@ -120,7 +120,7 @@ async def end_sessions(db: Connection, actor: Actor, *, except_session_id: uuid.
 async def _end(db: Connection, actor: Actor, condition: ColumnElement[bool]) -> int:
     stmt = update(session).where(condition, session.c.revoked_at.is_(None)).values(revoked_at=func.now())
     session_ids = (await db.execute(stmt.returning(session.c.id))).scalars().all()
-    await record(
+    await audit(
         db, actor, *(Event("session.revoke", "session", session_id, actor.name, None) for session_id in session_ids)
     )
     return len(session_ids)

@@ -4,19 +4,22 @@ import datetime
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
 
-from sqlalchemy import func, select, update
+from sqlalchemy import func, select, text, update
 
 from kleinkram.contract.files import BlobState
 from kleinkram.recordings import RecordingSummary
-from kleinkram.server.audit.service import Event, record_all
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.blobs import queries
 from kleinkram.server.blobs.queries import BlobRow, SqliteLog
 from kleinkram.server.blobs.summaries import publish_file_changes, record_summaries
 from kleinkram.server.db import Connection, among, unnest_rows
-from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job, settle, start_now, waiting
+from kleinkram.server.jobs.queue import Job, Priority, delete_waiting, enqueue, has_job, start_now, waiting_ids
 from kleinkram.server.tables import blob, file, mission
 
 _TOMORROW = datetime.timedelta(days=1)
+_COUNT_REVERIFICATIONS = text(
+    "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'verify_blob' AND status = 'todo' AND priority < 0"
+)
 
 
 # -- queueing jobs ----------------------------------------------------------------------------------------------------
@@ -29,7 +32,8 @@ async def examine_blobs(db: Connection, blob_ids: Sequence[uuid.UUID]) -> None:
     """
     databases = (await db.execute(queries.databases_with_logs(blob_ids))).scalars()
     blob_ids = [*dict.fromkeys([*blob_ids, *databases])]
-    small_ids = set((await db.execute(queries.small_among(blob_ids))).scalars())
+    are_small = select(blob.c.id).where(among(blob.c.id, blob_ids), queries.is_small())
+    small_ids = set((await db.execute(are_small)).scalars())
     small = [str(blob_id) for blob_id in blob_ids if blob_id in small_ids]
     large = [str(blob_id) for blob_id in blob_ids if blob_id not in small_ids]
     await enqueue(db, Job.examine_blob, ids=small, priority=Priority.high)
@@ -66,11 +70,21 @@ async def examine_old(db: Connection, *, store_id: str, older_than_days: int, li
 
     At most `limit` are queued at a time.
     """
-    room = limit - (await db.execute(queries.COUNT_REVERIFICATIONS)).scalar_one()
+    room = limit - (await db.execute(_COUNT_REVERIFICATIONS)).scalar_one()
     if older_than_days == 0 or room <= 0:
         return
-    old = queries.verified_before(func.now() - datetime.timedelta(days=older_than_days))
-    due = old.where(blob.c.store_id == store_id, ~has_job(Job.verify_blob, blob.c.id)).limit(room)
+    due = (
+        select(blob.c.id)
+        .where(
+            blob.c.marked_for_deletion_at.is_(None),
+            blob.c.state == BlobState.verified.value,
+            blob.c.verified_at < func.now() - datetime.timedelta(days=older_than_days),
+            blob.c.store_id == store_id,
+            ~has_job(Job.verify_blob, blob.c.id),
+        )
+        .order_by(blob.c.verified_at)
+        .limit(room)
+    )
     ids = [str(blob_id) for blob_id in (await db.execute(due)).scalars()]
     await enqueue(db, Job.verify_blob, ids=ids, priority=Priority.low)
 
@@ -105,7 +119,7 @@ async def find_sqlite_logs(db: Connection, blob_id: uuid.UUID) -> dict[str, Sqli
 
 async def queued_small_blobs(db: Connection, first: BlobRow, *, limit: int) -> list[BlobRow]:
     """Return small blobs that are queued to be examined, of the same person and store as `first`."""
-    ids = await waiting(db, Job.examine_blob, most=limit)
+    ids = await waiting_ids(db, Job.examine_blob, most=limit)
     is_alike = (blob.c.uploaded_by_id == first.uploaded_by_id) & (blob.c.store_id == first.store_id)
     statement = queries.blobs_with_path(ids).where(is_alike, blob.c.id != first.id)
     return [BlobRow._make(row) for row in await db.execute(statement)]
@@ -119,11 +133,11 @@ async def record_verified(db: Connection, md5s: Mapping[uuid.UUID, bytes]) -> No
 
     A blob that was damaged is sound again.
     """
-    healed = await _lock_damaged(db, md5s)
+    repaired = await _lock_damaged(db, md5s)
     rows = unnest_rows([blob.c.id, blob.c.md5], [{"id": blob_id, "md5": md5} for blob_id, md5 in md5s.items()])
     values = {"state": BlobState.verified.value, "state_reason": None, "damaged_at": None, "md5": rows.c.md5}
     await db.execute(update(blob).where(blob.c.id == rows.c.id).values(**values, verified_at=func.now()))
-    for blob_id, before in healed.items():
+    for blob_id, before in repaired.items():
         await _audit_files(db, blob_id, "file.heal", {"state": before}, {"state": BlobState.verified.value})
     await publish_file_changes(db, md5s)
 
@@ -134,7 +148,7 @@ async def record_examined(
     """Record summaries and verifications of small blobs, and drop the jobs that were queued for them."""
     await record_summaries(db, summaries)
     await record_verified(db, md5s)
-    await settle(db, Job.examine_blob, md5s)
+    await delete_waiting(db, Job.examine_blob, md5s)
 
 
 async def record_damage(db: Connection, blob_id: uuid.UUID, *, state: BlobState, reason: str) -> bool:
@@ -169,4 +183,4 @@ async def _audit_files(
         Event(operation, "file", row.id, row.path, row.project_id, {**before}, {**after}, row.mission_id)
         for row in await db.execute(files)
     ]
-    await record_all(db, None, events)
+    await audit(db, None, *events)

@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from kleinkram.contract.audit import Change, Refetch, RefetchReason
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import reached_missions, reached_projects, rights_hash
+from kleinkram.server.access.visible import rights_hash, watchable_missions, watchable_projects
 from kleinkram.server.change_events import ChangeEvent, merge_events
 from kleinkram.server.db import Connection, Database, among
 from kleinkram.server.events.hub import EventSubscription, Hub
@@ -109,10 +109,10 @@ async def _visible_changes(db: Connection, actor: Actor, events: Sequence[Change
     projects: set[uuid.UUID] = set()
     if mission_ids := {event.mission_id for event in events if event.mission_id}:
         columns = (mission.c.id, mission.c.project_id)
-        stmt = reached_missions(actor).with_only_columns(*columns, maintain_column_froms=True)
+        stmt = watchable_missions(actor).with_only_columns(*columns, maintain_column_froms=True)
         missions = {row.id: row.project_id for row in await db.execute(stmt.where(among(mission.c.id, mission_ids)))}
     if project_ids := {event.project_id for event in events if event.project_id}:
-        stmt = reached_projects(actor).with_only_columns(project.c.id)
+        stmt = watchable_projects(actor).with_only_columns(project.c.id)
         projects = set((await db.execute(stmt.where(among(project.c.id, project_ids)))).scalars())
     changes = []
     for event in merge_events(events, max_alike=_MAX_ALIKE):

@@ -1,4 +1,4 @@
-"""Files over HTTP."""
+"""Routes of files."""
 
 import uuid
 from typing import Annotated
@@ -15,7 +15,7 @@ from kleinkram.contract.files import (
     TopicRead,
 )
 from kleinkram.contract.projects import Deleted
-from kleinkram.contract.query import whole
+from kleinkram.contract.query import combined_filter
 from kleinkram.contract.search import FileQuery, FilesLabelled, LabelChange
 from kleinkram.server.files import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
@@ -38,7 +38,7 @@ class FileListQuery(FileQuery):
 async def list_files(query: Annotated[FileListQuery, Query()], db: Reading, actor: CurrentActor) -> Page[FileRead]:
     """List the files that match."""
     page = PageRequest(query.limit, query.cursor, query.count)
-    return await service.list_files(db, actor, matching=whole(query), sort=query.sort, page=page)
+    return await service.list_files(db, actor, matching=combined_filter(query), sort=query.sort, page=page)
 
 
 @router.post("/files/download", operation_id="download_files")

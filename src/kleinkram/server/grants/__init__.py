@@ -1,1 +1,1 @@
-"""Grants: who may do what with a project or a mission, and what follows from that for people."""
+"""Grants of rights on projects and missions, and the access of people that follows from them."""

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query
 from kleinkram.contract.access import AccessRead, GrantCreate, GrantOn, GrantRead, GrantUpdate
 from kleinkram.contract.base import Page
 from kleinkram.server.grants import service
-from kleinkram.server.grants.queries import GrantPlace
+from kleinkram.server.grants.service import GrantPlace
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
 from kleinkram.server.pagination import PageQuery
 

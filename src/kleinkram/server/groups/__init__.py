@@ -1,1 +1,1 @@
-"""Groups: made by people, or filled by what the settings say of e-mail domains."""
+"""Groups of people: created by people, or affiliation groups that follow from domains in the settings."""

@@ -16,7 +16,7 @@ from kleinkram.contract.access import GroupKind, Right
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
 from kleinkram.server.access.rights import give_to_admins, lock_rights, owned_by_groups
-from kleinkram.server.audit.service import Event, record, record_all
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import Affiliation
 from kleinkram.server.tables import access_group, affiliation, affiliation_domain, membership, person, person_email
@@ -55,7 +55,7 @@ async def ensure_affiliations(db: Connection, affiliations: Sequence[Affiliation
     owner_right: Metadata = {"right": Right.delete.value, "expires_at": None}
     inherited = await give_to_admins(db, owned)
     events += [Event("grant.give", "grant", None, "admins", project.id, after=owner_right) for project in inherited]
-    await record_all(db, None, events)
+    await audit(db, None, *events)
 
 
 async def _ensure_group(db: Connection, configured: Affiliation) -> uuid.UUID:
@@ -70,7 +70,7 @@ async def _ensure_group(db: Connection, configured: Affiliation) -> uuid.UUID:
             raise AffiliationUnusable(
                 f"KLEINKRAM_AFFILIATIONS: there is a group {configured.name!r} that people made; rename one of the two"
             ) from error
-        await record(db, None, Event("group.create", "group", group_id, configured.name, None))
+        await audit(db, None, Event("group.create", "group", group_id, configured.name, None))
     await db.execute(update(access_group).where(access_group.c.id == group_id).values(name=configured.name))
     level = {"default_level": configured.default_right.level if configured.default_right else None}
     row = upsert(affiliation).values(group_id=group_id, **level)

@@ -1,1 +1,1 @@
-"""Health: is this process alive, is it ready to serve, and what is it."""
+"""Health: liveness and readiness, checks of the installation, and metrics."""

@@ -1,4 +1,4 @@
-"""The port that Prometheus scrapes: metrics of each process, and gauges of the whole server from one process.
+"""Serves Prometheus metrics: those of this process, and gauges of the database from one process at a time.
 
 A separate port, because a proxy publishes everything on the API's port. An advisory lock in the database decides which
 process reports the gauges: the first that is scraped, and another one once it ends or is no longer scraped.

@@ -1,4 +1,4 @@
-"""Readiness of a process, and the heartbeats of workers."""
+"""Readiness: whether this process can serve, and which workers are alive by their heartbeats."""
 
 import asyncio
 import datetime
@@ -17,6 +17,7 @@ from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.exc import SQLAlchemyError
 
 import kleinkram
+from kleinkram.checks import CheckResult, find_problems, ok, problem, warning
 from kleinkram.contract.errors import DatabaseUnavailable, StoreUnavailable
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.migrations import schema_problem
@@ -62,18 +63,6 @@ class Workers:
     seen_at: list[datetime.datetime]
     last_seen_at: datetime.datetime | None
     now: datetime.datetime
-
-    @property
-    def warning(self) -> str | None:
-        """A sentence if no worker is alive."""
-        if self.seen_at:
-            return None
-        reason = "no worker process was ever heard of"
-        if self.last_seen_at is not None:
-            silent_s = (self.now - self.last_seen_at).total_seconds()
-            minutes = max(1, round(silent_s / _SECONDS_A_MINUTE))
-            reason = f"no worker process was heard of for {minutes} min"
-        return f"{reason}: new files are not read or verified; start `python -m kleinkram.server worker`"
 
 
 async def find_workers(db: Connection) -> Workers:
@@ -122,28 +111,39 @@ async def _send_heartbeats(database: Database, worker_id: uuid.UUID) -> None:
 _STORE_TIMEOUT_S = 2
 
 
-@dataclass(frozen=True)
-class Readiness:
-    """Why this process cannot serve, if so, and warnings.
+async def check_service(database: Database, storage: Storage) -> list[CheckResult]:
+    """Check what this process needs to serve; releases its connection before it asks the store.
 
-    An API process without workers is ready: otherwise a load balancer would drop all of them.
+    An API process without workers only gets a warning: otherwise a load balancer would drop all of them.
     """
-
-    missing: str | None
-    warnings: tuple[str, ...] = ()
-
-
-async def readiness(database: Database, storage: Storage) -> Readiness:
-    """Return whether this process can serve; releases its connection before it asks the store."""
     try:
         async with database.begin() as db:
-            problem = await schema_problem(db)
-            warning = None if problem else (await find_workers(db)).warning
-        if problem:
-            return Readiness(problem)
-        await asyncio.wait_for(storage.check(), _STORE_TIMEOUT_S)
-    except (DatabaseUnavailable, StoreUnavailable) as error:
-        return Readiness(str(error))
-    except asyncio.TimeoutError:
-        return Readiness(f"the object store did not answer within {_STORE_TIMEOUT_S} seconds")
-    return Readiness(None, (warning,) if warning else ())
+            results = await check_schema(db)
+    except DatabaseUnavailable as error:
+        return [problem("database", str(error))]
+    if not find_problems(results):
+        try:
+            await asyncio.wait_for(storage.check(), _STORE_TIMEOUT_S)
+        except StoreUnavailable as error:
+            results.append(problem("store", str(error)))
+        except asyncio.TimeoutError:
+            message = f"The object store did not answer within {_STORE_TIMEOUT_S} seconds."
+            results.append(problem("store", message))
+    return results
+
+
+async def check_schema(db: Connection) -> list[CheckResult]:
+    """Check that this program can use the database's schema, and that workers are alive."""
+    reason = await schema_problem(db)
+    if reason is not None:
+        return [problem("schema", f"{reason}.", "Run `python -m kleinkram.server migrate` of this version.")]
+    workers = await find_workers(db)
+    if workers.seen_at:
+        return [ok("schema", "This program works on it."), ok("workers", f"{len(workers.seen_at)} alive.")]
+    message = "No worker process has ever run"
+    if workers.last_seen_at is not None:
+        silent_s = (workers.now - workers.last_seen_at).total_seconds()
+        message = f"No worker process has run for {max(1, round(silent_s / _SECONDS_A_MINUTE))} min"
+    message += ": new files are not read or verified."
+    remedy = "Start `python -m kleinkram.server worker`."
+    return [ok("schema", "This program works on it."), warning("workers", message, remedy)]

@@ -6,11 +6,12 @@ from fastapi import APIRouter, Request, Response
 from fastapi.responses import PlainTextResponse
 
 import kleinkram
+from kleinkram.checks import CheckResult, CheckSeverity, find_problems
 from kleinkram.contract.access import TokenKind
 from kleinkram.contract.people import ServiceRead, ViewerRead
-from kleinkram.server.health.readiness import Readiness, Recent, readiness
+from kleinkram.server.health.readiness import Recent, check_service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
-from kleinkram.server.http.headers import seen
+from kleinkram.server.http.headers import request_origin
 from kleinkram.server.settings import Settings
 from kleinkram.server.tokens.service import default_days
 
@@ -24,8 +25,8 @@ router = APIRouter(prefix="/api/v1", tags=["service"])
 @probes.get("/health/live")
 async def live(request: Request, settings: CurrentSettings) -> Response:
     """Answer; for `check`, with how its request reached this process."""
-    if (request_info := seen(request, settings)) is not None:
-        return Response(request_info.model_dump_json(), media_type="application/json")
+    if (origin := request_origin(request, settings)) is not None:
+        return Response(origin.model_dump_json(), media_type="application/json")
     return PlainTextResponse("live\n")
 
 
@@ -36,13 +37,14 @@ async def ready(
     """Return whether database, schema and store are available; reasons and warnings only for monitoring networks."""
     state = request.app.state
     if not hasattr(state, "readiness"):
-        state.readiness = Recent(lambda: readiness(database, storage), holds_s=_HOLDS_S)
-    state_now: Readiness = await state.readiness.get()
+        state.readiness = Recent(lambda: check_service(database, storage), holds_s=_HOLDS_S)
+    results: list[CheckResult] = await state.readiness.get()
     shows = _watches(request, settings)
-    if state_now.missing is not None:
-        return PlainTextResponse(f"{state_now.missing if shows else 'not ready'}\n", status_code=503)
-    warnings = [f"warning: {warning}\n" for warning in state_now.warnings if shows]
-    return PlainTextResponse("".join(["ready\n", *warnings]))
+    problems = find_problems(results)
+    if problems:
+        return PlainTextResponse(f"{problems[0].message if shows else 'not ready'}\n", status_code=503)
+    warnings = [result for result in results if shows and result.severity is CheckSeverity.warning]
+    return PlainTextResponse("".join(["ready\n", *(f"warning: {it.message} {it.remedy}\n" for it in warnings)]))
 
 
 def _watches(request: Request, settings: Settings) -> bool:

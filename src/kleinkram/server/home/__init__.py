@@ -1,1 +1,1 @@
-"""Home: what somebody finds when they come."""
+"""The home page."""

@@ -11,8 +11,7 @@ from kleinkram.contract.errors import NotAuthenticated
 from kleinkram.server.access.actor import STRANGER, Actor, ActorKind, find_actor, find_signed_in
 from kleinkram.server.access.operations import OPERATIONS
 from kleinkram.server.access.rights import admit, is_public_endpoint, require_fresh_sign_in, still_shares
-from kleinkram.server.audit.admin_access import AdminReads
-from kleinkram.server.audit.queries import request_target
+from kleinkram.server.audit.requests import AdminReads, request_target
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.http.rate_limit import limit_expensive
@@ -54,7 +53,7 @@ async def _actor(
     operation: str = request.scope["route"].operation_id
     requester = await _authenticate(request, database, credentials, is_public_endpoint=is_public_endpoint(operation))
     address = request.client.host if request.client else None
-    actor = requester.asking(operation, request_id=request.state.request_id, address=address)
+    actor = requester.for_request(operation, request_id=request.state.request_id, address=address)
     request.state.actor = actor
     admit(actor, operation)
     if OPERATIONS[operation].fresh:
@@ -108,7 +107,7 @@ async def _reauthenticate(
     async def authenticate(db: Connection) -> Actor | None:
         actor = await _find_credential_holder(request, db, credentials)
         address = request.client.host if request.client else None
-        return actor and actor.asking(operation, request_id=request.state.request_id, address=address)
+        return actor and actor.for_request(operation, request_id=request.state.request_id, address=address)
 
     return authenticate
 

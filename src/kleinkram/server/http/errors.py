@@ -8,22 +8,12 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 
-from kleinkram.contract.errors import (
-    BodyTooLarge,
-    DatabaseUnavailable,
-    FieldProblem,
-    InternalError,
-    InvalidRequest,
-    KleinkramError,
-    MethodNotAllowed,
-    NotFound,
-    RateLimited,
-    WrongClient,
-)
+from kleinkram.contract import errors
 from kleinkram.contract.problems import message_of, to_problem
-from kleinkram.server.audit.queries import request_target
-from kleinkram.server.audit.refusals import ALSO_REFUSALS, Refusal, Refusals
-from kleinkram.server.http.pages import app_page, is_original_api_path, is_page_request
+from kleinkram.server.access.actor import STRANGER, Actor, ActorKind
+from kleinkram.server.audit.log import Event
+from kleinkram.server.audit.requests import OTHER_REFUSALS, request_target
+from kleinkram.server.http.web_app import app_page, is_original_api_path, is_page_request
 from kleinkram.server.settings import Settings
 
 _log = logging.getLogger("kleinkram.http")
@@ -34,17 +24,17 @@ _MAX_CHARACTERS = 1000
 
 def install_error_handlers(app: FastAPI) -> None:
     """Turn every failure of an app into a problem document."""
-    app.add_exception_handler(KleinkramError, _on_kleinkram_error)
+    app.add_exception_handler(errors.KleinkramError, _on_kleinkram_error)
     app.add_exception_handler(RequestValidationError, _on_invalid_request)
     app.add_exception_handler(HTTPException, _on_http_exception)
     app.add_exception_handler(Exception, _on_crash)
 
 
-def problem_response(error: KleinkramError, request_id: str | None) -> JSONResponse:
+def problem_response(error: errors.KleinkramError, request_id: str | None) -> JSONResponse:
     """Return the response for an error."""
     problem = to_problem(error, request_id)
     headers = {"Retry-After": "2"} if error.status == 503 else {}
-    if isinstance(error, RateLimited):
+    if isinstance(error, errors.RateLimited):
         headers["Retry-After"] = str(error.retry_after_s)
     if error.status == 401:
         headers["WWW-Authenticate"] = "Bearer"
@@ -56,23 +46,24 @@ def problem_response(error: KleinkramError, request_id: str | None) -> JSONRespo
     )
 
 
-async def record_refusal(request: Request, error: KleinkramError) -> None:
+async def audit_refusal(request: Request, error: errors.KleinkramError) -> None:
     """Write a refused request to the audit log."""
     state = request.app.state
-    if not hasattr(state, "refusals"):
-        state.refusals = Refusals()
-    # The route's template, not the address: clients choose that, of any length and content.
-    place = f"{request.method} {getattr(request.scope.get('route'), 'path', 'unmatched')}"
-    refusal = Refusal(
-        actor=getattr(request.state, "actor", None),
-        code=error.code,
-        place=place,
-        why={name: str(value) for name, value in error.fields().items()},
-        address=request.client.host if request.client else None,
-        request_id=_request_id(request),
-        target=request_target(request.path_params, request.query_params),
+    actor: Actor | None = getattr(request.state, "actor", None)
+    address = request.client.host if request.client else None
+    guest = STRANGER.for_request("", request_id=_request_id(request), address=address)
+    is_known = actor is not None and actor.kind is not ActorKind.stranger
+    event = Event(
+        OTHER_REFUSALS.get(error.code, "access.denied" if is_known else "auth.refused"),
+        "request",
+        None,
+        # The route's template, not the address: clients choose that, of any length and content.
+        f"{request.method} {getattr(request.scope.get('route'), 'path', 'unmatched')}",
+        None,
+        after={name: str(value) for name, value in error.fields().items()},
     )
-    await state.refusals.audit(state.database, refusal)
+    target = None if actor is None else request_target(request.path_params, request.query_params)
+    await state.refusals.audit(state.database, actor.without_admin() if actor else guest, event, target)
 
 
 def _request_id(request: Request) -> str | None:
@@ -80,10 +71,10 @@ def _request_id(request: Request) -> str | None:
 
 
 async def _on_kleinkram_error(request: Request, error: Exception) -> JSONResponse:
-    if not isinstance(error, KleinkramError):
+    if not isinstance(error, errors.KleinkramError):
         raise error
-    if error.status in {401, 403} or error.code in ALSO_REFUSALS:
-        await record_refusal(request, error)
+    if error.status in {401, 403} or error.code in OTHER_REFUSALS:
+        await audit_refusal(request, error)
     return problem_response(error, _request_id(request))
 
 
@@ -91,13 +82,13 @@ async def _on_invalid_request(request: Request, error: Exception) -> JSONRespons
     if not isinstance(error, RequestValidationError):
         raise error
     problems = [
-        FieldProblem(
+        errors.FieldProblem(
             field=".".join(str(part)[:_MAX_CHARACTERS] for part in issue["loc"]),
             message=message_of(issue)[:_MAX_CHARACTERS],
         )
         for issue in error.errors()[:_MAX_PROBLEMS]
     ]
-    return problem_response(InvalidRequest(problems=problems), _request_id(request))
+    return problem_response(errors.InvalidRequest(problems=problems), _request_id(request))
 
 
 async def _on_http_exception(request: Request, error: Exception) -> Response:
@@ -109,23 +100,25 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
     is_original_sign_in = path.startswith("/auth/") and request.query_params.get("state", "").startswith("cli")
     if error.status_code == 404 and is_page_request(request) and not is_original_sign_in:
         return app_page(settings, status=404)
-    problem: KleinkramError
+    problem: errors.KleinkramError
     if error.status_code == 413:
         size_bytes, limit_bytes = map(int, error.detail.split())
-        problem = BodyTooLarge(size_bytes=size_bytes, limit_bytes=limit_bytes)
+        problem = errors.BodyTooLarge(size_bytes=size_bytes, limit_bytes=limit_bytes)
     elif error.status_code == 405:
-        problem = MethodNotAllowed(method=request.method, path=path)
+        problem = errors.MethodNotAllowed(method=request.method, path=path)
     elif error.status_code == 404:
         is_original = is_original_api_path(path)
-        problem = WrongClient(server=settings.public_url) if is_original else NotFound(noun="page", ref=path)
+        problem = (
+            errors.WrongClient(server=settings.public_url) if is_original else errors.NotFound(noun="page", ref=path)
+        )
     else:
-        problem = InvalidRequest(problems=[FieldProblem(field="request", message=str(error.detail))])
+        problem = errors.InvalidRequest(problems=[errors.FieldProblem(field="request", message=str(error.detail))])
     return problem_response(problem, _request_id(request))
 
 
 async def _on_crash(request: Request, error: Exception) -> JSONResponse:
     request_id = _request_id(request) or "unknown"
     if isinstance(error, ConnectionError | TimeoutError):
-        return problem_response(DatabaseUnavailable(), request_id)
+        return problem_response(errors.DatabaseUnavailable(), request_id)
     _log.error("crash", exc_info=error, extra={"fields": {"request_id": request_id}})
-    return problem_response(InternalError(request_id=request_id), request_id)
+    return problem_response(errors.InternalError(request_id=request_id), request_id)

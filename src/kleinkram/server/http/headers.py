@@ -11,7 +11,6 @@ from fastapi import Header, Request
 from pydantic import BaseModel, ConfigDict
 from starlette.types import Scope
 
-from kleinkram.contract.errors import EditConflict
 from kleinkram.server.settings import Network, Settings
 
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
@@ -51,7 +50,7 @@ def client_address(peer: str, forwarded_for: Sequence[str], trusted_proxies: Seq
     """Return the nearest address that is not one of our own proxies.
 
     `forwarded_for` is X-Forwarded-For, nearest last. Each proxy appends the address of its peer, so entries left of an
-    untrusted proxy's may be forged: the list is read from the right, as far as trust reaches, until an invalid address.
+    untrusted proxy's may be forged: the list is read from the right, while proxies are trusted and addresses valid.
     """
     address = parse_address(peer)
     if address is None:
@@ -107,24 +106,12 @@ IfMatch = Annotated[
 ]
 
 
-def require_match(if_match: str | None, etag: str, *, noun: str, name: str) -> None:
-    """Check that an object still has one of the ETags in an If-Match header; without a header, there is no check.
-
-    Raises EditConflict.
-    """
-    if if_match is None:
-        return
-    expected = {part.strip().removeprefix("W/").strip('"') for part in if_match.split(",")}
-    if not expected & {etag, "*"}:
-        raise EditConflict(noun=noun, name=name, etag=etag)
-
-
 CHECK_HEADER = "X-Kleinkram-Check"
-_GOOD_FOR_S = 300
+_CODE_LIFETIME_S = 300
 
 
-class Seen(BaseModel):
-    """Origin of a request: `peer` connected to the API; `address` and `scheme` are those attributed to the client."""
+class RequestOrigin(BaseModel):
+    """How a request reached this process: `peer` connected; `address` and `scheme` are attributed to the client."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -135,21 +122,21 @@ class Seen(BaseModel):
     scheme: str
 
 
-def proof(settings: Settings, *, at_s: float | None = None) -> str:
-    """Return a code that only who has these settings can make."""
-    period = int((time.time() if at_s is None else at_s) // _GOOD_FOR_S)
+def operator_code(settings: Settings, *, at_s: float | None = None) -> str:
+    """Return a code that only holders of these settings can compute, valid for some minutes."""
+    period = int((time.time() if at_s is None else at_s) // _CODE_LIFETIME_S)
     key = settings.s3_secret_key.get_secret_value().encode()
     return hmac.new(key, f"kleinkram check {period}".encode(), hashlib.sha256).hexdigest()
 
 
-def seen(request: Request, settings: Settings) -> Seen | None:
-    """Return how a request reached this process; None for who has no proof."""
+def request_origin(request: Request, settings: Settings) -> RequestOrigin | None:
+    """Return how a request reached this process; None without a valid operator code."""
     code = request.headers.get(CHECK_HEADER, "")
-    valid_codes = [proof(settings, at_s=time.time() - ago_s) for ago_s in (0, _GOOD_FOR_S)]
+    valid_codes = [operator_code(settings, at_s=time.time() - ago_s) for ago_s in (0, _CODE_LIFETIME_S)]
     if request.client is None or not any(hmac.compare_digest(code.encode(), valid.encode()) for valid in valid_codes):
         return None
     peer: str = request.state.peer
-    return Seen(
+    return RequestOrigin(
         peer=peer,
         is_trusted=is_trusted(peer, settings.trusted_proxies),
         forwarded="x-forwarded-for" in request.headers,

@@ -30,7 +30,7 @@ _DISCONNECT_CHECK_AFTER_S = 0.25
 
 
 def mark_as_stream(scope: Scope) -> None:
-    """Exclude a response that lasts as long as the client listens from the request durations."""
+    """Exclude a streamed response, which lasts as long as its client stays connected, from the request durations."""
     scope["state"]["is_stream"] = True
 
 

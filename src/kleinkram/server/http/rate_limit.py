@@ -1,13 +1,13 @@
-"""Rate limits, counted in the database so that they hold over all processes.
+"""Rate limits, counted in the database for all processes together.
 
 Windows are fixed, so twice as many requests may pass around a boundary. Clients are stored as hashes. If the database
-cannot count, the request fails. The table is unlogged: after a crash of the database all counts start at zero.
+cannot count, the request fails. The table is unlogged: after a crash of the database, counts start at zero.
 """
 
 import datetime
 import hashlib
 import ipaddress
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -37,6 +37,7 @@ INSERT INTO rate_count (key, window_start, count)
   ON CONFLICT (key, window_start) DO UPDATE SET count = rate_count.count + 1
   RETURNING key, count, ceil(extract(epoch FROM window_start + CAST(:window AS interval) - now())) AS seconds_left
 """)
+# The kind of an expensive operation; `<kind>_per_minute` is the setting of its limit.
 _OPERATION_KINDS = {
     "search": "searches",
     "get_facets": "searches",
@@ -50,13 +51,6 @@ _OPERATION_KINDS = {
     "export_audit_events": "exports",
 }
 _LIST_OPERATIONS = frozenset({"list_projects", "list_missions", "list_files"})
-_LIMITS: Mapping[str, Callable[[Settings], int]] = {
-    "searches": lambda settings: settings.searches_per_minute,
-    "downloads": lambda settings: settings.downloads_per_minute,
-    "uploads": lambda settings: settings.uploads_per_minute,
-    "verifications": lambda settings: settings.verifications_per_minute,
-    "exports": lambda settings: settings.exports_per_minute,
-}
 
 
 class _Counted(NamedTuple):
@@ -67,7 +61,7 @@ class _Counted(NamedTuple):
 
 @dataclass(frozen=True)
 class Count:
-    """One more request of a kind (`what`, in words such as "sign-ins") by a client; `limit` 0 is no limit."""
+    """One more request of a kind (`what`, such as "sign-ins") by a client; `limit` 0 is no limit."""
 
     what: str
     client: str
@@ -95,8 +89,8 @@ async def enforce_limits(database: Database, *counts: Count) -> None:
 async def reserve_slot(database: Database, count: Count) -> float:
     """Add one to a count and return how many seconds the request must wait: 0 up to the limit.
 
-    Beyond the limit, requests reserve slots, whoever sends them: an attacker slows the owner of an account down, but
-    does not lock them out. Raises RateLimited.
+    Beyond the limit, all requests reserve slots: an attacker delays the owner of an account, but cannot lock them out.
+    Raises RateLimited.
     """
     counted = await _increment(database, [count.key] if count.limit > 0 else [])
     if all(row.requests <= count.limit for row in counted):
@@ -135,7 +129,8 @@ async def limit_expensive(database: Database, settings: Settings, actor: Actor, 
     if kind is None and has_text and actor.operation in _LIST_OPERATIONS:
         kind = "searches"
     if kind is not None:
-        await enforce_limits(database, *counts_of(actor, kind, _LIMITS[kind](settings)))
+        limit: int = getattr(settings, f"{kind}_per_minute")
+        await enforce_limits(database, *counts_of(actor, kind, limit))
 
 
 def subscriber_network(address: str) -> str:

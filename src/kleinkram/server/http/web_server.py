@@ -5,14 +5,13 @@ connections per address and in total. `middleware` limits the size of bodies. On
 """
 
 import asyncio
-import ipaddress
 import logging
 import resource
 import socket
 import sys
 import time
-from collections import defaultdict
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable
 
 import uvicorn
 from fastapi import FastAPI
@@ -20,6 +19,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
 from kleinkram.server.http.headers import parse_address
+from kleinkram.server.http.rate_limit import subscriber_network
 from kleinkram.server.settings import Network, Settings
 
 _log = logging.getLogger("kleinkram.web_server")
@@ -36,7 +36,6 @@ _LINGER_S = 10.0
 _MAX_CONNECTIONS = 16_384
 # Files that this process opens for the database, the store and logs.
 _OTHER_FILES = 256
-_IPV6_PREFIX = 64
 _TOO_MANY_CONNECTIONS = 503
 _CLOSE = b"content-length: 0\r\nconnection: close\r\n\r\n"
 _REFUSED_RESPONSES = {
@@ -45,30 +44,22 @@ _REFUSED_RESPONSES = {
     431: b"HTTP/1.1 431 Request Header Fields Too Large\r\n" + _CLOSE,
     _TOO_MANY_CONNECTIONS: b"HTTP/1.1 503 Service Unavailable\r\nretry-after: 5\r\n" + _CLOSE,
 }
-_STARTUP_FAILED = "lifespan.startup.failed"
 
 
-class _ShortStartupErrors:
-    """ASGI wrapper that reports one of our own errors at startup as a sentence instead of a traceback."""
+def _with_short_startup_errors(app: ASGIApp) -> ASGIApp:
+    """Return an app that reports one of our own errors at startup as a sentence instead of a traceback."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle one request or the lifespan."""
-
+    async def call(scope: Scope, receive: Receive, send: Send) -> None:
         async def send_short(message: Message) -> None:
-            if message["type"] == _STARTUP_FAILED:
-                message["message"] = _sentence(message["message"])
+            if message["type"] == "lifespan.startup.failed":
+                kind, _, sentence = message["message"].strip().splitlines()[-1].partition(": ")
+                if kind.startswith("kleinkram."):
+                    message["message"] = f"not started: {sentence}"
             await send(message)
 
-        await self._app(scope, receive, send_short if scope["type"] == "lifespan" else send)
+        await app(scope, receive, send_short if scope["type"] == "lifespan" else send)
 
-
-def _sentence(traceback: str) -> str:
-    """Return the message at the end of a traceback if the exception is ours, else the whole traceback."""
-    kind, _, sentence = traceback.strip().splitlines()[-1].partition(": ")
-    return f"not started: {sentence}" if kind.startswith("kleinkram.") else traceback
+    return call
 
 
 class ApiServer(uvicorn.Server):
@@ -82,7 +73,7 @@ class ApiServer(uvicorn.Server):
             unlimited=settings.trusted_proxies,
         )
         config.http = type("LimitedHttp", (LimitedHttp,), {"open_connections": connections})
-        config.app = _ShortStartupErrors(app)
+        config.app = _with_short_startup_errors(app)
         super().__init__(config)
         self._app = app
 
@@ -113,37 +104,45 @@ class OpenConnections:
     """The connections of a process by peer address; an IPv6 peer counts as its /64 network.
 
     At the limit, a new connection replaces the oldest one that waits for a request: a client that opens idle
-    connections locks nobody out, not even others behind its own address.
+    connections does not lock out others, even behind its own address.
     """
 
     def __init__(self, *, per_address: int, total: int, unlimited: Iterable[Network] = ()) -> None:
         self._per_address = per_address
         self._total = total
         self._unlimited = tuple(unlimited)
-        self._by_address: dict[str, dict[LimitedHttp, None]] = defaultdict(dict)
-        self._all: dict[LimitedHttp, None] = {}
+        # In the order of their arrival, with the address under which each is counted.
+        self._addresses: dict[LimitedHttp, str | None] = {}
+        self._counts: Counter[str] = Counter()
 
     def add(self, connection: "LimitedHttp", peer: str) -> bool:
         """Register a connection; False if the limit is reached and no connection is idle."""
         address = self._limited_address(peer)
-        siblings = self._by_address[address] if address is not None else {}
-        if address is not None and len(siblings) >= self._per_address and not _close_idle(siblings):
+        if address is not None and self._counts[address] >= self._per_address and not self._close_idle(address):
             return False
-        if len(self._all) >= self._total and not _close_idle(self._all):
+        if len(self._addresses) >= self._total and not self._close_idle():
             return False
-        self._all[connection] = None
+        self._addresses[connection] = address
         if address is not None:
-            self._by_address[address][connection] = None
+            self._counts[address] += 1
         return True
 
-    def remove(self, connection: "LimitedHttp", peer: str) -> None:
+    def remove(self, connection: "LimitedHttp") -> None:
         """Unregister a connection."""
-        self._all.pop(connection, None)
-        address = self._limited_address(peer)
-        if address is not None and (siblings := self._by_address.get(address)) is not None:
-            siblings.pop(connection, None)
-            if not siblings:
-                del self._by_address[address]
+        address = self._addresses.pop(connection, None)
+        if address is not None:
+            self._counts[address] -= 1
+            if not self._counts[address]:
+                del self._counts[address]
+
+    def _close_idle(self, address: str | None = None) -> bool:
+        """Close the oldest connection (of an address) whose request has not arrived yet; False if there is none."""
+        for connection, counted_as in self._addresses.items():
+            if connection.is_receiving and address in (None, counted_as):
+                self.remove(connection)
+                connection.refuse(408)
+                return True
+        return False
 
     def _limited_address(self, peer: str) -> str | None:
         """Return the address under which a peer is counted; None if the peer is unlimited."""
@@ -152,19 +151,7 @@ class OpenConnections:
             return peer
         if any(address in network for network in self._unlimited):
             return None
-        if isinstance(address, ipaddress.IPv6Address):
-            return str(ipaddress.ip_network((address, _IPV6_PREFIX), strict=False))
-        return str(address)
-
-
-def _close_idle(connections: "dict[LimitedHttp, None]") -> bool:
-    """Close the oldest connection whose request has not arrived yet; False if there is none."""
-    oldest = next((connection for connection in connections if connection.is_receiving), None)
-    if oldest is None:
-        return False
-    del connections[oldest]
-    oldest.refuse(408)
-    return True
+        return subscriber_network(str(address))
 
 
 class LimitedHttp(HttpToolsProtocol):
@@ -192,15 +179,15 @@ class LimitedHttp(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # uvicorn's signature
         """Register the connection and start the timeout of the first request."""
         super().connection_made(transport)
-        if not self.open_connections.add(self, self._peer):
+        if not self.open_connections.add(self, self.client[0] if self.client else ""):
             self.refuse(_TOO_MANY_CONNECTIONS)
             return
         self._start_head_timeout()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Unregister the connection."""
-        self._cancel_timeout()
-        self.open_connections.remove(self, self._peer)
+        self._cancel_timer()
+        self.open_connections.remove(self)
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
@@ -241,7 +228,7 @@ class LimitedHttp(HttpToolsProtocol):
         self._is_in_head, self._is_in_body = False, True
         self._message_bytes = self._body_bytes = self._unparsed_bytes = 0
         self._body_started_at = time.monotonic()
-        self._start_body_timeout()
+        self._set_timer(_BODY_TIMEOUT_S, self._check_body)
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
@@ -257,19 +244,18 @@ class LimitedHttp(HttpToolsProtocol):
     def on_message_complete(self) -> None:
         """End the message."""
         self._is_in_body = False
-        self._cancel_timeout()
+        self._cancel_timer()
         super().on_message_complete()
 
     def on_response_complete(self) -> None:
         """If the request has not arrived entirely, close the connection soon."""
         super().on_response_complete()
         if self._is_in_body and not self.transport.is_closing():
-            self._cancel_timeout()
-            self._timer = self.loop.call_later(_LINGER_S, self.transport.close)
+            self._set_timer(_LINGER_S, self.transport.close)
 
     def refuse(self, status: int) -> None:
         """Close the connection, with an error response if a request has begun and its response has not."""
-        self._cancel_timeout()
+        self._cancel_timer()
         if self.transport.is_closing():
             return
         is_answering = self.cycle is not None and self.cycle.response_started and not self.cycle.response_complete
@@ -277,17 +263,8 @@ class LimitedHttp(HttpToolsProtocol):
             self.transport.write(_REFUSED_RESPONSES[status])
         self.transport.close()
 
-    @property
-    def _peer(self) -> str:
-        return self.client[0] if self.client else ""
-
     def _start_head_timeout(self) -> None:
-        self._cancel_timeout()
-        self._timer = self.loop.call_later(_HEAD_TIMEOUT_S, self.transport.close)
-
-    def _start_body_timeout(self) -> None:
-        self._cancel_timeout()
-        self._timer = self.loop.call_later(_BODY_TIMEOUT_S, self._check_body)
+        self._set_timer(_HEAD_TIMEOUT_S, self.transport.close)
 
     def _check_body(self) -> None:
         """Close the connection if its body arrives too slowly; paused reading does not count."""
@@ -297,10 +274,14 @@ class LimitedHttp(HttpToolsProtocol):
         remaining_s = due_at - time.monotonic()
         if remaining_s <= 0:
             self.refuse(408)
-            return
-        self._timer = self.loop.call_later(remaining_s, self._check_body)
+        else:
+            self._set_timer(remaining_s, self._check_body)
 
-    def _cancel_timeout(self) -> None:
+    def _set_timer(self, delay_s: float, action: Callable[[], None]) -> None:
+        self._cancel_timer()
+        self._timer = self.loop.call_later(delay_s, action)
+
+    def _cancel_timer(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

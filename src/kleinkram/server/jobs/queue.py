@@ -33,19 +33,24 @@ class Priority(enum.IntEnum):
 
 
 # Verification reads everything once, small files come by the thousand, and grouping waits for uploads: each has its own
-# lane, so that summaries do not wait for them. (With a lock for grouping, one retried mission would block all others.)
+# queue, so that summaries do not wait for them. (With a lock for grouping, one retried mission would block all others.)
 VERIFICATION = "verification"
 EXAMINING = "examining"
 GROUPING = "grouping"
 DEFAULT = "default"
-_LANES = {Job.verify_blob: VERIFICATION, Job.examine_blob: EXAMINING, Job.group_recordings: GROUPING}
+_QUEUES = {Job.verify_blob: VERIFICATION, Job.examine_blob: EXAMINING, Job.group_recordings: GROUPING}
+
+_DELETE_FAILED = text(
+    "DELETE FROM procrastinate_jobs j WHERE j.status IN ('failed', 'cancelled', 'aborted') AND NOT EXISTS"
+    " (SELECT 1 FROM procrastinate_events e WHERE e.job_id = j.id AND e.at > now() - interval '7 days')"
+)
 
 # The worker sets its own connector; the API enqueues in its own transactions.
 queue = App(connector=PsycopgConnector())
 
 # Calls the library's SQL function: its client would build, log and serialize each job.
 _DEFER = text(
-    "SELECT procrastinate_defer_jobs_v1(array_agg(ROW(CAST(:lane AS varchar), CAST(:task AS varchar),"
+    "SELECT procrastinate_defer_jobs_v1(array_agg(ROW(CAST(:queue AS varchar), CAST(:task AS varchar),"
     " CAST(:priority AS integer), NULL, NULL, jsonb_build_object('ref', ref), now() + CAST(:later AS interval))"
     "::procrastinate_job_to_defer_v1 ORDER BY place))"
     " FROM unnest(CAST(:ids AS text[])) WITH ORDINALITY AS given (ref, place)"
@@ -66,7 +71,7 @@ async def enqueue(
 ) -> None:
     """Enqueue a job for each id, in order, in the caller's transaction; with `later`, to start after that time."""
     if ids:
-        parameters = {"lane": _LANES.get(job, DEFAULT), "task": job.value, "priority": int(priority), "ids": [*ids]}
+        parameters = {"queue": _QUEUES.get(job, DEFAULT), "task": job.value, "priority": int(priority), "ids": [*ids]}
         await db.execute(_DEFER, {**parameters, "later": later})
 
 
@@ -76,7 +81,7 @@ async def raise_priority(db: Connection, job: Job, ref: uuid.UUID) -> None:
 
 
 async def start_now(db: Connection, job: Job, ref: uuid.UUID) -> None:
-    """Like `hasten`; also start the job now if it is scheduled for later, such as a retry."""
+    """Like `raise_priority`; also start the job now if it is scheduled for later, such as a retry."""
     await raise_priority(db, job, ref)
     await db.execute(_START_NOW, {"task": job.value, "ref": str(ref)})
 
@@ -86,20 +91,20 @@ _WAITING = text(
     "SELECT args ->> 'ref' FROM procrastinate_jobs WHERE task_name = :task AND status = 'todo'"
     " AND coalesce(scheduled_at, now()) <= now() ORDER BY random() LIMIT :most"
 )
-_SETTLED = text(
+_DELETE_WAITING = text(
     "DELETE FROM procrastinate_jobs WHERE task_name = :task AND status = 'todo' AND args ->> 'ref' = ANY(:refs)"
 )
 
 
-async def waiting(db: Connection, job: Job, *, most: int) -> list[uuid.UUID]:
+async def waiting_ids(db: Connection, job: Job, *, most: int) -> list[uuid.UUID]:
     """Return at most `most` ids, in random order, whose job could start now."""
     rows = await db.execute(_WAITING, {"task": job.value, "most": most})
     return [uuid.UUID(ref) for ref in rows.scalars()]
 
 
-async def settle(db: Connection, job: Job, ids: Iterable[uuid.UUID]) -> None:
+async def delete_waiting(db: Connection, job: Job, ids: Iterable[uuid.UUID]) -> None:
     """Delete waiting jobs whose work the caller's transaction does."""
-    await db.execute(_SETTLED, {"task": job.value, "refs": [str(job_id) for job_id in ids]})
+    await db.execute(_DELETE_WAITING, {"task": job.value, "refs": [str(job_id) for job_id in ids]})
 
 
 _ENQUEUED_AT = text("SELECT min(at) FROM procrastinate_events WHERE job_id = :id")
@@ -107,8 +112,8 @@ _ENQUEUED_AT = text("SELECT min(at) FROM procrastinate_events WHERE job_id = :id
 
 async def enqueued_at(db: Connection, job_id: int | None) -> datetime.datetime | None:
     """Return when a job was enqueued; None if unknown."""
-    rows: datetime.datetime | None = (await db.execute(_ENQUEUED_AT, {"id": job_id})).scalar()
-    return rows
+    at: datetime.datetime | None = (await db.execute(_ENQUEUED_AT, {"id": job_id})).scalar()
+    return at
 
 
 _jobs = table("procrastinate_jobs", column("task_name"), column("status"), column("args"))
@@ -122,18 +127,6 @@ def has_job(job: Job, ref: ColumnElement[uuid.UUID]) -> ColumnElement[bool]:
     return exists(select(literal(1)).select_from(_jobs).where(_jobs.c.task_name == job.value, alive, own))
 
 
-_JOBS = text(
-    "DELETE FROM procrastinate_jobs j WHERE j.status IN ('failed', 'cancelled', 'aborted') AND NOT EXISTS"
-    " (SELECT 1 FROM procrastinate_events e WHERE e.job_id = j.id AND e.at > now() - interval '7 days')"
-)
-_UPLOADS = text("DELETE FROM upload WHERE cleaned_at < now() - interval '30 days'")
-
-_CODES = text("DELETE FROM one_time_code WHERE expires_at < now() - interval '30 days'")
-_LOGINS = text("DELETE FROM login_request WHERE expires_at < now() - interval '1 day'")
-_AUTHORIZATION_REQUESTS = text("DELETE FROM oidc_login WHERE expires_at < now()")
-
-
-async def delete_expired_rows(db: Connection) -> None:
-    """Delete failed jobs after a week, cleaned uploads and codes after a month, and expired logins."""
-    for statement in (_JOBS, _UPLOADS, _CODES, _LOGINS, _AUTHORIZATION_REQUESTS):
-        await db.execute(statement)
+async def delete_failed_jobs(db: Connection) -> None:
+    """Delete failed jobs after a week."""
+    await db.execute(_DELETE_FAILED)

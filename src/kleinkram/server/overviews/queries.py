@@ -7,7 +7,7 @@ from sqlalchemy import BigInteger, Row, Select, Uuid, and_, column, distinct, fu
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 from sqlalchemy.sql.dml import ReturningInsert
 
-from kleinkram.contract.overviews import TimelineFile
+from kleinkram.contract.files import TimelineFile
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
     shown_files,

@@ -5,17 +5,16 @@ import uuid
 from fastapi import APIRouter
 
 from kleinkram.contract.base import Cursor
-from kleinkram.contract.names import Term
-from kleinkram.contract.overviews import (
+from kleinkram.contract.files import (
     MAX_TIMELINE_FILES,
     Bins,
-    Buckets,
     MissionTimeline,
     MissionTopics,
     MissionTopicsSize,
-    Overview,
     TimelineSize,
 )
+from kleinkram.contract.names import Term
+from kleinkram.contract.search import Buckets, Overview
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
 from kleinkram.server.overviews import service, topics
 from kleinkram.server.pagination import PageRequest

@@ -1,1 +1,1 @@
-"""People: who knows of whom, who is an admin, and what ends when somebody leaves."""
+"""People: lists, admin rights and deactivation."""

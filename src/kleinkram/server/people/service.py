@@ -1,7 +1,7 @@
-"""People: lists, admin rights, deactivation. What takes admin rights or an account away begins with `lock_rights`.
+"""People: lists, admin rights, deactivation. Changes that remove admin rights or accounts begin with `lock_rights`.
 
-Deactivated people keep their name in the audit log, their memberships and grants, for when they are reactivated. Their
-sessions, tokens, one-time codes, and the links whose secret they know, end permanently.
+Deactivated people keep their name in the audit log, and their memberships and grants in case they are reactivated.
+Their sessions, tokens, one-time codes and share links end permanently.
 """
 
 import uuid
@@ -17,13 +17,12 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
 from kleinkram.contract.people import Departure, PersonRead, PersonRef
 from kleinkram.server.access.actor import Actor, unexpired
-from kleinkram.server.access.groups import ADMINS_ID, make_admin
+from kleinkram.server.access.builtin_groups import ADMINS_ID, make_admin
 from kleinkram.server.access.rights import ensure_admin_remains, give_to_admins, lock_rights
 from kleinkram.server.access.visible import may_see_addresses, visible_people
-from kleinkram.server.audit.service import Event, record, record_all
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.auth.one_time_codes import revoke_codes
-from kleinkram.server.db import Connection
-from kleinkram.server.filters.patterns import holds_word
+from kleinkram.server.db import Connection, contains_word
 from kleinkram.server.pagination import Order, PageRequest, read_page
 from kleinkram.server.tables import access_grant, membership, mission, person, person_email, session, share, token
 
@@ -44,7 +43,7 @@ async def list_people(
             person_email.c.verified_at.is_not(None),
             person_email.c.email_key.contains(name_key(word), autoescape=True),
         )
-        stmt = stmt.where(holds_word(person.c.name, word) | (may_see_addresses(actor) & has_address))
+        stmt = stmt.where(contains_word(person.c.name, word) | (may_see_addresses(actor) & has_address))
     if active is not None:
         stmt = stmt.where(person.c.deactivated_at.is_(None) == active)
     return await read_page(db, stmt, _PEOPLE_ORDER, page, _to_person)
@@ -65,7 +64,7 @@ async def appoint_admin(db: Connection, actor: Actor, person_id: uuid.UUID) -> P
     own = (membership.c.group_id == ADMINS_ID) & (membership.c.person_id == person_id)
     old = (await db.execute(select(membership.c.expires_at).where(own))).one_or_none()
     if old is None or old.expires_at is not None:
-        await record(db, actor, Event("person.make_admin", "person", person_id, name, None, by_power=True))
+        await audit(db, actor, Event("person.make_admin", "person", person_id, name, None, needs_admin=True))
         await make_admin(db, person_id)
     return await get_person(db, actor, person_id)
 
@@ -76,7 +75,7 @@ async def dismiss_admin(db: Connection, actor: Actor, person_id: uuid.UUID) -> P
     seen = await get_person(db, actor, person_id)
     own = (membership.c.group_id == ADMINS_ID) & (membership.c.person_id == person_id)
     if (await db.execute(select(membership.c.group_id).where(own))).first() is not None:
-        await record(db, actor, Event("person.unmake_admin", "person", person_id, seen.name, None, by_power=True))
+        await audit(db, actor, Event("person.unmake_admin", "person", person_id, seen.name, None, needs_admin=True))
         await db.execute(delete(membership).where(own))
         await ensure_admin_remains(db)
         seen = seen.model_copy(update={"is_admin": False})
@@ -112,17 +111,17 @@ async def deactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Depa
     )
     after = departure.model_dump(mode="json", exclude={"person"})
     owner_right: Metadata = {"right": Right.delete.value, "expires_at": None}
-    events = [Event("person.deactivate", "person", person_id, name, None, after=after, by_power=True)]
-    events += [Event("token.revoke", "token", row.id, row.name, None, by_power=True) for row in tokens]
+    events = [Event("person.deactivate", "person", person_id, name, None, after=after, needs_admin=True)]
+    events += [Event("token.revoke", "token", row.id, row.name, None, needs_admin=True) for row in tokens]
     events += [
-        Event("share.revoke", "share", row.id, row.name, row.project_id, mission_id=row.mission_id, by_power=True)
+        Event("share.revoke", "share", row.id, row.name, row.project_id, mission_id=row.mission_id, needs_admin=True)
         for row in shares
     ]
     events += [
-        Event("grant.give", "grant", None, "admins", project.id, after=owner_right, by_power=True)
+        Event("grant.give", "grant", None, "admins", project.id, after=owner_right, needs_admin=True)
         for project in inherited
     ]
-    await record_all(db, actor, events)
+    await audit(db, actor, *events)
     return departure
 
 
@@ -133,7 +132,7 @@ async def reactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Pers
     if seen.deactivated_at is None:
         return seen
     await db.execute(update(person).where(person.c.id == person_id).values(deactivated_at=None))
-    await record(db, actor, Event("person.reactivate", "person", person_id, seen.name, None, by_power=True))
+    await audit(db, actor, Event("person.reactivate", "person", person_id, seen.name, None, needs_admin=True))
     return await get_person(db, actor, person_id)
 
 
@@ -169,7 +168,7 @@ def _owned_projects(person_id: uuid.UUID) -> Select[tuple[uuid.UUID]]:
 
 
 async def _lock_active(db: Connection, person_id: uuid.UUID) -> str:
-    """Lock an active person, so that nothing is created for them meanwhile, and return their name."""
+    """Lock an active person, so that nothing is created for them concurrently, and return their name."""
     row = (await db.execute(select(person).where(person.c.id == person_id).with_for_update())).one_or_none()
     if row is None or row.deactivated_at is not None:
         raise NotFound(noun="active person", ref=str(person_id))

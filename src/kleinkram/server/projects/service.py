@@ -3,13 +3,16 @@
 import asyncio
 import uuid
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from pydantic import JsonValue, ValidationError
 from pydantic_core import ErrorDetails, SchemaError
-from sqlalchemy import func, insert, update
+from sqlalchemy import ARRAY, BigInteger, ColumnElement, Row, Select, func, insert, literal, select, type_coerce, update
+from sqlalchemy.dialects.postgresql import array
 from sqlalchemy.exc import IntegrityError
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FieldProblem, FieldsInvalid, NameTaken, NotFound
 from kleinkram.contract.metadata import Metadata, MetadataField, MetadataFields
@@ -18,18 +21,18 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.problems import message_of
 from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.rights import admit, grant_first_rights, require_creator, require_project
-from kleinkram.server.access.visible import visible_projects
-from kleinkram.server.audit.service import Event, record
-from kleinkram.server.db import Connection, violated_constraint
+from kleinkram.server.access.rights import admit, grant_first_rights, require_creator, require_match, require_project
+from kleinkram.server.access.visible import level_on_project, sees_whole_missions, visible_projects
+from kleinkram.server.audit.log import Event, audit
+from kleinkram.server.db import Connection, by_name, violated_constraint
 from kleinkram.server.filters.missions import filter_projects
-from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import service as missions
 from kleinkram.server.missions.metadata import InvalidValue, MetadataValidator
-from kleinkram.server.pagination import PageRequest, fetch_page
-from kleinkram.server.projects.queries import lock_project, project_order, project_rows, to_projects
+from kleinkram.server.missions.queries import file_totals, total_duration
+from kleinkram.server.pagination import Order, PageRequest, fetch_page
 from kleinkram.server.settings import Creators
-from kleinkram.server.tables import project
+from kleinkram.server.tables import mission, person, project, upload
+from kleinkram.server.tables.blobs import UNDER_WAY
 from kleinkram.server.yaml_text import Document, Path, read_yaml
 
 # Only owners change these, and only admins those.
@@ -39,25 +42,25 @@ _QUOTA = {"quota_bytes", "quota_files"}
 
 async def get_project(db: Connection, actor: Actor, project_id: uuid.UUID) -> ProjectRead:
     """Return one project. Raises NotFound."""
-    stmt = project_rows(actor, visible_projects(actor).where(project.c.id == project_id))
+    stmt = _with_contents(actor, visible_projects(actor).where(project.c.id == project_id))
     row = (await db.execute(stmt)).one_or_none()
     if row is None:
         raise NotFound(noun="project", ref=str(project_id))
-    return to_projects([row])[0]
+    return _to_projects([row])[0]
 
 
 async def list_projects(
     db: Connection, actor: Actor, *, name: str | None, text: str | None, sort: ProjectSort, page: PageRequest
 ) -> Page[ProjectRead]:
     """Return a page of the projects that match. Raises InvalidCursor."""
-    stmt = project_rows(actor, filter_projects(actor, visible_projects(actor), name=name, text=text))
-    rows = await fetch_page(db, stmt, project_order(sort), page)
-    return Page(items=to_projects(rows.items), next=rows.next, total=rows.total)
+    stmt = _with_contents(actor, filter_projects(actor, visible_projects(actor), name=name, text=text))
+    rows = await fetch_page(db, stmt, _order(sort), page)
+    return Page(items=_to_projects(rows.items), next=rows.next, total=rows.total)
 
 
 async def create_project(db: Connection, actor: Actor, *, request: ProjectCreate, creators: Creators) -> ProjectRead:
     """Create a project and return it. Raises Forbidden, YamlInvalid, FieldsInvalid or NameTaken."""
-    by_power = await require_creator(db, actor, creators, noun="project")
+    needs_admin = await require_creator(db, actor, creators, noun="project")
     fields = await _read_declaration(request) or MetadataFields()
     project_id = uuid.uuid4()
     values: Metadata = {
@@ -72,8 +75,8 @@ async def create_project(db: Connection, actor: Actor, *, request: ProjectCreate
         raise _name_taken(error, request.name) from error
     if grants := await grant_first_rights(db, actor, project_id):
         values["grants"] = {name: right.value for name, right in grants.items()}
-    event = Event("project.create", "project", project_id, request.name, project_id, after=values, by_power=by_power)
-    await record(db, actor, event)
+    created = Event("project.create", "project", project_id, request.name, project_id, after=values)
+    await audit(db, actor, replace(created, needs_admin=needs_admin))
     return await get_project(db, actor, project_id)
 
 
@@ -87,7 +90,7 @@ async def update_project(
     Raises NotFound, Forbidden, ScopeMissing, YamlInvalid, FieldsInvalid, NameTaken or EditConflict.
     """
     fields = await _read_declaration(changes)
-    await db.execute(lock_project(actor, project_id))
+    await db.execute(_lock_project(actor, project_id))
     await require_project(db, actor, "update_project", project_id)
     old = await get_project(db, actor, project_id)
     before, after = _changed_values(old, changes, fields)
@@ -105,9 +108,9 @@ async def update_project(
     except IntegrityError as error:
         raise _name_taken(error, changes.name or old.name) from error
     if fields is not None and "metadata_fields" in after:
-        await missions.rejudge_missions(db, project_id, fields)
+        await missions.revalidate_missions(db, project_id, fields)
     new = await get_project(db, actor, project_id)
-    await record(db, actor, *_events(new, before, after))
+    await audit(db, actor, *_events(new, before, after))
     return new
 
 
@@ -117,14 +120,14 @@ async def delete_project(db: Connection, actor: Actor, *, project_id: uuid.UUID,
     Only the project is marked: its contents disappear and come back with it. Raises NotFound or Forbidden.
     """
     if not dry_run:
-        await db.execute(lock_project(actor, project_id))
+        await db.execute(_lock_project(actor, project_id))
     await require_project(db, actor, "delete_project", project_id)
     seen = await get_project(db, actor, project_id)
     if not dry_run:
         marked = update(project).where(project.c.id == project_id)
         await db.execute(marked.values(deleted_at=func.now(), deleted_by_id=actor.person_id))
         before: Metadata = {"name": seen.name}
-        await record(db, actor, Event("project.delete", "project", project_id, seen.name, project_id, before))
+        await audit(db, actor, Event("project.delete", "project", project_id, seen.name, project_id, before))
     return Deleted(missions=seen.mission_count, files=seen.file_count, size_bytes=seen.size_bytes, dry_run=dry_run)
 
 
@@ -273,3 +276,70 @@ def _find_problem(field: MetadataField) -> tuple[str, str] | None:
     except InvalidValue as wrong:
         return "default", str(wrong)
     return None
+
+
+def _with_contents(actor: Actor, stmt: Select[Any]) -> Select[Any]:
+    """Add the columns for `_to_projects` to a select that began with `visible_projects`."""
+    sees_all = sees_whole_missions(actor)
+    # Quotas and unfinished uploads of others are not shown to actors without an account.
+    sees_uploads = sees_all and actor.person_id is not None
+    unsatisfied: ColumnElement[int] = literal(0)
+    if sees_all:
+        unsatisfied = func.count().filter(func.jsonb_array_length(mission.c.metadata_problems) > 0)
+    files, size_bytes = file_totals(actor)
+    contents = _sums(func.count(), unsatisfied, func.sum(files), func.sum(size_bytes), func.sum(total_duration(actor)))
+    uploads = _sums(func.count(), func.sum(upload.c.size_bytes)).where(
+        upload.c.state.in_(UNDER_WAY), upload.c.run_id.is_(None)
+    )
+    if not sees_uploads:
+        uploads = uploads.where(upload.c.person_id == actor.person_id)
+    uploads = uploads.join_from(mission, upload, upload.c.mission_id == mission.c.id)
+    return stmt.add_columns(
+        person.c.name.label("created_by_name"),
+        literal(sees_all).label("sees_all"),
+        literal(sees_uploads).label("sees_uploads"),
+        level_on_project(actor).label("level"),
+        contents.select_from(mission).scalar_subquery().label("contents"),
+        uploads.scalar_subquery().label("uploads"),
+    ).join(person, person.c.id == project.c.created_by_id)
+
+
+def _sums(*numbers: ColumnElement[Any]) -> Select[Any]:
+    # Several numbers from one pass over the rows.
+    return (
+        select(type_coerce(array([func.coalesce(number, 0) for number in numbers]), ARRAY(BigInteger)))
+        .where(mission.c.project_id == project.c.id, mission.c.deleted_at.is_(None))
+        .correlate(project)
+    )
+
+
+def _to_projects(rows: Sequence[Row[Any]]) -> list[ProjectRead]:
+    """Return the projects in rows of `_with_contents`."""
+    return [_to_project(values) for values in by_name(rows)]
+
+
+def _to_project(values: dict[str, Any]) -> ProjectRead:
+    mission_count, unsatisfied, file_count, size_bytes, duration_ns = (int(number) for number in values["contents"])
+    upload_count, upload_bytes = (int(number) for number in values["uploads"])
+    if not values["sees_all"]:
+        values["description"] = ""
+    if not values["sees_uploads"]:
+        values |= {"quota_bytes": None, "quota_files": None}
+    values["created_by"] = {"id": values["created_by_id"], "name": values["created_by_name"]}
+    values |= {"mission_count": mission_count, "unsatisfied_mission_count": unsatisfied, "file_count": file_count}
+    values |= {"size_bytes": size_bytes, "duration_ns": duration_ns}
+    values |= {"used_bytes": size_bytes + upload_bytes, "used_files": file_count + upload_count}
+    values["right"] = Right.of_level(values["level"])
+    return ProjectRead.model_validate(values)
+
+
+def _lock_project(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
+    """Return the select that locks a visible project, against changes and against missions created in it."""
+    stmt = visible_projects(actor).with_only_columns(project.c.id).where(project.c.id == project_id)
+    return stmt.with_for_update()
+
+
+def _order(sort: ProjectSort) -> Order:
+    """Return the order of a list of projects."""
+    column = project.c.name if sort.value.endswith("name") else project.c.created_at
+    return Order([column, project.c.id], sort.value.startswith("-"))

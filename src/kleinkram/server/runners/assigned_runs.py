@@ -1,73 +1,221 @@
-"""Requests of a runner about one of its runs: inputs, log chunks, and the end."""
+"""Requests of a runner about the runs assigned to it: heartbeats, inputs, log chunks, and the end."""
 
 import datetime
 import uuid
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
-from sqlalchemy import Row, func, insert, select, update
+from sqlalchemy import ColumnElement, func, insert, select, update
 
 from kleinkram.contract.access import Right
+from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.errors import KleinkramError, NotFound, RunGone
 from kleinkram.contract.files import ContentState
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
-from kleinkram.contract.reports import PutBack, Report, Severity
+from kleinkram.contract.reports import PutBack, Severity
 from kleinkram.contract.runners import (
+    LEASE_S,
+    Heartbeat,
+    HeartbeatReplies,
+    HeartbeatReply,
+    Heartbeats,
     InputsRequest,
     InputUrls,
+    LeaseStatus,
     LogChunkConfirm,
     LogChunkCreate,
     LogChunkUpload,
     RunFinish,
     RunFinished,
 )
-from kleinkram.contract.runs import LOG_BYTES, ActionRef, Cause, EndReason, RunContext, RunState
+from kleinkram.contract.runs import (
+    LOG_BYTES,
+    MAX_SAMPLES,
+    ActionRef,
+    Cause,
+    EndReason,
+    RunContext,
+    RunState,
+    UsageSample,
+)
 from kleinkram.contract.uploads import ChecksumKind
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.access.visible import visible_files
-from kleinkram.server.audit.service import Event, record, record_all
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.blobs.service import examine_blobs
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.files import queries as files
 from kleinkram.server.files.paths import check_path_free
-from kleinkram.server.files.queries import to_topics, topic_rows
 from kleinkram.server.missions import service as missions
 from kleinkram.server.quotas import Amount, require_room
 from kleinkram.server.recordings import queries as recordings
 from kleinkram.server.recordings.service import regroup
-from kleinkram.server.runners import queries
-from kleinkram.server.runners.service import thinned
 from kleinkram.server.runs.lifecycle import end_run
 from kleinkram.server.s3.storage import PartTarget
 from kleinkram.server.tables import (
+    action,
+    action_version,
     blob,
     file,
     log_chunk,
+    mission,
+    project,
     run,
     run_artifact,
     run_finding,
     run_input,
     run_metric,
 )
+from kleinkram.server.tables.runs import ASSIGNED
 
 _BATCH = 1000
+_ORDER = {RunState.preparing: 0, RunState.running: 1, RunState.collecting: 2}
+LEASE = datetime.timedelta(seconds=LEASE_S)
+# Results are being uploaded: an outage of minutes must not discard hours of work.
+_COLLECTING_LEASE = datetime.timedelta(minutes=15)
 
 
-async def lock_assigned_run(db: Connection, actor: Actor, run_id: uuid.UUID, attempt: int) -> Row[Any]:
+class AssignedRun(NamedTuple):
+    """A run that a runner has, or is about to get. `pinned_digest` is what its image was first resolved to."""
+
+    id: uuid.UUID
+    mission_id: uuid.UUID
+    version_id: uuid.UUID
+    state: str
+    attempt: int
+    started_by_id: uuid.UUID
+    retry_of_id: uuid.UUID | None
+    parameters: ParameterValues
+    image_digest: str | None
+    progress: dict[str, Any] | None
+    usage: dict[str, Any] | None
+    samples: list[dict[str, Any]]
+    started_at: datetime.datetime | None
+    cancel_requested_at: datetime.datetime | None
+    definition: ActionDefinition
+    pinned_digest: str | None
+    version_number: int | None
+    action_id: uuid.UUID | None
+    project_id: uuid.UUID
+    is_deleted: bool
+
+
+class _Artifact(NamedTuple):
+    id: uuid.UUID
+    path: str
+    blob_id: uuid.UUID
+    size_bytes: int
+
+
+async def find_assigned_run(
+    db: Connection, condition: ColumnElement[bool], *, is_queued: bool = False
+) -> AssignedRun | None:
+    """Return a run that meets a condition, locked until this transaction ends.
+
+    With `is_queued`, the oldest that no other transaction has locked.
+    """
+    columns = (
+        *(run.c[name] for name in AssignedRun._fields[:14]),
+        action_version.c.definition,
+        action_version.c.image_digest.label("pinned_digest"),
+        action_version.c.number,
+        action.c.id.label("action_id"),
+        mission.c.project_id,
+        func.coalesce(mission.c.deleted_at, project.c.deleted_at).is_not(None).label("is_deleted"),
+    )
+    stmt = (
+        select(*columns)
+        .join_from(run, mission, mission.c.id == run.c.mission_id)
+        .join(project, project.c.id == mission.c.project_id)
+        .join(action_version, action_version.c.id == run.c.version_id)
+        .outerjoin(action, action.c.id == action_version.c.action_id)
+        .where(condition)
+        .limit(1)
+    )
+    if is_queued:
+        stmt = stmt.order_by(run.c.created_at, run.c.id).with_for_update(of=run, skip_locked=True)
+    else:
+        stmt = stmt.with_for_update(of=run, key_share=True)
+    row = (await db.execute(stmt)).one_or_none()
+    if row is None:
+        return None
+    return AssignedRun._make(row)._replace(definition=ActionDefinition.model_validate(row.definition))
+
+
+def _is_of(actor: Actor, run_id: uuid.UUID, attempt: int) -> ColumnElement[bool]:
+    """Whether the last attempt at a run belongs to the runner of this token."""
+    is_own = run.c.runner_id.is_not(None) & (run.c.runner_id == actor.runner_id)
+    return (run.c.id == run_id) & (run.c.attempt == attempt) & is_own
+
+
+async def lock_assigned_run(db: Connection, actor: Actor, run_id: uuid.UUID, attempt: int) -> AssignedRun:
     """Return a run of a runner, locked until this transaction ends.
 
     Raises:
         RunGone: it does not have the run, or this attempt is outdated.
     """
-    row = (await db.execute(queries.assigned_run(actor, run_id, attempt))).one_or_none()
+    row = await find_assigned_run(db, _is_of(actor, run_id, attempt) & run.c.state.in_(ASSIGNED))
     if row is None:
         raise RunGone(run_id=str(run_id))
     return row
+
+
+async def record_heartbeats(db: Connection, actor: Actor, heartbeats: Heartbeats) -> HeartbeatReplies:
+    """Record the states of a runner's runs, renew their leases, and return their status."""
+    ordered = sorted(heartbeats.runs, key=lambda heartbeat: heartbeat.run_id)
+    return HeartbeatReplies(runs=[await _record_heartbeat(db, actor, entry) for entry in ordered], lease_s=LEASE_S)
+
+
+async def _record_heartbeat(db: Connection, actor: Actor, heartbeat: Heartbeat) -> HeartbeatReply:
+    run_id, attempt = heartbeat.run_id, heartbeat.attempt
+    try:
+        row = await lock_assigned_run(db, actor, run_id, attempt)
+    except RunGone:
+        return HeartbeatReply(run_id=run_id, attempt=attempt, status=LeaseStatus.lost)
+    values: dict[str, Any] = {}
+    # The state never goes back.
+    if heartbeat.state in _ORDER and _ORDER[heartbeat.state] > _ORDER[RunState(row.state)]:
+        values["state"] = heartbeat.state.value
+    if heartbeat.state is not RunState.preparing and row.started_at is None:
+        values["started_at"] = func.now()
+    if heartbeat.image_digest is not None and row.image_digest is None:
+        values["image_digest"] = heartbeat.image_digest
+    for name in ("progress", "usage"):
+        reported = getattr(heartbeat, name)
+        if reported is not None and reported.model_dump(mode="json") != getattr(row, name):
+            values[name] = reported.model_dump(mode="json")
+    if heartbeat.samples:
+        values["samples"] = _thinned(row.samples, heartbeat.samples)
+    lease = _COLLECTING_LEASE if heartbeat.state is RunState.collecting else LEASE
+    await db.execute(update(run).where(run.c.id == row.id).values(lease_ends_at=func.now() + lease, **values))
+    await _pin_image(db, row, heartbeat.image_digest)
+    if values:
+        await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
+    is_over = row.cancel_requested_at is not None or row.is_deleted
+    status = LeaseStatus.cancel if is_over else LeaseStatus.active
+    return HeartbeatReply(run_id=run_id, attempt=attempt, status=status)
+
+
+async def _pin_image(db: Connection, row: AssignedRun, digest: str | None) -> None:
+    """Pin the image of a version of an action, unless it is pinned: the first resolution of its name is permanent."""
+    if digest is None or row.definition.image is None:
+        return
+    unpinned = (action_version.c.id == row.version_id) & action_version.c.image_digest.is_(None)
+    await db.execute(update(action_version).where(unpinned).values(image_digest=digest))
+
+
+def _thinned(stored: list[dict[str, Any]], new: Sequence[UsageSample]) -> list[dict[str, Any]]:
+    """Return at most `MAX_SAMPLES` samples: of more, every second one and the last."""
+    samples = [*stored, *(entry.model_dump(mode="json") for entry in new)]
+    while len(samples) > MAX_SAMPLES:
+        samples = [*samples[:-1:2], samples[-1]]
+    return samples
 
 
 async def get_context(db: Connection, actor: Actor, *, run_id: uuid.UUID, attempt: int) -> RunContext:
@@ -86,16 +234,16 @@ async def get_context(db: Connection, actor: Actor, *, run_id: uuid.UUID, attemp
         raise RunGone(run_id=str(run_id)) from None
     input_ids = select(run_input.c.file_id).where(run_input.c.run_id == run_id, run_input.c.file_id.is_not(None))
     seen = visible_files(starter).where(file.c.id.in_(input_ids)).order_by(file.c.path)
-    topics = await db.execute(topic_rows(visible_files(starter).where(file.c.id.in_(input_ids))))
+    topics = await db.execute(files.topic_rows(visible_files(starter).where(file.c.id.in_(input_ids))))
     named = recordings.recordings_of(starter, row.mission_id)
     return RunContext(
         run_id=run_id,
-        action=ActionRef(id=row.action_id, name=row.definition["name"], version=row.number),
+        action=ActionRef(id=row.action_id, name=row.definition.name, version=row.version_number),
         parameters=row.parameters,
         cause=Cause(person=starter.ref, retry_of_id=row.retry_of_id),
         mission=place,
         files=files.to_files((await db.execute(files.file_rows(seen))).all()),
-        topics=to_topics(topics.all()),
+        topics=files.to_topics(topics.all()),
         recordings=[recordings.to_recording(entry) for entry in await db.execute(named)],
     )
 
@@ -156,7 +304,7 @@ async def confirm_log_chunk(db: Connection, actor: Actor, *, run_id: uuid.UUID, 
     Raises:
         RunGone: the runner does not have the run by this attempt.
     """
-    await lock_assigned_run(db, actor, run_id, confirmed.attempt)
+    row = await lock_assigned_run(db, actor, run_id, confirmed.attempt)
     same = (log_chunk.c.run_id == run_id) & (log_chunk.c.attempt == confirmed.attempt)
     shown = select(log_chunk.c.key).where(
         same, log_chunk.c.kept_at.is_not(None), log_chunk.c.offset_bytes >= confirmed.offset
@@ -167,7 +315,6 @@ async def confirm_log_chunk(db: Connection, actor: Actor, *, run_id: uuid.UUID, 
     latest = select(log_chunk.c.key).where(here).order_by(log_chunk.c.created_at.desc()).limit(1)
     stmt = update(log_chunk).where(log_chunk.c.key.in_(latest)).values(kept_at=func.now())
     await db.execute(stmt)
-    row = (await db.execute(select(run.c.mission_id).where(run.c.id == run_id))).one()
     await publish(db, [ChangeEvent("run_log", ChangeKind.changed, run_id, mission_id=row.mission_id)])
 
 
@@ -177,18 +324,24 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
     Raises:
         RunGone: the runner does not have the run by this attempt, and did not end it.
     """
-    over = (await db.execute(queries.ended_run(actor, run_id, finish.attempt))).scalar_one_or_none()
-    if over is not None:
-        return RunFinished(state=RunState(over))
+    ended = select(run.c.state).where(_is_of(actor, run_id, finish.attempt), run.c.ended_at.is_not(None))
+    state = (await db.execute(ended)).scalar_one_or_none()
+    if state is not None:
+        return RunFinished(state=RunState(state))
     row = await lock_assigned_run(db, actor, run_id, finish.attempt)
     problems = list(finish.problems)
-    artifacts = await _artifacts(db, run_id)
+    columns = (run_artifact.c.id, run_artifact.c.path, run_artifact.c.blob_id, blob.c.size_bytes)
+    stmt = select(*columns).join_from(run_artifact, blob).where(run_artifact.c.run_id == run_id)
+    artifacts = {entry.path: _Artifact._make(entry) for entry in await db.execute(stmt)}
     if finish.reason is EndReason.done:
-        problems += await put_back(db, row, finish.report.put_back, artifacts)
-    if finish.image_digest is not None and row.definition.get("image") is not None:
-        await db.execute(queries.pin_image(row.version_id, finish.image_digest))
-    await _store_report(db, run_id, finish.report)
-    samples = thinned([*row.samples, *(entry.model_dump(mode="json") for entry in finish.samples)])
+        problems += await _put_back(db, row, finish.report.put_back, artifacts)
+    await _pin_image(db, row, finish.image_digest)
+    findings = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in finish.report.findings]
+    metrics = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in finish.report.metrics]
+    for table, rows in ((run_finding, findings), (run_metric, metrics)):
+        for first in range(0, len(rows), _BATCH):
+            await db.execute(insert(table), rows[first : first + _BATCH])
+    counts = Counter(entry.severity for entry in finish.report.findings)
     values = {
         "problems": problems[:200],
         "exit_code": finish.exit_code,
@@ -196,42 +349,21 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
         "previews": [entry.model_dump(mode="json") for entry in finish.report.previews if entry.path in artifacts],
         "artifact_count": len(artifacts),
         "metric_count": len(finish.report.metrics),
-        "finding_counts": _finding_counts(finish.report),
+        "finding_counts": {severity.value: counts[severity] for severity in Severity if counts[severity]},
         "image_digest": row.image_digest or finish.image_digest,
-        "samples": samples,
+        "samples": _thinned(row.samples, finish.samples),
         "usage": row.usage if finish.usage is None else finish.usage.model_dump(mode="json"),
     }
-    await end_run(db, row, finish.reason, finish.message, **values)
+    await end_run(db, run_id, finish.reason, finish.message, **values)
     state = (await db.execute(select(run.c.state).where(run.c.id == run_id))).scalar_one()
-    name = row.definition["name"]
     after: Metadata = {"reason": finish.reason.value, "artifacts": len(artifacts)}
-    event = Event("run.end", "run", run_id, name, row.project_id, after=after, mission_id=row.mission_id)
-    await record(db, actor, event)
+    event = Event("run.end", "run", run_id, row.definition.name, row.project_id, after=after, mission_id=row.mission_id)
+    await audit(db, actor, event)
     return RunFinished(state=RunState(state))
 
 
-async def _artifacts(db: Connection, run_id: uuid.UUID) -> dict[str, Row[Any]]:
-    stmt = select(run_artifact, blob.c.size_bytes, blob.c.sha256).join_from(run_artifact, blob)
-    return {row.path: row for row in await db.execute(stmt.where(run_artifact.c.run_id == run_id))}
-
-
-async def _store_report(db: Connection, run_id: uuid.UUID, report: Report) -> None:
-    findings = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in report.findings]
-    metrics = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in report.metrics]
-    for table, rows in ((run_finding, findings), (run_metric, metrics)):
-        for first in range(0, len(rows), _BATCH):
-            await db.execute(insert(table), rows[first : first + _BATCH])
-
-
-def _finding_counts(report: Report) -> Mapping[str, int]:
-    counts = {severity.value: 0 for severity in Severity}
-    for entry in report.findings:
-        counts[entry.severity.value] += 1
-    return {severity: count for severity, count in counts.items() if count}
-
-
-async def put_back(
-    db: Connection, row: Row[Any], selected: Sequence[PutBack], artifacts: Mapping[str, Row[Any]]
+async def _put_back(
+    db: Connection, row: AssignedRun, selected: Sequence[PutBack], artifacts: Mapping[str, _Artifact]
 ) -> list[str]:
     """Create files of the mission from artifacts of a run; return sentences about those that could not be created.
 
@@ -240,52 +372,37 @@ async def put_back(
     selected = [entry for entry in selected if entry.path in artifacts]
     if not selected:
         return []
-    most = Right(row.definition["right"])
+    most = row.definition.right
     starter = await find_person(db, row.started_by_id)
     if starter is None or most.level < Right.create.level:
         return ["It put files back, which requires an action with `right: CREATE`; they stay artifacts."]
-    actor = replace(starter.asking("begin_uploads", request_id=None, address=None), max_right=most)
+    actor = replace(starter.for_request("begin_uploads", request_id=None, address=None), max_right=most)
     try:
         await missions.lock_mission_to_fill(db, actor, row.mission_id)
         size_bytes = sum(artifacts[entry.path].size_bytes for entry in selected)
         await require_room(db, actor, project_id=row.project_id, requested=Amount(len(selected), size_bytes))
     except KleinkramError as error:
         return [f"What it put back stays among the artifacts: {error}"]
-    problems, made = await _create_files(db, row, selected, artifacts)
-    if made:
-        name = row.definition["name"]
-        events = [
-            Event(
-                "file.put_back",
-                "file",
-                file_id,
-                path,
-                row.project_id,
-                after={"run_id": str(row.id), "action": name},
-                mission_id=row.mission_id,
-            )
-            for path, file_id in made.items()
-        ]
-        await record_all(db, actor, events)
-        await regroup(db, row.mission_id)
-    return problems
-
-
-async def _create_files(
-    db: Connection, row: Row[Any], selected: Sequence[PutBack], artifacts: Mapping[str, Row[Any]]
-) -> tuple[list[str], dict[str, uuid.UUID]]:
-    problems, made = [], {}
+    problems: list[str] = []
+    events: list[Event] = []
+    after: Metadata = {"run_id": str(row.id), "action": row.definition.name}
     for entry in selected:
         try:
             await check_path_free(db, row.mission_id, entry.to)
         except KleinkramError as error:
             problems.append(f"{entry.path} was not put back: {error}")
             continue
-        made[entry.to] = await _create_file(db, row, entry, artifacts[entry.path])
-    return problems, made
+        file_id = await _create_file(db, row, entry, artifacts[entry.path])
+        events.append(
+            Event("file.put_back", "file", file_id, entry.to, row.project_id, after=after, mission_id=row.mission_id)
+        )
+    if events:
+        await audit(db, actor, *events)
+        await regroup(db, row.mission_id)
+    return problems
 
 
-async def _create_file(db: Connection, row: Row[Any], selected: PutBack, artifact: Row[Any]) -> uuid.UUID:
+async def _create_file(db: Connection, row: AssignedRun, selected: PutBack, artifact: _Artifact) -> uuid.UUID:
     file_id = uuid.uuid4()
     values = {"mission_id": row.mission_id, "blob_id": artifact.blob_id, "uploaded_by_id": row.started_by_id}
     place = {"path": selected.to, "path_key": name_key(selected.to), "origin": "run"}

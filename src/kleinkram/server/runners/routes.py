@@ -5,58 +5,45 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 
-from kleinkram.contract.base import Cursor, Page, PageSize
-from kleinkram.contract.runners import (
-    ArtifactUploadsCreate,
-    Attempt,
-    ClaimReply,
-    ClaimRequest,
-    HeartbeatReplies,
-    Heartbeats,
-    InputsRequest,
-    InputUrls,
-    LogChunkConfirm,
-    LogChunkCreate,
-    LogChunkUpload,
-    RunFinish,
-    RunFinished,
-    RunnerRead,
-    RunnerRegistration,
-)
+from kleinkram.contract import runners
+from kleinkram.contract.base import Page
 from kleinkram.contract.runs import RunContext
 from kleinkram.contract.uploads import UploadDecisions
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Transaction
 from kleinkram.server.http.middleware import mark_as_stream
-from kleinkram.server.pagination import PageRequest
+from kleinkram.server.pagination import PageQuery
 from kleinkram.server.runners import assigned_runs, service
 from kleinkram.server.uploads.artifacts import ArtifactOwner, begin_artifacts
 from kleinkram.server.uploads.completion import finish_interrupted_artifacts
 
 router = APIRouter(prefix="/api/v1", tags=["runners"])
-AttemptQuery = Annotated[Attempt, Query()]
+AttemptQuery = Annotated[runners.Attempt, Query()]
 
 
 @router.get("/runners", operation_id="list_runners")
 async def list_runners(
-    db: Transaction,
-    _actor: CurrentActor,
-    limit: Annotated[PageSize, Query()] = 100,
-    cursor: Cursor | None = None,
-) -> Page[RunnerRead]:
+    query: Annotated[PageQuery, Query()], db: Transaction, _actor: CurrentActor
+) -> Page[runners.RunnerRead]:
     """List runners by name."""
-    return await service.list_runners(db, page=PageRequest(limit, cursor))
+    return await service.list_runners(db, page=query.page)
 
 
 @router.post("/runners", operation_id="register_runner")
-async def register_runner(registration: RunnerRegistration, db: Transaction, actor: CurrentActor) -> RunnerRead:
+async def register_runner(
+    registration: runners.RunnerRegistration, db: Transaction, actor: CurrentActor
+) -> runners.RunnerRead:
     """Register a runner, or update its description."""
     return await service.register_runner(db, actor, registration=registration)
 
 
 @router.post("/runners/{runner_id}/claims", operation_id="claim_run")
 async def claim_run(
-    runner_id: uuid.UUID, requested: ClaimRequest, request: Request, context: CurrentContext, actor: CurrentActor
-) -> ClaimReply:
+    runner_id: uuid.UUID,
+    requested: runners.ClaimRequest,
+    request: Request,
+    context: CurrentContext,
+    actor: CurrentActor,
+) -> runners.ClaimReply:
     """Claim a run that fits the free resources; wait for one."""
     mark_as_stream(request.scope)
     return await service.claim(context, request.app.state.hub, actor, runner_id=runner_id, requested=requested)
@@ -64,10 +51,11 @@ async def claim_run(
 
 @router.post("/runners/{runner_id}/heartbeats", operation_id="send_heartbeats")
 async def send_heartbeats(
-    runner_id: uuid.UUID, heartbeats: Heartbeats, db: Transaction, actor: CurrentActor
-) -> HeartbeatReplies:
+    runner_id: uuid.UUID, heartbeats: runners.Heartbeats, db: Transaction, actor: CurrentActor
+) -> runners.HeartbeatReplies:
     """Report the states of all runs, and renew their leases."""
-    return await service.record_heartbeats(db, actor, runner_id=runner_id, heartbeats=heartbeats)
+    await service.record_seen(db, actor, runner_id)
+    return await assigned_runs.record_heartbeats(db, actor, heartbeats)
 
 
 @router.get("/runner/runs/{run_id}/context", operation_id="get_run_context")
@@ -78,23 +66,23 @@ async def get_run_context(run_id: uuid.UUID, attempt: AttemptQuery, db: Transact
 
 @router.post("/runner/runs/{run_id}/inputs", operation_id="sign_inputs")
 async def sign_inputs(
-    run_id: uuid.UUID, requested: InputsRequest, context: CurrentContext, actor: CurrentActor
-) -> InputUrls:
+    run_id: uuid.UUID, requested: runners.InputsRequest, context: CurrentContext, actor: CurrentActor
+) -> runners.InputUrls:
     """Get URLs of inputs."""
     return await assigned_runs.sign_inputs(context, actor, run_id=run_id, requested=requested)
 
 
 @router.post("/runner/runs/{run_id}/log-chunks", operation_id="create_log_chunk")
 async def create_log_chunk(
-    run_id: uuid.UUID, requested: LogChunkCreate, context: CurrentContext, actor: CurrentActor
-) -> LogChunkUpload:
+    run_id: uuid.UUID, requested: runners.LogChunkCreate, context: CurrentContext, actor: CurrentActor
+) -> runners.LogChunkUpload:
     """Get a URL to upload a chunk of the log to."""
     return await assigned_runs.create_log_chunk(context, actor, run_id=run_id, requested=requested)
 
 
 @router.post("/runner/runs/{run_id}/log-chunks/confirm", operation_id="confirm_log_chunk", status_code=204)
 async def confirm_log_chunk(
-    run_id: uuid.UUID, confirmed: LogChunkConfirm, db: Transaction, actor: CurrentActor
+    run_id: uuid.UUID, confirmed: runners.LogChunkConfirm, db: Transaction, actor: CurrentActor
 ) -> None:
     """Confirm that a chunk of the log was uploaded; it becomes visible."""
     await assigned_runs.confirm_log_chunk(db, actor, run_id=run_id, confirmed=confirmed)
@@ -102,7 +90,7 @@ async def confirm_log_chunk(
 
 @router.post("/runner/runs/{run_id}/uploads", operation_id="create_artifact_uploads")
 async def create_artifact_uploads(
-    run_id: uuid.UUID, body: ArtifactUploadsCreate, context: CurrentContext, actor: CurrentActor
+    run_id: uuid.UUID, body: runners.ArtifactUploadsCreate, context: CurrentContext, actor: CurrentActor
 ) -> UploadDecisions:
     """Start uploads of artifacts, by the same protocol as files of a mission."""
     async with context.database.begin() as db:
@@ -113,6 +101,8 @@ async def create_artifact_uploads(
 
 
 @router.post("/runner/runs/{run_id}/finish", operation_id="finish_run")
-async def finish_run(run_id: uuid.UUID, finish: RunFinish, db: Transaction, actor: CurrentActor) -> RunFinished:
+async def finish_run(
+    run_id: uuid.UUID, finish: runners.RunFinish, db: Transaction, actor: CurrentActor
+) -> runners.RunFinished:
     """Report the end of a run, once its artifacts are uploaded."""
     return await assigned_runs.finish_run(db, actor, run_id=run_id, finish=finish)

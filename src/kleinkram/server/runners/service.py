@@ -1,64 +1,68 @@
-"""Registration of runners, claims of runs, and heartbeats."""
+"""Registration of runners, and claims of runs."""
 
 import datetime
 import time
 import uuid
-from typing import Any
+from collections.abc import Collection
 
-from sqlalchemy import Row, exists, func, insert, select, update
+from sqlalchemy import ARRAY, ColumnElement, Text, exists, func, insert, literal, or_, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.access import Right, Scope, TokenKind
-from kleinkram.contract.actions import ActionDefinition, Network
+from kleinkram.contract.actions import Network
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.base import Page
 from kleinkram.contract.errors import Forbidden, NotFound
 from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.runners import (
     LEASE_S,
     AssignedInput,
+    Capacity,
     ClaimReply,
     ClaimRequest,
-    Heartbeat,
-    HeartbeatReplies,
-    HeartbeatReply,
-    Heartbeats,
-    LeaseStatus,
     RunAssignment,
     RunnerRead,
     RunnerRegistration,
+    RunnerToken,
 )
-from kleinkram.contract.runs import MAX_SAMPLES, ActionRef, EndReason, RunState
+from kleinkram.contract.runs import ActionRef, EndReason, RunState
 from kleinkram.contract.tokens import SecretKind
 from kleinkram.server.access.actor import Actor, find_person, new_secret, unexpired
 from kleinkram.server.access.visible import level_on_mission, visible_missions
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
-from kleinkram.server.db import Connection
+from kleinkram.server.db import Connection, among
 from kleinkram.server.events.hub import EventFilter, Hub
-from kleinkram.server.pagination import PageRequest, fetch_page
-from kleinkram.server.runners import queries
-from kleinkram.server.runners.eligibility import has_single_person, with_limits
+from kleinkram.server.pagination import Order, PageRequest, fetch_page
+from kleinkram.server.runners.assigned_runs import LEASE, AssignedRun, find_assigned_run
+from kleinkram.server.runs.eligibility import (
+    KnownRunner,
+    find_runner,
+    has_single_person,
+    is_alive,
+    with_token_limits,
+)
 from kleinkram.server.runs.lifecycle import end_run, requeue_lost_runs
-from kleinkram.server.tables import action_version, mission, project, run, run_input, runner, token, token_limit
+from kleinkram.server.tables import mission, project, run, run_input, runner, token, token_limit
 from kleinkram.server.tables.runs import ASSIGNED
 
+_RUNNER_ORDER = Order([runner.c.name, runner.c.id])
 _SCOPES = {
     Right.read: [Scope.read],
     Right.create: [Scope.read, Scope.upload],
     Right.write: [Scope.write],
     Right.delete: [Scope.write],
 }
-_ORDER = {RunState.preparing: 0, RunState.running: 1, RunState.collecting: 2}
 # The end of a lease publishes no event.
 _CHECK_EVERY_S = 5.0
 _QUEUE = EventFilter(frozenset({"run"}))
-_LEASE = datetime.timedelta(seconds=LEASE_S)
-# Results are being uploaded: an outage of minutes must not discard hours of work.
-_COLLECTING_LEASE = datetime.timedelta(minutes=15)
 # A token ends with its run, and at the latest this long after the time limit of the run.
 _TOKEN_MARGIN_S = 3600
+# Fractions of cores are summed as floats.
+_ROUNDING = 1e-6
+_OWN_TOKEN = "a token of its own: `klein token create NAME --kind runner`; to replace one, revoke it first"  # noqa: S105
 
 
 async def register_runner(db: Connection, actor: Actor, *, registration: RunnerRegistration) -> RunnerRead:
@@ -68,36 +72,30 @@ async def register_runner(db: Connection, actor: Actor, *, registration: RunnerR
         Forbidden: it is another person's runner, its token is another runner's, or limited to other labels.
     """
     await _bind(db, actor, registration.id)
-    await _check_labels(db, actor, registration)
-    known = (await db.execute(select(runner).where(runner.c.id == registration.id).with_for_update())).one_or_none()
-    if known and known.person_id != actor.person_id:
+    stmt = select(token.c.runner_labels).where(token.c.id == actor.token_id)
+    allowed: list[str] | None = (await db.execute(stmt)).scalar_one()
+    if allowed is not None and (not_allowed := sorted(set(registration.labels) - set(allowed))):
+        needs = f"a token for it; this one is limited to {', '.join(allowed)}"
+        raise Forbidden(noun="server", operation=f"be a runner with the label {not_allowed[0]}", needs=needs)
+    owner = select(runner.c.person_id).where(runner.c.id == registration.id).with_for_update()
+    owner_id = (await db.execute(owner)).scalar_one_or_none()
+    if owner_id not in {None, actor.person_id}:
         raise Forbidden(noun="server", operation="be this runner", needs="a token of the same person as before")
     values = registration.model_dump(mode="json", exclude={"id"})
     values |= {"token_id": actor.token_id}
-    stmt = upsert(runner).values(id=registration.id, person_id=actor.person_id, last_seen_at=func.now(), **values)
-    same = {name: stmt.excluded[name] for name in (*values, "last_seen_at")}
-    await db.execute(stmt.on_conflict_do_update(index_elements=["id"], set_=same))
-    if known is None:
-        event = Event(
-            "runner.arrive",
-            "runner",
-            registration.id,
-            registration.name,
-            None,
-            after={"labels": list(registration.labels)},
-        )
-        await record(db, actor, event)
+    write = upsert(runner).values(id=registration.id, person_id=actor.person_id, last_seen_at=func.now(), **values)
+    same = {name: write.excluded[name] for name in (*values, "last_seen_at")}
+    await db.execute(write.on_conflict_do_update(index_elements=["id"], set_=same))
+    if owner_id is None:
+        after: Metadata = {"labels": list(registration.labels)}
+        await audit(db, actor, Event("runner.arrive", "runner", registration.id, registration.name, None, after=after))
     await publish(db, [ChangeEvent("runner", ChangeKind.changed, registration.id)])
-    row = (await db.execute(queries.runner_rows().where(runner.c.id == registration.id))).one()
-    return queries.to_runner(row, (await db.execute(queries.projects_of([row.token_id]))).all())
+    (read,) = await _read_runners(db, [registration.id])
+    return read
 
 
 async def _bind(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
-    """Check that a token is this runner's; an unused one is bound to it.
-
-    Raises:
-        Forbidden: it is another runner's, or this runner has another valid token.
-    """
+    """Bind an unused token to a runner. Raises Forbidden: it is another runner's, or this one has another."""
     if actor.runner_id == runner_id:
         return
     others = token.alias("other_token")
@@ -111,20 +109,10 @@ async def _bind(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
     stmt = update(token).where(unbound | ((token.c.id == actor.token_id) & (token.c.runner_id == runner_id)))
     bound = await db.execute(stmt.values(runner_id=runner_id).returning(token.c.id))
     if bound.first() is None:
-        needs = "a token of its own: `klein token create NAME --kind runner`; to replace one, revoke it first"
-        raise Forbidden(noun="server", operation="be this runner", needs=needs)
+        raise Forbidden(noun="server", operation="be this runner", needs=_OWN_TOKEN)
     name = (await db.execute(select(token.c.name).where(token.c.id == actor.token_id))).scalar_one()
     after: Metadata = {"runner_id": str(runner_id)}
-    await record(db, actor, Event("token.bind", "token", actor.token_id, name, None, after=after))
-
-
-async def _check_labels(db: Connection, actor: Actor, registration: RunnerRegistration) -> None:
-    stmt = select(token.c.runner_labels).where(token.c.id == actor.token_id)
-    allowed: list[str] | None = (await db.execute(stmt)).scalar_one()
-    surplus = sorted(set(registration.labels) - set(allowed)) if allowed is not None else []
-    if surplus:
-        needs = f"a token for it; this one is limited to {', '.join(allowed or [])}"
-        raise Forbidden(noun="server", operation=f"be a runner with the label {surplus[0]}", needs=needs)
+    await audit(db, actor, Event("token.bind", "token", actor.token_id, name, None, after=after))
 
 
 async def list_runners(db: Connection, *, page: PageRequest) -> Page[RunnerRead]:
@@ -133,10 +121,35 @@ async def list_runners(db: Connection, *, page: PageRequest) -> Page[RunnerRead]
     Raises:
         InvalidCursor: the cursor is not of this list.
     """
-    rows = await fetch_page(db, queries.runner_rows(), queries.RUNNER_ORDER, page)
-    token_ids = {row.token_id for row in rows.items if row.token_id is not None}
-    projects = (await db.execute(queries.projects_of(token_ids))).all()
-    return Page(items=[queries.to_runner(row, projects) for row in rows.items], next=rows.next, total=rows.total)
+    rows = await fetch_page(db, select(runner.c.id, runner.c.name), _RUNNER_ORDER, page)
+    return Page(items=await _read_runners(db, [row.id for row in rows.items]), next=rows.next, total=rows.total)
+
+
+async def _read_runners(db: Connection, runner_ids: Collection[uuid.UUID]) -> list[RunnerRead]:
+    """Return runners with their tokens, by name."""
+    limits = select(token_limit.c.token_id, project.c.id, project.c.name).join_from(token_limit, project)
+    of_runners = limits.join(runner, runner.c.token_id == token_limit.c.token_id).where(among(runner.c.id, runner_ids))
+    projects: dict[uuid.UUID, list[ProjectRef]] = {}
+    for row in await db.execute(of_runners.order_by(project.c.name)):
+        projects.setdefault(row.token_id, []).append(ProjectRef(id=row.id, name=row.name))
+    assigned = select(func.count()).where(run.c.runner_id == runner.c.id, run.c.state.in_(ASSIGNED))
+    active = assigned.correlate(runner).scalar_subquery().label("active_runs")
+    stmt = with_token_limits(select(runner, is_alive().label("is_alive"), active).where(among(runner.c.id, runner_ids)))
+    named = stmt.add_columns(token.c.name.label("token_name"), token.c.expires_at.label("token_expires_at"))
+    items = []
+    for row in await db.execute(named.order_by(*_RUNNER_ORDER.columns)):
+        bound: RunnerToken | None = None
+        if row.token_name is not None:
+            bound = RunnerToken(
+                id=row.token_id,
+                name=row.token_name,
+                expires_at=row.token_expires_at,
+                projects=None if row.only_project_ids is None else projects.get(row.token_id, []),
+                labels=row.only_labels,
+            )
+        values = {name: row._mapping[name] for name in RunnerRead.model_fields if name != "token"}
+        items.append(RunnerRead(**values, token=bound))
+    return items
 
 
 async def claim(
@@ -145,7 +158,7 @@ async def claim(
     """Assign the oldest run that fits the free resources of a runner; wait for one where there is none.
 
     Raises:
-        NotFound: nobody of this person's is that runner: it must say registration first.
+        NotFound: this person has no such runner.
         Forbidden: the token is another runner's.
         TooManyStreams: too many requests of this runner wait already.
     """
@@ -163,57 +176,87 @@ async def claim(
 async def _claim_now(
     db: Connection, actor: Actor, runner_id: uuid.UUID, requested: ClaimRequest
 ) -> RunAssignment | None:
-    await _note_seen(db, actor, runner_id)
-    row = (await db.execute(with_limits(select(runner)).where(runner.c.id == runner_id))).one()
+    await record_seen(db, actor, runner_id)
     await requeue_lost_runs(db)
-    unheard = (await db.execute(queries.unanswered_claim(runner_id, requested.active_run_ids))).one_or_none()
-    if unheard is not None:
-        return await _assign(db, unheard, runner_id, unheard.attempt)
-    stmt = queries.next_run(row, requested, single_person=await has_single_person(db))
-    while stmt is not None:
-        candidate = (await db.execute(stmt)).one_or_none()
-        if candidate is None:
-            break
-        if await _may_still(db, candidate):
+    # Assigned without the runner's knowledge: the answer to an earlier claim was lost.
+    is_assigned = (run.c.runner_id == runner_id) & run.c.state.in_(ASSIGNED)
+    unanswered = await find_assigned_run(db, is_assigned & run.c.id.not_in(requested.active_run_ids))
+    if unanswered is not None:
+        return await _assign(db, unanswered, runner_id, unanswered.attempt)
+    claiming = await find_runner(db, runner_id)
+    if claiming.is_single_person_only and not await has_single_person(db):
+        return None
+    while (candidate := await find_assigned_run(db, _fits(claiming, requested.free), is_queued=True)) is not None:
+        if await _may_still_run(db, candidate):
             return await _assign(db, candidate, runner_id, candidate.attempt + 1)
         message = "The person who launched it may not run it on this mission any more."
-        await end_run(db, candidate, EndReason.cancelled, message)
+        await end_run(db, candidate.id, EndReason.cancelled, message)
     return None
 
 
-async def _note_seen(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
-    """Record that a runner was seen. One from before tokens were bound is bound to its token."""
+def _fits(claiming: KnownRunner, free: Capacity) -> ColumnElement[bool]:
+    """Whether a queued run fits the free resources of a runner, and the runner may execute it."""
+    abilities = claiming.abilities
+    fits = (
+        (run.c.state == RunState.queued.value)
+        & mission.c.deleted_at.is_(None)
+        & project.c.deleted_at.is_(None)
+        & (run.c.cores <= free.cores + _ROUNDING)
+        & (run.c.memory_bytes <= free.memory_bytes)
+        & (run.c.disk_bytes <= free.disk_bytes)
+        & (run.c.gpus <= (free.gpus if abilities.gpus else 0))
+        & run.c.labels.op("<@", is_comparison=True)(literal(claiming.labels, ARRAY(Text)))
+        & run.c.network.in_([network.value for network in abilities.networks])
+        & or_(~run.c.needs_images, literal(abilities.images))
+        & or_(run.c.needs_images, literal(claiming.runs_scripts))
+    )
+    if claiming.only_project_ids is not None:
+        fits &= mission.c.project_id.in_(claiming.only_project_ids)
+    if claiming.only_labels is not None:
+        fits &= run.c.labels.op("&&", is_comparison=True)(literal(claiming.only_labels, ARRAY(Text)))
+    return fits
+
+
+async def record_seen(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
+    """Record that a runner was seen.
+
+    Raises:
+        NotFound: this person has no such runner.
+        Forbidden: the token is another runner's.
+    """
     mine = (runner.c.id == runner_id) & (runner.c.person_id == actor.person_id)
-    values = {"last_seen_at": func.now(), "token_id": actor.token_id}
-    if (await db.execute(update(runner).where(mine).values(values).returning(runner.c.id))).first() is None:
+    stmt = update(runner).where(mine).values(last_seen_at=func.now(), token_id=actor.token_id)
+    if (await db.execute(stmt.returning(runner.c.id))).first() is None:
         raise NotFound(noun="runner", ref=str(runner_id))
-    await _bind(db, actor, runner_id)
+    if actor.runner_id != runner_id:
+        raise Forbidden(noun="server", operation="be this runner", needs=_OWN_TOKEN)
 
 
-async def _may_still(db: Connection, row: Row[Any]) -> bool:
-    starter = await find_person(db, row.started_by_id)
+async def _may_still_run(db: Connection, candidate: AssignedRun) -> bool:
+    """Whether the person who launched a run still has the right that its action requires."""
+    starter = await find_person(db, candidate.started_by_id)
     if starter is None:
         return False
-    needed = max(Right.create, Right(row.definition["right"]), key=lambda right: right.level)
+    needed = max(Right.create, candidate.definition.right, key=lambda right: right.level)
     levels = visible_missions(starter).with_only_columns(level_on_mission(starter), maintain_column_froms=True)
-    level: int | None = (await db.execute(levels.where(mission.c.id == row.mission_id))).scalar_one_or_none()
+    level: int | None = (await db.execute(levels.where(mission.c.id == candidate.mission_id))).scalar_one_or_none()
     return level is not None and level >= needed.level
 
 
-async def _assign(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: int) -> RunAssignment:
+async def _assign(db: Connection, row: AssignedRun, runner_id: uuid.UUID, attempt: int) -> RunAssignment:
     state = RunState.preparing.value if attempt != row.attempt else row.state
-    lease = {"state": state, "runner_id": runner_id, "attempt": attempt, "lease_ends_at": func.now() + _LEASE}
+    lease = {"state": state, "runner_id": runner_id, "attempt": attempt, "lease_ends_at": func.now() + LEASE}
     claimed_at = func.coalesce(run.c.claimed_at, func.now())
     await db.execute(update(run).where(run.c.id == row.id).values(claimed_at=claimed_at, **lease))
     await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
-    definition = ActionDefinition.model_validate(row.definition)
+    definition = row.definition
     inputs = select(run_input).where(run_input.c.run_id == row.id).order_by(run_input.c.path)
     return RunAssignment(
         run_id=row.id,
         attempt=attempt,
         project_id=row.project_id,
         mission_id=row.mission_id,
-        action=ActionRef(id=row.action_id, name=definition.name, version=row.number),
+        action=ActionRef(id=row.action_id, name=definition.name, version=row.version_number),
         image=definition.image,
         image_digest=row.pinned_digest,
         command=definition.command,
@@ -226,17 +269,18 @@ async def _assign(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: 
             AssignedInput(path=entry.path, size_bytes=entry.size_bytes, sha256=entry.sha256.hex())
             for entry in await db.execute(inputs)
         ],
-        token=None if definition.network is Network.none else await _run_token(db, row, definition),
+        token=None if definition.network is Network.none else await _create_token(db, row),
         lease_s=LEASE_S,
     )
 
 
-async def _run_token(db: Connection, row: Row[Any], definition: ActionDefinition) -> str:
+async def _create_token(db: Connection, row: AssignedRun) -> str:
     """Create the token of a run, limited to its mission and to the right that its action declares.
 
-    Earlier tokens of the same attempt stay valid: a claim that its runner has given up, but that still waits here, is
-    answered with the run once more, and the running job must not lose its token.
+    Earlier tokens of the same attempt stay valid: a claim that its runner has given up may be answered with the run
+    again, and the running job must not lose its token.
     """
+    definition = row.definition
     secret, token_id = new_secret(SecretKind.run), uuid.uuid4()
     lasts = datetime.timedelta(seconds=definition.resources.time_s + _TOKEN_MARGIN_S)
     values = {
@@ -252,69 +296,3 @@ async def _run_token(db: Connection, row: Row[Any], definition: ActionDefinition
     await db.execute(insert(token).values(id=token_id, is_limited=True, expires_at=func.now() + lasts, **values))
     await db.execute(insert(token_limit).values(id=uuid.uuid4(), token_id=token_id, mission_id=row.mission_id))
     return secret.text
-
-
-async def record_heartbeats(
-    db: Connection, actor: Actor, *, runner_id: uuid.UUID, heartbeats: Heartbeats
-) -> HeartbeatReplies:
-    """Record the states of a runner's runs, renew their leases, and return their status.
-
-    Raises:
-        NotFound: this person has no such runner.
-        Forbidden: the token is another runner's.
-    """
-    await _note_seen(db, actor, runner_id)
-    answers = [
-        await _record_heartbeat(db, runner_id, heartbeat)
-        for heartbeat in sorted(heartbeats.runs, key=lambda heartbeat: heartbeat.run_id)
-    ]
-    return HeartbeatReplies(runs=answers, lease_s=LEASE_S)
-
-
-async def _record_heartbeat(db: Connection, runner_id: uuid.UUID, heartbeat: Heartbeat) -> HeartbeatReply:
-    assigned = (run.c.id == heartbeat.run_id) & (run.c.attempt == heartbeat.attempt) & (run.c.runner_id == runner_id)
-    gone = func.coalesce(mission.c.deleted_at, project.c.deleted_at).is_not(None).label("is_gone")
-    image = action_version.c.definition["image"].astext.label("image")
-    joined = select(run, gone, image).join_from(run, mission, mission.c.id == run.c.mission_id).join(project)
-    stmt = joined.join(action_version, action_version.c.id == run.c.version_id).where(
-        assigned, run.c.state.in_(ASSIGNED)
-    )
-    row = (await db.execute(stmt.with_for_update(of=run, key_share=True))).one_or_none()
-    if row is None:
-        return HeartbeatReply(run_id=heartbeat.run_id, attempt=heartbeat.attempt, status=LeaseStatus.lost)
-    values = _changes_of(row, heartbeat)
-    lease = _COLLECTING_LEASE if heartbeat.state is RunState.collecting else _LEASE
-    await db.execute(update(run).where(run.c.id == row.id).values(lease_ends_at=func.now() + lease, **values))
-    if heartbeat.image_digest is not None and row.image is not None:
-        await db.execute(queries.pin_image(row.version_id, heartbeat.image_digest))
-    if values:
-        await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
-    is_over = row.cancel_requested_at is not None or row.is_gone
-    return HeartbeatReply(
-        run_id=heartbeat.run_id, attempt=heartbeat.attempt, status=LeaseStatus.cancel if is_over else LeaseStatus.active
-    )
-
-
-def _changes_of(row: Row[Any], heartbeat: Heartbeat) -> dict[str, Any]:
-    """Return the columns that a heartbeat changes; the state never goes back."""
-    values: dict[str, Any] = {}
-    if heartbeat.state in _ORDER and _ORDER[heartbeat.state] > _ORDER[RunState(row.state)]:
-        values["state"] = heartbeat.state.value
-    if heartbeat.state is not RunState.preparing and row.started_at is None:
-        values["started_at"] = func.now()
-    if heartbeat.image_digest is not None and row.image_digest is None:
-        values["image_digest"] = heartbeat.image_digest
-    for name in ("progress", "usage"):
-        reported = getattr(heartbeat, name)
-        if reported is not None and reported.model_dump(mode="json") != getattr(row, name):
-            values[name] = reported.model_dump(mode="json")
-    if heartbeat.samples:
-        values["samples"] = thinned([*row.samples, *(entry.model_dump(mode="json") for entry in heartbeat.samples)])
-    return values
-
-
-def thinned(samples: list[Any]) -> list[Any]:
-    """Return at most `MAX_SAMPLES` samples: of more, every second one and the last."""
-    while len(samples) > MAX_SAMPLES:
-        samples = [*samples[:-1:2], samples[-1]]
-    return samples

@@ -4,31 +4,13 @@ import uuid
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import Column, ColumnElement, Row, Select, case, exists, false, func, select
+from sqlalchemy import Column, ColumnElement, Select, Table, case, exists, false, func, select
 
-from kleinkram.contract.access import Right, Scope
-from kleinkram.contract.actions import ActionDefinition
-from kleinkram.contract.missions import MissionRef
-from kleinkram.contract.people import PersonRef
-from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.reports import Finding, Metric, Severity
-from kleinkram.contract.runs import (
-    MAX_LISTED_METRICS,
-    ActionRef,
-    ArtifactRead,
-    Cause,
-    FindingRead,
-    MetricRead,
-    ReportFilter,
-    RunDetail,
-    RunFilter,
-    RunInput,
-    RunRead,
-)
+from kleinkram.contract.access import Scope
+from kleinkram.contract.runs import MAX_LISTED_METRICS, ReportFilter, RunFilter
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import level_on_mission, visible_files, visible_missions
-from kleinkram.server.db import among
-from kleinkram.server.filters.patterns import matches, matches_key
+from kleinkram.server.db import among, matches, matches_key
 from kleinkram.server.pagination import Order
 from kleinkram.server.tables import (
     action,
@@ -53,8 +35,8 @@ INPUT_ORDER = Order([run_input.c.path])
 ARTIFACT_ORDER = Order([run_artifact.c.path, run_artifact.c.id])
 FINDING_ORDER = Order([run_finding.c.id], descending=True)
 METRIC_ORDER = Order([run_metric.c.id], descending=True)
-_file = file.alias("its_file")
-_PLACE = (
+_file = file.alias("moved_file")
+_MISSION = (
     mission.c.name.label("mission_name"),
     mission.c.project_id.label("project_id"),
     project.c.name.label("project_name"),
@@ -71,26 +53,24 @@ def visible_runs(actor: Actor) -> Select[Any]:
 
     The token of a run shows only that run; a share link shows none.
     """
-    if actor.kind is not ActorKind.person or Scope.read not in actor.scopes:
-        return _joined(select(run)).where(false())
-    missions = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True)
-    seen = _joined(select(run)).where(run.c.mission_id.in_(missions))
-    return seen if actor.run_id is None else seen.where(run.c.id == actor.run_id)
-
-
-def _joined(stmt: Select[Any]) -> Select[Any]:
-    return (
-        stmt.join(mission, mission.c.id == run.c.mission_id)
+    joined = (
+        select(run)
+        .join(mission, mission.c.id == run.c.mission_id)
         .join(project, project.c.id == mission.c.project_id)
         .join(action_version, action_version.c.id == run.c.version_id)
         .outerjoin(action, action.c.id == action_version.c.action_id)
     )
+    if actor.kind is not ActorKind.person or Scope.read not in actor.scopes:
+        return joined.where(false())
+    missions = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True)
+    visible = joined.where(run.c.mission_id.in_(missions))
+    return visible if actor.run_id is None else visible.where(run.c.id == actor.run_id)
 
 
 def run_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
-    """Return the rows that `to_run` reads, of a select that began with `visible_runs`."""
+    """Add the names of people and runners, and the actor's level, to a select that began with `visible_runs`."""
     columns = (
-        *_PLACE,
+        *_MISSION,
         *_ACTION,
         person.c.name.label("started_by_name"),
         runner.c.name.label("runner_name"),
@@ -100,23 +80,14 @@ def run_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
     return named.outerjoin(runner, runner.c.id == run.c.runner_id)
 
 
-def whole_run(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
-    """Return one visible run as `to_detail` reads it."""
-    stmt = visible_runs(actor).where(run.c.id == run_id)
-    return run_rows(actor, stmt).add_columns(action_version.c.definition)
+def one_run(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
+    """Return a row of `run_rows`, with the definition of the action."""
+    return run_rows(actor, visible_runs(actor).where(run.c.id == run_id)).add_columns(action_version.c.definition)
 
 
-def narrow(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[Any]:
+def filter_runs(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[Any]:
     """Apply a filter to a select of runs."""
-    conditions: list[ColumnElement[bool]] = []
-    if matching.project_id is not None:
-        conditions.append(mission.c.project_id == matching.project_id)
-    if matching.mission_id is not None:
-        conditions.append(run.c.mission_id == matching.mission_id)
-    if matching.project_ids:
-        conditions.append(mission.c.project_id.in_(matching.project_ids))
-    if matching.mission_ids:
-        conditions.append(run.c.mission_id.in_(matching.mission_ids))
+    conditions = _of_missions(matching)
     if matching.action_id is not None:
         conditions.append(action_version.c.action_id == matching.action_id)
     if matching.action is not None:
@@ -129,55 +100,6 @@ def narrow(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[Any]:
     if matching.mine:
         conditions.append(run.c.started_by_id == actor.person_id)
     return stmt.where(*conditions)
-
-
-def to_run(actor: Actor, row: Row[Any], *, waits_for: str | None = None, metrics: Sequence[Metric] = ()) -> RunRead:
-    """Convert a row of `run_rows`."""
-    return RunRead(**_run_fields(actor, row), waits_for=waits_for, metrics=[*metrics])
-
-
-def to_detail(
-    actor: Actor, row: Row[Any], *, waits_for: str | None = None, metrics: Sequence[Metric] = ()
-) -> RunDetail:
-    """Convert a row of `whole_run`."""
-    return RunDetail(
-        **_run_fields(actor, row),
-        waits_for=waits_for,
-        metrics=[*metrics],
-        definition=ActionDefinition.model_validate(row.definition),
-        problems=row.problems,
-        metadata=row.proposed,
-        previews=row.previews,
-        samples=row.samples,
-    )
-
-
-def _run_fields(actor: Actor, row: Row[Any]) -> dict[str, Any]:
-    needed = Right.create if row.started_by_id == actor.person_id else Right.delete
-    may_cancel = row.level >= needed.level and Scope.run in actor.scopes and row.state in ACTIVE
-    same = (
-        *("id", "version_id", "network", "parameters", "state", "reason", "message", "exit_code", "progress"),
-        *("attempt", "image_digest", "usage", "input_count", "input_bytes", "artifact_count", "metric_count"),
-        *("finding_counts", "reuses_id", "created_at", "claimed_at", "started_at", "ended_at", "cancel_requested_at"),
-    )
-    starter = PersonRef(id=row.started_by_id, name=row.started_by_name)
-    return {
-        **{name: getattr(row, name) for name in same},
-        "mission": _mission(row),
-        "action": _action(row),
-        "cause": Cause(person=starter, retry_of_id=row.retry_of_id),
-        "runner": row.runner_name,
-        "may_cancel": may_cancel,
-    }
-
-
-def _mission(row: Row[Any]) -> MissionRef:
-    place = ProjectRef(id=row.project_id, name=row.project_name)
-    return MissionRef(id=row.mission_id, name=row.mission_name, project=place)
-
-
-def _action(row: Row[Any]) -> ActionRef:
-    return ActionRef(id=row.action_id, name=row.action_name, version=row.action_number)
 
 
 def inputs_of(actor: Actor, run_ids: Sequence[uuid.UUID]) -> Select[Any]:
@@ -203,11 +125,6 @@ def _visible_id(actor: Actor, file_id: Column[Any]) -> ColumnElement[Any]:
     return case((_is_visible(actor, file_id), file_id)).label("file_id")
 
 
-def to_input(row: Row[Any]) -> RunInput:
-    """Convert a row of `inputs_of`."""
-    return RunInput(path=row.path, size_bytes=row.size_bytes, sha256=row.sha256.hex(), file_id=row.file_id)
-
-
 def artifacts_of(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
     """Return the artifacts of a run, with their content; `file_id` where `actor` may read that file."""
     own = (run_artifact.c.id, run_artifact.c.run_id, run_artifact.c.path)
@@ -217,20 +134,8 @@ def artifacts_of(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
     return joined.where(run_artifact.c.run_id == run_id)
 
 
-def to_artifact(row: Row[Any]) -> ArtifactRead:
-    """Convert a row of `artifacts_of`."""
-    return ArtifactRead(
-        id=row.id,
-        run_id=row.run_id,
-        path=row.path,
-        size_bytes=row.size_bytes,
-        sha256=row.sha256.hex(),
-        file_id=row.file_id,
-    )
-
-
 def findings(actor: Actor, matching: ReportFilter) -> Select[Any]:
-    """Return the findings of visible runs, as `to_finding` reads them."""
+    """Return the findings of visible runs, with columns `reported_…`."""
     stmt = _reported_by_runs(actor, run_finding, matching)
     if matching.severity:
         stmt = stmt.where(run_finding.c.severity.in_([severity.value for severity in matching.severity]))
@@ -238,66 +143,45 @@ def findings(actor: Actor, matching: ReportFilter) -> Select[Any]:
 
 
 def metrics(actor: Actor, matching: ReportFilter) -> Select[Any]:
-    """Return the metrics of visible runs, as `to_metric` reads them."""
+    """Return the metrics of visible runs, with columns `reported_…`."""
     stmt = _reported_by_runs(actor, run_metric, matching)
     return stmt if matching.code is None else stmt.where(matches(run_metric.c.name, matching.code))
 
 
 def first_metrics(actor: Actor, run_ids: Sequence[uuid.UUID]) -> Select[Any]:
-    """Return the first metrics of each run, those of the whole run before those of single visible files."""
+    """Return the first metrics of each run, those without a file before those of visible files."""
     hidden_input = exists().where(
         run_input.c.run_id == run_metric.c.run_id,
         run_input.c.path == run_metric.c.file,
         is_hidden(actor, run_input.c.file_id),
     )
     order = (run_metric.c.file.is_not(None), run_metric.c.id)
-    place = func.row_number().over(partition_by=run_metric.c.run_id, order_by=order).label("place")
-    stmt = select(run_metric, place).join(run, run.c.id == run_metric.c.run_id)
+    rank = func.row_number().over(partition_by=run_metric.c.run_id, order_by=order).label("rank")
+    stmt = select(run_metric, rank).join(run, run.c.id == run_metric.c.run_id)
     ranked = stmt.where(among(run_metric.c.run_id, run_ids), ~hidden_input).subquery()
-    return select(ranked).where(ranked.c.place <= MAX_LISTED_METRICS).order_by(ranked.c.run_id, ranked.c.place)
+    return select(ranked).where(ranked.c.rank <= MAX_LISTED_METRICS).order_by(ranked.c.run_id, ranked.c.rank)
 
 
-def _reported_by_runs(actor: Actor, table: Any, matching: ReportFilter) -> Select[Any]:
-    place = (run.c.mission_id, *_PLACE, *_ACTION)
+def _reported_by_runs(actor: Actor, table: Table, matching: ReportFilter) -> Select[Any]:
     chosen = [column.label(f"reported_{column.name}") for column in table.c if column is not table.c.file]
     # The name of an input is hidden together with the file.
     its_input = exists().where(
         run_input.c.run_id == run.c.id, run_input.c.path == table.c.file, is_hidden(actor, run_input.c.file_id)
     )
     chosen.append(case((~its_input, table.c.file)).label("reported_file"))
-    stmt = visible_runs(actor).with_only_columns(*chosen, *place, maintain_column_froms=True)
+    stmt = visible_runs(actor).with_only_columns(
+        *chosen, run.c.mission_id, *_MISSION, *_ACTION, maintain_column_froms=True
+    )
     stmt = stmt.join(table, table.c.run_id == run.c.id)
     if matching.run_id is not None:
         stmt = stmt.where(run.c.id == matching.run_id)
-    if matching.mission_id is not None:
-        stmt = stmt.where(run.c.mission_id == matching.mission_id)
-    if matching.project_ids:
-        stmt = stmt.where(mission.c.project_id.in_(matching.project_ids))
-    if matching.mission_ids:
-        stmt = stmt.where(run.c.mission_id.in_(matching.mission_ids))
-    return stmt if matching.project_id is None else stmt.where(mission.c.project_id == matching.project_id)
+    return stmt.where(*_of_missions(matching))
 
 
-def to_finding(row: Row[Any]) -> FindingRead:
-    """Convert a row of `findings`."""
-    reported = Finding.model_construct(
-        severity=Severity(row.reported_severity),
-        code=row.reported_code,
-        message=row.reported_message,
-        file=row.reported_file,
-        topic=row.reported_topic,
-        time_ns=row.reported_time_ns,
+def _of_missions(matching: RunFilter | ReportFilter) -> list[ColumnElement[bool]]:
+    values = (
+        (run.c.mission_id, matching.mission_id, matching.mission_ids),
+        (mission.c.project_id, matching.project_id, matching.project_ids),
     )
-    return FindingRead(
-        id=row.reported_id, run_id=row.reported_run_id, mission=_mission(row), action=_action(row), finding=reported
-    )
-
-
-def to_metric(row: Row[Any]) -> MetricRead:
-    """Convert a row of `metrics`."""
-    reported = Metric.model_construct(
-        name=row.reported_name, value=row.reported_value, unit=row.reported_unit, file=row.reported_file
-    )
-    return MetricRead(
-        id=row.reported_id, run_id=row.reported_run_id, mission=_mission(row), action=_action(row), metric=reported
-    )
+    conditions = [column == one for column, one, _ in values if one is not None]
+    return conditions + [column.in_(several) for column, _, several in values if several]

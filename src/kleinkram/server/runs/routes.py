@@ -6,44 +6,21 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request
 from pydantic import BaseModel, ConfigDict, Field
 
-from kleinkram.contract.base import Cursor, Page, PageSize
-from kleinkram.contract.runs import (
-    ArtifactRead,
-    ArtifactsRequest,
-    ArtifactUrls,
-    FindingRead,
-    LineageRead,
-    LogChunkRead,
-    MetricRead,
-    ReportFilter,
-    RunDetail,
-    RunFilter,
-    RunInput,
-    RunRead,
-    RunsCreate,
-    RunsCreated,
-)
+from kleinkram.contract import runs
+from kleinkram.contract.base import Page
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
-from kleinkram.server.pagination import PageRequest
+from kleinkram.server.pagination import CountedPageQuery, PageQuery
 from kleinkram.server.runs import launch, lifecycle, logs, service
 
 router = APIRouter(prefix="/api/v1", tags=["runs"])
 
 
-class RunListQuery(RunFilter):
+class RunListQuery(runs.RunFilter, CountedPageQuery):
     """The query of a list of runs."""
 
-    limit: PageSize = 100
-    cursor: Cursor | None = None
-    count: bool = False
 
-
-class ReportListQuery(ReportFilter):
+class ReportListQuery(runs.ReportFilter, CountedPageQuery):
     """The query of a list of findings or metrics."""
-
-    limit: PageSize = 100
-    cursor: Cursor | None = None
-    count: bool = False
 
 
 class LogQuery(BaseModel):
@@ -56,67 +33,58 @@ class LogQuery(BaseModel):
 
 
 @router.post("/runs", operation_id="create_runs")
-async def create_runs(requested: RunsCreate, db: Transaction, actor: CurrentActor) -> RunsCreated:
+async def create_runs(requested: runs.RunsCreate, db: Transaction, actor: CurrentActor) -> runs.RunsCreated:
     """Run an action on each of some missions, with an outcome for each."""
     return await launch.launch(db, actor, requested=requested)
 
 
 @router.get("/runs", operation_id="list_runs")
-async def list_runs(query: Annotated[RunListQuery, Query()], db: Reading, actor: CurrentActor) -> Page[RunRead]:
+async def list_runs(query: Annotated[RunListQuery, Query()], db: Reading, actor: CurrentActor) -> Page[runs.RunRead]:
     """List runs, latest first."""
-    page = PageRequest(query.limit, query.cursor, query.count)
-    return await service.list_runs(db, actor, matching=query, page=page)
+    return await service.list_runs(db, actor, matching=query, page=query.page)
 
 
 @router.get("/runs/{run_id}", operation_id="get_run")
-async def get_run(run_id: uuid.UUID, db: Reading, actor: CurrentActor) -> RunDetail:
+async def get_run(run_id: uuid.UUID, db: Reading, actor: CurrentActor) -> runs.RunDetail:
     """Get a run with its details."""
     return await service.get_detail(db, actor, run_id)
 
 
 @router.post("/runs/{run_id}/cancel", operation_id="cancel_run")
-async def cancel_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> RunRead:
+async def cancel_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> runs.RunRead:
     """Cancel a run; a running one ends within seconds."""
     return await lifecycle.cancel_run(db, actor, run_id=run_id)
 
 
 @router.post("/runs/{run_id}/retry", operation_id="retry_run", status_code=201)
-async def retry_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor, force: bool = False) -> RunRead:
+async def retry_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor, force: bool = False) -> runs.RunRead:
     """Launch the same action again, on the current files; with `force`, without reusing results."""
     return await launch.retry_run(db, actor, run_id=run_id, force=force)
 
 
 @router.get("/runs/{run_id}/inputs", operation_id="list_run_inputs")
 async def list_run_inputs(
-    run_id: uuid.UUID,
-    db: Reading,
-    actor: CurrentActor,
-    limit: Annotated[PageSize, Query()] = 100,
-    cursor: Cursor | None = None,
-) -> Page[RunInput]:
+    run_id: uuid.UUID, query: Annotated[PageQuery, Query()], db: Reading, actor: CurrentActor
+) -> Page[runs.RunInput]:
     """List the inputs of a run by path."""
-    return await service.list_inputs(db, actor, run_id=run_id, page=PageRequest(limit, cursor))
+    return await service.list_inputs(db, actor, run_id=run_id, page=query.page)
 
 
 @router.get("/runs/{run_id}/artifacts", operation_id="list_artifacts")
 async def list_artifacts(
-    run_id: uuid.UUID,
-    db: Reading,
-    actor: CurrentActor,
-    limit: Annotated[PageSize, Query()] = 100,
-    cursor: Cursor | None = None,
-) -> Page[ArtifactRead]:
+    run_id: uuid.UUID, query: Annotated[PageQuery, Query()], db: Reading, actor: CurrentActor
+) -> Page[runs.ArtifactRead]:
     """List the artifacts of a run by path."""
-    return await service.list_artifacts(db, actor, run_id=run_id, page=PageRequest(limit, cursor))
+    return await service.list_artifacts(db, actor, run_id=run_id, page=query.page)
 
 
 @router.post("/runs/{run_id}/artifacts/download", operation_id="download_artifacts")
 async def download_artifacts(
-    run_id: uuid.UUID, requested: ArtifactsRequest, context: CurrentContext, actor: CurrentActor
-) -> ArtifactUrls:
+    run_id: uuid.UUID, requested: runs.ArtifactsRequest, context: CurrentContext, actor: CurrentActor
+) -> runs.ArtifactUrls:
     """Return URLs of artifacts, and record the download in the audit log."""
     items = await service.link_artifacts(context, actor, run_id=run_id, artifact_ids=requested.artifact_ids)
-    return ArtifactUrls(items=items)
+    return runs.ArtifactUrls(items=items)
 
 
 @router.get("/runs/{run_id}/log", operation_id="get_run_log")
@@ -126,7 +94,7 @@ async def get_run_log(
     request: Request,
     context: CurrentContext,
     actor: CurrentActor,
-) -> LogChunkRead:
+) -> runs.LogChunkRead:
     """Get a chunk of the log of a run. The next one starts at `next_offset`, until `is_over`."""
     hub = request.app.state.hub
     return await logs.read_log(context, hub, actor, run_id=run_id, offset=query.offset, wait_s=query.wait_s)
@@ -135,22 +103,20 @@ async def get_run_log(
 @router.get("/findings", operation_id="list_findings")
 async def list_findings(
     query: Annotated[ReportListQuery, Query()], db: Reading, actor: CurrentActor
-) -> Page[FindingRead]:
+) -> Page[runs.FindingRead]:
     """List findings, latest first."""
-    page = PageRequest(query.limit, query.cursor, query.count)
-    return await service.list_findings(db, actor, matching=query, page=page)
+    return await service.list_findings(db, actor, matching=query, page=query.page)
 
 
 @router.get("/run-metrics", operation_id="list_run_metrics")
 async def list_run_metrics(
     query: Annotated[ReportListQuery, Query()], db: Reading, actor: CurrentActor
-) -> Page[MetricRead]:
+) -> Page[runs.MetricRead]:
     """List metrics, latest first."""
-    page = PageRequest(query.limit, query.cursor, query.count)
-    return await service.list_metrics(db, actor, matching=query, page=page)
+    return await service.list_metrics(db, actor, matching=query, page=query.page)
 
 
 @router.get("/files/{file_id}/lineage", operation_id="get_lineage")
-async def get_lineage(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> LineageRead:
+async def get_lineage(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> runs.LineageRead:
     """Get the run that produced a file and the runs that read it."""
     return await service.get_lineage(db, actor, file_id=file_id)

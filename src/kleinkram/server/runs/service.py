@@ -3,151 +3,195 @@
 import datetime
 import uuid
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
-from sqlalchemy import ColumnElement, Row, or_, select
+from sqlalchemy import ColumnElement, RowMapping, or_, select
 
+from kleinkram.contract import runs
+from kleinkram.contract.access import Right, Scope
+from kleinkram.contract.actions import ActionDefinition
 from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FileUnavailable, NotFound
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.reports import Metric
-from kleinkram.contract.runs import (
-    ArtifactRead,
-    ArtifactUrl,
-    FindingRead,
-    LineageFile,
-    LineageRead,
-    LineageRun,
-    MetricRead,
-    ReportFilter,
-    RunDetail,
-    RunFilter,
-    RunInput,
-    RunRead,
-    RunState,
-)
+from kleinkram.contract.missions import MissionRef
+from kleinkram.contract.people import PersonRef
+from kleinkram.contract.projects import ProjectRef
+from kleinkram.contract.reports import Finding, Metric, Severity
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
-from kleinkram.server.pagination import PageRequest, fetch_page
-from kleinkram.server.runners.eligibility import has_single_person, known_runners, reason_waiting
+from kleinkram.server.pagination import PageRequest, fetch_page, read_page
 from kleinkram.server.runs import queries
+from kleinkram.server.runs.eligibility import Needs, known_runners
 from kleinkram.server.tables import blob, file, run, run_artifact, run_input
+from kleinkram.server.tables.runs import ACTIVE
 
 _MAX_LINEAGE_RUNS = 100
 _MAX_LINEAGE_FILES = 1000
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
+# The fields of `RunRead` that are columns of the same name.
+_SAME = (
+    *("id", "version_id", "network", "parameters", "state", "reason", "message", "exit_code", "progress"),
+    *("attempt", "image_digest", "usage", "input_count", "input_bytes", "artifact_count", "metric_count"),
+    *("finding_counts", "reuses_id", "created_at", "claimed_at", "started_at", "ended_at", "cancel_requested_at"),
+)
 
 
-async def list_runs(db: Connection, actor: Actor, *, matching: RunFilter, page: PageRequest) -> Page[RunRead]:
+class VisibleRun(NamedTuple):
+    """A run without its metrics and what it waits for, the actor's level on its mission, and who launched it."""
+
+    run: runs.RunRead
+    needs: Needs
+    level: int
+    started_by_id: uuid.UUID
+
+    @property
+    def results_id(self) -> uuid.UUID:
+        """The run with its results: itself, or the earlier one that it reuses."""
+        return self.run.reuses_id or self.run.id
+
+
+async def list_runs(db: Connection, actor: Actor, *, matching: runs.RunFilter, page: PageRequest) -> Page[runs.RunRead]:
     """Return a page of the runs that match, latest first.
 
     Raises:
         InvalidCursor: the cursor is not of this list.
     """
-    rows_by_id = queries.run_rows(actor, queries.narrow(actor, queries.visible_runs(actor), matching))
-    rows = await fetch_page(db, rows_by_id, queries.RUN_ORDER, page)
-    waiting, metrics = await _waiting(db, rows.items), await _metrics(db, actor, rows.items)
-    items = [
-        queries.to_run(actor, row, waits_for=waiting.get(row.id), metrics=metrics.get(row.id, ())) for row in rows.items
-    ]
+    stmt = queries.run_rows(actor, queries.filter_runs(actor, queries.visible_runs(actor), matching))
+    rows = await fetch_page(db, stmt, queries.RUN_ORDER, page)
+    items = await _complete(db, actor, [_to_run(actor, row._mapping) for row in rows.items])
     return Page(items=items, next=rows.next, total=rows.total)
 
 
-async def get_run(db: Connection, actor: Actor, run_id: uuid.UUID) -> RunRead:
+async def get_run(db: Connection, actor: Actor, run_id: uuid.UUID) -> runs.RunRead:
     """Return one run.
 
     Raises:
         NotFound: it is not there, or not for this actor.
     """
-    row = await find_run_row(db, actor, run_id)
-    waiting, metrics = await _waiting(db, [row]), await _metrics(db, actor, [row])
-    return queries.to_run(actor, row, waits_for=waiting.get(row.id), metrics=metrics.get(row.id, ()))
+    (complete,) = await _complete(db, actor, [await find_run(db, actor, run_id)])
+    return complete
 
 
-async def get_detail(db: Connection, actor: Actor, run_id: uuid.UUID) -> RunDetail:
+async def get_detail(db: Connection, actor: Actor, run_id: uuid.UUID) -> runs.RunDetail:
     """Return one run with its details.
 
     Raises:
         NotFound: it is not there, or not for this actor.
     """
-    row = await find_run_row(db, actor, run_id)
-    waiting, metrics = await _waiting(db, [row]), await _metrics(db, actor, [row])
-    return queries.to_detail(actor, row, waits_for=waiting.get(row.id), metrics=metrics.get(row.id, ()))
+    row = await _find_row(db, actor, run_id)
+    (complete,) = await _complete(db, actor, [_to_run(actor, row)])
+    return runs.RunDetail(
+        **dict(complete),
+        definition=ActionDefinition.model_validate(row["definition"]),
+        problems=row["problems"],
+        metadata=row["proposed"],
+        previews=row["previews"],
+        samples=row["samples"],
+    )
 
 
-async def find_run_row(db: Connection, actor: Actor, run_id: uuid.UUID) -> Row[Any]:
-    """Return the row of a run, as `queries.whole_run` selects it.
+async def find_run(db: Connection, actor: Actor, run_id: uuid.UUID) -> VisibleRun:
+    """Return one run with what operations on it check.
 
     Raises:
         NotFound: it is not there, or not for this actor.
     """
-    row = (await db.execute(queries.whole_run(actor, run_id))).one_or_none()
+    return _to_run(actor, await _find_row(db, actor, run_id))
+
+
+async def _find_row(db: Connection, actor: Actor, run_id: uuid.UUID) -> RowMapping:
+    row = (await db.execute(queries.one_run(actor, run_id))).mappings().one_or_none()
     if row is None:
         raise NotFound(noun="run", ref=str(run_id))
     return row
 
 
-async def _waiting(db: Connection, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, str]:
-    queued = [row for row in rows if row.state == RunState.queued.value]
-    if not queued:
-        return {}
-    known, alone = await known_runners(db), await has_single_person(db)
-    return {row.id: reason_waiting(row, known, single_person=alone) for row in queued}
+def _to_run(actor: Actor, row: RowMapping) -> VisibleRun:
+    """Convert a row of `queries.run_rows`."""
+    started_by_id: uuid.UUID = row["started_by_id"]
+    needed = Right.create if started_by_id == actor.person_id else Right.delete
+    starter = PersonRef(id=started_by_id, name=row["started_by_name"])
+    read = runs.RunRead(
+        **{name: row[name] for name in _SAME},
+        mission=_to_mission(row),
+        action=_to_action(row),
+        cause=runs.Cause(person=starter, retry_of_id=row["retry_of_id"]),
+        runner=row["runner_name"],
+        waits_for=None,
+        may_cancel=row["level"] >= needed.level and Scope.run in actor.scopes and row["state"] in ACTIVE,
+    )
+    return VisibleRun(read, Needs(*(row[name] for name in Needs._fields)), row["level"], started_by_id)
 
 
-async def _metrics(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, list[Metric]]:
-    results = {row.id: row.reuses_id or row.id for row in rows if row.metric_count > 0}
-    if not results:
-        return {}
-    reported: dict[uuid.UUID, list[Metric]] = {}
-    for entry in await db.execute(queries.first_metrics(actor, [*results.values()])):
-        metric = Metric.model_construct(name=entry.name, value=entry.value, unit=entry.unit, file=entry.file)
-        reported.setdefault(entry.run_id, []).append(metric)
-    return {run_id: reported.get(result, []) for run_id, result in results.items()}
+def _to_mission(row: RowMapping) -> MissionRef:
+    project = ProjectRef(id=row["project_id"], name=row["project_name"])
+    return MissionRef(id=row["mission_id"], name=row["mission_name"], project=project)
 
 
-async def results_of(db: Connection, actor: Actor, run_id: uuid.UUID) -> uuid.UUID:
-    """Return the run with the results of a run: itself, or the earlier one that it reuses.
-
-    Raises:
-        NotFound: it is not there, or not for this actor.
-    """
-    row = await find_run_row(db, actor, run_id)
-    rows_by_id: uuid.UUID = row.reuses_id or row.id
-    return rows_by_id
+def _to_action(row: RowMapping) -> runs.ActionRef:
+    return runs.ActionRef(id=row["action_id"], name=row["action_name"], version=row["action_number"])
 
 
-async def list_inputs(db: Connection, actor: Actor, *, run_id: uuid.UUID, page: PageRequest) -> Page[RunInput]:
+async def _complete(db: Connection, actor: Actor, visible: Sequence[VisibleRun]) -> list[runs.RunRead]:
+    """Add what queued runs wait for, and the first metrics."""
+    waits_for: dict[uuid.UUID, str] = {}
+    if queued := [entry for entry in visible if entry.run.state is runs.RunState.queued]:
+        known = await known_runners(db)
+        waits_for = {entry.run.id: known.reason_waiting(entry.needs) for entry in queued}
+    metrics: dict[uuid.UUID, list[Metric]] = {}
+    if with_metrics := {entry.results_id for entry in visible if entry.run.metric_count > 0}:
+        for row in await db.execute(queries.first_metrics(actor, [*with_metrics])):
+            metric = Metric.model_construct(name=row.name, value=row.value, unit=row.unit, file=row.file)
+            metrics.setdefault(row.run_id, []).append(metric)
+    return [
+        entry.run.model_copy(
+            update={"waits_for": waits_for.get(entry.run.id), "metrics": metrics.get(entry.results_id, [])}
+        )
+        for entry in visible
+    ]
+
+
+async def list_inputs(db: Connection, actor: Actor, *, run_id: uuid.UUID, page: PageRequest) -> Page[runs.RunInput]:
     """Return a page of the inputs of a run, by path, without files that were moved out of `actor`'s sight.
 
     Raises:
         NotFound: the run is not there, or not for this actor.
         InvalidCursor: the cursor is not of this list.
     """
-    await find_run_row(db, actor, run_id)
+    await _find_row(db, actor, run_id)
     rows = await fetch_page(db, queries.inputs_of(actor, [run_id]), queries.INPUT_ORDER, page)
-    return Page(items=[queries.to_input(row) for row in rows.items], next=rows.next, total=rows.total)
+    items = [
+        runs.RunInput(path=row.path, size_bytes=row.size_bytes, sha256=row.sha256.hex(), file_id=row.file_id)
+        for row in rows.items
+    ]
+    return Page(items=items, next=rows.next, total=rows.total)
 
 
-async def list_artifacts(db: Connection, actor: Actor, *, run_id: uuid.UUID, page: PageRequest) -> Page[ArtifactRead]:
+async def list_artifacts(
+    db: Connection, actor: Actor, *, run_id: uuid.UUID, page: PageRequest
+) -> Page[runs.ArtifactRead]:
     """Return a page of the artifacts of a run, by path.
 
     Raises:
         NotFound: the run is not there, or not for this actor.
         InvalidCursor: the cursor is not of this list.
     """
-    stmt = queries.artifacts_of(actor, await results_of(db, actor, run_id))
-    rows = await fetch_page(db, stmt, queries.ARTIFACT_ORDER, page)
-    return Page(items=[queries.to_artifact(row) for row in rows.items], next=rows.next, total=rows.total)
+    stmt = queries.artifacts_of(actor, (await find_run(db, actor, run_id)).results_id)
+    return await read_page(db, stmt, queries.ARTIFACT_ORDER, page, lambda row: _to_artifact(row._mapping))
+
+
+def _to_artifact(row: RowMapping) -> runs.ArtifactRead:
+    same = {name: row[name] for name in ("id", "run_id", "path", "size_bytes", "file_id")}
+    return runs.ArtifactRead(**same, sha256=row["sha256"].hex())
 
 
 async def link_artifacts(
     context: AppContext, actor: Actor, *, run_id: uuid.UUID, artifact_ids: Sequence[uuid.UUID]
-) -> list[ArtifactUrl]:
+) -> list[runs.ArtifactUrl]:
     """Return URLs of artifacts, in the requested order, and record the download.
 
     Raises:
@@ -155,8 +199,8 @@ async def link_artifacts(
         FileUnavailable: the store's copy of one is lost or corrupt.
     """
     async with context.database.begin() as db:
-        run_row = await find_run_row(db, actor, run_id)
-        stmt = queries.artifacts_of(actor, run_row.reuses_id or run_id).where(among(run_artifact.c.id, artifact_ids))
+        visible = await find_run(db, actor, run_id)
+        stmt = queries.artifacts_of(actor, visible.results_id).where(among(run_artifact.c.id, artifact_ids))
         rows_by_id = {row.id: row for row in await db.execute(stmt)}
         for entry in artifact_ids:
             if entry not in rows_by_id:
@@ -164,14 +208,14 @@ async def link_artifacts(
             if rows_by_id[entry].state in _UNREADABLE:
                 raise FileUnavailable(path=rows_by_id[entry].path, state=rows_by_id[entry].state)
         after: Metadata = {"files": len(rows_by_id)}
-        name, project_id = run_row.action_name, run_row.project_id
-        fetched = Event("run.download", "run", run_id, name, project_id, after=after, mission_id=run_row.mission_id)
-        await record(db, actor, fetched)
+        name, where = visible.run.action.name, visible.run.mission
+        event = Event("run.download", "run", run_id, name, where.project.id, after=after, mission_id=where.id)
+        await audit(db, actor, event)
     expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
     return [
-        ArtifactUrl(
-            artifact=queries.to_artifact(rows_by_id[entry]),
+        runs.ArtifactUrl(
+            artifact=_to_artifact(rows_by_id[entry]._mapping),
             url=context.storage.sign_get(rows_by_id[entry].key, path=rows_by_id[entry].path, expires_s=expires_s),
             expires_at=expires_at,
         )
@@ -180,8 +224,8 @@ async def link_artifacts(
 
 
 async def list_findings(
-    db: Connection, actor: Actor, *, matching: ReportFilter, page: PageRequest
-) -> Page[FindingRead]:
+    db: Connection, actor: Actor, *, matching: runs.ReportFilter, page: PageRequest
+) -> Page[runs.FindingRead]:
     """Return a page of findings, latest first.
 
     Raises:
@@ -189,11 +233,20 @@ async def list_findings(
         InvalidCursor: the cursor is not of this list.
     """
     stmt = queries.findings(actor, await _of_results(db, actor, matching))
-    rows = await fetch_page(db, stmt, queries.FINDING_ORDER, page)
-    return Page(items=[queries.to_finding(row) for row in rows.items], next=rows.next, total=rows.total)
+    return await read_page(db, stmt, queries.FINDING_ORDER, page, lambda row: _to_finding(row._mapping))
 
 
-async def list_metrics(db: Connection, actor: Actor, *, matching: ReportFilter, page: PageRequest) -> Page[MetricRead]:
+def _to_finding(row: RowMapping) -> runs.FindingRead:
+    names = ("code", "message", "file", "topic", "time_ns")
+    reported = Finding.model_construct(
+        severity=Severity(row["reported_severity"]), **{name: row[f"reported_{name}"] for name in names}
+    )
+    return runs.FindingRead(**_reported_where(row), finding=reported)
+
+
+async def list_metrics(
+    db: Connection, actor: Actor, *, matching: runs.ReportFilter, page: PageRequest
+) -> Page[runs.MetricRead]:
     """Return a page of metrics, latest first.
 
     Raises:
@@ -201,22 +254,26 @@ async def list_metrics(db: Connection, actor: Actor, *, matching: ReportFilter, 
         InvalidCursor: the cursor is not of this list.
     """
     stmt = queries.metrics(actor, await _of_results(db, actor, matching))
-    rows = await fetch_page(db, stmt, queries.METRIC_ORDER, page)
-    return Page(items=[queries.to_metric(row) for row in rows.items], next=rows.next, total=rows.total)
+    return await read_page(db, stmt, queries.METRIC_ORDER, page, lambda row: _to_metric(row._mapping))
 
 
-async def _of_results(db: Connection, actor: Actor, matching: ReportFilter) -> ReportFilter:
+def _to_metric(row: RowMapping) -> runs.MetricRead:
+    reported = Metric.model_construct(**{name: row[f"reported_{name}"] for name in ("name", "value", "unit", "file")})
+    return runs.MetricRead(**_reported_where(row), metric=reported)
+
+
+def _reported_where(row: RowMapping) -> dict[str, Any]:
+    ids = {"id": row["reported_id"], "run_id": row["reported_run_id"]}
+    return {**ids, "mission": _to_mission(row), "action": _to_action(row)}
+
+
+async def _of_results(db: Connection, actor: Actor, matching: runs.ReportFilter) -> runs.ReportFilter:
     if matching.run_id is None:
         return matching
-    return matching.model_copy(update={"run_id": await results_of(db, actor, matching.run_id)})
+    return matching.model_copy(update={"run_id": (await find_run(db, actor, matching.run_id)).results_id})
 
 
-async def lock_run(db: Connection, run_id: uuid.UUID) -> None:
-    """Lock a run until this transaction ends."""
-    await db.execute(run.select().where(run.c.id == run_id).with_for_update(key_share=True))
-
-
-async def get_lineage(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> LineageRead:
+async def get_lineage(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> runs.LineageRead:
     """Return the run that produced a file and those that read it, with their results, as far as `actor` may see them.
 
     Raises:
@@ -227,58 +284,70 @@ async def get_lineage(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> Li
     row = (await db.execute(stmt)).one_or_none()
     if row is None:
         raise NotFound(noun="file", ref=str(file_id))
-    maker = select(run_artifact.c.run_id, run_artifact.c.made_from).where(run_artifact.c.file_id == file_id)
-    made = (await db.execute(maker)).one_or_none()
+    producers = select(run_artifact.c.run_id, run_artifact.c.made_from).where(run_artifact.c.file_id == file_id)
+    produced = (await db.execute(producers)).one_or_none()
     # By content, too: it may have been read under another name, or before it was moved.
     readers = select(run_input.c.run_id).where(
         or_(run_input.c.file_id == file_id, run_input.c.blob_id == row.blob_id), run_input.c.sha256 == row.sha256
     )
-    rows_by_id = await _runs(db, actor, run.c.id.in_(readers))
-    makers = [] if made is None else await _runs(db, actor, run.c.id == made.run_id)
-    named = await _with_files(db, actor, [*rows_by_id[:_MAX_LINEAGE_RUNS], *makers])
-    made_by = None if not makers else _only_sources(named[makers[0].id], made.made_from if made else [])
-    return LineageRead(
-        file=LineageFile(id=row.id, path=row.path, sha256=row.sha256.hex()),
-        made_by=made_by,
-        read_by=[named[entry.id] for entry in rows_by_id[:_MAX_LINEAGE_RUNS]],
-        truncated=len(rows_by_id) > _MAX_LINEAGE_RUNS,
+    read_by = await _find_runs(db, actor, run.c.id.in_(readers))
+    made_by = [] if produced is None else await _find_runs(db, actor, run.c.id == produced.run_id)
+    described = await _with_files(db, actor, [*read_by[:_MAX_LINEAGE_RUNS], *made_by])
+    maker = described[made_by[0].id] if made_by else None
+    if maker is not None and produced is not None and produced.made_from:
+        # Only those inputs that it reported as sources.
+        sources = [entry for entry in maker.inputs if entry.path in produced.made_from]
+        maker = maker.model_copy(update={"inputs": sources})
+    return runs.LineageRead(
+        file=runs.LineageFile(id=row.id, path=row.path, sha256=row.sha256.hex()),
+        made_by=maker,
+        read_by=[described[entry.id] for entry in read_by[:_MAX_LINEAGE_RUNS]],
+        truncated=len(read_by) > _MAX_LINEAGE_RUNS,
     )
 
 
-async def _runs(db: Connection, actor: Actor, condition: ColumnElement[bool]) -> Sequence[Row[Any]]:
+async def _find_runs(db: Connection, actor: Actor, condition: ColumnElement[bool]) -> list[runs.RunRead]:
     stmt = queries.run_rows(actor, queries.visible_runs(actor).where(condition))
-    return (await db.execute(stmt.order_by(run.c.created_at.desc()).limit(_MAX_LINEAGE_RUNS + 1))).all()
+    rows = await db.execute(stmt.order_by(run.c.created_at.desc()).limit(_MAX_LINEAGE_RUNS + 1))
+    return [_to_run(actor, row).run for row in rows.mappings()]
 
 
-async def _with_files(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, LineageRun]:
-    run_ids = {row.id for row in rows}
-    stmt = queries.inputs_of(actor, [*run_ids])
-    input_rows = (await db.execute(stmt.order_by(run_input.c.path).limit(_MAX_LINEAGE_FILES))).all()
+async def _with_files(
+    db: Connection, actor: Actor, described: Sequence[runs.RunRead]
+) -> dict[uuid.UUID, runs.LineageRun]:
+    run_ids = {entry.id for entry in described}
+    stmt = queries.inputs_of(actor, [*run_ids]).order_by(run_input.c.path).limit(_MAX_LINEAGE_FILES)
+    inputs = [_LineageRow(row.run_id, row.file_id, row.path, row.sha256) for row in await db.execute(stmt)]
     columns = (run_artifact.c.run_id, run_artifact.c.file_id, file.c.path, blob.c.sha256)
     stmt = select(*columns).join_from(run_artifact, file, file.c.id == run_artifact.c.file_id)
     joined = stmt.join(blob, blob.c.id == file.c.blob_id).join(run, run.c.id == run_artifact.c.run_id)
     shown_files = among(run_artifact.c.run_id, run_ids) & ~queries.is_hidden(actor, run_artifact.c.file_id)
-    made = (await db.execute(joined.where(shown_files).order_by(file.c.path).limit(_MAX_LINEAGE_FILES))).all()
-    ids = {row.file_id for row in [*input_rows, *made] if row.file_id}
+    made_stmt = joined.where(shown_files).order_by(file.c.path).limit(_MAX_LINEAGE_FILES)
+    made = [_LineageRow._make(row) for row in await db.execute(made_stmt)]
+    ids = {row.file_id for row in [*inputs, *made] if row.file_id}
     seen = visible_files(actor).with_only_columns(file.c.id, maintain_column_froms=True)
     visible = set((await db.execute(seen.where(among(file.c.id, ids)))).scalars())
 
-    def shown(row: Row[Any]) -> LineageFile:
-        return LineageFile(id=row.file_id if row.file_id in visible else None, path=row.path, sha256=row.sha256.hex())
+    def files_of(rows: Sequence[_LineageRow], run_id: uuid.UUID) -> list[runs.LineageFile]:
+        return [
+            runs.LineageFile(id=row.file_id if row.file_id in visible else None, path=row.path, sha256=row.sha256.hex())
+            for row in rows
+            if row.run_id == run_id
+        ]
 
     return {
-        row.id: LineageRun(
-            run=queries.to_run(actor, row),
-            inputs=[shown(entry) for entry in input_rows if entry.run_id == row.id],
-            files=[shown(entry) for entry in made if entry.run_id == row.id],
-            artifact_count=row.artifact_count,
+        entry.id: runs.LineageRun(
+            run=entry,
+            inputs=files_of(inputs, entry.id),
+            files=files_of(made, entry.id),
+            artifact_count=entry.artifact_count,
         )
-        for row in rows
+        for entry in described
     }
 
 
-def _only_sources(made_by: LineageRun, made_from: Sequence[str] | None) -> LineageRun:
-    """Return the run that produced a file with only those inputs that it reported as sources."""
-    if not made_from:
-        return made_by
-    return made_by.model_copy(update={"inputs": [entry for entry in made_by.inputs if entry.path in made_from]})
+class _LineageRow(NamedTuple):
+    run_id: uuid.UUID
+    file_id: uuid.UUID | None
+    path: str
+    sha256: bytes

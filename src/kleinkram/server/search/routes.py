@@ -1,4 +1,4 @@
-"""Search over HTTP: one query over everything, its facets, topics and statistics."""
+"""Routes of the search: missions, files and topics of a query, its facets and statistics."""
 
 from typing import Annotated
 
@@ -8,12 +8,11 @@ from pydantic import BaseModel, ConfigDict
 from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.files import FileSort, TopicRead
 from kleinkram.contract.names import Term
-from kleinkram.contract.overviews import StatsRead
-from kleinkram.contract.query import whole
-from kleinkram.contract.search import FacetsRead, FileQuery, QueryText, SearchRead
+from kleinkram.contract.query import combined_filter
+from kleinkram.contract.search import FacetsRead, FileQuery, QueryText, SearchRead, StatsRead
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
 from kleinkram.server.pagination import PageRequest
-from kleinkram.server.search import facets, service
+from kleinkram.server.search import facets, service, statistics
 
 router = APIRouter(prefix="/api/v1", tags=["search"])
 
@@ -60,10 +59,10 @@ async def list_topics(
 ) -> Page[TopicRead]:
     """List the topics of the files that match, by name."""
     page = PageRequest(query.limit, query.cursor, query.count)
-    return await service.list_topics(db, actor, matching=whole(query), page=page)
+    return await service.list_topics(db, actor, matching=combined_filter(query), page=page)
 
 
 @router.get("/stats", operation_id="get_stats")
 async def get_stats(query: Annotated[StatsQuery, Query()], db: Transaction, actor: CurrentActor) -> StatsRead:
     """Return hours, bytes, files and messages of the files that match."""
-    return await service.get_stats(db, actor, by=query.by, matching=whole(query))
+    return await statistics.get_stats(db, actor, by=query.by, matching=combined_filter(query))

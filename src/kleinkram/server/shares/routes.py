@@ -13,7 +13,7 @@ from kleinkram.contract.errors import NotFound
 from kleinkram.contract.tokens import SHARE_PAGE, ShareCreate, SharedRead, ShareMade, ShareRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
 from kleinkram.server.http.headers import PAGE_POLICY
-from kleinkram.server.http.pages import PAGE_HEAD, brand
+from kleinkram.server.http.web_app import PAGE_HEAD, brand
 from kleinkram.server.pagination import PageQuery
 from kleinkram.server.settings import Settings
 from kleinkram.server.shares import service

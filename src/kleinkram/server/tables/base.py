@@ -1,4 +1,4 @@
-"""What all tables share: naming of constraints, and the columns that recur."""
+"""Shared by all tables: names of constraints, and common columns."""
 
 import datetime
 import enum

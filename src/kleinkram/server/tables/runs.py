@@ -1,29 +1,10 @@
-"""Actions and their versions, runners, and runs with their inputs, results and logs.
+"""Tables of actions and their versions, runners, and runs with their inputs, results and logs.
 
-A version never changes, but for the digest that its image was first resolved to. Lease and attempt say who executes a
-run.
+A version never changes, except that the digest of its image is added when it is first resolved. Lease and attempt
+identify the runner that executes a run.
 """
 
-from sqlalchemy import (
-    ARRAY,
-    BigInteger,
-    Boolean,
-    CheckConstraint,
-    Column,
-    DateTime,
-    Double,
-    ForeignKey,
-    Identity,
-    Index,
-    Integer,
-    LargeBinary,
-    PrimaryKeyConstraint,
-    Table,
-    Text,
-    UniqueConstraint,
-    Uuid,
-    text,
-)
+import sqlalchemy as sa
 from sqlalchemy.dialects.postgresql import JSONB
 
 from kleinkram.contract.actions import Network
@@ -31,207 +12,209 @@ from kleinkram.contract.reports import Severity
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
 
-action = Table(
+action = sa.Table(
     "action",
     metadata,
     id_column(),
-    # Null: the whole lab's.
-    Column("project_id", Uuid, ForeignKey("project.id", ondelete="CASCADE")),
+    # Null for actions of the whole lab.
+    sa.Column("project_id", sa.Uuid, sa.ForeignKey("project.id", ondelete="CASCADE")),
     sorted_text("name"),
     sorted_text("name_key"),
-    Column("created_by_id", Uuid, ForeignKey("person.id"), nullable=False),
+    sa.Column("created_by_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False),
     created_at_column(),
-    Column("archived_at", DateTime(timezone=True)),
-    Index(
+    sa.Column("archived_at", sa.DateTime(timezone=True)),
+    sa.Index(
         "uq_action_name_key_live",
         "project_id",
         "name_key",
         unique=True,
-        postgresql_where=text("archived_at IS NULL"),
+        postgresql_where=sa.text("archived_at IS NULL"),
         postgresql_nulls_not_distinct=True,
     ),
-    Index("ix_action_name", "name", "id"),
+    sa.Index("ix_action_name", "name", "id"),
 )
 
-action_version = Table(
+action_version = sa.Table(
     "action_version",
     metadata,
     id_column(),
-    # Null, with its number, where it was run without being published.
-    Column("action_id", Uuid, ForeignKey("action.id", ondelete="CASCADE")),
-    Column("number", Integer),
-    Column("definition", JSONB, nullable=False),
-    Column("definition_sha256", LargeBinary, nullable=False),
-    Column("image_digest", Text),
-    Column("created_by_id", Uuid, ForeignKey("person.id"), nullable=False),
+    # Null, like the number, for a definition that was run without being published.
+    sa.Column("action_id", sa.Uuid, sa.ForeignKey("action.id", ondelete="CASCADE")),
+    sa.Column("number", sa.Integer),
+    sa.Column("definition", JSONB, nullable=False),
+    sa.Column("definition_sha256", sa.LargeBinary, nullable=False),
+    sa.Column("image_digest", sa.Text),
+    sa.Column("created_by_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False),
     created_at_column(),
-    UniqueConstraint("action_id", "number"),
-    CheckConstraint("(action_id IS NULL) = (number IS NULL)", name="published"),
-    Index(
+    sa.UniqueConstraint("action_id", "number"),
+    sa.CheckConstraint("(action_id IS NULL) = (number IS NULL)", name="published"),
+    sa.Index(
         "uq_action_version_unpublished",
         "definition_sha256",
         unique=True,
-        postgresql_where=text("action_id IS NULL"),
+        postgresql_where=sa.text("action_id IS NULL"),
     ),
 )
 
 
-runner = Table(
+runner = sa.Table(
     "runner",
     metadata,
     id_column(),
-    Column("person_id", Uuid, ForeignKey("person.id"), nullable=False, index=True),
-    # The token with which it last said hello. No foreign key: tokens of runs refer to runs, and these to runners.
-    Column("token_id", Uuid),
-    Column("name", Text, nullable=False),
-    Column("labels", ARRAY(Text), nullable=False, server_default="{}"),
-    Column("capacity", JSONB, nullable=False),
-    Column("abilities", JSONB, nullable=False),
-    Column("default_image", Text),
-    Column("version", Text, nullable=False),
+    sa.Column("person_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False, index=True),
+    # The token with which it last registered. No foreign key: tokens of runs refer to runs, and these to runners.
+    sa.Column("token_id", sa.Uuid),
+    sa.Column("name", sa.Text, nullable=False),
+    sa.Column("labels", sa.ARRAY(sa.Text), nullable=False, server_default="{}"),
+    sa.Column("capacity", JSONB, nullable=False),
+    sa.Column("abilities", JSONB, nullable=False),
+    sa.Column("default_image", sa.Text),
+    sa.Column("version", sa.Text, nullable=False),
     created_at_column(),
-    Column("last_seen_at", DateTime(timezone=True), nullable=False, server_default=text("now()")),
+    sa.Column("last_seen_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.text("now()")),
 )
 
 
 ASSIGNED = (RunState.preparing.value, RunState.running.value, RunState.collecting.value)
 ACTIVE = (RunState.queued.value, *ASSIGNED)
 
-run = Table(
+run = sa.Table(
     "run",
     metadata,
     id_column(),
-    Column("mission_id", Uuid, ForeignKey("mission.id", ondelete="CASCADE"), nullable=False),
-    Column("version_id", Uuid, ForeignKey("action_version.id"), nullable=False, index=True),
-    Column("parameters", JSONB, nullable=False),
-    Column("network", Text, nullable=False),
-    # What a runner must have free, and be called, for this: out of the definition, so that a claim is one look.
-    Column("cores", Double, nullable=False),
-    Column("memory_bytes", BigInteger, nullable=False),
-    Column("disk_bytes", BigInteger, nullable=False),
-    Column("gpus", Integer, nullable=False),
-    Column("labels", ARRAY(Text), nullable=False, server_default="{}"),
-    Column("needs_images", Boolean, nullable=False),
-    Column("state", Text, nullable=False, server_default=RunState.queued.value),
-    Column("reason", Text),
-    Column("message", Text, nullable=False, server_default=""),
-    Column("exit_code", Integer),
-    Column("image_digest", Text),
-    # The SHA-256 of all that decides about its results, but for the image.
-    Column("inputs_fingerprint", LargeBinary, nullable=False),
-    Column("reuses_id", Uuid, ForeignKey("run.id", ondelete="SET NULL"), index=True),
-    Column("retry_of_id", Uuid, ForeignKey("run.id", ondelete="SET NULL"), index=True),
-    Column("started_by_id", Uuid, ForeignKey("person.id"), nullable=False, index=True),
-    Column("attempt", Integer, nullable=False, server_default="0"),
-    # How often a runner was lost with it.
-    Column("lost_count", Integer, nullable=False, server_default="0"),
-    Column("runner_id", Uuid, ForeignKey("runner.id"), index=True),
-    Column("lease_ends_at", DateTime(timezone=True)),
-    Column("progress", JSONB(none_as_null=True)),
-    Column("usage", JSONB(none_as_null=True)),
-    Column("samples", JSONB, nullable=False, server_default="[]"),
-    Column("problems", JSONB, nullable=False, server_default="[]"),
-    Column("proposed", JSONB, nullable=False, server_default="{}"),
-    Column("previews", JSONB, nullable=False, server_default="[]"),
-    Column("input_count", Integer, nullable=False),
-    Column("input_bytes", BigInteger, nullable=False),
-    Column("artifact_count", Integer, nullable=False, server_default="0"),
-    Column("metric_count", Integer, nullable=False, server_default="0"),
+    sa.Column("mission_id", sa.Uuid, sa.ForeignKey("mission.id", ondelete="CASCADE"), nullable=False),
+    sa.Column("version_id", sa.Uuid, sa.ForeignKey("action_version.id"), nullable=False, index=True),
+    sa.Column("parameters", JSONB, nullable=False),
+    sa.Column("network", sa.Text, nullable=False),
+    # Resources and labels that a runner must have, copied from the definition so that a claim is one query.
+    sa.Column("cores", sa.Double, nullable=False),
+    sa.Column("memory_bytes", sa.BigInteger, nullable=False),
+    sa.Column("disk_bytes", sa.BigInteger, nullable=False),
+    sa.Column("gpus", sa.Integer, nullable=False),
+    sa.Column("labels", sa.ARRAY(sa.Text), nullable=False, server_default="{}"),
+    sa.Column("needs_images", sa.Boolean, nullable=False),
+    sa.Column("state", sa.Text, nullable=False, server_default=RunState.queued.value),
+    sa.Column("reason", sa.Text),
+    sa.Column("message", sa.Text, nullable=False, server_default=""),
+    sa.Column("exit_code", sa.Integer),
+    sa.Column("image_digest", sa.Text),
+    # SHA-256 of everything that determines its results, except the image.
+    sa.Column("inputs_fingerprint", sa.LargeBinary, nullable=False),
+    sa.Column("reuses_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
+    sa.Column("retry_of_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
+    sa.Column("started_by_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False, index=True),
+    sa.Column("attempt", sa.Integer, nullable=False, server_default="0"),
+    # How many times its runner was lost.
+    sa.Column("lost_count", sa.Integer, nullable=False, server_default="0"),
+    sa.Column("runner_id", sa.Uuid, sa.ForeignKey("runner.id"), index=True),
+    sa.Column("lease_ends_at", sa.DateTime(timezone=True)),
+    sa.Column("progress", JSONB(none_as_null=True)),
+    sa.Column("usage", JSONB(none_as_null=True)),
+    sa.Column("samples", JSONB, nullable=False, server_default="[]"),
+    sa.Column("problems", JSONB, nullable=False, server_default="[]"),
+    sa.Column("proposed", JSONB, nullable=False, server_default="{}"),
+    sa.Column("previews", JSONB, nullable=False, server_default="[]"),
+    sa.Column("input_count", sa.Integer, nullable=False),
+    sa.Column("input_bytes", sa.BigInteger, nullable=False),
+    sa.Column("artifact_count", sa.Integer, nullable=False, server_default="0"),
+    sa.Column("metric_count", sa.Integer, nullable=False, server_default="0"),
     # By severity.
-    Column("finding_counts", JSONB, nullable=False, server_default="{}"),
-    Column("log_blob_id", Uuid, ForeignKey("blob.id"), index=True),
+    sa.Column("finding_counts", JSONB, nullable=False, server_default="{}"),
+    sa.Column("log_blob_id", sa.Uuid, sa.ForeignKey("blob.id"), index=True),
     created_at_column(),
-    Column("claimed_at", DateTime(timezone=True)),
-    Column("started_at", DateTime(timezone=True)),
-    Column("ended_at", DateTime(timezone=True)),
-    Column("cancel_requested_at", DateTime(timezone=True)),
+    sa.Column("claimed_at", sa.DateTime(timezone=True)),
+    sa.Column("started_at", sa.DateTime(timezone=True)),
+    sa.Column("ended_at", sa.DateTime(timezone=True)),
+    sa.Column("cancel_requested_at", sa.DateTime(timezone=True)),
     one_of("state", RunState),
     one_of("reason", EndReason),
     one_of("network", Network),
-    CheckConstraint("(ended_at IS NULL) = (state IN ('queued', 'preparing', 'running', 'collecting'))", name="ended"),
-    CheckConstraint(
+    sa.CheckConstraint(
+        "(ended_at IS NULL) = (state IN ('queued', 'preparing', 'running', 'collecting'))", name="ended"
+    ),
+    sa.CheckConstraint(
         "(lease_ends_at IS NOT NULL) = (state IN ('preparing', 'running', 'collecting'))"
         " AND (state NOT IN ('preparing', 'running', 'collecting') OR runner_id IS NOT NULL)",
         name="held",
     ),
-    Index("ix_run_queue", "created_at", "id", postgresql_where=text("state = 'queued'")),
-    Index(
+    sa.Index("ix_run_queue", "created_at", "id", postgresql_where=sa.text("state = 'queued'")),
+    sa.Index(
         "ix_run_lease_ends_at",
         "lease_ends_at",
-        postgresql_where=text("state IN ('preparing', 'running', 'collecting')"),
+        postgresql_where=sa.text("state IN ('preparing', 'running', 'collecting')"),
     ),
-    Index("ix_run_created_at", "created_at", "id"),
-    Index("ix_run_mission_id", "mission_id", "created_at"),
-    Index("ix_run_inputs", "inputs_fingerprint", postgresql_where=text("state = 'done'")),
+    sa.Index("ix_run_created_at", "created_at", "id"),
+    sa.Index("ix_run_mission_id", "mission_id", "created_at"),
+    sa.Index("ix_run_inputs", "inputs_fingerprint", postgresql_where=sa.text("state = 'done'")),
 )
 
-# The hash stays when the file, or its bytes, are gone; a blob is kept while a run that is not over names it here.
-run_input = Table(
+# The hash stays after the file or its bytes are deleted. A blob is kept while an unfinished run refers to it here.
+run_input = sa.Table(
     "run_input",
     metadata,
-    Column("run_id", Uuid, ForeignKey("run.id", ondelete="CASCADE"), nullable=False),
+    sa.Column("run_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="CASCADE"), nullable=False),
     sorted_text("path"),
-    Column("size_bytes", BigInteger, nullable=False),
-    Column("sha256", LargeBinary, nullable=False),
-    Column("blob_id", Uuid, ForeignKey("blob.id", ondelete="SET NULL"), index=True),
-    Column("file_id", Uuid, ForeignKey("file.id", ondelete="SET NULL"), index=True),
-    PrimaryKeyConstraint("run_id", "path"),
+    sa.Column("size_bytes", sa.BigInteger, nullable=False),
+    sa.Column("sha256", sa.LargeBinary, nullable=False),
+    sa.Column("blob_id", sa.Uuid, sa.ForeignKey("blob.id", ondelete="SET NULL"), index=True),
+    sa.Column("file_id", sa.Uuid, sa.ForeignKey("file.id", ondelete="SET NULL"), index=True),
+    sa.PrimaryKeyConstraint("run_id", "path"),
 )
 
-# `file_id` and `made_from` are there where it was put back into the mission; `made_from` empty: from all inputs.
-run_artifact = Table(
+# `file_id` and `made_from` are set if it was put back into the mission; an empty `made_from` means all inputs.
+run_artifact = sa.Table(
     "run_artifact",
     metadata,
     id_column(),
-    Column("run_id", Uuid, ForeignKey("run.id", ondelete="CASCADE"), nullable=False),
+    sa.Column("run_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="CASCADE"), nullable=False),
     sorted_text("path"),
-    Column("blob_id", Uuid, ForeignKey("blob.id"), nullable=False, index=True),
-    Column("file_id", Uuid, ForeignKey("file.id", ondelete="SET NULL"), index=True),
-    Column("made_from", ARRAY(Text)),
-    UniqueConstraint("run_id", "path"),
+    sa.Column("blob_id", sa.Uuid, sa.ForeignKey("blob.id"), nullable=False, index=True),
+    sa.Column("file_id", sa.Uuid, sa.ForeignKey("file.id", ondelete="SET NULL"), index=True),
+    sa.Column("made_from", sa.ARRAY(sa.Text)),
+    sa.UniqueConstraint("run_id", "path"),
 )
 
-run_finding = Table(
+run_finding = sa.Table(
     "run_finding",
     metadata,
-    Column("id", BigInteger, Identity(always=True), primary_key=True),
-    Column("run_id", Uuid, ForeignKey("run.id", ondelete="CASCADE"), nullable=False),
-    Column("severity", Text, nullable=False),
+    sa.Column("id", sa.BigInteger, sa.Identity(always=True), primary_key=True),
+    sa.Column("run_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="CASCADE"), nullable=False),
+    sa.Column("severity", sa.Text, nullable=False),
     sorted_text("code"),
-    Column("message", Text, nullable=False),
-    Column("file", Text),
-    Column("topic", Text),
-    Column("time_ns", BigInteger),
+    sa.Column("message", sa.Text, nullable=False),
+    sa.Column("file", sa.Text),
+    sa.Column("topic", sa.Text),
+    sa.Column("time_ns", sa.BigInteger),
     one_of("severity", Severity),
-    Index("ix_run_finding_run_id", "run_id", "id"),
-    Index("ix_run_finding_code", "code", "id"),
+    sa.Index("ix_run_finding_run_id", "run_id", "id"),
+    sa.Index("ix_run_finding_code", "code", "id"),
 )
 
-run_metric = Table(
+run_metric = sa.Table(
     "run_metric",
     metadata,
-    Column("id", BigInteger, Identity(always=True), primary_key=True),
-    Column("run_id", Uuid, ForeignKey("run.id", ondelete="CASCADE"), nullable=False),
+    sa.Column("id", sa.BigInteger, sa.Identity(always=True), primary_key=True),
+    sa.Column("run_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="CASCADE"), nullable=False),
     sorted_text("name"),
-    Column("value", Double, nullable=False),
-    Column("unit", Text),
-    Column("file", Text),
-    Index("ix_run_metric_run_id", "run_id", "id"),
-    Index("ix_run_metric_name", "name", "id"),
+    sa.Column("value", sa.Double, nullable=False),
+    sa.Column("unit", sa.Text),
+    sa.Column("file", sa.Text),
+    sa.Index("ix_run_metric_run_id", "run_id", "id"),
+    sa.Index("ix_run_metric_name", "name", "id"),
 )
 
-# Pieces of logs in the store. Without a run they, and then their rows, are swept.
-log_chunk = Table(
+# Chunks of logs in the store. Without a run, the objects and then the rows are deleted as garbage.
+log_chunk = sa.Table(
     "log_chunk",
     metadata,
-    Column("key", Text, primary_key=True),
-    Column("store_id", Text, nullable=False, server_default="main"),
-    Column("run_id", Uuid, ForeignKey("run.id", ondelete="SET NULL")),
-    Column("attempt", Integer, nullable=False),
-    Column("offset_bytes", BigInteger, nullable=False),
-    Column("size_bytes", BigInteger, nullable=False),
-    # Null until the runner said that it is there.
-    Column("kept_at", DateTime(timezone=True)),
+    sa.Column("key", sa.Text, primary_key=True),
+    sa.Column("store_id", sa.Text, nullable=False, server_default="main"),
+    sa.Column("run_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL")),
+    sa.Column("attempt", sa.Integer, nullable=False),
+    sa.Column("offset_bytes", sa.BigInteger, nullable=False),
+    sa.Column("size_bytes", sa.BigInteger, nullable=False),
+    # Null until the runner confirmed the upload.
+    sa.Column("kept_at", sa.DateTime(timezone=True)),
     created_at_column(),
-    Index("ix_log_chunk_run_id", "run_id", "attempt", "offset_bytes"),
+    sa.Index("ix_log_chunk_run_id", "run_id", "attempt", "offset_bytes"),
 )

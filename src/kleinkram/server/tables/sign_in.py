@@ -1,27 +1,12 @@
-"""Sign-in: identities at providers, passwords, one-time codes, and logins in progress.
+"""Tables of sign-in: identities at providers, passwords, second factors, one-time codes, and logins in progress.
 
-Random secrets are stored as SHA-256, passwords as argon2id. What a login in progress needs back (`nonce`,
-`code_verifier`) is useless without the browser or the program that began it, and deleted within minutes.
+Random secrets are stored as SHA-256, passwords as argon2id. `nonce` and `code_verifier` of a login in progress are
+stored in plain: they are useless without the browser or program that started it, and are deleted after some minutes.
 """
 
 import enum
 
-from sqlalchemy import (
-    BigInteger,
-    Boolean,
-    CheckConstraint,
-    Column,
-    DateTime,
-    ForeignKey,
-    Index,
-    Integer,
-    LargeBinary,
-    Table,
-    Text,
-    UniqueConstraint,
-    Uuid,
-    text,
-)
+import sqlalchemy as sa
 
 from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
 
@@ -42,135 +27,135 @@ class LoginKind(str, enum.Enum):
     device = "device"
 
 
-# One person = one account, under as many identities as providers vouch for them. `email` is as the provider told it.
-# One that was unlinked stays as such: else the provider's word on its address would link it again by itself.
-identity = Table(
+# A person has one account and any number of identities. `email` is the address that the provider sent. Unlinked
+# identities are kept: otherwise they would be linked again automatically by their address.
+identity = sa.Table(
     "identity",
     metadata,
     id_column(),
-    Column("person_id", Uuid, ForeignKey("person.id"), nullable=False, index=True),
-    Column("issuer", Text, nullable=False),
-    Column("subject", Text, nullable=False),
-    Column("email", Text),
+    sa.Column("person_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False, index=True),
+    sa.Column("issuer", sa.Text, nullable=False),
+    sa.Column("subject", sa.Text, nullable=False),
+    sa.Column("email", sa.Text),
     created_at_column(),
-    Column("last_used_at", DateTime(timezone=True), nullable=False, server_default=text("now()")),
-    Column("unlinked_at", DateTime(timezone=True)),
-    UniqueConstraint("issuer", "subject"),
+    sa.Column("last_used_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.text("now()")),
+    sa.Column("unlinked_at", sa.DateTime(timezone=True)),
+    sa.UniqueConstraint("issuer", "subject"),
 )
 
-password = Table(
+password = sa.Table(
     "password",
     metadata,
-    Column("person_id", Uuid, ForeignKey("person.id"), primary_key=True),
-    Column("hash", Text, nullable=False),
-    Column("changed_at", DateTime(timezone=True), nullable=False, server_default=text("now()")),
-    CheckConstraint("hash LIKE '$argon2id$%'", name="hash"),
+    sa.Column("person_id", sa.Uuid, sa.ForeignKey("person.id"), primary_key=True),
+    sa.Column("hash", sa.Text, nullable=False),
+    sa.Column("changed_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.text("now()")),
+    sa.CheckConstraint("hash LIKE '$argon2id$%'", name="hash"),
 )
 
-# The second factor of local accounts (RFC 6238); in use once it is confirmed. `secret` is base32: to check a code takes
-# it as it is. `last_step` is the time step of the last code that was taken: none is taken twice.
-totp = Table(
+# The second factor of local accounts (RFC 6238), in use once it is confirmed. `secret` is base32 in plain, which
+# checking a code requires. `last_step` is the time step of the last accepted code, so that no code is valid twice.
+totp = sa.Table(
     "totp",
     metadata,
-    Column("person_id", Uuid, ForeignKey("person.id"), primary_key=True),
-    Column("secret", Text, nullable=False),
+    sa.Column("person_id", sa.Uuid, sa.ForeignKey("person.id"), primary_key=True),
+    sa.Column("secret", sa.Text, nullable=False),
     created_at_column(),
-    Column("confirmed_at", DateTime(timezone=True)),
-    Column("last_step", BigInteger, nullable=False, server_default="0"),
-    # Wrong codes since the last right one: after some, codes are not looked at for a while.
-    Column("failed_count", Integer, nullable=False, server_default="0"),
-    Column("failed_at", DateTime(timezone=True)),
+    sa.Column("confirmed_at", sa.DateTime(timezone=True)),
+    sa.Column("last_step", sa.BigInteger, nullable=False, server_default="0"),
+    # Wrong codes since the last correct one; too many cause a lockout.
+    sa.Column("failed_count", sa.Integer, nullable=False, server_default="0"),
+    sa.Column("failed_at", sa.DateTime(timezone=True)),
 )
 
-# What stands for a code where the device is lost; deleted by its use.
-recovery_code = Table(
+# One-time replacements for TOTP codes; deleted when used.
+recovery_code = sa.Table(
     "recovery_code",
     metadata,
-    Column("secret_sha256", LargeBinary, primary_key=True),
-    Column("person_id", Uuid, ForeignKey("totp.person_id", ondelete="CASCADE"), nullable=False, index=True),
-    CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
+    sa.Column("secret_sha256", sa.LargeBinary, primary_key=True),
+    sa.Column("person_id", sa.Uuid, sa.ForeignKey("totp.person_id", ondelete="CASCADE"), nullable=False, index=True),
+    sa.CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
 )
 
-one_time_code = Table(
+one_time_code = sa.Table(
     "one_time_code",
     metadata,
     id_column(),
-    Column("purpose", Text, nullable=False),
-    Column("secret_sha256", LargeBinary, nullable=False, unique=True),
-    # Whose it is, where there is an account already; else who is invited.
-    Column("person_id", Uuid, ForeignKey("person.id"), index=True),
-    Column("email", Text),
-    Column("name", Text),
-    Column("created_by_id", Uuid, ForeignKey("person.id")),
+    sa.Column("purpose", sa.Text, nullable=False),
+    sa.Column("secret_sha256", sa.LargeBinary, nullable=False, unique=True),
+    # The person, or for an invitation the invited address and name.
+    sa.Column("person_id", sa.Uuid, sa.ForeignKey("person.id"), index=True),
+    sa.Column("email", sa.Text),
+    sa.Column("name", sa.Text),
+    sa.Column("created_by_id", sa.Uuid, sa.ForeignKey("person.id")),
     created_at_column(),
-    Column("expires_at", DateTime(timezone=True), nullable=False),
-    Column("used_at", DateTime(timezone=True)),
+    sa.Column("expires_at", sa.DateTime(timezone=True), nullable=False),
+    sa.Column("used_at", sa.DateTime(timezone=True)),
     one_of("purpose", CodePurpose),
-    CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
-    CheckConstraint("(purpose IN ('owner', 'reset')) = (person_id IS NOT NULL)", name="person"),
-    CheckConstraint("(purpose = 'invitation') = (email IS NOT NULL)", name="email"),
+    sa.CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
+    sa.CheckConstraint("(purpose IN ('owner', 'reset')) = (person_id IS NOT NULL)", name="person"),
+    sa.CheckConstraint("(purpose = 'invitation') = (email IS NOT NULL)", name="email"),
 )
 
-# Between the way to a provider and the way back. `session_id`: of whom asks to link one more identity to themselves,
-# or, where it `renews`, to prove once more who they are.
-oidc_login = Table(
+# Authorization requests to a provider. `session_id`: the signed-in person links an identity to their account, or with
+# `reauthenticates` signs in again.
+oidc_login = sa.Table(
     "oidc_login",
     metadata,
-    Column("state_sha256", LargeBinary, primary_key=True),
-    Column("provider", Text, nullable=False),
-    Column("nonce", Text, nullable=False),
-    Column("code_verifier", Text, nullable=False),
-    Column("browser_sha256", LargeBinary, nullable=False),
-    Column("session_id", Uuid, ForeignKey("session.id")),
-    Column("reauthenticates", Boolean, nullable=False, server_default=text("false")),
-    Column("return_to", Text, nullable=False),
+    sa.Column("state_sha256", sa.LargeBinary, primary_key=True),
+    sa.Column("provider", sa.Text, nullable=False),
+    sa.Column("nonce", sa.Text, nullable=False),
+    sa.Column("code_verifier", sa.Text, nullable=False),
+    sa.Column("browser_sha256", sa.LargeBinary, nullable=False),
+    sa.Column("session_id", sa.Uuid, sa.ForeignKey("session.id")),
+    sa.Column("reauthenticates", sa.Boolean, nullable=False, server_default=sa.text("false")),
+    sa.Column("return_to", sa.Text, nullable=False),
     created_at_column(),
-    Column("expires_at", DateTime(timezone=True), nullable=False, index=True),
-    CheckConstraint("octet_length(state_sha256) = 32 AND octet_length(browser_sha256) = 32", name="sha256"),
+    sa.Column("expires_at", sa.DateTime(timezone=True), nullable=False, index=True),
+    sa.CheckConstraint("octet_length(state_sha256) = 32 AND octet_length(browser_sha256) = 32", name="sha256"),
 )
 
-# A program that asks for a token. `secret_sha256` is of the code that it redeems.
-login_request = Table(
+# Programs that request a token. `secret_sha256` is that of the code that they exchange.
+login_request = sa.Table(
     "login_request",
     metadata,
     id_column(),
-    Column("kind", Text, nullable=False),
-    Column("secret_sha256", LargeBinary, nullable=False, unique=True),
+    sa.Column("kind", sa.Text, nullable=False),
+    sa.Column("secret_sha256", sa.LargeBinary, nullable=False, unique=True),
     sorted_text("label"),
-    Column("address", Text),
-    Column("user_code", Text),
-    Column("code_challenge", Text),
-    Column("port", Integer),
+    sa.Column("address", sa.Text),
+    sa.Column("user_code", sa.Text),
+    sa.Column("code_challenge", sa.Text),
+    sa.Column("port", sa.Integer),
     created_at_column(),
-    Column("expires_at", DateTime(timezone=True), nullable=False, index=True),
-    Column("polled_at", DateTime(timezone=True)),
-    Column("approved_at", DateTime(timezone=True)),
-    Column("approved_by_id", Uuid, ForeignKey("person.id")),
-    Column("approved_session_id", Uuid, ForeignKey("session.id")),
-    Column("denied_at", DateTime(timezone=True)),
-    Column("redeemed_at", DateTime(timezone=True)),
+    sa.Column("expires_at", sa.DateTime(timezone=True), nullable=False, index=True),
+    sa.Column("polled_at", sa.DateTime(timezone=True)),
+    sa.Column("approved_at", sa.DateTime(timezone=True)),
+    sa.Column("approved_by_id", sa.Uuid, sa.ForeignKey("person.id")),
+    sa.Column("approved_session_id", sa.Uuid, sa.ForeignKey("session.id")),
+    sa.Column("denied_at", sa.DateTime(timezone=True)),
+    sa.Column("redeemed_at", sa.DateTime(timezone=True)),
     one_of("kind", LoginKind),
-    CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
-    CheckConstraint("(kind = 'device') = (user_code IS NOT NULL)", name="user_code"),
-    CheckConstraint("(kind = 'loopback') = (code_challenge IS NOT NULL AND port IS NOT NULL)", name="loopback"),
-    CheckConstraint("(approved_at IS NULL) = (approved_by_id IS NULL)", name="approved"),
-    CheckConstraint("approved_at IS NULL OR denied_at IS NULL", name="decided"),
-    CheckConstraint("redeemed_at IS NULL OR approved_at IS NOT NULL", name="redeemed"),
-    Index(
+    sa.CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
+    sa.CheckConstraint("(kind = 'device') = (user_code IS NOT NULL)", name="user_code"),
+    sa.CheckConstraint("(kind = 'loopback') = (code_challenge IS NOT NULL AND port IS NOT NULL)", name="loopback"),
+    sa.CheckConstraint("(approved_at IS NULL) = (approved_by_id IS NULL)", name="approved"),
+    sa.CheckConstraint("approved_at IS NULL OR denied_at IS NULL", name="decided"),
+    sa.CheckConstraint("redeemed_at IS NULL OR approved_at IS NOT NULL", name="redeemed"),
+    sa.Index(
         "uq_login_request_user_code",
         "user_code",
         unique=True,
-        postgresql_where=text("redeemed_at IS NULL AND denied_at IS NULL"),
+        postgresql_where=sa.text("redeemed_at IS NULL AND denied_at IS NULL"),
     ),
 )
 
-# How often something was done under a key, by windows of time. Not logged: after a crash, counting begins anew.
-rate_count = Table(
+# Counters of rate limits by key and time window. Unlogged: after a crash, counting restarts.
+rate_count = sa.Table(
     "rate_count",
     metadata,
     sorted_text("key", primary_key=True),
-    Column("window_start", DateTime(timezone=True), primary_key=True),
-    Column("count", Integer, nullable=False),
-    Index("ix_rate_count_window_start", "window_start"),
+    sa.Column("window_start", sa.DateTime(timezone=True), primary_key=True),
+    sa.Column("count", sa.Integer, nullable=False),
+    sa.Index("ix_rate_count_window_start", "window_start"),
     prefixes=["UNLOGGED"],
 )

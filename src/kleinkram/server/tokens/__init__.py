@@ -1,1 +1,1 @@
-"""Tokens: making, listing and revoking them. What one may do is decided in `access`."""
+"""Tokens: creating, listing and revoking them. Their permissions are checked in `access`."""

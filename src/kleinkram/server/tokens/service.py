@@ -8,24 +8,16 @@ from typing import Any
 
 from sqlalchemy import Row, Select, exists, func, insert, literal, select, union_all, update
 
+from kleinkram.contract import errors
 from kleinkram.contract.access import Scope, TokenKind
 from kleinkram.contract.base import Page
-from kleinkram.contract.errors import (
-    FieldProblem,
-    Forbidden,
-    InvalidRequest,
-    NotAuthenticated,
-    NotFound,
-    ScopeMissing,
-    TokenTooWide,
-)
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.tokens import SecretKind, TokenCreate, TokenMade, TokenPlace, TokenRead, TokenRunner
 from kleinkram.server.access.actor import Actor, NewSecret, new_secret
 from kleinkram.server.access.rights import ensure_active_person, lock_person, require_fresh_sign_in
 from kleinkram.server.access.visible import visible_missions, visible_projects
-from kleinkram.server.audit.service import Event, record, record_all
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, among
 from kleinkram.server.pagination import Order, PageRequest, fetch_page
 from kleinkram.server.settings import Settings
@@ -35,7 +27,7 @@ _TOKEN_ORDER = Order([token.c.created_at, token.c.id], descending=True)
 
 
 class DerivedTokens(str, enum.Enum):
-    """Treatment of tokens that were created with a revoked token."""
+    """What happens to tokens that were created with a revoked token."""
 
     ended = "ended"
     valid = "valid"
@@ -49,21 +41,21 @@ async def create_token(db: Connection, actor: Actor, *, request: TokenCreate, se
     if Scope.admin in request.chosen_scopes:
         require_fresh_sign_in(actor, "create_token_with_the_scope_admin", within_s=settings.fresh_sign_in_s)
     if request.kind is TokenKind.runner and not actor.is_admin:
-        raise Forbidden(noun="server", operation="create a token for a runner", needs="admin rights")
+        raise errors.Forbidden(noun="server", operation="create a token for a runner", needs="admin rights")
     await _require_visible_places(db, actor, request)
     expires_at = await _find_expiry(db, actor, request, settings)
     # Its scopes cannot be wider: creating tokens requires the scope that contains all.
     if actor.limits is not None and not request.is_limited:
-        raise TokenTooWide(reason="it is limited itself; limit the new token to what it can reach")
+        raise errors.TokenTooWide(reason="it is limited itself; limit the new token to what it can reach")
     token_id, secret = await issue_token(
         db, actor.person_id, request=request, expires_at=expires_at, made_by=actor.token_id
     )
     created = (await _read_tokens(db, actor, [await _get_row(db, actor, token_id)]))[0]
     shown = {"kind", "scopes", "limits", "expires_at", "prefix", "runner", "runner_labels"}
     after = created.model_dump(mode="json", include=shown)
-    by_power = request.kind is TokenKind.runner
-    await record(
-        db, actor, Event("token.create", "token", token_id, created.name, None, after=after, by_power=by_power)
+    needs_admin = request.kind is TokenKind.runner
+    await audit(
+        db, actor, Event("token.create", "token", token_id, created.name, None, after=after, needs_admin=needs_admin)
     )
     return TokenMade(token=created, secret=secret.text)
 
@@ -83,7 +75,7 @@ async def issue_token(
     await ensure_active_person(db, person_id)
     revoked = select(token.c.id).where(token.c.id == made_by, token.c.revoked_at.is_not(None))
     if (await db.execute(revoked)).first() is not None:
-        raise NotAuthenticated(reason="the token is not valid here")
+        raise errors.NotAuthenticated(reason="the token is not valid here")
     token_id = uuid.uuid4()
     secret = new_secret(SecretKind[request.kind.name])
     await db.execute(
@@ -114,7 +106,7 @@ async def list_tokens(
 ) -> Page[TokenRead]:
     """Return a page of the tokens of a person (None: of all), latest first. Raises Forbidden or InvalidCursor."""
     if person_id != actor.person_id and not _sees_others(actor):
-        raise Forbidden(noun="server", operation="list tokens of others", needs="admin rights")
+        raise errors.Forbidden(noun="server", operation="list tokens of others", needs="admin rights")
     stmt = _tokens_of(person_id)
     if not with_ended:
         is_unexpired = func.coalesce(token.c.expires_at > func.now(), True)
@@ -131,9 +123,9 @@ async def revoke_token(
     Any token may revoke itself; another one requires the scope admin and no limits. Raises NotFound or ScopeMissing.
     """
     if token_id != actor.token_id and Scope.admin not in actor.scopes:
-        raise ScopeMissing(operation="revoke another token", needs="a token with the scope `admin`")
+        raise errors.ScopeMissing(operation="revoke another token", needs="a token with the scope `admin`")
     if token_id != actor.token_id and actor.limits is not None:
-        raise ScopeMissing(operation="revoke another token", needs="a token without limits")
+        raise errors.ScopeMissing(operation="revoke another token", needs="a token without limits")
     row = await _get_row(db, actor, token_id)
     await lock_person(db, row.person_id)
     chosen = select(token.c.id).where(token.c.id == token_id)
@@ -141,14 +133,14 @@ async def revoke_token(
         line = chosen.cte("line", recursive=True)
         line = line.union(select(token.c.id).join(line, token.c.made_by_token_id == line.c.id))
         chosen = select(line.c.id)
-    by_power = row.person_id != actor.person_id
+    needs_admin = row.person_id != actor.person_id
     events = []
     for ended in await _revoke(db, chosen):
         after: Metadata = {"prefix": ended.prefix, "person": row.person_name}
         if ended.id != token_id:
             after["made_with"] = row.name
-        events.append(Event("token.revoke", "token", ended.id, ended.name, None, after=after, by_power=by_power))
-    await record_all(db, actor, events)
+        events.append(Event("token.revoke", "token", ended.id, ended.name, None, after=after, needs_admin=needs_admin))
+    await audit(db, actor, *events)
 
 
 async def end_personal_tokens(db: Connection, actor: Actor) -> int:
@@ -167,7 +159,7 @@ async def end_personal_tokens(db: Connection, actor: Actor) -> int:
         Event("token.revoke", "token", row.id, row.name, None, after={"prefix": row.prefix, "person": actor.name})
         for row in ended
     ]
-    await record_all(db, actor, events)
+    await audit(db, actor, *events)
     return len(ended)
 
 
@@ -192,7 +184,7 @@ async def _get_row(db: Connection, actor: Actor, token_id: uuid.UUID) -> Row[Any
     stmt = _tokens_of(None if _sees_others(actor) else actor.person_id)
     row = (await db.execute(stmt.where(token.c.id == token_id))).one_or_none()
     if row is None:
-        raise NotFound(noun="token", ref=str(token_id))
+        raise errors.NotFound(noun="token", ref=str(token_id))
     return row
 
 
@@ -247,7 +239,7 @@ async def _require_visible_places(db: Connection, actor: Actor, request: TokenCr
     for noun, ids in (("project", request.project_ids), ("mission", request.mission_ids)):
         for place_id in ids:
             if (noun, place_id) not in visible:
-                raise NotFound(noun=noun, ref=str(place_id))
+                raise errors.NotFound(noun=noun, ref=str(place_id))
 
 
 async def _find_expiry(
@@ -262,12 +254,14 @@ async def _find_expiry(
     if most and (request.no_end or (request.expires_at is not None and request.expires_at > longest)):
         message = f"a token of this server is good for {most} days at most (KLEINKRAM_TOKEN_DAYS_MAX)"
         field = "no_end" if request.no_end else "expires_at"
-        raise InvalidRequest(problems=[FieldProblem(field=field, message=message)])
+        raise errors.InvalidRequest(problems=[errors.FieldProblem(field=field, message=message)])
     if request.expires_at is not None and request.expires_at <= now:
-        problem = FieldProblem(field="expires_at", message="is in the past; a token must expire later than now")
-        raise InvalidRequest(problems=[problem])
+        problem = errors.FieldProblem(field="expires_at", message="is in the past; a token must expire later than now")
+        raise errors.InvalidRequest(problems=[problem])
     if request.expires_at is not None and latest is not None and request.expires_at > latest:
-        raise TokenTooWide(reason=f"the new token would outlive it; it ends at {latest.isoformat(timespec='seconds')}")
+        raise errors.TokenTooWide(
+            reason=f"the new token would outlive it; it ends at {latest.isoformat(timespec='seconds')}"
+        )
     if request.expires_at is not None or request.no_end:
         return request.expires_at or latest
     days = default_days(request.kind, settings)

@@ -200,7 +200,7 @@ def test_a_database_whose_index_is_not_in_order_is_read_without_it(tmp_path: Pat
     assert len(actual) == 4000
 
 
-def test_a_bag_whose_chunk_info_is_longer_than_its_count_is_read_without_index() -> None:
+def test_a_bag_with_too_long_chunk_info_is_read_without_index() -> None:
     whole = FILES["bag"]
     info_at = whole.rfind(b"op=\x06")
     length_at = whole.find(struct.pack("<I", 16), info_at)
@@ -209,15 +209,13 @@ def test_a_bag_whose_chunk_info_is_longer_than_its_count_is_read_without_index()
 
 
 @pytest.mark.parametrize("kind", ["mcap", "bag"])
-def test_a_file_without_index_is_read_over_a_network_only_if_that_is_allowed(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_remote_file_without_index_is_scanned_only_if_allowed(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     cut = Watched(MemorySource(FILES[kind][:-60], f"far.{kind}"))
     monkeypatch.setattr("kleinkram.recordings.formats.base.MAX_REMOTE_SCAN_BYTES", cut.size_bytes - 1)
-    with pytest.raises(TooCostly, match=f"far.{kind}: .* most_bytes={cut.size_bytes}") as refused:
+    with pytest.raises(TooCostly, match=f"far.{kind}: .* max_bytes={cut.size_bytes}") as refused:
         Recording.open(cut)
     assert refused.value.size_bytes == cut.size_bytes
-    with Recording.open(cut, most_bytes=cut.size_bytes) as recording:
+    with Recording.open(cut, max_bytes=cut.size_bytes) as recording:
         assert len(list(recording.raw_messages())) == 32
     with Recording.open(MemorySource(FILES[kind], f"far.{kind}")) as recording:
         assert len(list(recording.raw_messages())) == 32
@@ -232,10 +230,10 @@ def test_a_local_file_is_read_whatever_its_size_unless_that_is_bounded(
     with Recording.open(path) as recording:
         assert len(list(recording.raw_messages())) == 32
     with pytest.raises(TooCostly):
-        Recording.open(path, most_bytes=10)
+        Recording.open(path, max_bytes=10)
     generate_db3(tmp_path / "drive", duration_s=1, size_bytes=100_000)
     database = tmp_path / "drive" / "drive_0.db3"
-    with Recording.open(database, most_bytes=10) as recording:
+    with Recording.open(database, max_bytes=10) as recording:
         assert recording.message_count
     with pytest.raises(TooCostly, match="local copy"):
         Recording.open(MemorySource(database.read_bytes(), "far.db3"))

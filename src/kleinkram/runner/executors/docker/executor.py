@@ -18,6 +18,7 @@ from http import HTTPStatus
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import ExecutorAbilities, Isolation
 from kleinkram.contract.runs import EndReason, Usage
+from kleinkram.runner.durable_files import write_atomically
 from kleinkram.runner.executors import port_forward
 from kleinkram.runner.executors.base import CannotStart, Ending, PinnedImage, RunJob
 from kleinkram.runner.executors.docker import container as containers
@@ -29,7 +30,6 @@ from kleinkram.runner.executors.docker.client import (
     EngineUnavailable,
     ImageInfo,
 )
-from kleinkram.runner.executors.docker.container_log import LOG_CURSOR, ContainerLog
 from kleinkram.runner.executors.docker.images import Images, Pull
 from kleinkram.runner.executors.limits import (
     CANCELLED,
@@ -43,7 +43,6 @@ from kleinkram.runner.executors.limits import (
     start_ticks,
 )
 from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
-from kleinkram.runner.files import write_atomically
 
 _log = logging.getLogger("kleinkram.runner")
 _STOP_REASON = "stop-reason.json"
@@ -61,7 +60,7 @@ _LOST = Ending(
 
 
 class DockerExecutor(LocalExecutor):
-    """Runs jobs as container. `runner` separates its containers from those of other runners.
+    """Runs jobs as containers. `runner` separates its containers from those of other runners.
 
     `allowed`: the registries, or namespaces of registries, that images may come from; None for all.
     """
@@ -106,7 +105,8 @@ class DockerExecutor(LocalExecutor):
         """Create and start the container of a job, whose image must be present."""
         if job.image is None:
             raise cannot_start("A container needs an image, and the action names none.")
-        self._check_network(job)
+        network = job.network.value
+        self._check_network(job, f"A runner that is not root cannot give a run the network {network!r}.")
         try:
             image = self._client.find_image(job.image)
             exists = self._client.find_container(containers.container_name(job)) is not None
@@ -130,7 +130,7 @@ class DockerExecutor(LocalExecutor):
 
     def _start(self, job: RunJob, image: ImageInfo, user: str) -> None:
         name, log = containers.container_name(job), job.directory / LOG
-        (job.directory / LOG_CURSOR).unlink(missing_ok=True)
+        (job.directory / containers.LOG_CURSOR).unlink(missing_ok=True)
         labels = {
             containers.JOB_LABEL: job.key,
             containers.RUNNER_LABEL: self._runner,
@@ -198,9 +198,6 @@ class DockerExecutor(LocalExecutor):
         if monitor is not None:
             monitor.close()
 
-    def _network_refusal(self, network: str) -> str:
-        return f"A runner that is not root cannot give a run the network {network!r}."
-
 
 class ContainerMonitor:
     """Watches one container: its log, limits, port forwards and end. `is_reattached`: an earlier runner started it."""
@@ -214,7 +211,7 @@ class ContainerMonitor:
         with contextlib.suppress(FileNotFoundError, ValueError):
             reason, message = json.loads((job.directory / _STOP_REASON).read_text())
             self._limits.reason = reason, message
-        self._log = ContainerLog(client, job, can_follow=can_follow)
+        self._log = containers.ContainerLog(client, job, can_follow=can_follow)
         self._pid = self._start_ticks = 0
         self._groups: dict[str, str] = {}
         self._was_oom_killed = False

@@ -1,0 +1,107 @@
+"""Dependencies of sign-in routes: limits on attempts, password hashing, and the session cookie.
+
+With TLS, cookies have the prefix `__Host-`, so that neither other hosts nor connections without TLS can set them.
+"""
+
+import asyncio
+import uuid
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Depends, Request, Response
+
+from kleinkram.contract.accounts import BrowserSignedIn
+from kleinkram.contract.errors import NotFound
+from kleinkram.contract.people import PersonRef
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.auth.local_accounts import PasswordHasher
+from kleinkram.server.auth.one_time_codes import describe_code
+from kleinkram.server.auth.provider_accounts import Providers, set_cookie
+from kleinkram.server.auth.sessions import Browser, start_session
+from kleinkram.server.db import Connection, Database
+from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, session_cookie
+from kleinkram.server.http.rate_limit import Count, enforce_limits, reserve_slot, subscriber_network
+from kleinkram.server.settings import Settings
+
+# An account may be tried this many times as often as one address may try, before attempts must wait for slots.
+_ADDRESSES_PER_ACCOUNT = 3
+
+
+@dataclass(frozen=True)
+class SignInContext:
+    """One request that signs a browser in, and the resources it needs."""
+
+    actor: Actor
+    request: Request
+    database: Database
+    settings: Settings
+
+    @property
+    def hasher(self) -> PasswordHasher:
+        """The password hasher of this process."""
+        hasher: PasswordHasher = self.request.app.state.password_hasher
+        return hasher
+
+    @property
+    def providers(self) -> Providers:
+        """The identity providers of this process."""
+        providers: Providers = self.request.app.state.providers
+        return providers
+
+    async def count_attempt(self, account: str | None = None) -> None:
+        """Count an attempt for the client's address and for the account, whether it exists or not.
+
+        Too many attempts from an address are refused; too many on an account only wait, so that it cannot be locked.
+
+        Raises RateLimited.
+        """
+        limit = self.settings.sign_ins_per_minute
+        if self.actor.address:
+            await enforce_limits(self.database, Count("sign-ins", subscriber_network(self.actor.address), limit))
+        if account:
+            count = Count("sign-ins", account.lower(), _ADDRESSES_PER_ACCOUNT * limit)
+            await asyncio.sleep(await reserve_slot(self.database, count))
+
+    async def hash_with_code(self, password: str, *, code: str, about: tuple[str | None, ...] = ()) -> str:
+        """Hash a new password, if a one-time code is valid; the code is not used up.
+
+        Raises CodeGone, InvalidRequest or SlowDown.
+        """
+        async with self.database.begin() as db:
+            recipient = await describe_code(db, code)
+        return await self.hash_new(password, field="password", about=(recipient.name, recipient.email, *about))
+
+    async def hash_new(self, password: str, *, field: str, about: tuple[str | None, ...]) -> str:
+        """Hash a newly chosen password. Raises InvalidRequest or SlowDown."""
+        return await self.hasher.hash_new(password, field=field, about=(*about, self.settings.lab_name))
+
+    async def start_session(
+        self, db: Connection, response: Response, *, person_id: uuid.UUID, method: str
+    ) -> BrowserSignedIn:
+        """Sign the browser in, as part of the caller's transaction. Raises SignInRefused."""
+        cookie = session_cookie(self.settings)
+        browser = Browser(self.request.headers.get("user-agent"), self.request.cookies.get(cookie))
+        session = await start_session(
+            db, self.actor, person_id=person_id, method=method, browser=browser, lifetime_s=self.settings.session_s
+        )
+        set_cookie(response, self.settings, cookie, session.secret, lifetime_s=self.settings.session_s)
+        return BrowserSignedIn(person=PersonRef(id=person_id, name=session.actor.name))
+
+    def require_local_accounts(self) -> None:
+        """Check that this server has local accounts. Raises NotFound."""
+        if not self.settings.local_accounts:
+            raise NotFound(noun="sign-in method", ref="password")
+
+
+async def _sign_in_context(
+    request: Request, database: CurrentDatabase, settings: CurrentSettings, actor: CurrentActor
+) -> SignInContext:
+    return SignInContext(actor, request, database, settings)
+
+
+CurrentSignIn = Annotated[SignInContext, Depends(_sign_in_context)]
+
+
+def delete_session_cookie(response: Response, settings: Settings) -> None:
+    """Delete the session cookie of a browser."""
+    set_cookie(response, settings, session_cookie(settings), "", lifetime_s=0)

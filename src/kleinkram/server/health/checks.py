@@ -1,0 +1,344 @@
+"""`python -m kleinkram.server check`: checks everything that a server needs, and reports problems with remedies.
+
+Deletes the objects that it writes into the bucket. Writes the bucket's CORS rules, as the API does when it starts,
+unless KLEINKRAM_S3_CORS says otherwise. Never prints a secret.
+"""
+
+import asyncio
+import datetime
+import resource
+import sys
+import tempfile
+import uuid
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+from urllib.parse import urlsplit
+
+import aiohttp
+import psycopg
+from psycopg.rows import class_row
+from pydantic import PostgresDsn, ValidationError
+from typing_extensions import LiteralString
+
+from kleinkram.checks import (
+    CheckResult,
+    CheckSeverity,
+    check_clock,
+    check_disk,
+    find_problems,
+    judge,
+    ok,
+    problem,
+    report,
+    warning,
+)
+from kleinkram.contract.errors import StoreUnavailable
+from kleinkram.recordings import SummaryFailed
+from kleinkram.recordings.isolation import FileRequest, summarise_isolated
+from kleinkram.server.db import open_database
+from kleinkram.server.environment import SettingsInvalid, load_settings
+from kleinkram.server.health.readiness import check_schema
+from kleinkram.server.http.headers import CHECK_HEADER, RequestOrigin, operator_code
+from kleinkram.server.logs import quiet_libraries
+from kleinkram.server.s3.capabilities import configure_cors, probe
+from kleinkram.server.s3.storage import Storage, StoreRefused, open_storage
+from kleinkram.server.settings import Settings, plain_dsn
+
+T = TypeVar("T")
+_OLDEST_POSTGRES = 150_000
+_MIN_OPEN_FILES = 4096
+_READER_TIMEOUT_S = 60
+_TIMEOUT = aiohttp.ClientTimeout(total=15)
+# Three poses of a trajectory: what a child process needs to do to read it is what it needs for any recording.
+_SAMPLE = "".join(f"{second}.0 0 0 0 0 0 0 1\n" for second in range(3))
+_ABOUT_SERVER = """
+SELECT current_setting('server_version') AS version, current_setting('server_version_num')::int AS version_number,
+  current_setting('server_encoding') AS encoding, clock_timestamp() AS now, current_user::text AS role,
+  current_database()::text AS database,
+  EXISTS (SELECT 1 FROM pg_available_extensions WHERE name = 'pg_trgm') AS has_trgm,
+  (SELECT rolsuper FROM pg_roles WHERE rolname = current_user) AS is_superuser,
+  has_schema_privilege('public', 'CREATE') AS can_create
+"""
+_ABOUT_RIGHTS = """
+SELECT has_table_privilege('mission', 'SELECT') AND has_table_privilege('mission', 'INSERT')
+    AND has_table_privilege('mission', 'UPDATE') AS writes,
+  has_table_privilege('audit_event', 'INSERT') AS appends,
+  has_table_privilege('audit_event', 'UPDATE') OR has_table_privilege('audit_event', 'DELETE') AS alters
+"""
+
+
+@dataclass(frozen=True)
+class _Server:
+    """Row of `_ABOUT_SERVER`: facts about the server and the current role."""
+
+    version: str
+    version_number: int
+    encoding: str
+    has_trgm: bool
+    now: datetime.datetime
+    role: str
+    database: str
+    is_superuser: bool
+    can_create: bool
+
+
+@dataclass(frozen=True)
+class _Rights:
+    """Row of `_ABOUT_RIGHTS`: whether a role can change missions, and append to and change the audit log."""
+
+    writes: bool
+    appends: bool
+    alters: bool
+
+
+def main(*, as_json: bool) -> int:
+    """Run all checks and print what they found; returns 1 where there is a problem, else 0."""
+    quiet_libraries()
+    results = asyncio.run(_collect())
+    sys.stdout.write(report(results, as_json=as_json) + "\n")
+    return 1 if find_problems(results) else 0
+
+
+async def _collect() -> list[CheckResult]:
+    try:
+        settings = load_settings()
+    except SettingsInvalid as error:
+        return [*(problem("settings", line) for line in str(error).splitlines()), *_machine(None)]
+    results = [ok("settings", "All are known and valid."), *_optional(settings)]
+    for check in (_database, _migrating_role, _store, _public_url):
+        results += [result async for result in check(settings)]
+    results += await asyncio.to_thread(lambda: [_reader(settings), *_machine(settings)])
+    return results
+
+
+def _optional(settings: Settings) -> Iterator[CheckResult]:
+    if settings.metrics_port is None:
+        remedy = "Set KLEINKRAM_METRICS_PORT, a different one for each process."
+        yield warning("metrics", "They are not served.", remedy)
+    host = urlsplit(settings.public_url).hostname
+    if not _is_local(host) and not settings.public_url.startswith("https://"):
+        yield warning("public address", f"{settings.public_url} is not encrypted.", "Serve it by https.")
+
+
+async def _database(settings: Settings) -> AsyncIterator[CheckResult]:
+    """Check the database as the role that serves."""
+    try:
+        row = await _query(_Server, settings.database_url, _ABOUT_SERVER)
+    except psycopg.Error as error:
+        remedy = "Correct KLEINKRAM_DATABASE_URL, or start it."
+        yield problem("database", f"It cannot be used: {_first_line(error)}.", remedy)
+        return
+    is_new_enough = row.version_number >= _OLDEST_POSTGRES
+    yield judge("database", is_new_enough, f"PostgreSQL {row.version}.", "Version 15 or later is needed.")
+    remedy = "Create a new database with ENCODING 'UTF8'."
+    yield judge("encoding", row.encoding == "UTF8", f"{row.encoding}.", remedy)
+    availability = "Available." if row.has_trgm else "Not there."
+    yield judge("extension pg_trgm", row.has_trgm, availability, "Install PostgreSQL's contrib package.")
+    ahead = row.now - datetime.datetime.now(datetime.timezone.utc)
+    yield check_clock("clock of the database", ahead.total_seconds())
+    yield _serving_role(settings, row)
+    database = open_database(settings)
+    try:
+        async with database.begin() as db:
+            results = await check_schema(db)
+    finally:
+        await database.close()
+    for result in results:
+        yield result
+    if not find_problems(results):
+        yield _rights_of_role(await _query(_Rights, settings.database_url, _ABOUT_RIGHTS))
+
+
+def _serving_role(settings: Settings, row: _Server) -> CheckResult:
+    check = "serving role"
+    if row.role != settings.serving_role:
+        return problem(
+            check,
+            f"It is {row.role}, but migrations grant rights to {settings.serving_role}.",
+            "Set KLEINKRAM_SERVING_ROLE to the user in KLEINKRAM_DATABASE_URL, then migrate.",
+        )
+    if row.is_superuser or row.can_create:
+        message = f"{row.role} may change the schema, and so the audit log."
+        return problem(check, message, "Serve with a role that owns nothing: see docs/running.md.")
+    return ok(check, f"{row.role} cannot change the schema.")
+
+
+def _rights_of_role(rights: _Rights) -> CheckResult:
+    check = "rights of the serving role"
+    if rights.alters:
+        return problem(check, "It may alter the audit log.", "REVOKE UPDATE and DELETE on audit_event from it.")
+    if not (rights.writes and rights.appends):
+        missing = "add to the audit log" if rights.writes else "read and write all tables"
+        remedy = "Migrations grant that: GRANT again what was revoked by hand (see docs/running.md)."
+        return problem(check, f"It may not {missing}.", remedy)
+    return ok(check, "It reads and writes, and adds to the audit log.")
+
+
+async def _migrating_role(settings: Settings) -> AsyncIterator[CheckResult]:
+    check = "migrating role"
+    if settings.migration_database_url is None:
+        yield warning(check, "Not checked.", "`migrate` needs KLEINKRAM_MIGRATION_DATABASE_URL; nothing else does.")
+        return
+    try:
+        row = await _query(_Server, settings.migration_database_url, _ABOUT_SERVER)
+        served = await _query(_Server, settings.database_url, _ABOUT_SERVER)
+    except psycopg.Error as error:
+        yield problem(check, f"It cannot be used: {_first_line(error)}.", "Correct KLEINKRAM_MIGRATION_DATABASE_URL.")
+        return
+    if row.database != served.database:
+        message = f"It migrates {row.database}, but {served.database} is served."
+        yield problem(check, message, "Let both addresses name one database.")
+    else:
+        yield judge(check, row.can_create, f"{row.role}.", f"Let {row.role} own the database.")
+
+
+async def _store(settings: Settings) -> AsyncIterator[CheckResult]:
+    """Check the bucket by doing what uploads, downloads and scrubs do, with small objects."""
+    async with open_storage(settings) as storage:
+        try:
+            await storage.check()
+        except StoreUnavailable as error:
+            yield problem("store", f"{error.reason}.", "See docs/running.md, what it needs.")
+            return
+        yield ok("store", f"The bucket {settings.s3_bucket} is there.")
+        yield check_clock("clock of the store", storage.clock_offset_s)
+        for right, attempt in _store_rights(storage):
+            yield await _try_right(right, attempt)
+        try:
+            abilities = await probe(storage)
+        except (StoreUnavailable, StoreRefused) as error:
+            yield problem("checksums of the store", f"{error}")
+        else:
+            yield ok("checksums of the store", f"It verifies {abilities.checksum.value}.")
+        if await configure_cors(storage, settings):
+            yield ok("CORS rules", "Pages of this server may send to the store.")
+        else:
+            yield warning("CORS rules", "Browsers cannot upload or preview.", "See docs/running.md, browsers.")
+
+
+def _store_rights(storage: Storage) -> Iterator[tuple[str, Callable[[], Awaitable[object]]]]:
+    key = f"probe/{uuid.uuid4()}"
+
+    async def read() -> None:
+        async for _ in storage.read(key):
+            pass
+
+    async def multipart() -> None:
+        await storage.abort_multipart(key, await storage.create_multipart(key))
+
+    yield "s3:PutObject", lambda: storage.put_object(key, b"check")
+    yield "s3:GetObject", read
+    yield "s3:ListBucket", lambda: storage.sizes(key)
+    yield "s3:AbortMultipartUpload", multipart
+    yield "s3:ListBucketMultipartUploads", lambda: storage.list_multiparts(key)
+    yield "s3:DeleteObject", lambda: storage.delete(key)
+
+
+async def _try_right(right: str, attempt: Callable[[], Awaitable[object]]) -> CheckResult:
+    try:
+        await attempt()
+    except (StoreUnavailable, StoreRefused, FileNotFoundError) as error:
+        reason = error.reason if isinstance(error, StoreUnavailable) else str(error)
+        return problem(f"right {right}", f"Refused: {reason}.", "Grant it to the access key on this bucket.")
+    return ok(f"right {right}", "Granted.")
+
+
+async def _public_url(settings: Settings) -> AsyncIterator[CheckResult]:
+    """Request the public address as clients do; the API reports how the request reached it."""
+    check, url = "public address", settings.public_url.rstrip("/")
+    try:
+        async with aiohttp.ClientSession(timeout=_TIMEOUT) as session:
+            live_status, live = await _get(session, f"{url}/health/live", {CHECK_HEADER: operator_code(settings)})
+            metrics_status, metrics = await _get(session, f"{url}/metrics")
+            store_status, _ = await _get(session, settings.store_public_url)
+    except (aiohttp.ClientError, asyncio.TimeoutError, OSError) as error:
+        where = f"{url} or the store's address {settings.store_public_url}"
+        message = f"{where} cannot be reached from here ({type(error).__name__})."
+        yield warning(check, message, "Start the API and the proxy.")
+        return
+    if live_status != 200:
+        message = f"{url}/health/live answers {live_status}."
+        yield problem(check, message, "Let the proxy pass it on to the API.")
+        return
+    yield ok(check, f"The API answers at {url}, the store at {settings.store_public_url} ({store_status}).")
+    if metrics_status == 200 and "kleinkram_" in metrics:
+        message = "They are served at the public address."
+        yield problem("metrics not public", message, "Let the proxy answer 404 for /metrics.")
+    else:
+        yield ok("metrics not public", "They are not served at the public address.")
+    try:
+        origin = RequestOrigin.model_validate_json(live)
+    except ValidationError:
+        yield warning("proxy headers", "Not checked: the API has other settings, or is of another version.")
+        return
+    yield _proxy(settings, origin)
+
+
+def _proxy(settings: Settings, origin: RequestOrigin) -> CheckResult:
+    check = "proxy headers"
+    if origin.forwarded and not origin.is_trusted:
+        return problem(
+            check,
+            f"The API does not trust the proxy at {origin.peer}: all people look like one address.",
+            f"Set KLEINKRAM_TRUSTED_PROXIES={origin.peer}, or to the proxy's network.",
+        )
+    is_remote = not _is_local(urlsplit(settings.public_url).hostname)
+    if not origin.forwarded and is_remote and _is_local(origin.peer):
+        return problem(
+            check,
+            "The proxy does not send X-Forwarded-For: all people look like this machine.",
+            "Let it, and set KLEINKRAM_TRUSTED_PROXIES: see docs/running.md.",
+        )
+    if settings.public_url.startswith("https://") and origin.scheme != "https":
+        return problem(check, "The API takes https for http.", "Let the proxy send X-Forwarded-Proto.")
+    return ok(check, f"The API sees requests from here as {origin.address}, by {origin.scheme}.")
+
+
+def _reader(settings: Settings) -> CheckResult:
+    """Read a small recording as workers do: in a child process, within its limits."""
+    memory_bytes = settings.summary_memory_bytes
+    with tempfile.TemporaryDirectory() as folder:
+        sample = Path(folder) / "sample.tum"
+        sample.write_text(_SAMPLE)
+        try:
+            summarise_isolated(FileRequest(str(sample)), memory_bytes=memory_bytes, timeout_s=_READER_TIMEOUT_S)
+        except (SummaryFailed, OSError) as error:
+            remedy = f"This user must be able to run {sys.executable}, with KLEINKRAM_SUMMARY_MEMORY_BYTES of memory."
+            return problem("reader", f"The process that reads recordings fails: {error}.", remedy)
+    return ok("reader", "It reads a recording within its limits.")
+
+
+def _machine(settings: Settings | None) -> Iterator[CheckResult]:
+    folders = {"temporary files": Path(tempfile.gettempdir())}
+    if settings is not None and settings.store_folder is not None:
+        folders["disk of the store"] = settings.store_folder
+    for check, folder in folders.items():
+        yield check_disk(check, folder, "Free some.", otherwise=CheckSeverity.warning)
+    _, files = resource.getrlimit(resource.RLIMIT_NOFILE)  # the API raises the soft limit to the hard one
+    is_unlimited = files == resource.RLIM_INFINITY
+    remedy = f"Raise the hard limit to {_MIN_OPEN_FILES} (`ulimit -Hn`, or LimitNOFILE= of a unit)."
+    message = f"The API may have {'any number' if is_unlimited else files} at a time."
+    is_enough = is_unlimited or files >= _MIN_OPEN_FILES
+    yield judge("open files", is_enough, message, remedy, otherwise=CheckSeverity.warning)
+
+
+async def _query(kind: type[T], url: PostgresDsn, statement: LiteralString) -> T:
+    async with await psycopg.AsyncConnection.connect(plain_dsn(url), connect_timeout=5, autocommit=True) as connection:
+        cursor = connection.cursor(row_factory=class_row(kind))
+        await cursor.execute(statement)
+        return await anext(aiter(cursor))
+
+
+async def _get(session: aiohttp.ClientSession, url: str, headers: dict[str, str] | None = None) -> tuple[int, str]:
+    async with session.get(url, headers=headers, allow_redirects=False) as response:
+        return response.status, (await response.content.read(65_536)).decode(errors="replace")
+
+
+def _is_local(host: str | None) -> bool:
+    return host in {"localhost", "127.0.0.1", "::1"}
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).strip().partition("\n")[0]
