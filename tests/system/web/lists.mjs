@@ -73,7 +73,7 @@ await page.goto(share);
 for (let times = 0; times < 2; times += 1) {
   await page.evaluate(() => (document.getElementById("progress").textContent = "")); // not the first download's result
   await page.getByRole("button", { name: /^Download all/ }).click();
-  await page.locator("#progress", { hasText: "in the folder" }).waitFor();
+  await page.locator("#progress", { hasText: "downloaded" }).waitFor();
 }
 seen.shared = await page.locator("#progress").innerText();
 await look(page, "lists-share");
