@@ -45,10 +45,10 @@ it("says what was done, and the name of an act that it does not know", () => {
 });
 
 it("says what an admin saw of the whole server", () => {
-  const look = { ...event, operation: "admin.look", noun: "server", noun_name: "list_people" };
-  expect(`${eventTextOf(look)} ${objectNameOf(look)}`).toBe("viewed as an admin the list of people");
-  expect(objectNameOf({ ...look, noun: "project", noun_name: "list_people" })).toBe("list_people");
-  expect(objectNameOf({ ...look, noun_name: "get_what_is_new" })).toBe("get_what_is_new");
+  const viewed = { ...event, operation: "admin.look", noun: "server", noun_name: "list_people" };
+  expect(`${eventTextOf(viewed)} ${objectNameOf(viewed)}`).toBe("viewed as an admin the list of people");
+  expect(objectNameOf({ ...viewed, noun: "project", noun_name: "list_people" })).toBe("list_people");
+  expect(objectNameOf({ ...viewed, noun_name: "get_what_is_new" })).toBe("get_what_is_new");
 });
 
 it("finds parts of names, and leaves patterns alone", () => {
