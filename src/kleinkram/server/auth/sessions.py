@@ -4,8 +4,9 @@ import datetime
 import secrets
 import uuid
 from dataclasses import dataclass, replace
+from typing import Any
 
-from sqlalchemy import ColumnElement, func, insert, select, update
+from sqlalchemy import ColumnElement, Row, func, insert, select, update
 
 from kleinkram.contract.accounts import SessionRead
 from kleinkram.contract.base import Page
@@ -14,11 +15,11 @@ from kleinkram.server.access.actor import Actor, find_person, secret_hash
 from kleinkram.server.access.rights import ensure_active_person
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection
-from kleinkram.server.pagination import Order, PageRequest, fetch_page
+from kleinkram.server.pagination import Order, PageRequest, read_page
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import session
 
-SESSION_ORDER = Order([session.c.created_at, session.c.id], descending=True)
+_SESSION_ORDER = Order([session.c.created_at, session.c.id], descending=True)
 _SECRET_BYTES = 32
 _MAX_USER_AGENT_CHARACTERS = 300
 
@@ -87,21 +88,14 @@ async def list_sessions(db: Connection, actor: Actor, *, settings: Settings, pag
     ends = func.least(session.c.expires_at, session.c.last_used_at + idle).label("ends_at")
     is_live = session.c.revoked_at.is_(None) & (ends > func.now())
     own = select(session, ends).where(session.c.person_id == actor.person_id, is_live)
-    rows = await fetch_page(db, own, SESSION_ORDER, page)
-    items = [
-        SessionRead(
-            id=row.id,
-            method=row.method,
-            address=row.address,
-            user_agent=row.user_agent,
-            created_at=row.created_at,
-            last_used_at=row.last_used_at,
-            expires_at=row.ends_at,
-            is_current=row.id == actor.session_id,
+
+    def read(row: Row[Any]) -> SessionRead:
+        values = {name: value for name, value in row._mapping.items() if name in SessionRead.model_fields}
+        return SessionRead.model_validate(
+            {**values, "expires_at": row.ends_at, "is_current": row.id == actor.session_id}
         )
-        for row in rows.items
-    ]
-    return Page(items=items, next=rows.next, total=rows.total)
+
+    return await read_page(db, own, _SESSION_ORDER, page, read)
 
 
 async def end_session(db: Connection, actor: Actor, *, session_id: uuid.UUID) -> None:
