@@ -152,7 +152,7 @@ class Refusals:
         after: Metadata = {"left_out": count, "within_s": MINUTE_S}
         try:
             async with database.begin() as db:
-                await audit(db, STRANGER, Event("auth.refused", "request", None, "left out", None, after=after))
+                await audit(db, STRANGER, Event("auth.refused", "request", None, "left out", after=after))
         except DatabaseUnavailable:
             _log.warning("refusals not summed up", extra={"fields": {"left_out": count}})
 

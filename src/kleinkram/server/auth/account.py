@@ -127,7 +127,7 @@ async def unlink_identity(db: Connection, actor: Actor, *, identity_id: uuid.UUI
         raise errors.LastSignInMethod(provider=name)
     await db.execute(update(identity).where(identity.c.id == identity_id).values(unlinked_at=func.now()))
     before: Metadata = {"issuer": unlinked.issuer, "email": unlinked.email, "person_id": str(actor.person_id)}
-    await audit(db, actor, Event("identity.unlink", "identity", identity_id, name, None, before=before))
+    await audit(db, actor, Event("identity.unlink", "identity", identity_id, name, before=before))
 
 
 def _addresses(actor: Actor) -> Select[Any]:

@@ -73,7 +73,7 @@ async def approve_loopback(
             approved_session_id=actor.session_id,
         )
     )
-    await audit(db, actor, Event("login.approve", "login", request_id, approval.client, None, after={"by": "browser"}))
+    await audit(db, actor, Event("login.approve", "login", request_id, approval.client, after={"by": "browser"}))
     query = urlencode({"code": code, "state": approval.state})
     return accounts.LoopbackApproved(url=f"http://127.0.0.1:{approval.port}/?{query}")
 
@@ -171,7 +171,7 @@ async def _decide(
     if row is None:
         raise CodeGone
     after = {"by": "code", "from": row.address}
-    await audit(db, actor, Event(operation, "login", row.id, row.label, None, after=after))
+    await audit(db, actor, Event(operation, "login", row.id, row.label, after=after))
     return accounts.DeviceRead(
         client=row.label, address=row.address, created_at=row.created_at, expires_at=row.expires_at
     )
@@ -236,7 +236,7 @@ async def _create_token(db: Connection, guest: Actor, approval: _Approval, setti
         "prefix": secret.prefix,
         "expires_at": expires_at.isoformat(),
     }
-    await audit(db, actor, Event("token.create", "token", token_id, request.name, None, after=after))
+    await audit(db, actor, Event("token.create", "token", token_id, request.name, after=after))
     return accounts.SignedIn(token=secret.text, person=approver.ref, expires_at=expires_at)
 
 

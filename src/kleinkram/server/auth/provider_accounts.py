@@ -287,7 +287,7 @@ async def _link(
     linked = linked.on_conflict_do_update(index_elements=["issuer", "subject"], set_=relinked)
     identity_id: uuid.UUID = (await db.execute(linked.returning(identity.c.id))).scalar_one()
     after: Metadata = {"issuer": verified.issuer, "email": verified.email, "person_id": str(person_id)}
-    await audit(db, actor, Event("identity.link", "identity", identity_id, provider.title, None, after=after))
+    await audit(db, actor, Event("identity.link", "identity", identity_id, provider.title, after=after))
 
 
 async def _new_account(
@@ -310,7 +310,7 @@ async def _new_account(
             break
     person_id = await add_person(db, name=name)
     after: Metadata = {"method": provider.issuer, "email": verified.email, "by_invitation": is_invited}
-    await audit(db, requester, Event("person.create", "person", person_id, name, None, after=after))
+    await audit(db, requester, Event("person.create", "person", person_id, name, after=after))
     await _link(db, requester, person_id=person_id, verified=verified, provider=provider)
     await _verify_address(db, person_id, trusted_address, provider)
     return person_id

@@ -85,7 +85,7 @@ async def confirm_totp(database: Database, actor: Actor, *, code: str) -> accoun
             stmt = update(totp).where(totp.c.person_id == actor.person_id).values(confirmed_at=func.now())
             await db.execute(stmt)
             await end_sessions(db, actor, except_session_id=actor.session_id)
-            await audit(db, actor, Event("totp.enable", "person", actor.person_id, actor.name, None))
+            await audit(db, actor, Event("totp.enable", "person", actor.person_id, actor.name))
             return await _create_recovery_codes(db, actor.person_id)
     raise _wrong()
 
@@ -94,7 +94,7 @@ async def renew_recovery_codes(db: Connection, actor: Actor) -> accounts.Recover
     """Replace the recovery codes. Raises NotFound."""
     if actor.person_id is None or await read_totp(db, actor.person_id) is None:
         raise errors.NotFound(noun="second factor", ref=actor.name)
-    await audit(db, actor, Event("totp.renew_codes", "person", actor.person_id, actor.name, None))
+    await audit(db, actor, Event("totp.renew_codes", "person", actor.person_id, actor.name))
     return await _create_recovery_codes(db, actor.person_id)
 
 
@@ -103,7 +103,7 @@ async def disable_totp(db: Connection, actor: Actor) -> None:
     stmt = delete(totp).where(totp.c.person_id == actor.person_id, _is_confirmed()).returning(totp.c.person_id)
     if (await db.execute(stmt)).first() is None:
         raise errors.NotFound(noun="second factor", ref=actor.name)
-    await audit(db, actor, Event("totp.disable", "person", actor.person_id, actor.name, None))
+    await audit(db, actor, Event("totp.disable", "person", actor.person_id, actor.name))
 
 
 async def reset_totp(db: Connection, admin: Actor, *, person_id: uuid.UUID) -> None:
@@ -112,7 +112,7 @@ async def reset_totp(db: Connection, admin: Actor, *, person_id: uuid.UUID) -> N
     stmt = delete(totp).where(totp.c.person_id == person_id).returning(totp.c.person_id)
     if owner is None or (await db.execute(stmt)).first() is None:
         raise errors.NotFound(noun="second factor", ref=str(person_id))
-    await audit(db, admin, Event("totp.reset", "person", person_id, owner.name, None, needs_admin=True))
+    await audit(db, admin, Event("totp.reset", "person", person_id, owner.name, needs_admin=True))
 
 
 async def require_second_factor(database: Database, person_id: uuid.UUID, code: str | None, actor: Actor) -> None:
@@ -167,7 +167,7 @@ async def _is_correct(db: Connection, enrolled: _Totp, code: str, guest: Actor |
         await db.execute(stmt.values(failed_count=0, failed_at=None))
         owner = await find_person(db, enrolled.person_id)
         name = "" if owner is None else owner.name
-        await audit(db, owner or guest, Event("totp.use_recovery_code", "person", enrolled.person_id, name, None))
+        await audit(db, owner or guest, Event("totp.use_recovery_code", "person", enrolled.person_id, name))
         return True
     # After the lockout, counting starts at zero.
     count = case((totp.c.failed_at > func.now() - _LOCKOUT, totp.c.failed_count), else_=0) + 1

@@ -67,7 +67,7 @@ async def start_session(
             expires_at=func.now() + datetime.timedelta(seconds=lifetime_s),
         )
     )
-    await audit(db, actor, Event("session.create", "session", session_id, person.name, None, after={"method": method}))
+    await audit(db, actor, Event("session.create", "session", session_id, person.name, after={"method": method}))
     if browser.previous_secret:
         await _end(db, actor, session.c.secret_sha256 == secret_hash(browser.previous_secret))
     return NewSession(actor, secret)
@@ -77,9 +77,7 @@ async def renew_session(db: Connection, actor: Actor, *, method: str) -> None:
     """Record that the person has just reauthenticated in this session."""
     stmt = update(session).where(session.c.id == actor.session_id)
     await db.execute(stmt.values(authenticated_at=func.now()))
-    await audit(
-        db, actor, Event("session.renew", "session", actor.session_id, actor.name, None, after={"method": method})
-    )
+    await audit(db, actor, Event("session.renew", "session", actor.session_id, actor.name, after={"method": method}))
 
 
 async def list_sessions(db: Connection, actor: Actor, *, settings: Settings, page: PageRequest) -> Page[SessionRead]:
@@ -114,7 +112,5 @@ async def end_sessions(db: Connection, actor: Actor, *, except_session_id: uuid.
 async def _end(db: Connection, actor: Actor, condition: ColumnElement[bool]) -> int:
     stmt = update(session).where(condition, session.c.revoked_at.is_(None)).values(revoked_at=func.now())
     session_ids = (await db.execute(stmt.returning(session.c.id))).scalars().all()
-    await audit(
-        db, actor, *(Event("session.revoke", "session", session_id, actor.name, None) for session_id in session_ids)
-    )
+    await audit(db, actor, *(Event("session.revoke", "session", session_id, actor.name) for session_id in session_ids))
     return len(session_ids)

@@ -71,9 +71,7 @@ async def create_group(db: Connection, actor: Actor, *, request: GroupCreate, cr
         raise _name_taken(error, request.name) from error
     await db.execute(insert(membership).values(group_id=group_id, person_id=actor.person_id, is_editor=True))
     after: Metadata = {"name": request.name, "editor": actor.name}
-    await audit(
-        db, actor, Event("group.create", "group", group_id, request.name, None, after=after, needs_admin=needs_admin)
-    )
+    await audit(db, actor, Event("group.create", "group", group_id, request.name, after=after, needs_admin=needs_admin))
     return await get_group(db, actor, group_id)
 
 

@@ -65,7 +65,7 @@ async def appoint_admin(db: Connection, actor: Actor, person_id: uuid.UUID) -> P
     own = (membership.c.group_id == ADMINS_ID) & (membership.c.person_id == person_id)
     old = (await db.execute(select(membership.c.expires_at).where(own))).one_or_none()
     if old is None or old.expires_at is not None:
-        await audit(db, actor, Event("person.make_admin", "person", person_id, name, None, needs_admin=True))
+        await audit(db, actor, Event("person.make_admin", "person", person_id, name, needs_admin=True))
         await make_admin(db, person_id)
     return await get_person(db, actor, person_id)
 
@@ -76,7 +76,7 @@ async def dismiss_admin(db: Connection, actor: Actor, person_id: uuid.UUID) -> P
     seen = await get_person(db, actor, person_id)
     own = (membership.c.group_id == ADMINS_ID) & (membership.c.person_id == person_id)
     if (await db.execute(select(membership.c.group_id).where(own))).first() is not None:
-        await audit(db, actor, Event("person.unmake_admin", "person", person_id, seen.name, None, needs_admin=True))
+        await audit(db, actor, Event("person.unmake_admin", "person", person_id, seen.name, needs_admin=True))
         await db.execute(delete(membership).where(own))
         await ensure_admin_remains(db)
         seen = seen.model_copy(update={"is_admin": False})
@@ -112,8 +112,8 @@ async def deactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Depa
     )
     after = departure.model_dump(mode="json", exclude={"person"})
     owner_right: Metadata = {"right": Right.delete.value, "expires_at": None}
-    events = [Event("person.deactivate", "person", person_id, name, None, after=after, needs_admin=True)]
-    events += [Event("token.revoke", "token", row.id, row.name, None, needs_admin=True) for row in tokens]
+    events = [Event("person.deactivate", "person", person_id, name, after=after, needs_admin=True)]
+    events += [Event("token.revoke", "token", row.id, row.name, needs_admin=True) for row in tokens]
     events += [
         Event("share.revoke", "share", row.id, row.name, row.project_id, mission_id=row.mission_id, needs_admin=True)
         for row in shares
@@ -133,7 +133,7 @@ async def reactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Pers
     if seen.deactivated_at is None:
         return seen
     await db.execute(update(person).where(person.c.id == person_id).values(deactivated_at=None))
-    await audit(db, actor, Event("person.reactivate", "person", person_id, seen.name, None, needs_admin=True))
+    await audit(db, actor, Event("person.reactivate", "person", person_id, seen.name, needs_admin=True))
     return await get_person(db, actor, person_id)
 
 

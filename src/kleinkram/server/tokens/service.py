@@ -54,9 +54,7 @@ async def create_token(db: Connection, actor: Actor, *, request: TokenCreate, se
     shown = {"kind", "scopes", "limits", "expires_at", "prefix", "runner", "runner_labels"}
     after = created.model_dump(mode="json", include=shown)
     needs_admin = request.kind is TokenKind.runner
-    await audit(
-        db, actor, Event("token.create", "token", token_id, created.name, None, after=after, needs_admin=needs_admin)
-    )
+    await audit(db, actor, Event("token.create", "token", token_id, created.name, after=after, needs_admin=needs_admin))
     return TokenMade(token=created, secret=secret.text)
 
 
@@ -139,7 +137,7 @@ async def revoke_token(
         after: Metadata = {"prefix": ended.prefix, "person": row.person_name}
         if ended.id != token_id:
             after["made_with"] = row.name
-        events.append(Event("token.revoke", "token", ended.id, ended.name, None, after=after, needs_admin=needs_admin))
+        events.append(Event("token.revoke", "token", ended.id, ended.name, after=after, needs_admin=needs_admin))
     await audit(db, actor, *events)
 
 
@@ -156,7 +154,7 @@ async def end_personal_tokens(db: Connection, actor: Actor) -> int:
     own = (token.c.person_id == actor.person_id) & (token.c.kind == TokenKind.personal.value)
     ended = await _revoke(db, select(token.c.id).where(own, by_somebody))
     events = [
-        Event("token.revoke", "token", row.id, row.name, None, after={"prefix": row.prefix, "person": actor.name})
+        Event("token.revoke", "token", row.id, row.name, after={"prefix": row.prefix, "person": actor.name})
         for row in ended
     ]
     await audit(db, actor, *events)
