@@ -121,10 +121,7 @@ class PagedQuery:
 
 
 async def fetch_page(db: Connection, statement: Select[Any], order: Order, request: PageRequest) -> Rows:
-    """Run a select for one page.
-
-    Raises InvalidCursor.
-    """
+    """Run a select for one page. Raises InvalidCursor."""
     return await fetch_listing(db, PagedQuery(statement, order), request)
 
 
