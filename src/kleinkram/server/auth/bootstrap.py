@@ -125,14 +125,14 @@ async def ensure_owner(db: Connection, secret_token: str) -> bool:
     stored = (await db.execute(select(token.c.revoked_at).where(token.c.secret_sha256 == secret))).one_or_none()
     if stored is not None:
         return stored.revoked_at is None
-    stale = (token.c.person_id == OWNER_ID) & (token.c.name == OWNER_TOKEN_NAME) & token.c.revoked_at.is_(None)
-    revoked = await db.execute(update(token).where(stale).values(revoked_at=func.now()).returning(token.c.id))
-    made = uuid.uuid4()
-    values = {"id": made, "person_id": OWNER_ID, "name": OWNER_TOKEN_NAME, "secret_sha256": secret}
+    is_outdated = (token.c.person_id == OWNER_ID) & (token.c.name == OWNER_TOKEN_NAME) & token.c.revoked_at.is_(None)
+    revoked = await db.execute(update(token).where(is_outdated).values(revoked_at=func.now()).returning(token.c.id))
+    new_id = uuid.uuid4()
+    values = {"id": new_id, "person_id": OWNER_ID, "name": OWNER_TOKEN_NAME, "secret_sha256": secret}
     values |= {"prefix": secret_prefix(secret_token)}
     await db.execute(insert(token).values(scopes=[Scope.admin.value], **values))
     events = [Event("token.revoke", "token", token_id, OWNER_TOKEN_NAME) for token_id in revoked.scalars()]
-    await audit(db, None, *events, Event("token.create", "token", made, OWNER_TOKEN_NAME))
+    await audit(db, None, *events, Event("token.create", "token", new_id, OWNER_TOKEN_NAME))
     return True
 
 

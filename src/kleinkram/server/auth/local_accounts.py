@@ -152,10 +152,10 @@ async def verify_password(
 
     Raises SignInFailed or SlowDown.
     """
-    active = person.c.deactivated_at.is_(None) & person_email.c.verified_at.is_not(None)
+    is_active = person.c.deactivated_at.is_(None) & person_email.c.verified_at.is_not(None)
     stmt = select(person.c.id, password.c.hash).join_from(person_email, person).join(password)
     async with database.begin() as db:
-        rows = await db.execute(stmt.where(person_email.c.email_key == email_key(sign_in.email), active))
+        rows = await db.execute(stmt.where(person_email.c.email_key == email_key(sign_in.email), is_active))
         row = rows.one_or_none()
     if not await hasher.verify(None if row is None else row.hash, sign_in.password) or row is None:
         raise errors.SignInFailed
@@ -163,8 +163,8 @@ async def verify_password(
         return VerifiedPassword(row.id, row.hash)
     renewed = await hasher.hash(sign_in.password)
     async with database.begin() as db:
-        same = (password.c.person_id == row.id) & (password.c.hash == row.hash)
-        await db.execute(update(password).where(same).values(hash=renewed))
+        is_unchanged = (password.c.person_id == row.id) & (password.c.hash == row.hash)
+        await db.execute(update(password).where(is_unchanged).values(hash=renewed))
     return VerifiedPassword(row.id, renewed)
 
 

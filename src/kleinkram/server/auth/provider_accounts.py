@@ -135,13 +135,13 @@ async def store_request(db: Connection, request: AuthorizationRequest, *, provid
 
 async def take_request(db: Connection, *, provider: str, state: str, browser_secret: str) -> AuthorizationRequest:
     """Return and delete the request of a callback, so that a replayed callback finds nothing. Raises SignInRefused."""
-    same = (
+    conditions = (
         oidc_login.c.state_sha256 == secret_hash(state),
         oidc_login.c.browser_sha256 == secret_hash(browser_secret),
         oidc_login.c.provider == provider,
         oidc_login.c.expires_at > func.now(),
     )
-    row = (await db.execute(delete(oidc_login).where(*same).returning(*oidc_login.c))).one_or_none()
+    row = (await db.execute(delete(oidc_login).where(*conditions).returning(*oidc_login.c))).one_or_none()
     if row is None:
         raise SignInRefused(
             reason="this sign-in was not started in this browser, was finished before, or has expired. Start again."

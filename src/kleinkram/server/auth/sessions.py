@@ -82,10 +82,10 @@ async def renew_session(db: Connection, actor: Actor, *, method: str) -> None:
 
 async def list_sessions(db: Connection, actor: Actor, *, settings: Settings, page: PageRequest) -> Page[SessionRead]:
     """Return a page of the actor's sessions, latest first. Raises InvalidCursor."""
-    idle = datetime.timedelta(seconds=settings.session_idle_s)
-    ends = func.least(session.c.expires_at, session.c.last_used_at + idle).label("ends_at")
-    is_live = session.c.revoked_at.is_(None) & (ends > func.now())
-    own = select(session, ends).where(session.c.person_id == actor.person_id, is_live)
+    idle_timeout = datetime.timedelta(seconds=settings.session_idle_s)
+    ends_at = func.least(session.c.expires_at, session.c.last_used_at + idle_timeout).label("ends_at")
+    is_live = session.c.revoked_at.is_(None) & (ends_at > func.now())
+    own_sessions = select(session, ends_at).where(session.c.person_id == actor.person_id, is_live)
 
     def read(row: Row[Any]) -> SessionRead:
         values = {name: value for name, value in row._mapping.items() if name in SessionRead.model_fields}
@@ -93,20 +93,20 @@ async def list_sessions(db: Connection, actor: Actor, *, settings: Settings, pag
             {**values, "expires_at": row.ends_at, "is_current": row.id == actor.session_id}
         )
 
-    return await read_page(db, own, _SESSION_ORDER, page, read)
+    return await read_page(db, own_sessions, _SESSION_ORDER, page, read)
 
 
 async def end_session(db: Connection, actor: Actor, *, session_id: uuid.UUID) -> None:
     """End one of the actor's sessions. Raises NotFound."""
-    own = (session.c.person_id == actor.person_id) & (session.c.id == session_id)
-    if not await _end(db, actor, own):
+    is_own = (session.c.person_id == actor.person_id) & (session.c.id == session_id)
+    if not await _end(db, actor, is_own):
         raise NotFound(noun="session", ref=str(session_id))
 
 
 async def end_sessions(db: Connection, actor: Actor, *, except_session_id: uuid.UUID | None = None) -> int:
     """End all sessions of the actor, except one if given; returns the number."""
-    own = session.c.person_id == actor.person_id
-    return await _end(db, actor, own if except_session_id is None else own & (session.c.id != except_session_id))
+    is_own = session.c.person_id == actor.person_id
+    return await _end(db, actor, is_own if except_session_id is None else is_own & (session.c.id != except_session_id))
 
 
 async def _end(db: Connection, actor: Actor, condition: ColumnElement[bool]) -> int:

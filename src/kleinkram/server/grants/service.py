@@ -210,11 +210,13 @@ async def _require_may_grant(
         raise InvalidRequest(problems=[FieldProblem(field="body.expires_at", message="has passed already")])
     place, actor = granter.place, granter.actor
     level = lasting_level_on_project if place.on is access.GrantOn.project else lasting_level_on_mission
-    lasting = (await db.execute(_visible_place(actor, place, level(actor, expires_at)))).scalar_one()
-    if right.level > lasting:
+    lasting_level = (await db.execute(_visible_place(actor, place, level(actor, expires_at)))).scalar_one()
+    if right.level > lasting_level:
         until = "without an end" if expires_at is None else f"until {expires_at:%Y-%m-%d %H:%M} UTC"
-        own = access.Right.of_level(granter.level).value + ("" if right.level > granter.level else ", not as long")
-        raise RightExceeded(noun=place.on.value, requested=f"{right.value} {until}", own=own)
+        own_right = access.Right.of_level(granter.level).value + (
+            "" if right.level > granter.level else ", not as long"
+        )
+        raise RightExceeded(noun=place.on.value, requested=f"{right.value} {until}", own=own_right)
 
 
 async def _ensure_owner(db: Connection, place: GrantPlace) -> None:

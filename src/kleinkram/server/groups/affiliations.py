@@ -60,8 +60,8 @@ async def ensure_affiliations(db: Connection, affiliations: Sequence[Affiliation
 
 async def _ensure_group(db: Connection, configured: Affiliation) -> uuid.UUID:
     key, kind = name_key(configured.name), GroupKind.affiliation.value
-    same = (access_group.c.name_key == key) & (access_group.c.kind == kind)
-    group_id: uuid.UUID | None = (await db.execute(select(access_group.c.id).where(same))).scalar_one_or_none()
+    is_same = (access_group.c.name_key == key) & (access_group.c.kind == kind)
+    group_id: uuid.UUID | None = (await db.execute(select(access_group.c.id).where(is_same))).scalar_one_or_none()
     if group_id is None:
         group_id = uuid.uuid4()
         try:

@@ -135,9 +135,9 @@ async def serve_metrics(settings: Settings, database: Database) -> AsyncIterator
         try:
             await web.TCPSite(runner, settings.metrics_address, settings.metrics_port).start()
         except OSError as error:
-            place = f"{settings.metrics_address}:{settings.metrics_port}"
+            address = f"{settings.metrics_address}:{settings.metrics_port}"
             raise MetricsPortUnusable(
-                f"Metrics cannot be served on {place} ({error.strerror or error}): give each process a free port by "
+                f"Metrics cannot be served on {address} ({error.strerror or error}): give each process a free port by "
                 "--metrics-port or KLEINKRAM_METRICS_PORT, and an address of this machine by KLEINKRAM_METRICS_ADDRESS."
             ) from None
         port: int = runner.addresses[0][1]
