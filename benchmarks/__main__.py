@@ -1,4 +1,4 @@
-"""`make bench`: prints the table of first measures and writes it as JSON beside it (`.bench/results.json`)."""
+"""`make bench`: runs the benchmarks, prints a table, and writes it as JSON (`.bench/results.json`)."""
 
 import json
 import os
@@ -36,13 +36,13 @@ ROWS = {
     "claims",
     "scale",
 }
-# How many times 200 000 files there are, in turn.
+# Sizes of the scale benchmark, in multiples of 200,000 files.
 SIZES = [int(size) for size in os.environ.get("KLEINKRAM_BENCH_SCALE", "1,10").split(",")]
 STARTS = int(os.environ.get("KLEINKRAM_BENCH_STARTS", "30"))
 
 
 def main() -> None:
-    """Measure the rows that are named (`python -m benchmarks small starts`), or all; print each when it is measured."""
+    """Run the named benchmarks (`python -m benchmarks small starts`) or all, and print each row as it is measured."""
     selected = set(sys.argv[1:]) or ROWS
     if unknown := selected - ROWS:
         raise SystemExit(f"no rows called {', '.join(sorted(unknown))}; there are {', '.join(sorted(ROWS))}")

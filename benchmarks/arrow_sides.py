@@ -1,6 +1,6 @@
 """Sides that make an Arrow table of an IMU topic, all fields, each run as a process of its own (see `side`).
 
-Each imports its own reader only, so that nobody's memory is anybody else's.
+Each imports only its own reader, which keeps their memory apart.
 """
 
 import time

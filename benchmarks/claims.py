@@ -1,7 +1,7 @@
-"""The row about claims: ten runners claim 10 000 runs concurrently, and are killed repeatedly.
+"""Benchmark of claims: ten runners claim 10,000 runs concurrently; some are killed with their run.
 
-What a killed runner held is taken for lost at once here, rather than after a minute: its lease is put into the past.
-Some of the killed wake up later, and say that their run is done.
+The lease of a killed runner's run is set into the past, so that it expires at once instead of after a minute. Some
+killed runners later report their run as done.
 """
 
 import json
@@ -30,7 +30,7 @@ _ABILITIES = {
     "bounds_memory": True,
     "bounds_disk": True,
 }
-# As many as were asked for, all alike: what a claim looks at is the same as if each had been launched.
+# Copies of one launched run: a claim reads the same columns as if each had been launched.
 _FILL = """
 INSERT INTO run (id, mission_id, version_id, parameters, network, cores, memory_bytes, disk_bytes, gpus, labels,
   needs_images, inputs_fingerprint, started_by_id, input_count, input_bytes)
@@ -45,7 +45,7 @@ _EXPIRE_LEASES = (
 
 @dataclass
 class _Lab:
-    """State shared by the runners: the server, and the runs that each began."""
+    """State shared by the runners: the server, and counts of what happened."""
 
     url: str
     token: str
@@ -53,24 +53,24 @@ class _Lab:
     pool: urllib3.PoolManager
     begun: list[tuple[str, int]] = field(default_factory=list)
     refused: int = 0
-    believed: int = 0
+    accepted: int = 0
     seconds: list[float] = field(default_factory=list)
 
-    def ask(self, path: str, body: object) -> tuple[int, Any]:
-        """Send a request; returns status and body."""
+    def post(self, path: str, body: object) -> tuple[int, Any]:
+        """Send a request; return its status and body."""
         headers = {"Authorization": f"Bearer {self.token}", "Content-Type": "application/json"}
         answer = self.pool.request("POST", f"{self.url}/api/v1/{path}", body=json.dumps(body), headers=headers)
         return answer.status, json.loads(answer.data) if answer.data else None
 
 
 def claims_row(url: str, owner_token: str, database_url: str, mission_id: str) -> dict[str, object]:
-    """Execute all runs of a mission; returns how many were executed twice at the same time."""
+    """Execute all runs of a mission; return a row about claims that were given twice."""
     label = f"only-{uuid.uuid4().hex[:8]}"
     definition = {"name": "claims", "script": "print(1)", "resources": {"labels": [label]}}
     with urllib3.PoolManager(retries=False, timeout=60, maxsize=_RUNNERS) as pool:
         owner = _Lab(url, owner_token, database_url, pool)
-        _, made = owner.ask("tokens", {"name": "claims", "kind": "runner"})
-        _, launched = owner.ask("runs", {"mission_ids": [mission_id], "definition": definition, "force": True})
+        _, made = owner.post("tokens", {"name": "claims", "kind": "runner"})
+        _, launched = owner.post("runs", {"mission_ids": [mission_id], "definition": definition, "force": True})
         template = launched["items"][0]["run"]["id"]
         with psycopg.connect(database_url, autocommit=True) as database:
             database.execute(_FILL, (_RUNS - 1, template))
@@ -86,27 +86,27 @@ def claims_row(url: str, owner_token: str, database_url: str, mission_id: str) -
         question = "SELECT count(*), count(ended_at) FROM run WHERE labels = %s"
         count, ended = database.execute(question, ([label],)).fetchone() or (0, 0)
     twice = sum(1 for times in Counter(lab.begun).values() if times > 1)
-    good = (twice, lab.believed, count, ended) == (0, 0, _RUNS, _RUNS)
+    good = (twice, lab.accepted, count, ended) == (0, 0, _RUNS, _RUNS)
     lab.seconds.sort()
     return {
         "what": f"{_RUNS} claims by {_RUNNERS} runners, one in {_KILLED_ONE_IN} killed with its run",
-        "measured": f"{twice} begun twice, {lab.believed} dead runners believed, {ended} of {count} ended",
+        "measured": f"{twice} begun twice, {lab.accepted} late reports accepted, {ended} of {count} ended",
         "bar": "0, 0, all",
         "met": good,
         "also": f"{len(lab.begun) / took:.0f} claims/s, median {lab.seconds[len(lab.seconds) // 2] * 1000:.0f} ms; "
-        f"{lab.refused} words of dead runners refused",
+        f"{lab.refused} late reports refused",
     }
 
 
 def _play(lab: _Lab, label: str, seed: int) -> None:
-    """Act as a runner until no run is left; now and then, continue as another one."""
+    """Act as a runner until no run is left; a killed runner is replaced by a new one."""
     rng = random.Random(seed)
     runner_id = _hello(lab, label)
     dead: list[dict[str, Any]] = []
     with psycopg.connect(lab.database_url, autocommit=True) as database:
         while True:
             started = time.perf_counter()
-            _, answer = lab.ask(f"runners/{runner_id}/claims", {"free": _ROOM, "wait_s": 0})
+            _, answer = lab.post(f"runners/{runner_id}/claims", {"free": _ROOM, "wait_s": 0})
             lab.seconds.append(time.perf_counter() - started)
             claim = answer["claim"]
             if claim is None:
@@ -119,25 +119,25 @@ def _play(lab: _Lab, label: str, seed: int) -> None:
                 continue
             _finish(lab, claim)
             if dead and rng.randrange(3) == 0:
-                _wake(lab, dead.pop())
+                _report_late(lab, dead.pop())
 
 
 def _hello(lab: _Lab, label: str) -> str:
     runner_id = str(uuid.uuid4())
     runner = {"id": runner_id, "name": "bench", "labels": [label], "capacity": _ROOM, "abilities": _ABILITIES}
-    status, answer = lab.ask("runners", {**runner, "default_image": "sha256:stock", "version": "0"})
+    status, answer = lab.post("runners", {**runner, "default_image": "sha256:stock", "version": "0"})
     if status != 200:
-        raise SystemExit(f"a runner was not let in: {answer}")
+        raise SystemExit(f"the server refused a runner: {answer}")
     return runner_id
 
 
 def _finish(lab: _Lab, claim: dict[str, Any]) -> int:
     report = {"attempt": claim["attempt"], "reason": "done", "message": "", "exit_code": 0}
-    status, _ = lab.ask(f"runner/runs/{claim['run_id']}/finish", report)
+    status, _ = lab.post(f"runner/runs/{claim['run_id']}/finish", report)
     return status
 
 
-def _wake(lab: _Lab, claim: dict[str, Any]) -> None:
+def _report_late(lab: _Lab, claim: dict[str, Any]) -> None:
     """Report on a run whose lease has expired: the server must reject it once another attempt exists."""
     with psycopg.connect(lab.database_url, autocommit=True) as database:
         question = "SELECT attempt, runner_id IS NULL FROM run WHERE id = %s"
@@ -146,4 +146,4 @@ def _wake(lab: _Lab, claim: dict[str, Any]) -> None:
     if status == 409:
         lab.refused += 1
     elif attempt != claim["attempt"] or is_free:
-        lab.believed += 1
+        lab.accepted += 1

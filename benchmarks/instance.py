@@ -24,8 +24,7 @@ GB = 1_000_000_000
 def variables() -> dict[str, str]:
     """Return the environment of everything that runs here."""
     homes = {name: str(STAGE / name.lower()) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME")}
-    # Verifying goes at full speed between two runs, rather than slowly beside them;
-    # and nobody is asked to wait for having asked too often.
+    # Verification runs at full speed between two runs instead of slowly during them; rate limits are off.
     limits = ("SIGN_INS", "SEARCHES")
     unbounded = {f"KLEINKRAM_{what}_PER_MINUTE": "0" for what in limits}
     at_once = {"KLEINKRAM_VERIFY_BYTES_PER_S": "2000000000"}
@@ -60,7 +59,7 @@ def endpoint_info() -> dict[str, Any]:
 
 
 def settle() -> None:
-    """Wait until no job waits or runs, so that nothing disturbs a measurement."""
+    """Wait until no job is queued or running, so that none disturbs a measurement."""
     while True:
         with urllib.request.urlopen(
             f"http://127.0.0.1:{endpoint_info()['ports']['api_metrics']}/metrics", timeout=60

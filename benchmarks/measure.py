@@ -1,4 +1,4 @@
-"""Measuring a side as a whole process, and two sides against each other."""
+"""Runs one side of a comparison as a process, and compares two sides in alternating runs."""
 
 import json
 import os

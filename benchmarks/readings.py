@@ -14,7 +14,7 @@ _SPAN_S = 8
 
 _LONG_SPAN_S = 20
 _MORE_MB = 0.5
-"""What stands between the chunks, which are fetched together, and what is fetched at both ends to find the index."""
+"""Bytes between chunks that are fetched together, and at both ends to find the index."""
 
 
 def raw_row(path: Path) -> dict[str, object]:
@@ -33,7 +33,7 @@ def raw_row(path: Path) -> dict[str, object]:
 
 
 def remote_row(path: Path) -> dict[str, object]:
-    """One topic of a span out of a large file over HTTP ranges: one of nearly 50 MB, and one of 20 s."""
+    """Read one topic of a time span of a large file over HTTP ranges: a span of nearly 50 MB, and one of 20 s."""
     spans = [_remote_span(path, seconds) for seconds in (_SPAN_S, _LONG_SPAN_S)]
     (run, needed_mb), (longer, longer_needed_mb) = spans
     peak_mb = max(span.peak_mb for span, _ in spans)

@@ -14,7 +14,7 @@ import psycopg
 import urllib3
 
 _BAR = 1.3
-# How many of the tables that were filled the database has not looked at yet.
+# The number of filled tables that autovacuum has not analysed yet.
 _UNSEEN = """
 SELECT count(*) FROM pg_stat_user_tables WHERE last_autoanalyze IS NULL AND relname IN
   ('person', 'access_group', 'membership', 'access_grant', 'project', 'mission', 'file', 'blob')
@@ -28,7 +28,7 @@ _LISTS = (
     "files?limit=100&count=true",
     "missions?text=mission-77",
 )
-# Ids follow from names, since the serving role has no tables of its own to remember them in.
+# Ids are hashes of names: the serving role may not create tables to store them in.
 _FILL = """
 INSERT INTO person (id, name) SELECT md5('person' || n)::uuid, 'person ' || n FROM generate_series(1, 500) n;
 INSERT INTO access_group (id, kind, name, name_key, person_id)
@@ -72,7 +72,7 @@ INSERT INTO token (id, person_id, name, secret_sha256, scopes)
 
 
 def rights_row(url: str, owner_token: str, database_url: str) -> dict[str, object]:
-    """Fill the instance, then ask for each list as an admin and as somebody with many grants, in turn."""
+    """Fill the instance, then request each list as an admin and as a person with many grants, alternating."""
     reader = fill(database_url)
     ratios, lines = {}, []
     with urllib3.PoolManager(retries=False, timeout=60) as pool:
@@ -112,7 +112,7 @@ def fill(database_url: str) -> str:
         grants = database.execute("SELECT count(*) FROM access_grant").fetchone()
         if grants is None or grants[0] < 20_000:
             raise SystemExit(f"there are {grants} grants")
-    # As in any database that has stood for a minute: the serving role cannot ask for it, so it is waited for.
+    # Wait for autovacuum: the serving role may not run ANALYZE.
     with psycopg.connect(database_url, autocommit=True) as database:
         while database.execute(_UNSEEN).fetchone() != (0,):
             time.sleep(1)

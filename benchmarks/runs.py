@@ -57,7 +57,7 @@ class _Lab:
         return json.loads(answer.data) if answer.data else None
 
     def launch(self, mission_id: str, text: str, **resources: Any) -> str:
-        """Put a run into the queue; returns its id."""
+        """Launch a run; return its id."""
         what: dict[str, Any] = {"script": text}
         if self.docker is not None:
             what = {"image": IMAGE, "command": ["/usr/bin/python3", "-c", text]}
@@ -85,7 +85,7 @@ def _lab(url: str, owner_token: str, folder: Path) -> Iterator[_Lab]:
         pool = stack.enter_context(urllib3.PoolManager(retries=False, timeout=60, maxsize=4))
         docker = None
         if all(map(path_of, PROGRAMS)) and os.getuid() == 0:
-            # Not below the bench's own folder: the engine leaves mounts there, and a socket's path must be short.
+            # Not in the benchmark's folder: the engine leaves mounts there, and a socket's path must be short.
             place = stack.enter_context(tempfile.TemporaryDirectory(prefix="klein-docker-", ignore_cleanup_errors=True))
             docker = Dockerd(Path(place))
             stack.callback(docker.end)
@@ -117,7 +117,7 @@ def _end(runner: "subprocess.Popen[bytes]") -> None:
 
 
 def run_rows(url: str, owner_token: str, folder: Path, upload: Callable[[str, Path], str]) -> list[dict[str, object]]:
-    """Measure; `upload` puts a file into a new mission and returns the mission's id."""
+    """Measure all rows; `upload` uploads a file to a new mission and returns the mission's id."""
     folder.mkdir(parents=True, exist_ok=True)
     small = folder / "small.bin"
     small.write_bytes(os.urandom(1000))
@@ -237,7 +237,7 @@ def _bare_writing(lab: _Lab) -> None:
 
 
 def _latencies_during(lab: _Lab, work: Callable[[], object]) -> Sequence[float]:
-    """Send ordinary requests to the API during something; return the time of each."""
+    """Send ordinary requests to the API until the block ends; return the time of each."""
     thread = threading.Thread(target=work)
     thread.start()
     times: list[float] = []

@@ -13,6 +13,6 @@ def main(sides: Iterable[Callable[..., Facts]]) -> None:
     """Run the side that the command line names, and print its measurement."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
     account = {side.__name__: side for side in sides}[sys.argv[1]](*sys.argv[2:])
-    # What importing cost is no part of the work.
+    # CPU time of imports, which is subtracted.
     account["import_cpu_s"] = usage.ru_utime + usage.ru_stime
     sys.stdout.write(json.dumps(account))

@@ -1,7 +1,7 @@
-"""One side of one measurement, run as a process of its own (see `side`).
+"""Sides of the transfer benchmarks, each run as a process of its own (see `side`).
 
-"Raw" is the same HTTP library, part size, concurrency and part checksums against the same store, without hashing and
-without our API: the checksums and the signed addresses are made before the clock starts.
+"Raw" uses the same HTTP library, part size, concurrency and part checksums with the same store, without hashing and
+without our API: checksums and signed URLs are computed before the clock starts.
 """
 
 import asyncio
@@ -33,8 +33,7 @@ from kleinkram.server.settings import Settings
 
 T = TypeVar("T")
 _READ_BYTES = 8 * 1024 * 1024
-# Files that links are asked for at once.
-_LINKS = 500
+_LINKS = 500  # per request
 
 
 def upload_ours(project: str, mission: str, *paths: str) -> Facts:
@@ -50,7 +49,7 @@ def upload_ours(project: str, mission: str, *paths: str) -> Facts:
 
 def _refuse_failure(failed: Iterable[object]) -> None:
     if problems := list(failed):
-        raise SystemExit(f"not all went well: {problems}")
+        raise SystemExit(f"transfers failed: {problems}")
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ class _RawFile:
 
 
 def upload_raw(*paths: str) -> Facts:
-    """Send the same parts with the same checksums to addresses that are signed already."""
+    """Send the same parts with the same checksums to URLs signed before."""
     files = [(Path(path), Path(path).stat().st_size) for path in paths]
     prepared = asyncio.run(_with_storage(lambda storage: _prepare(storage, files)))
     pool = urllib3.PoolManager(maxsize=CONNECTIONS, blocksize=1024 * 1024)
@@ -179,7 +178,7 @@ def download_raw(mission: str, destination: str) -> Facts:
             os.close(out)
         answer.release_conn()
         if position != end + 1:
-            raise SystemExit("the store sent less than it said")
+            raise SystemExit("the store sent too few bytes")
 
     started = time.perf_counter()
     with ThreadPoolExecutor(CONNECTIONS) as fetchers:
@@ -191,7 +190,7 @@ def download_raw(mission: str, destination: str) -> Facts:
 
 
 def summary_remote(mission: str, path: str) -> Facts:
-    """Summarise a stored recording through a presigned address."""
+    """Summarise a stored recording through a presigned URL."""
     link = _link(mission, path)
     started = time.perf_counter()
     source = CountingSource(HttpSource(link.url, size_bytes=link.size_bytes, name=path))
@@ -201,7 +200,7 @@ def summary_remote(mission: str, path: str) -> Facts:
 
 
 def summary_raw(mission: str, path: str) -> Facts:
-    """Ask the store for the ranges that a summary reads, eight at a time, by bare sockets, without processing them."""
+    """Request the ranges that a summary reads, eight at a time, by plain sockets, without processing them."""
     link = _link(mission, path)
     ranges = _ranges_of_summary(link, path)
     url = urlsplit(link.url)

@@ -14,7 +14,7 @@ _EMAIL = "ada@bench.example"
 
 
 def sign_in_row(url: str, owner_token: str) -> dict[str, object]:
-    """Sign in again and again with a local account; timed from outside on the same machine, so at least the real time.
+    """Sign in repeatedly with a local account; timed by a client on the same machine, so an upper bound.
 
     The instance must not limit how often one may sign in.
     """

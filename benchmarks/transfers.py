@@ -24,7 +24,7 @@ def random_file(path: Path, size_bytes: int) -> Path:
     with path.open("wb") as stream:
         for start in range(0, size_bytes, 1 << 24):
             stream.write(os.urandom(min(1 << 24, size_bytes - start)))
-    # An hour old: of files written just now, an upload waits to see whether they still grow.
+    # An hour old: an upload waits until recently written files stop growing.
     os.utime(path, (time.time() - 3600, time.time() - 3600))
     return path
 
@@ -163,7 +163,7 @@ def many_small_rows(label: str, environment: dict[str, str]) -> Iterator[dict[st
     def up_raw(name: str) -> Run:
         return run_side("upload_raw", *sorted(map(str, fresh(name).iterdir())), environment=environment)
 
-    # Bare requests before and after each, with nothing left to be read of ours: that would slow them down.
+    # Plain requests before and after each run, once no job of ours is left to slow them down.
     raw, ours = [up_raw("raw-0")], []
     for number in range(1, _SMALL_ROUNDS + 1):
         name = f"many-{number}"

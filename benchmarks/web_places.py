@@ -45,7 +45,7 @@ INSERT INTO topic (blob_id, name, message_type, schema_name, schema_encoding, me
   LATERAL (SELECT (ARRAY['sensor_msgs/msg/Imu', 'nav_msgs/msg/Odometry', 'std_msgs/msg/Float64'])
     [1 + n %% 3] AS kind) of
 """
-# How many of the tables that were filled the database has not looked at yet.
+# The number of filled tables that autovacuum has not analysed yet.
 _UNSEEN = """
 SELECT count(*) FROM pg_stat_user_tables WHERE last_autoanalyze IS NULL AND relname IN
   ('project', 'mission', 'file', 'blob', 'topic')
@@ -55,7 +55,7 @@ SELECT count(*) FROM pg_stat_user_tables WHERE last_autoanalyze IS NULL AND reln
 def fill(client: Client, database_url: str) -> tuple[uuid.UUID, uuid.UUID, uuid.UUID]:
     """Insert everything; returns the project and the missions of many topics and of many files.
 
-    What follows from the files is not derived yet: anything that is uploaded to a mission starts it.
+    Recordings and topics of the missions are not derived yet: an upload to a mission starts that.
     """
     project = client.projects.create(PROJECT).id
     archive = client.projects.create("archive").id
@@ -79,7 +79,7 @@ def fill(client: Client, database_url: str) -> tuple[uuid.UUID, uuid.UUID, uuid.
                 database.execute(_FILES, {**of_these, **bounds})
         for number in range(RECORDINGS):
             _add_topics(database, number)
-    # As in any database that has stood for a minute: the serving role cannot ask for it, so it is waited for.
+    # Wait for autovacuum: the serving role may not run ANALYZE.
     with psycopg.connect(database_url, autocommit=True) as database:
         while database.execute(_UNSEEN).fetchone() != (0,):
             time.sleep(1)

@@ -94,7 +94,7 @@ def _postgres() -> Iterator[RunningPostgres]:
             folder=folder / "postgres",
             log=folder / "postgres.log",
             port=choose_port(),
-            passwords=postgres.PostgresPasswords(*(secrets.token_hex(16) for _ in range(3))),
+            passwords={role: secrets.token_hex(16) for role in (postgres.ADMIN, postgres.MIGRATE, postgres.SERVE)},
         )
         postgres.initialise(cluster)
         # What is lost by a crash of the machine is only a test's.
@@ -130,6 +130,7 @@ def _store() -> Iterator[RunningStore]:
         finally:
             # Nothing of it is needed again: no reason to wait the two seconds of its orderly end.
             processes.stop(process, sign=signal.SIGKILL, timeout_s=10)
+            object_store.remove_sockets(plan)
 
 
 def _wait_until(ready: Callable[[], bool], process: "subprocess.Popen[bytes]", log: Path) -> None:

@@ -19,7 +19,7 @@ from benchmarks.scale.places import seeded
 from benchmarks.scale.requests import percentile
 
 _FILES = 200
-# Of ten requests two write.
+# Two of ten requests write.
 _READS = (
     "projects?limit=50",
     "missions?sort=-created&limit=50",
@@ -36,7 +36,7 @@ class _Client:
 
 
 def main(url: str, token: str, clients: int, seconds: float, project_id: str) -> dict[str, object]:
-    """Run the crowd; returns the number of answers, latencies, errors, and fairness."""
+    """Run the clients; return the number of responses, latencies, errors, and fairness."""
     crowd = [_Client() for _ in range(clients)]
     files = _files_there(url, token)
     until = time.monotonic() + seconds
@@ -57,13 +57,13 @@ def main(url: str, token: str, clients: int, seconds: float, project_id: str) ->
         "p99_ms": percentile(every, 99),
         "worst_ms": max(every),
         "errors": [error for client in crowd for error in client.errors],
-        # Of the client that got the fewest answers, beside the mean.
+        # The share of the client with the fewest responses, compared with the mean.
         "fairness": min(counts) / statistics.mean(counts),
     }
 
 
 def _files_there(url: str, token: str) -> list[str]:
-    """Return the ids of some files, all over the data; not those in the trash."""
+    """Return the ids of some files of all missions, outside the trash."""
     lot = random.Random(0)
     ids: list[str] = []
     with urllib3.PoolManager(retries=False, timeout=60) as pool:

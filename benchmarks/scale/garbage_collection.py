@@ -15,16 +15,16 @@ from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import mission
 
-# As the worker: whatever people wait for goes first.
+# At low priority, as in the worker.
 _NICENESS = 10
 
 
 async def main() -> int:
-    """Sweep, round after round; returns how many rounds it took."""
+    """Collect in rounds; return the number of rounds."""
     settings = Settings()
     database = open_database(settings)
     rounds = 0
-    # A mission goes after the last of its files.
+    # A mission is deleted in the round after its last file.
     due = (
         select(mission.c.id)
         .where(mission.c.deleted_at < func.now() - func.make_interval(0, 0, 0, settings.trash_days))

@@ -21,10 +21,10 @@ Row = dict[str, object]
 # A statement as it was sent, and its values.
 Statement = tuple[str, Any]
 _TIMES, _WARM = int(os.environ.get("KLEINKRAM_BENCH_TIMES", "20")), 2
-# What has no bar takes long: it is asked once, and once before.
+# Requests without a bar take long: sent once to warm up and once to measure.
 _SELDOM, _SELDOM_WARM = 1, 1
 _LEAST_SHARE, _MOST_BESIDE_ADMIN = 0.5, 1.3
-# So many clients keep one worker busy while each of them waits for its answer to come and go.
+# Enough clients to keep one worker busy during their round trips.
 _CLIENTS, _SECONDS = 4, 2.0
 
 
@@ -84,13 +84,13 @@ def _judged(label: str, place: Place, times: list[float], bare_ms: float, rps: f
 
 
 def _served(url: str, token: str) -> float:
-    """Return how many answers a second one worker gives, to several clients."""
+    """Return the responses per second of one worker to several clients."""
     command = [sys.executable, "-m", "benchmarks.scale.several", url, token, str(_CLIENTS), str(_SECONDS)]
     return float(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
 
 
 def percentile(values: list[float], percent: float) -> float:
-    """Return a percentile: the smallest value that so many percent of all do not exceed."""
+    """Return a percentile: the smallest value that this percentage of values does not exceed."""
     return sorted(values)[max(math.ceil(len(values) * percent / 100) - 1, 0)]
 
 

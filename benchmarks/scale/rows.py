@@ -21,7 +21,7 @@ Row = dict[str, object]
 _CLIENTS = 50
 _SECONDS = float(os.environ.get("KLEINKRAM_BENCH_CROWD_S", "60"))
 _MOST_P99_MS, _LEAST_FAIR, _LEAST_GAIN = 1000, 0.5, 1.7
-# As many as: two API workers, PostgreSQL and the clients each have one of their own.
+# One core each for two API workers, PostgreSQL and the clients.
 _CORES_FOR_TWO = 4
 _DELETED = 100_000
 _MEANWHILE = ("projects?limit=50", "missions?limit=50", "files?sort=-start&limit=50", "search?query=knee")
@@ -73,7 +73,7 @@ def _filled_row(label: str, seconds: float) -> Row:
 
 
 def _crowd(urls: list[str], token: str, *, clients: int = _CLIENTS, seconds: float = _SECONDS) -> dict[str, float]:
-    """Run a crowd at each address, sharing the clients; returns the totals."""
+    """Run the clients, distributed over the addresses; return the totals."""
     project_id = str(seeded("project1"))
     share = [str(clients // len(urls)), str(seconds), project_id]
     commands = [[sys.executable, "-m", "benchmarks.scale.crowd", url, token, *share] for url in urls]
@@ -160,7 +160,7 @@ def _garbage_collection_row(label: str, url: str, token: str, environment: Mappi
             if answer.status >= 300:
                 raise SystemExit(f"{answer.status} {answer.data.decode()}")
             times.append((time.perf_counter() - began) * 1000)
-            # As if it had been in the trash for long enough.
+            # Backdate the deletion, so that the trash is emptied at once.
             database.execute("UPDATE mission SET deleted_at = now() - interval '1 year' WHERE id = md5('swept')::uuid")
             collection = subprocess.Popen(
                 [sys.executable, "-m", "benchmarks.scale.garbage_collection"],

@@ -18,10 +18,10 @@ from psycopg import sql
 from benchmarks.scale import statements
 
 Say = Callable[[str], None]
-# The whole, one in ten, and a few of all missions is what these people see.
+# These people see all missions, one in ten, and a few.
 ALL, TENTH, SOME = "bench-reads-all", "bench-reads-a-tenth", "bench-reads-a-few"
 _SLICES = 64
-# Those that take longest to keep, and that no job of the worker needs meanwhile.
+# The most expensive indexes that no job of the worker needs during the seeding.
 _COSTLY = """
 SELECT index.relname, pg_get_indexdef(index.oid)
   FROM pg_index JOIN pg_class index ON index.oid = indexrelid JOIN pg_am ON pg_am.oid = index.relam
@@ -32,7 +32,7 @@ _TABLES = "person access_group membership access_grant project mission recording
 
 @dataclass(frozen=True)
 class Size:
-    """How much there is: 1, or 10 times as much."""
+    """The amount of data: 1 or 10 times the base size."""
 
     times: int
 
@@ -113,7 +113,7 @@ def _steps() -> Iterator[tuple[str, str, str, dict[str, object]]]:
     for name, check, statement in statements.WHOLE_BEFORE:
         yield name, check, statement, {}
     for number in range(_SLICES):
-        # In the order of ids: then the pages of each index are filled one after the other.
+        # In the order of ids, so that each index is filled page by page.
         low = f"{number * 256 // _SLICES:02x}000000-0000-0000-0000-000000000000"
         high = f"{(number + 1) * 256 // _SLICES - 1:02x}ffffff-ffff-ffff-ffff-ffffffffffff"
         yield f"topics {number + 1}/{_SLICES}", statements.TOPICS_DONE, statements.TOPICS, {"low": low, "high": high}

@@ -1,4 +1,4 @@
-"""Clients that repeat one request for some seconds: how many answers they get.
+"""Clients that repeat one request for some seconds: the number of responses they get.
 
 `python -m benchmarks.scale.several URL TOKEN CLIENTS SECONDS`; prints the answers a second. A process of its own, so
 that they take no time of whoever measures.

@@ -10,13 +10,13 @@ _METADATA = """(SELECT
   ARRAY['forest', 'alps', 'mine', 'harbour', 'glacier', 'campus', 'tunnel', 'vineyard', 'quarry', 'lake'] place,
   ARRAY['anymal', 'husky', 'spot', 'hydra', 'falcon'] robot,
   ARRAY['sunny', 'overcast', 'rain', 'snow', 'fog'] weather) said"""
-# Of every thousand missions one is large; the others hold sixteen files in the mean.
+# One mission in a thousand is large; the others have sixteen files on average.
 _LARGE, _LARGE_FILES = 1000, 4050
 _FILES_OF = f"CASE WHEN m %% {_LARGE} = 0 THEN {_LARGE_FILES} ELSE 8 + abs(hashtext('files' || m)) %% 17 END"
 _TEN_YEARS_NS = 315_360_000_000_000_000
 _BEGAN_NS = 1_388_534_400_000_000_000  # 2014
 _PART_NS = 600_000_000_000
-# From small numbers to what they stand for; the first projects have most missions, as in any lab.
+# Maps numbers to values; the first projects have most missions, as in a real lab.
 _MISSION = f"""
   SELECT m, md5('mission' || m)::uuid AS id, 1 + abs(hashtext('robot' || m)) %% 5 AS robot,
     1 + floor(%(projects)s * power((abs(hashtext('in' || m)) %% 1000000) / 1e6, 1.6))::int AS p,
@@ -24,7 +24,7 @@ _MISSION = f"""
     {_FILES_OF} AS files
   FROM generate_series(1, %(missions)s::int) m
 """
-# The eighth and ninth file of each ten are no recordings. Two files after one another are one recording in two parts.
+# The eighth and ninth of every ten files are no recordings. Two consecutive files are one recording in two parts.
 _FILE = f"""
   SELECT m, i, id AS mission_id, robot, md5('blob' || m || '-' || i)::uuid AS blob_id,
     i %% 10 < 8 AS is_recording, abs(hashtext('luck' || m || '-' || i)) %% 1000 AS luck,
@@ -46,7 +46,7 @@ _GROUPS = """
 INSERT INTO access_group (id, kind, name, name_key)
   SELECT md5('team' || n)::uuid, 'custom', 'Team ' || n, 'team ' || n FROM generate_series(1, %(groups)s::int) n
 """
-# The first person is in ten groups that read everything between them, the second in one of these, the third in none.
+# The first person is in ten groups that together read everything, the second in one of them, the third in none.
 _MEMBERSHIPS = """
 INSERT INTO membership (group_id, person_id)
   SELECT md5('own' || n)::uuid, md5('person' || n)::uuid FROM generate_series(1, %(people)s::int) n
@@ -111,7 +111,7 @@ INSERT INTO file (id, mission_id, recording_id, blob_id, path, path_key, origin,
     LATERAL (SELECT CASE WHEN is_recording THEN 'drive_' || place[1 + m %% 10] || '_' || lpad((i / 2)::text, 4, '0') || '_' || i %% 2 || ending
       WHEN i %% 10 = 8 THEN 'config/calibration_' || i || '.yaml' ELSE 'logs/power_' || i || '.csv' END AS path) named
 """
-# Five kinds of robots: what all of them say, what each says besides, and once in a while what nobody else says.
+# Five kinds of robots: topics of all, topics of each kind, and now and then a topic of one mission only.
 TOPICS = """
 WITH vocabulary (robot, names, types) AS (VALUES
   (1, ARRAY['/anymal/joint_states', '/anymal/feet/contacts', '/anymal/elevation_map', '/anymal/lidar/points', '/anymal/front/image_raw/compressed', '/anymal/gait'],
@@ -150,7 +150,7 @@ INSERT INTO mission_topic (mission_id, name, message_type, count, file_count, re
   FROM topic JOIN file USING (blob_id) JOIN blob ON blob.id = blob_id WHERE store_id = 'scale' AND file.deleted_at IS NULL
   GROUP BY file.mission_id, topic.name, topic.message_type
 """
-# What is kept of each mission when its recordings are derived.
+# The amounts stored with each mission when its recordings are derived.
 _AMOUNTS = """
 UPDATE mission SET file_count = held.files, size_bytes = held.bytes, message_count = held.messages, unread_count = held.unread,
     duration_ns = coalesce((SELECT sum(end_ns - start_ns) FROM recording WHERE recording.mission_id = mission.id), 0)
@@ -161,7 +161,7 @@ UPDATE mission SET file_count = held.files, size_bytes = held.bytes, message_cou
     GROUP BY mission.id
   ) held WHERE held.id = mission.id
 """
-# To the ten groups that the first person is in, to people by themselves, and to groups on single missions.
+# Grants to the ten groups of the first person, to single people, and to groups on single missions.
 _GRANTS = """
 INSERT INTO access_grant (id, group_id, project_id, level)
   SELECT gen_random_uuid(), md5('team' || t)::uuid, md5('project' || n)::uuid, 1 + n %% 4

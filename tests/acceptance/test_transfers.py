@@ -56,7 +56,7 @@ def test_bytes_that_changed_between_two_runs_are_sent_again(terminal: Terminal, 
     terminal.run("verify", "-p", project, "-m", "m", file)
 
 
-def test_ctrl_c_stops_at_once_and_says_how_to_go_on(terminal: Terminal, project: str, tmp_path: Path) -> None:
+def test_ctrl_c_stops_at_once_and_explains_how_to_continue(terminal: Terminal, project: str, tmp_path: Path) -> None:
     file = random_file(tmp_path / "big.bin", 4 * PART)
     process = terminal.start("upload", "-p", project, "-m", "m", "--create", file, "--limit-rate", "8MiB")
     wait_until(lambda: bool(terminal.journals()), "the upload has begun")
@@ -69,7 +69,7 @@ def test_ctrl_c_stops_at_once_and_says_how_to_go_on(terminal: Terminal, project:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["store", "api"])
-def test_an_upload_survives_a_crash_of_the_other_side(
+def test_an_upload_survives_a_crash_of_the_server(
     terminal: Terminal, instance: Instance, project: str, tmp_path: Path, part: str
 ) -> None:
     file = random_file(tmp_path / "big.bin", 6 * PART)
@@ -192,7 +192,7 @@ def test_a_download_that_was_killed_fetches_only_the_rest(terminal: Terminal, pr
 
 
 @pytest.mark.slow
-def test_a_download_leaves_what_is_here(terminal: Terminal, project: str, tmp_path: Path) -> None:
+def test_a_download_does_not_replace_existing_files(terminal: Terminal, project: str, tmp_path: Path) -> None:
     file = random_file(tmp_path / "a.bin", 1000)
     terminal.run("upload", "-p", project, "-m", "m", "--create", file)
     dest = tmp_path / "back"
@@ -228,7 +228,7 @@ def test_two_missions_with_equal_paths_need_nesting(terminal: Terminal, project:
         assert (dest / project / mission / "a.bin").read_bytes() == (tmp_path / mission / "a.bin").read_bytes()
 
 
-def test_a_project_deleted_meanwhile_ends_its_uploads(terminal: Terminal, project: str, tmp_path: Path) -> None:
+def test_deleting_a_project_ends_its_uploads(terminal: Terminal, project: str, tmp_path: Path) -> None:
     file = random_file(tmp_path / "big.bin", 6 * PART)
     upload = ["upload", "-p", project, "-m", "m", "--create", file, "--connections", "1"]
     process = terminal.start(*upload, "--limit-rate", "8MiB")

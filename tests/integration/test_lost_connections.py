@@ -84,7 +84,7 @@ def test_uploads_and_downloads_arrive(behind: Behind, tmp_path: Path) -> None:
     assert behind.to_store.cuts > before, "and into the download"
 
 
-def test_a_download_waits_for_a_server_that_does_not_answer_for_a_while(behind: Behind, tmp_path: Path) -> None:
+def test_a_download_waits_while_the_server_does_not_answer(behind: Behind, tmp_path: Path) -> None:
     mission_id = uuid.UUID(behind.api.mission(behind.api.project()["id"])["id"])
     upload_one(behind.api, str(mission_id), "notes.txt", b"notes")
     plan = plan_download(behind.client.files.list(FileFilter(mission_id=mission_id)), tmp_path)

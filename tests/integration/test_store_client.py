@@ -134,7 +134,7 @@ def test_bytes_are_read_where_sendfile_is_unavailable(source: OpenFile, monkeypa
     assert put(source)[1] == source.file.source.read_bytes()[5:]
 
 
-def test_a_slow_store_has_more_time_than_connecting_has(source: OpenFile, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_put_is_not_limited_by_the_connect_timeout(source: OpenFile, monkeypatch: pytest.MonkeyPatch) -> None:
     waited = threading.Event()  # never set: waiting for it is the store's slowness
     monkeypatch.setattr(store, "CONNECT_TIMEOUT_S", 0.05)
     answer, body = put(source, pause=lambda: wait_for(waited, 0.3))
@@ -142,7 +142,7 @@ def test_a_slow_store_has_more_time_than_connecting_has(source: OpenFile, monkey
     assert body == source.file.source.read_bytes()[5:]
 
 
-def test_a_store_that_takes_nothing_is_left_after_a_while(source: OpenFile, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_put_to_a_store_that_reads_nothing_times_out(source: OpenFile, monkeypatch: pytest.MonkeyPatch) -> None:
     released = threading.Event()
     monkeypatch.setattr(store, "READ_TIMEOUT_S", 0.2)
     answer, _ = put(source, pause=lambda: wait_for(released, 20))
@@ -166,7 +166,7 @@ def test_a_failing_disk_is_reported(source: OpenFile, monkeypatch: pytest.Monkey
         put(source)
 
 
-def test_one_connection_serves_one_put_after_the_other() -> None:
+def test_several_puts_share_one_connection() -> None:
     answers, store = put_each(_TAKEN, _TAKEN, _TAKEN)
     assert answers == [PutResult(StoreAnswer.taken, etag="e")] * 3
     assert store.connections == 1
@@ -217,7 +217,7 @@ def test_a_connection_that_the_store_ends_is_followed_by_another(reply: bytes) -
 @pytest.mark.parametrize(
     "reply", [b"close", b"rubbish, close\r\n\r\n", b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\nclose"]
 )
-def test_no_answer_is_a_reason_to_try_again(reply: bytes) -> None:
+def test_a_missing_answer_is_retried(reply: bytes) -> None:
     (first, second), store = put_each(reply, _TAKEN)
     assert first.answer is StoreAnswer.try_again
     assert first.why
@@ -234,7 +234,7 @@ def test_a_redirect_is_not_followed() -> None:
     ("target", "headers"),
     [("a b", {}), ("a\r\nX: y", {}), ("a", {"X\r\nY": "z"}), ("a", {"X": "y\r\nZ: z"}), ("a", {"X": "\u00fc"})],
 )
-def test_nothing_slips_into_a_request(target: str, headers: dict[str, str]) -> None:
+def test_header_injection_is_refused(target: str, headers: dict[str, str]) -> None:
     store, client = Scripted(_TAKEN), StoreClient(1)
     try:
         with pytest.raises(ValueError, match="would be read as another"):
@@ -246,9 +246,7 @@ def test_nothing_slips_into_a_request(target: str, headers: dict[str, str]) -> N
 
 
 @pytest.mark.parametrize("is_known", [True, False])
-def test_a_put_goes_to_a_store_whose_certificate_is_known(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_known: bool
-) -> None:
+def test_a_put_requires_a_trusted_certificate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_known: bool) -> None:
     certificate, key = make_certificate(tmp_path, "127.0.0.1")
     tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     tls.load_cert_chain(certificate, key)

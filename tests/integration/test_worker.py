@@ -49,7 +49,7 @@ class _Cluster:
 def database(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Cluster]:
     folder = tmp_path_factory.mktemp("pg")
     folder.chmod(0o755)
-    passwords = pg.PostgresPasswords("admin", "migrate", "serve")
+    passwords = {pg.ADMIN: "admin", pg.MIGRATE: "migrate", pg.SERVE: "serve"}
     cluster = pg.PostgresCluster(
         binaries=pg.locate_postgres(),
         data_dir=folder,

@@ -143,7 +143,7 @@ def _live_all(cluster: Cluster, folder: Path, histories: Sequence[History], miss
 
 @pytest.mark.slow
 @pytest.mark.timeout(280)
-def test_parts_of_every_history_are_there_once_the_store_has_cleared_up(cluster: Cluster, tmp_path: Path) -> None:
+def test_parts_of_every_history_are_present_after_cleanup(cluster: Cluster, tmp_path: Path) -> None:
     cluster.start()
     cluster.terminal.run("project", "create", "p")
     chance = random.Random(1)

@@ -1,4 +1,4 @@
-"""Exit codes of failures, in one table. Scripts rely on the numbers: add, never change."""
+"""The exit codes of failures, and how failures are printed. Scripts rely on the codes: never change one."""
 
 import enum
 from collections.abc import Iterable, Mapping
@@ -19,7 +19,7 @@ from kleinkram.recordings.errors import RecordingError
 
 
 class ExitCode(enum.IntEnum):
-    """What went wrong, for scripts."""
+    """The kind of a failure, for scripts."""
 
     server_failed = 1
     usage = 2
@@ -39,11 +39,11 @@ class ExitCode(enum.IntEnum):
 
 
 class Interrupted(local.ClientError):
-    """Stopped. Run the same command again to go on from here."""
+    """Stopped. Run the same command again to continue."""
 
 
 class NotConfirmed(local.ClientError):
-    """Not done: it was not confirmed. Give --yes to do it without being asked."""
+    """Not done, because it was not confirmed. Use --yes to skip the confirmation."""
 
 
 _CLASSES: dict[ExitCode, tuple[type[KleinkramError], ...]] = {
@@ -129,7 +129,7 @@ EXIT_CODES = {error: code for code, errors in _CLASSES.items() for error in erro
 
 
 def explain(error: Exception) -> int | None:
-    """Print a failure on stderr and return its exit code; None for an error without a class of ours, which is a bug.
+    """Print a failure on stderr and return its exit code; None for an unexpected error, which is a bug.
 
     With `--json` on the command line, the failure is one JSON document in one line.
     """
@@ -161,7 +161,7 @@ def explain(error: Exception) -> int | None:
 
 
 def fail(code: str, message: str, exit_code: int, fields: Mapping[str, object] | None = None) -> int:
-    """Print why a command failed, as JSON where JSON was asked for, and return the exit code."""
+    """Print a failure, with `--json` as JSON, and return the exit code."""
     known = {name: plain(value) for name, value in (fields or {}).items() if value is not None}
     as_json = is_json_requested()
     text = failure_line(message, code=code, exit_code=int(exit_code), as_json=as_json, fields=known)
@@ -170,20 +170,14 @@ def fail(code: str, message: str, exit_code: int, fields: Mapping[str, object] |
 
 
 def _code_of(error: Exception) -> str:
-    """Return the code of the contract; for failures of this machine, the class name in the same spelling."""
+    """Return the code of the contract; for failures of this machine, the class name in snake case."""
     code = getattr(type(error), "code", None)
     return str(code.value) if code else code_of(error)
 
 
 def exit_code_of(failures: Iterable[KleinkramError]) -> int:
-    """Return the exit code of several failures: theirs when they have the same, else `several`; 0 for none."""
+    """Return the exit code that all failures have, otherwise `several`; 0 for no failures."""
     codes = {EXIT_CODES[type(error)] for error in failures}
     if not codes:
         return 0
     return codes.pop() if len(codes) == 1 else ExitCode.several
-
-
-def exit_with(failures: Iterable[KleinkramError]) -> None:
-    """End the command with the exit code of its failures, if there are any."""
-    if code := exit_code_of(failures):
-        raise typer.Exit(code)

@@ -28,7 +28,7 @@ WhereOption = Annotated[
 
 @dataclass(frozen=True)
 class Choice:
-    """The values of the filter options."""
+    """The values of the filter options, named as the fields of `FileQuery`."""
 
     query: Annotated[Text, option("--query", "QUERY", "Select by one query: 'alps topic:/imu -label:night'.")] = None
     project: ProjectsOption = None
@@ -37,7 +37,7 @@ class Choice:
     where: WhereOption = None
     topic: Annotated[Many, option("--topic -t", "GLOB", "Select files with a matching topic.")] = None
     message_type: Annotated[Many, option("--type", "GLOB", "Select files with a matching message type.")] = None
-    file_format: Annotated[Many, option("--format", "FORMAT", "Select by format: mcap, rosbag1, db3, …")] = None
+    format: Annotated[Many, option("--format", "FORMAT", "Select by format: mcap, rosbag1, db3, …")] = None
     label: Annotated[Many, option("--label", "LABEL", "Select files with this label.")] = None
     state: Annotated[
         Many, option("--state", "STATE", "Select by state of the bytes: stored, verified, lost, corrupt.")
@@ -45,10 +45,10 @@ class Choice:
     content: Annotated[
         Many, option("--content", "STATE", "Select by content: pending, indexed, recovered, broken, opaque, error.")
     ] = None
-    after: Annotated[Text, option("--after", "TIME", "Select files recorded after TIME.")] = None
-    before: Annotated[Text, option("--before", "TIME", "Select files recorded before TIME.")] = None
-    min_size: Annotated[Text, option("--min-size", "SIZE", "Select files of at least SIZE.")] = None
-    max_size: Annotated[Text, option("--max-size", "SIZE", "Select files of at most SIZE.")] = None
+    recorded_after: Annotated[Text, option("--after", "TIME", "Select files recorded after TIME.")] = None
+    recorded_before: Annotated[Text, option("--before", "TIME", "Select files recorded before TIME.")] = None
+    min_size_bytes: Annotated[Text, option("--min-size", "SIZE", "Select files of at least SIZE.")] = None
+    max_size_bytes: Annotated[Text, option("--max-size", "SIZE", "Select files of at most SIZE.")] = None
 
     def is_empty(self) -> bool:
         """Say whether no option was given."""
@@ -103,23 +103,12 @@ def mission_query(client: Client, choice: Choice, paths: Sequence[str] = ()) -> 
 
 
 def _filter(choice: Choice, place: dict[str, object], paths: Sequence[str]) -> FileFilter:
-    fields: dict[str, object] = {
-        **place,
-        "text": choice.text,
-        "path": [*paths],
-        "where": choice.where,
-        "topic": choice.topic,
-        "message_type": choice.message_type,
-        "format": choice.file_format,
-        "label": choice.label,
-        "state": choice.state,
-        "content": choice.content,
-        "recorded_after": parse_time(choice.after),
-        "recorded_before": parse_time(choice.before),
-        "min_size_bytes": None if choice.min_size is None else parse_size(choice.min_size),
-        "max_size_bytes": None if choice.max_size is None else parse_size(choice.max_size),
-        "query": choice.query,
-    }
+    fields = {name: value for name, value in vars(choice).items() if name not in {"project", "mission"}}
+    fields |= {**place, "path": [*paths]}
+    for name in ("recorded_after", "recorded_before"):
+        fields[name] = parse_time(fields[name])
+    for name in ("min_size_bytes", "max_size_bytes"):
+        fields[name] = fields[name] and parse_size(fields[name])
     return combined_filter(filter_of(FileQuery, fields))
 
 

@@ -53,7 +53,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "endpoint": ("login", "app", "Show and choose the server that commands use."),
 }
 
-# Names of these commands in the first Kleinkram.
+# Names of these commands in the original Kleinkram.
 ALIASES = {"template": "action", "execution": "run"}
 # Verbs that people type first, as in `klein list projects`.
 _VERBS = frozenset({"create", "list", "info", "update", "delete", "complete", "retry", "cancel", "logs"})
@@ -75,7 +75,7 @@ class LazyCommands(Group):
         return load(name, getattr(importlib.import_module(f"kleinkram.cli.{module}"), attribute))
 
     def unknown(self, ctx: typer.Context, args: list[str]) -> str:
-        """Return the sentence for a first word that is no command; a verb belongs behind its noun."""
+        """Return the message for an unknown command; for a verb, it names the noun that comes first."""
         verb, *rest = args
         if verb not in _VERBS:
             return super().unknown(ctx, args)
@@ -89,7 +89,7 @@ class LazyCommands(Group):
 
 
 def load(name: str, target: Any) -> Any:
-    """Return what runs: of a group of commands, or of a function that is one."""
+    """Return the click command of a group of commands or of a function."""
     if isinstance(target, typer.Typer):
         group = typer.main.get_command(target)
         group.name = name
@@ -123,10 +123,10 @@ def klein(
         bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
     ] = False,
     wide: Annotated[
-        bool, typer.Option("--wide", help="Show ids and uncut columns in tables; may stand anywhere in a command.")
+        bool, typer.Option("--wide", help="Show ids and uncut columns in tables; can be anywhere in a command.")
     ] = False,
     debug: Annotated[
-        bool, typer.Option("--debug", help="Print requests and tracebacks on stderr; may stand anywhere in a command.")
+        bool, typer.Option("--debug", help="Print requests and tracebacks on stderr; can be anywhere in a command.")
     ] = False,
 ) -> None:
     """Keep every recording: upload a mission, know what is in it, find it, get it back intact."""
@@ -135,7 +135,7 @@ def klein(
 def main() -> None:
     """Run a command line; a failure is one sentence on stderr and its own exit code (`kleinkram.cli.errors`)."""
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a terminal that lacks a letter must not end a command
+        if isinstance(stream, io.TextIOWrapper):  # a character that the terminal cannot encode must not end a command
             stream.reconfigure(errors="backslashreplace")
     if take_flag(sys.argv, "--wide"):
         from kleinkram.cli.render import show_wide

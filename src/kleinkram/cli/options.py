@@ -47,7 +47,7 @@ def _names(path: str, incomplete: str, project: object) -> Iterator[str]:
     from kleinkram.contract.missions import MissionRead
     from kleinkram.contract.projects import ProjectRead
 
-    api = Api(find_endpoint(), read_timeout_s=_COMPLETION_TIMEOUT_S, is_patient=False)
+    api = Api(find_endpoint(), read_timeout_s=_COMPLETION_TIMEOUT_S, has_retries=False)
     query = [("name", f"{incomplete}*")]
     if path == "/projects":
         yield from (row.name for row in pages(api, path, ProjectRead, query, limit=_MAX_COMPLETIONS))

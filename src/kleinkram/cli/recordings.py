@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from kleinkram.cli.transfer import ProgressBars
 
 _CONTENTS = {
-    Content.indexed: "whole",
+    Content.indexed: "complete",
     Content.recovered: "damaged, read as far as possible",
     Content.broken: "nothing in it can be read",
     Content.pending: "not read yet",

@@ -1,4 +1,4 @@
-"""Terminal output: tables, details and JSON on stdout; notes on stderr. Everything printed is escaped."""
+"""The output of commands: tables, details and JSON on stdout, notes on stderr, all escaped."""
 
 import datetime
 import json
@@ -49,7 +49,7 @@ def show_json(value: BaseModel | Mapping[str, object]) -> None:
 
 
 def plain(value: object) -> object:
-    """Return a value as JSON takes it: models, wherever they stand, become dicts."""
+    """Return a value for JSON: models, also nested ones, become dicts."""
     if isinstance(value, BaseModel):
         return value.model_dump(mode="json")
     if isinstance(value, Mapping):
@@ -132,7 +132,7 @@ def table(headers: Sequence[str], rows: Iterable[Sequence[object]], *, to_stderr
             padded.append(space + text if at_right else text + space)
         typer.echo("  ".join(padded).rstrip(), err=to_stderr)
     if len(widths) < len(headers):
-        note(f"Not shown for lack of room: {', '.join(headers[len(widths) :])}. --wide shows all.")
+        note(f"Not shown, because the terminal is too narrow: {', '.join(headers[len(widths) :])}. --wide shows all.")
 
 
 def _fitted(widths: list[int], right: Sequence[bool]) -> list[int]:

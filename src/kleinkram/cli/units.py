@@ -1,4 +1,4 @@
-"""Sizes, rates and times: reading what a person types, and printing what a person reads."""
+"""Sizes, rates, durations and times: reading them from options and formatting them for people."""
 
 import datetime
 from collections.abc import Callable
@@ -44,7 +44,7 @@ def parse_time(text: str | None) -> datetime.datetime | None:
 def expiry(until: str | None, days: int | None, now: Callable[[], datetime.datetime]) -> datetime.datetime | None:
     """Return the end that `--until` or `--days` names, or None. `now` is the clock of the server, which counts days."""
     if until is not None and days is not None:
-        raise InvalidInput(what="The end", reason="say --until or --days, not both")
+        raise InvalidInput(what="The command", reason="specify --until or --days, not both")
     return parse_time(until) if days is None else now() + datetime.timedelta(days=days)
 
 

@@ -27,10 +27,9 @@ if TYPE_CHECKING:
     AnyPath = str | os.PathLike[str]
 
     from kleinkram.client.actions import Actions
-    from kleinkram.client.files import Files, Uploads
+    from kleinkram.client.files import Files, Recordings, Uploads
     from kleinkram.client.missions import Missions, Projects
     from kleinkram.client.people import Access, Groups, People
-    from kleinkram.client.recordings import Recordings
     from kleinkram.client.runs import Runners, Runs
     from kleinkram.client.search import Search, Stats
     from kleinkram.client.server import Admin, Audit, Events, Home, Me, Service, Trash
@@ -43,6 +42,7 @@ _MODULES = {
     "access": "people",
     "groups": "people",
     "projects": "missions",
+    "recordings": "files",
     "runners": "runs",
     "shares": "tokens",
     "stats": "search",
@@ -170,7 +170,7 @@ class Client:
 
         if what is None or isinstance(what, FileFilter) or (isinstance(what, str) and not is_id(what)):
             if not what and not fields:
-                raise NothingToDo(reason='Say which files: download("*") is all')
+                raise NothingToDo(reason='No files are selected; download("*") downloads all')
             return [*self.files.list("path:*" if what == "*" else what, **fields)]
         files: list[FileRead] = []
         is_one = hasattr(what, "id") or isinstance(what, str) or not isinstance(what, Iterable)
@@ -221,7 +221,7 @@ class Client:
 
 
 def as_paths(paths: "AnyPath | Sequence[AnyPath]") -> "list[AnyPath]":
-    """Return one path or several as a list; a text is one path, and keeps the slash at its end."""
+    """Return one path or several as a list; a string is one path, and keeps a trailing slash."""
     several: object = [paths] if isinstance(paths, str | os.PathLike) else paths
     if not isinstance(several, Iterable) or not all(isinstance(item, str | os.PathLike) for item in several):
         raise InvalidInput(what=f"The path {paths!r}", reason="give a path, or several")
@@ -231,7 +231,7 @@ def as_paths(paths: "AnyPath | Sequence[AnyPath]") -> "list[AnyPath]":
 def connect(url: str | None = None, token: str | None = None) -> Client:
     """Return a client for a server: the one given, else the one configured, else this user's own instance.
 
-    No request is made yet. `url` may be the address of a link, which includes its secret. Without a token, only public
+    Makes no request. `url` may be the URL of a share link, which includes its secret. Without a token, only public
     projects can be read. `kleinkram.client.config.find_endpoint` defines the order; NotConfigured if it finds none.
     """
     endpoint = find_endpoint(url, token)

@@ -33,8 +33,8 @@ _log = logging.getLogger("kleinkram.http")
 
 CONNECT_TIMEOUT_S = 10.0
 READ_TIMEOUT_S = 60.0
-PATIENCE_S = 4.0
-# For those who follow events: longer than a server takes to start again.
+RETRY_TIMEOUT_S = 4.0
+# For event streams: longer than a server takes to start again.
 _RESTART_S = 60.0
 _RETRIED_STATUS = frozenset({429, 502, 503, 504})
 _TOO_OFTEN = 429
@@ -46,19 +46,19 @@ _NEVER_SENT = (urllib3.exceptions.NewConnectionError, urllib3.exceptions.Connect
 
 FIRST_WAIT_S = 0.25
 LONGEST_WAIT_S = 4.0
-# How long in all a request obeys `Retry-After`: a rate limit ends within a minute.
+# How long in total a request waits for `Retry-After`: a rate limit ends within a minute.
 LONGEST_RETRY_AFTER_S = 90.0
 
 
 class Backoff:
-    """The waits between tries: growing, with jitter, for `patience_s` in all. Not shared between threads.
+    """The waits between tries: growing, with jitter, for `timeout_s` in total. Not shared between threads.
 
-    `wait` waits (seconds); a transfer passes one that a Ctrl-C ends.
+    `wait` waits (seconds); that of a transfer ends when the transfer is stopped.
     """
 
-    def __init__(self, patience_s: float, wait: Callable[[float], object] | None = None) -> None:
+    def __init__(self, timeout_s: float, wait: Callable[[float], object] | None = None) -> None:
         self._began_at = time.monotonic()
-        self._ends_at = self._began_at + patience_s
+        self._ends_at = self._began_at + timeout_s
         self._next_s = FIRST_WAIT_S
         self._retry_after_left_s = LONGEST_RETRY_AFTER_S
         self._wait = wait or time.sleep
@@ -67,12 +67,12 @@ class Backoff:
         """Return how long it has been tried."""
         return time.monotonic() - self._began_at
 
-    def excuse(self, waited_s: float) -> None:
-        """Add time in which something else was waited for."""
+    def extend(self, waited_s: float) -> None:
+        """Extend the timeout by the time that something else took."""
         self._ends_at += waited_s
 
     def wait_retry_after(self, wait_s: float) -> bool:
-        """Wait as long as the server says, beyond the patience; return False, without waiting, if that is too long."""
+        """Wait as long as the server says, beyond the timeout; return False, without waiting, if that is too long."""
         if not 0 < wait_s <= self._retry_after_left_s:
             return False
         self._retry_after_left_s -= wait_s
@@ -81,7 +81,7 @@ class Backoff:
         return True
 
     def pause(self, at_least_s: float = 0.0) -> bool:
-        """Wait before the next try; return False, without waiting, when patience has run out."""
+        """Wait before the next try; return False, without waiting, after the timeout."""
         wait_s = max(at_least_s, self._next_s * random.uniform(0.5, 1.0))  # noqa: S311  jitter is no secret
         self._next_s = min(self._next_s * 2, LONGEST_WAIT_S)
         if time.monotonic() + wait_s > self._ends_at:
@@ -106,16 +106,16 @@ def query_of(model: BaseModel | None, **more: object) -> list[tuple[str, str]]:
 class Api:
     """A connection to one server's API."""
 
-    def __init__(self, endpoint: Endpoint, *, read_timeout_s: float = READ_TIMEOUT_S, is_patient: bool = True) -> None:
+    def __init__(self, endpoint: Endpoint, *, read_timeout_s: float = READ_TIMEOUT_S, has_retries: bool = True) -> None:
         self.endpoint = endpoint
-        self._is_patient = is_patient
+        self._has_retries = has_retries
         self._base = f"{endpoint.url}/api/v1"
         timeout = urllib3.Timeout(connect=min(CONNECT_TIMEOUT_S, read_timeout_s), read=read_timeout_s)
         self._pool = WatchedPools(maxsize=8, timeout=timeout)
         self._server_ahead = datetime.timedelta(0)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle which server it is; connections are made anew."""
+        """Pickle which server it is; connections are not pickled."""
         return Api, (self.endpoint,)
 
     def now(self) -> datetime.datetime:
@@ -144,7 +144,7 @@ class Api:
     def events(self, path: str, *, after: str | None, for_s: float | None) -> Iterator[tuple[str, str]]:
         """Yield a stream's events as (name, data), and their ids as ("id", id), until it ends or breaks off."""
         answer = self._answer(
-            "GET", path, query=query_of(None, after=after, for_s=for_s), patience_s=_RESTART_S, whole=False
+            "GET", path, query=query_of(None, after=after, for_s=for_s), retry_timeout_s=_RESTART_S, whole=False
         )
         name = ""
         try:
@@ -177,11 +177,11 @@ class Api:
         kind: type[T],
         body: BaseModel,
         *,
-        patience_s: float = PATIENCE_S,
+        retry_timeout_s: float = RETRY_TIMEOUT_S,
         wait: Callable[[float], object] | None = None,
     ) -> T:
-        """POST something idempotent, such as signing; retried for as long as patience lasts."""
-        answer = self._request("POST", path, body=body, patience_s=patience_s, wait=wait)
+        """POST something idempotent, such as signing; retried until the timeout."""
+        answer = self._request("POST", path, body=body, retry_timeout_s=retry_timeout_s, wait=wait)
         return self.understood(kind, f"POST {path}", answer)
 
     def patch(self, path: str, kind: type[T], body: BaseModel, *, etag: str | None = None) -> T:
@@ -198,11 +198,11 @@ class Api:
         path: str,
         body: BaseModel | None = None,
         *,
-        patience_s: float = PATIENCE_S,
+        retry_timeout_s: float = RETRY_TIMEOUT_S,
         wait: Callable[[float], object] | None = None,
     ) -> bytes:
         """POST something idempotent, and return the answer's body."""
-        return self._request("POST", path, body=body, patience_s=patience_s, wait=wait)
+        return self._request("POST", path, body=body, retry_timeout_s=retry_timeout_s, wait=wait)
 
     def understood(self, kind: type[T], what: str, answer: bytes) -> T:
         """Return an answer's body as a model.
@@ -231,14 +231,14 @@ class Api:
         query: list[tuple[str, str]] | None = None,
         body: BaseModel | None = None,
         idempotent: bool = True,
-        patience_s: float = PATIENCE_S,
+        retry_timeout_s: float = RETRY_TIMEOUT_S,
         wait: Callable[[float], object] | None = None,
         whole: bool = True,
         etag: str | None = None,
     ) -> urllib3.BaseHTTPResponse:
         backoff: Backoff | None = None  # begins at the first failure: an answer may break off after long
         url = self._base + path
-        patience_s = patience_s if self._is_patient else 0.0
+        retry_timeout_s = retry_timeout_s if self._has_retries else 0.0
         content = None if body is None else body.model_dump_json(exclude_unset=True).encode()
         while True:
             request_id = uuid.uuid4().hex
@@ -246,14 +246,14 @@ class Api:
             try:
                 answer = self._once(method, f"{url}?{urlencode(query)}" if query else url, content, fields, whole)
             except urllib3.exceptions.HTTPError as error:
-                backoff = backoff or Backoff(patience_s, wait)
+                backoff = backoff or Backoff(retry_timeout_s, wait)
                 if (idempotent or isinstance(error, _NEVER_SENT)) and backoff.pause():
                     continue
                 unreachable = ServerUnreachable(url=self.endpoint.url, reason=reason_of(error))
                 raise remember_request(unreachable, request_id) from error
             if answer.status < 300:
                 return answer
-            backoff = backoff or Backoff(patience_s, wait)
+            backoff = backoff or Backoff(retry_timeout_s, wait)
             if answer.status == _TOO_OFTEN and backoff.wait_retry_after(_retry_after_s(answer.headers)):
                 continue  # nothing was done yet, so this holds for changes too
             if answer.status in _RETRIED_STATUS and idempotent and backoff.pause(_retry_after_s(answer.headers)):

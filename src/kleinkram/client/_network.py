@@ -1,9 +1,9 @@
-"""Connections that notice when the network under them is gone.
+"""HTTP connections that end soon after their network is gone.
 
-When a robot moves, it gets another address or loses its network, and its connections hang. Two things end such a
-connection within 15 seconds: the kernel, when the peer acknowledges nothing and answers no keepalive probe; and
-`NetworkMonitor`, sooner, when this machine no longer has the address of the connection, or when a new connection to the
-same peer is answered while this one is not.
+A robot that moves gets another address or loses its network, and its connections hang. The kernel ends such a
+connection after 15 seconds, when the peer acknowledges nothing and answers no keepalive probe. `NetworkMonitor` ends it
+earlier: when this machine no longer has the address of the connection, or when a new connection to the same peer is
+answered while this one is not.
 """
 
 import errno
@@ -25,7 +25,7 @@ from urllib3.connectionpool import HTTPConnectionPool, HTTPSConnectionPool
 SILENCE_S = 15
 # Linux has all but TCP_KEEPALIVE, which is what macOS calls TCP_KEEPIDLE.
 _TCP_OPTIONS = {"TCP_KEEPIDLE": 5, "TCP_KEEPALIVE": 5, "TCP_KEEPINTVL": 3, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 13_000}
-# For a peer that acknowledges and takes nothing, such as a store with a busy disk: Linux counts that as silence, too.
+# For a peer that acknowledges but reads nothing, such as a store with a busy disk: Linux counts that as silence, too.
 _BUSY_TIMEOUT_MS = 120_000
 _LOOK_EVERY_S = 0.25
 # When bytes are not acknowledged for so long, another connection is tried.
@@ -35,7 +35,7 @@ _TRIAL_S = 1.0
 # tcpi_notsent_bytes, which Linux before 4.6 leaves out.
 _TCP_INFO = struct.Struct("=24xI28xI84xI")
 
-_lock = threading.RLock()  # a thread that holds it may collect garbage, which closes connections
+_lock = threading.RLock()  # its owner may collect garbage, which closes connections
 _open_connections: "weakref.WeakValueDictionary[int, WatchedConnection]" = weakref.WeakValueDictionary()
 
 
@@ -50,7 +50,7 @@ def socket_options() -> list[tuple[int, int, int]]:
 
 
 def has_address(address: tuple[Any, ...]) -> bool:  # Any: the shape of a socket's name depends on its family
-    """Say whether this machine still has the local address of a socket."""
+    """Return whether this machine still has the local address of a socket."""
     host, _, *rest = address
     family = socket.AF_INET6 if rest else socket.AF_INET
     try:
@@ -62,7 +62,7 @@ def has_address(address: tuple[Any, ...]) -> bool:  # Any: the shape of a socket
 
 
 def _connections() -> "list[WatchedConnection]":
-    """Return the open connections; they may change meanwhile."""
+    """Return a copy of the open connections, which other threads change."""
     return [connection for ref in _open_connections.valuerefs() if (connection := ref()) is not None]
 
 
@@ -92,7 +92,7 @@ class WatchedConnection(HTTPConnection):
         return super().is_connected and not self.is_stranded()
 
     def is_stranded(self) -> bool:
-        """Say whether this machine has lost the address that the connection was made from."""
+        """Return whether this machine has lost the address that the connection was made from."""
         return self._own_address is not None and not has_address(self._own_address)
 
     def end_if_stranded(self) -> str | None:
@@ -138,7 +138,7 @@ class WatchedConnection(HTTPConnection):
             # Also under TLS: no peer would receive a close notification.
             socket.socket.shutdown(self.sock, socket.SHUT_RDWR)
         except (OSError, TypeError):
-            return False  # ended meanwhile
+            return False  # it has ended
         return True
 
 
@@ -196,9 +196,9 @@ class NetworkMonitor:
                 self._try_another(peer)
 
     def _try_another(self, peer: tuple[str, int]) -> None:
-        """Open a connection to the peer of stalled ones, and end these when it is answered and they stay silent.
+        """Connect to the peer of stalled connections; end these if it answers and they stay silent as long again.
 
-        TCP retransmits after pauses as long as the silence before. So a live connection gets as long again.
+        TCP retransmits after pauses as long as the silence so far, so a live connection needs that time.
         """
         if peer not in self._answered_at:
             try:

@@ -1,4 +1,4 @@
-"""Shared by all nouns: validated requests, references (id, name, glob), and lists that load page by page."""
+"""Base of all nouns: validated requests, references (id, name, glob), and lists that load page by page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, cast
 
 from pydantic import BaseModel, ValidationError
 
-from kleinkram.client._http import PATIENCE_S, Api, query_of
+from kleinkram.client._http import RETRY_TIMEOUT_S, Api, query_of
 from kleinkram.client.errors import InvalidInput, ReadingMissing
 from kleinkram.contract.base import MAX_PAGE_SIZE, Page
 from kleinkram.contract.errors import AmbiguousName, NotFound
@@ -65,7 +65,7 @@ _SHOWN = 20
 
 
 class HasId(Protocol):
-    """A noun as a list or `get` returned it."""
+    """A noun as a list or `get` returns it."""
 
     @property
     def id(self) -> uuid.UUID:
@@ -74,7 +74,7 @@ class HasId(Protocol):
 
 NounT = TypeVar("NounT", bound=HasId)
 Ref = str | uuid.UUID | HasId
-"""What stands for a noun: its name, its id (a UUID or text), or the noun itself."""
+"""A reference to a noun: its name, its id (a UUID or text), or the noun itself."""
 
 
 def known_id(ref: Ref, noun: str) -> uuid.UUID | None:
@@ -91,23 +91,23 @@ def refs_of(noun: str, value: object) -> list[object]:
     """Return one reference or several as a list; raise InvalidInput for none, which would mean all."""
     several = [*value] if isinstance(value, list | tuple | set | frozenset) else [value]
     if not several:
-        raise InvalidInput(what=f"The filter ({noun})", reason="it names none; leave it out where all are meant")
+        raise InvalidInput(what=f"The filter ({noun})", reason="it names none; leave it out to select all")
     return several
 
 
 def is_glob(ref: str) -> bool:
-    """Say whether a reference may match several."""
+    """Return whether a reference may match several."""
     return "*" in ref or "?" in ref
 
 
 def resolve_one(
     noun: str, ref: str, rows: Iterable[RowT], *, name: Callable[[RowT], str], label: Callable[[RowT], str]
 ) -> RowT:
-    """Return the row that `ref` names, letter case and Unicode form apart; a glob may match just one.
+    """Return the row that `ref` names, regardless of letter case and Unicode form; a glob may match only one.
 
     Raises:
-        NotFound: none does.
-        AmbiguousName: several do; lists them by `label`.
+        NotFound: no row matches.
+        AmbiguousName: several match; lists them by `label`.
     """
     candidates = [*rows]
     matches = [row for row in candidates if name_key(name(row)) == name_key(ref)]
@@ -132,21 +132,21 @@ class ApiResource:
 
 
 class RetryingResource(ApiResource):
-    """A noun whose idempotent requests are retried for `patience_s`; `wait` waits meanwhile (seconds)."""
+    """A noun whose idempotent requests are retried for `retry_timeout_s`; `wait` waits between tries (seconds)."""
 
     def __init__(
-        self, api: Api, *, patience_s: float = PATIENCE_S, wait: Callable[[float], object] | None = None
+        self, api: Api, *, retry_timeout_s: float = RETRY_TIMEOUT_S, wait: Callable[[float], object] | None = None
     ) -> None:
         super().__init__(api)
-        self._patience_s = patience_s
+        self._retry_timeout_s = retry_timeout_s
         self._wait = wait
 
     def _repeat(self, path: str, kind: type[T], body: BaseModel) -> T:
-        return self._api.repeat(path, kind, body, patience_s=self._patience_s, wait=self._wait)
+        return self._api.repeat(path, kind, body, retry_timeout_s=self._retry_timeout_s, wait=self._wait)
 
 
 class NamedResource(ApiResource, ABC, Generic[NounT]):
-    """A noun that has names. Wherever one is meant, its name, its id, or the noun itself will do."""
+    """A noun with names. Methods accept its name, its id, or the noun itself."""
 
     _noun: str
 
@@ -160,7 +160,7 @@ class NamedResource(ApiResource, ABC, Generic[NounT]):
 
 
 class Listing(Iterator[T], Generic[T]):
-    """The rows of a list, fetched while they are read. Each `for` asks the server again."""
+    """The rows of a list, fetched page by page while they are read. Each `for` requests them again."""
 
     def __init__(self, rows: Callable[[], Iterator[T]]) -> None:
         self._rows = rows
@@ -174,7 +174,7 @@ class Listing(Iterator[T], Generic[T]):
         return next(self._reading)
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return all rows as a pandas frame with a column per field; nested fields have dots (`mission.name`).
+        """Return all rows as a pandas frame with a column per field; nested fields have dotted names (`mission.name`).
 
         Ids are text; fields in `_at` are times (UTC); log times and other integers that may be missing are `Int64`.
         """
@@ -198,7 +198,7 @@ class Listing(Iterator[T], Generic[T]):
 
 
 def flat(row: BaseModel) -> dict[str, object]:
-    """Return the fields of a row as plain values, those inside of others under dotted names."""
+    """Return the fields of a row as plain values; nested ones have dotted names."""
     plain: dict[str, object] = {}
     for name in type(row).model_fields:
         plain |= _flat(name, getattr(row, name))

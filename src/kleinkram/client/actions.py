@@ -104,7 +104,7 @@ class Actions(NamedResource[ActionRead]):
         raise NotFound(noun="version", ref=f"{action.name}@{number}")
 
     def archive(self, action_id: Ref, *, archived: bool = True, if_match: str | None = None) -> ActionRead:
-        """Remove an action from lists, so that nobody runs it again, or list it again; its runs stay."""
+        """Archive an action, which removes it from lists, or with `archived=False` restore it; its runs stay."""
         body = checked(ActionUpdate, "The action", archived=archived)
         return self._api.patch(f"/actions/{self.id_of(action_id)}", ActionRead, body, etag=if_match)
 

@@ -60,7 +60,7 @@ class EndpointTaken(ClientError):
 
 
 class CredentialsExposed(ClientError):
-    """{file} contains tokens, and other users of this machine can read or change it (its mode is {mode}). Restrict it with `chmod 600`; if somebody may have read it, `klein logout --all` revokes the tokens, and `klein login` signs in again."""  # noqa: E501  one sentence
+    """{file} contains tokens, and other users of this machine can read or change it (its mode is {mode}). Restrict it with `chmod 600`; if others may have read it, `klein logout --all` revokes the tokens, and `klein login` signs in again."""  # noqa: E501  one sentence
 
     file: str
     mode: str

@@ -147,7 +147,7 @@ class Missions(NamedResource[MissionRead]):
     def within(self, project: Ref) -> MissionFilter:
         """Return the filter on the missions of a project, by its id or name.
 
-        Someone with rights on missions alone cannot see the project, but its name beside them; that name works, too.
+        A person with rights on missions only cannot see the project; its name, shown beside its missions, works too.
 
         Raises:
             NotFound: there is no such project, and no mission of one.
@@ -194,7 +194,7 @@ class Missions(NamedResource[MissionRead]):
         metadata: Metadata | None = None,
         notes: str = "",
     ) -> MissionRead:
-        """Create a mission, with metadata as a document, `metadata_yaml`, which is kept to the letter, or as values.
+        """Create a mission, with metadata as a document, `metadata_yaml`, which is stored unchanged, or as values.
 
         Raises:
             MetadataInvalid: lists every missing or wrong field; nothing was created.
@@ -204,7 +204,7 @@ class Missions(NamedResource[MissionRead]):
         metadata_fields = {"metadata_yaml": metadata_yaml, "metadata": metadata}
         body = checked(MissionCreate, "The mission", name=name, notes=notes, **metadata_fields)
         if project is None:
-            raise InvalidInput(what="The mission", reason="say in which project, by project=")
+            raise InvalidInput(what="The mission", reason="specify its project with project=")
         return self._api.send("POST", f"/projects/{Projects(self._api).id_of(project)}/missions", MissionRead, body)
 
     def update(

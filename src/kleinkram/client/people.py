@@ -5,19 +5,7 @@ from collections.abc import Iterator
 
 from kleinkram.client._http import query_of
 from kleinkram.client._nouns import ApiResource, Listing, NamedResource, Ref, checked, known_id, pages, resolve_one
-from kleinkram.contract.access import (
-    AccessRead,
-    GrantCreate,
-    Grantee,
-    GranteeKind,
-    GrantRead,
-    GroupCreate,
-    GroupRead,
-    GroupUpdate,
-    MemberRead,
-    MemberSet,
-    Right,
-)
+from kleinkram.contract import access
 from kleinkram.contract.accounts import InvitationCreate, OneTimeLink
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.missions import MissionRead
@@ -59,7 +47,7 @@ class People(NamedResource[PersonRead]):
     def deactivate(self, person: Ref) -> Departure:
         """End the sessions, tokens and links of a person at once, and return what ended. For admins.
 
-        Projects that nobody else owns go to the admins. The last lasting admin cannot be deactivated (LastAdmin).
+        Their projects without another owner go to the admins. The last lasting admin cannot be deactivated (LastAdmin).
         """
         return self._api.send("POST", f"/people/{self.id_of(person)}/deactivate", Departure)
 
@@ -70,7 +58,8 @@ class People(NamedResource[PersonRead]):
     def invite(self, email: str, *, name: str | None = None) -> OneTimeLink:
         """Return a link that creates an account with this address, once; no e-mail is sent. For admins.
 
-        It proves the address: give it to nobody else. It replaces an earlier one. NameTaken: there is an account.
+        The link verifies the address: give it to this person only. It replaces an earlier one. NameTaken: there is an
+        account.
         """
         body = checked(InvitationCreate, "The invitation", email=email, name=name)
         return self._api.send("POST", "/people/invitations", OneTimeLink, body)
@@ -89,35 +78,35 @@ def person_label(person: PersonRead) -> str:
     return f"{person.name} ({person.id})"
 
 
-class Groups(NamedResource[GroupRead]):
+class Groups(NamedResource[access.GroupRead]):
     """`client.groups`."""
 
     _noun = "group"
 
-    def list(self, *, name: str | None = None, limit: int | None = None) -> Listing[GroupRead]:
+    def list(self, *, name: str | None = None, limit: int | None = None) -> Listing[access.GroupRead]:
         """Yield the groups that one is in, by name; admins see all. `name` may be a glob."""
-        return pages(self._api, "/groups", GroupRead, query_of(None, name=name), limit=limit)
+        return pages(self._api, "/groups", access.GroupRead, query_of(None, name=name), limit=limit)
 
-    def get(self, ref: Ref) -> GroupRead:
+    def get(self, ref: Ref) -> access.GroupRead:
         """Return the group with this id or name; raise AmbiguousName for a glob that matches several."""
         if (group_id := known_id(ref, "group")) is not None:
-            return self._api.get(f"/groups/{group_id}", GroupRead)
+            return self._api.get(f"/groups/{group_id}", access.GroupRead)
         name = str(ref)
         return resolve_one("group", name, self.list(name=name), name=lambda row: row.name, label=group_label)
 
-    def create(self, name: str) -> GroupRead:
+    def create(self, name: str) -> access.GroupRead:
         """Create a group, with oneself as first member and editor.
 
         Raises:
             NameTaken: there is one of that name, visible or not.
             Forbidden: the server's settings do not allow it.
         """
-        return self._api.send("POST", "/groups", GroupRead, checked(GroupCreate, "The group", name=name))
+        return self._api.send("POST", "/groups", access.GroupRead, checked(access.GroupCreate, "The group", name=name))
 
-    def rename(self, group: Ref, name: str, *, if_match: str | None = None) -> GroupRead:
+    def rename(self, group: Ref, name: str, *, if_match: str | None = None) -> access.GroupRead:
         """Rename a group; GroupFixed where the server's settings name it. For its editors."""
-        body = checked(GroupUpdate, "The group", name=name)
-        return self._api.patch(f"/groups/{self.id_of(group)}", GroupRead, body, etag=if_match)
+        body = checked(access.GroupUpdate, "The group", name=name)
+        return self._api.patch(f"/groups/{self.id_of(group)}", access.GroupRead, body, etag=if_match)
 
     def delete(self, group: Ref) -> None:
         """Delete a group, and what was granted to it. For its editors.
@@ -128,9 +117,9 @@ class Groups(NamedResource[GroupRead]):
         """
         self._api.delete(f"/groups/{self.id_of(group)}")
 
-    def members(self, group: Ref) -> Listing[MemberRead]:
+    def members(self, group: Ref) -> Listing[access.MemberRead]:
         """Yield the people in a group, by name; addresses and past members are for its editors."""
-        return pages(self._api, f"/groups/{self.id_of(group)}/members", MemberRead, [])
+        return pages(self._api, f"/groups/{self.id_of(group)}/members", access.MemberRead, [])
 
     def set_member(
         self,
@@ -140,10 +129,10 @@ class Groups(NamedResource[GroupRead]):
         is_editor: bool = False,
         expires_at: datetime.datetime | None = None,
         if_match: str | None = None,
-    ) -> MemberRead:
+    ) -> access.MemberRead:
         """Add a person to a group, or change their role and the end of their membership. For its editors."""
-        body = checked(MemberSet, "The membership", is_editor=is_editor, expires_at=expires_at)
-        return self._api.send("PUT", self._member(group, person), MemberRead, body, etag=if_match)
+        body = checked(access.MemberSet, "The membership", is_editor=is_editor, expires_at=expires_at)
+        return self._api.send("PUT", self._member(group, person), access.MemberRead, body, etag=if_match)
 
     def remove_member(self, group: Ref, person: Ref) -> None:
         """Remove a person from a group, as its editor; or leave it. LastOwner: a project would have no owner."""
@@ -153,7 +142,7 @@ class Groups(NamedResource[GroupRead]):
         return f"/groups/{self.id_of(group)}/members/{People(self._api).id_of(person)}"
 
 
-def group_label(group: GroupRead) -> str:
+def group_label(group: access.GroupRead) -> str:
     """Return a group's name and id."""
     return f"{group.name} ({group.id})"
 
@@ -164,17 +153,22 @@ Place = ProjectRead | MissionRead
 class Access(ApiResource):
     """`client.access`. A place is a project or a mission, as `client.projects` and `client.missions` return them."""
 
-    def ways(self, place: Place) -> Listing[AccessRead]:
+    def ways(self, place: Place) -> Listing[access.AccessRead]:
         """Yield who has which right on a place now, and through what; without WRITE there, only one's own rights."""
-        return pages(self._api, f"{_path(place)}/access", AccessRead, [])
+        return pages(self._api, f"{_path(place)}/access", access.AccessRead, [])
 
-    def grants(self, place: Place) -> Listing[GrantRead]:
+    def grants(self, place: Place) -> Listing[access.GrantRead]:
         """Yield the grants on a place itself, by the name of the grantee, including expired ones."""
-        return pages(self._api, f"{_path(place)}/grants", GrantRead, [])
+        return pages(self._api, f"{_path(place)}/grants", access.GrantRead, [])
 
     def grant(
-        self, place: Place, to: Grantee | str, right: Right, *, expires_at: datetime.datetime | None = None
-    ) -> GrantRead:
+        self,
+        place: Place,
+        to: access.Grantee | str,
+        right: access.Right,
+        *,
+        expires_at: datetime.datetime | None = None,
+    ) -> access.GrantRead:
         """Grant a right; it replaces the right that the grantee was granted there before.
 
         `to` is a result of `grantee`, or what that takes: an address, a name or an id.
@@ -184,9 +178,9 @@ class Access(ApiResource):
             LastOwner: it would replace the last lasting owner.
         """
         to = self.grantee(to) if isinstance(to, str) else to
-        grantee_fields = {"email": to.name} if to.kind is GranteeKind.email else {f"{to.kind.value}_id": to.id}
-        body = checked(GrantCreate, "The grant", **grantee_fields, right=right, expires_at=expires_at)
-        return self._api.send("POST", f"{_path(place)}/grants", GrantRead, body)
+        grantee_fields = {"email": to.name} if to.kind is access.GranteeKind.email else {f"{to.kind.value}_id": to.id}
+        body = checked(access.GrantCreate, "The grant", **grantee_fields, right=right, expires_at=expires_at)
+        return self._api.send("POST", f"{_path(place)}/grants", access.GrantRead, body)
 
     def revoke(self, place: Place, grant: Ref) -> None:
         """Revoke a grant, by itself, its id, or the name, address or id of the grantee; LastOwner for the last."""
@@ -194,30 +188,30 @@ class Access(ApiResource):
         grant_id = existing.id if existing else known_id(grant, "grant")
         self._api.delete(f"{_path(place)}/grants/{grant_id}")
 
-    def grantee(self, ref: str) -> Grantee:
+    def grantee(self, ref: str) -> access.Grantee:
         """Return the grantee that an address, an id or a name means: that address, a person, or a group.
 
         Raises:
-            NotFound: nobody whom one may see.
-            AmbiguousName: several; lists them with their ids.
+            NotFound: there is none that this account may see.
+            AmbiguousName: there are several; lists them with their ids.
         """
         if "@" in ref:
-            return Grantee(kind=GranteeKind.email, id=None, name=ref)
+            return access.Grantee(kind=access.GranteeKind.email, id=None, name=ref)
         if is_id(ref):
             try:
                 person = People(self._api).get(ref)
             except NotFound:
                 group = Groups(self._api).get(ref)
-                return Grantee(kind=GranteeKind.group, id=group.id, name=group.name)
-            return Grantee(kind=GranteeKind.person, id=person.id, name=person.name)
+                return access.Grantee(kind=access.GranteeKind.group, id=group.id, name=group.name)
+            return access.Grantee(kind=access.GranteeKind.person, id=person.id, name=person.name)
         people, groups = People(self._api).list(text=ref, active=True), Groups(self._api).list(name=ref)
-        candidates = [Grantee(kind=GranteeKind.person, id=row.id, name=row.name) for row in people]
-        candidates += [Grantee(kind=GranteeKind.group, id=row.id, name=row.name) for row in groups]
+        candidates = [access.Grantee(kind=access.GranteeKind.person, id=row.id, name=row.name) for row in people]
+        candidates += [access.Grantee(kind=access.GranteeKind.group, id=row.id, name=row.name) for row in groups]
         return resolve_one("person or group", ref, candidates, name=lambda row: row.name, label=_grantee_label)
 
 
-def find_grant(grants: Iterator[GrantRead], ref: str) -> GrantRead:
-    """Return the grant to somebody, by their name, address or id."""
+def find_grant(grants: Iterator[access.GrantRead], ref: str) -> access.GrantRead:
+    """Return the grant of a grantee, by their name, address or id."""
     rows = [*grants]
     by_id = [row for row in rows if ref in (str(row.to.id), str(row.id))]
     return resolve_one(
@@ -233,5 +227,5 @@ def _path(place: Place) -> str:
     return f"/projects/{place.id}" if isinstance(place, ProjectRead) else f"/missions/{place.id}"
 
 
-def _grantee_label(to: Grantee) -> str:
+def _grantee_label(to: access.Grantee) -> str:
     return f"{to.kind.value} {to.name} ({to.id})" if to.id else to.name

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeVar, cast
 
 from typing_extensions import TypedDict, Unpack
 
-from kleinkram.client._http import PATIENCE_S, Api, query_of
+from kleinkram.client._http import RETRY_TIMEOUT_S, Api, query_of
 from kleinkram.client._nouns import (
     ApiResource,
     Listing,
@@ -28,55 +28,17 @@ from kleinkram.client.actions import Actions
 from kleinkram.client.errors import InvalidInput, TimedOut
 from kleinkram.client.files import Uploads
 from kleinkram.client.missions import Missions, Projects
+from kleinkram.contract import runners, runs
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.files import BlobState, DownloadLink
 from kleinkram.contract.reports import Severity
-from kleinkram.contract.runners import (
-    ArtifactUploadsCreate,
-    Attempt,
-    ClaimReply,
-    ClaimRequest,
-    HeartbeatReplies,
-    Heartbeats,
-    InputsRequest,
-    InputUrls,
-    LogChunkConfirm,
-    LogChunkCreate,
-    LogChunkUpload,
-    RunAssignment,
-    RunFinish,
-    RunFinished,
-    RunnerRead,
-    RunnerRegistration,
-)
-from kleinkram.contract.runs import (
-    MAX_LAUNCHED,
-    ArtifactRead,
-    ArtifactsRequest,
-    ArtifactUrl,
-    ArtifactUrls,
-    FindingRead,
-    LogChunkRead,
-    MetricRead,
-    ReportFilter,
-    RunContext,
-    RunCreated,
-    RunDetail,
-    RunFilter,
-    RunInput,
-    RunRead,
-    RunRefused,
-    RunsCreate,
-    RunsCreated,
-    RunState,
-)
 from kleinkram.contract.uploads import UploadDecisions, UploadFile
 
 if TYPE_CHECKING:
     from kleinkram.client.transfer import TransferReport, Watcher
 
-ENDS = frozenset({RunState.done, RunState.failed, RunState.cancelled})
-# How long one request for more of a log waits in the server.
+ENDS = frozenset({runs.RunState.done, runs.RunState.failed, runs.RunState.cancelled})
+# How long the server waits for more of a log during one request.
 _LOG_WAIT_S = 20.0
 _LOG_PAUSE_S = 0.2
 _FIRST_LOOK_S = 0.1
@@ -89,7 +51,7 @@ class RunFields(TypedDict, total=False):
     project: Ref | Sequence[Ref]
     mission: Ref | Sequence[Ref]
     action: str
-    state: RunState | str | Sequence[RunState | str]
+    state: runs.RunState | str | Sequence[runs.RunState | str]
     active: bool
     mine: bool
 
@@ -104,7 +66,7 @@ class ReportFields(TypedDict, total=False):
     severity: Severity | str | Sequence[Severity | str]
 
 
-FilterKind = TypeVar("FilterKind", RunFilter, ReportFilter)
+FilterKind = TypeVar("FilterKind", runs.RunFilter, runs.ReportFilter)
 
 
 class Runs(ApiResource):
@@ -118,7 +80,7 @@ class Runs(ApiResource):
         version: int | None = None,
         parameters: ParameterValues | None = None,
         force: bool = False,
-    ) -> Sequence[RunCreated | RunRefused]:
+    ) -> Sequence[runs.RunCreated | runs.RunRefused]:
         """Run an action on each of some missions, and return the outcome for each, in order.
 
         The action is a published one, in its latest version unless `version` is given; or a definition, which is run
@@ -133,28 +95,30 @@ class Runs(ApiResource):
             requested["version"] = version
         missions = Missions(self._api)
         ids, outcomes = [missions.id_of(entry) for entry in mission_ids], []
-        for start in range(0, len(ids), MAX_LAUNCHED):
-            body = checked(RunsCreate, "The run", mission_ids=ids[start : start + MAX_LAUNCHED], **requested)
-            outcomes += self._api.send("POST", "/runs", RunsCreated, body).items
+        for start in range(0, len(ids), runs.MAX_LAUNCHED):
+            body = checked(runs.RunsCreate, "The run", mission_ids=ids[start : start + runs.MAX_LAUNCHED], **requested)
+            outcomes += self._api.send("POST", "/runs", runs.RunsCreated, body).items
         return outcomes
 
     def list(
-        self, matching: RunFilter | None = None, *, limit: int | None = None, **fields: Unpack[RunFields]
-    ) -> Listing[RunRead]:
+        self, matching: runs.RunFilter | None = None, *, limit: int | None = None, **fields: Unpack[RunFields]
+    ) -> Listing[runs.RunRead]:
         """Yield the runs that match, latest first: `list(project="alpine", state="failed")`, or by a filter."""
-        return pages(self._api, "/runs", RunRead, query_of(self._filter(RunFilter, matching, fields)), limit=limit)
+        return pages(
+            self._api, "/runs", runs.RunRead, query_of(self._filter(runs.RunFilter, matching, fields)), limit=limit
+        )
 
-    def count(self, matching: RunFilter | None = None, **fields: Unpack[RunFields]) -> int:
+    def count(self, matching: runs.RunFilter | None = None, **fields: Unpack[RunFields]) -> int:
         """Return how many runs match."""
-        return count(self._api, "/runs", RunRead, query_of(self._filter(RunFilter, matching, fields)))
+        return count(self._api, "/runs", runs.RunRead, query_of(self._filter(runs.RunFilter, matching, fields)))
 
-    def get(self, run_id: Ref) -> RunDetail:
+    def get(self, run_id: Ref) -> runs.RunDetail:
         """Return a run with its definition, previews, proposed metadata and used resources."""
-        return self._api.get(f"/runs/{_run_id(run_id)}", RunDetail)
+        return self._api.get(f"/runs/{_run_id(run_id)}", runs.RunDetail)
 
     def wait(
-        self, run_id: Ref, *, timeout_s: float | None = None, seen: Callable[[RunDetail], None] | None = None
-    ) -> RunDetail:
+        self, run_id: Ref, *, timeout_s: float | None = None, seen: Callable[[runs.RunDetail], None] | None = None
+    ) -> runs.RunDetail:
         """Return a run once it has ended; `seen` is called with each state. On TimedOut the run goes on."""
         began_at, pause_s = time.monotonic(), _FIRST_LOOK_S
         while True:
@@ -168,36 +132,36 @@ class Runs(ApiResource):
             time.sleep(pause_s)
             pause_s = min(pause_s * 1.5, _LOOK_EVERY_S)
 
-    def cancel(self, run_id: Ref) -> RunRead:
+    def cancel(self, run_id: Ref) -> runs.RunRead:
         """Cancel a run, and return it; its runner ends it within seconds. A run that has ended stays."""
-        return self._api.understood(RunRead, "cancel", self._api.post(f"/runs/{_run_id(run_id)}/cancel"))
+        return self._api.understood(runs.RunRead, "cancel", self._api.post(f"/runs/{_run_id(run_id)}/cancel"))
 
-    def retry(self, run_id: Ref, *, force: bool = False) -> RunRead:
+    def retry(self, run_id: Ref, *, force: bool = False) -> runs.RunRead:
         """Create a run of the same version with the same parameters on the same mission, and return it.
 
         It reads the files that match now. With `force`, no earlier results are reused.
         """
-        return self._api.send("POST", f"/runs/{_run_id(run_id)}/retry?force={str(force).lower()}", RunRead)
+        return self._api.send("POST", f"/runs/{_run_id(run_id)}/retry?force={str(force).lower()}", runs.RunRead)
 
-    def inputs(self, run_id: Ref) -> Listing[RunInput]:
+    def inputs(self, run_id: Ref) -> Listing[runs.RunInput]:
         """Yield the inputs of a run, by path."""
-        return pages(self._api, f"/runs/{_run_id(run_id)}/inputs", RunInput, [])
+        return pages(self._api, f"/runs/{_run_id(run_id)}/inputs", runs.RunInput, [])
 
-    def artifacts(self, run_id: Ref) -> Listing[ArtifactRead]:
+    def artifacts(self, run_id: Ref) -> Listing[runs.ArtifactRead]:
         """Yield the artifacts of a run, by path; of a run that reuses results, those of the earlier one."""
-        return pages(self._api, f"/runs/{_run_id(run_id)}/artifacts", ArtifactRead, [])
+        return pages(self._api, f"/runs/{_run_id(run_id)}/artifacts", runs.ArtifactRead, [])
 
-    def artifact_urls(self, run_id: Ref, artifact_ids: Sequence[uuid.UUID]) -> Sequence[ArtifactUrl]:
+    def artifact_urls(self, run_id: Ref, artifact_ids: Sequence[uuid.UUID]) -> Sequence[runs.ArtifactUrl]:
         """Return where to read the bytes of up to 500 artifacts of a run, in the order asked."""
-        body = checked(ArtifactsRequest, "The request", artifact_ids=[*artifact_ids])
-        return self._api.repeat(f"/runs/{_run_id(run_id)}/artifacts/download", ArtifactUrls, body).items
+        body = checked(runs.ArtifactsRequest, "The request", artifact_ids=[*artifact_ids])
+        return self._api.repeat(f"/runs/{_run_id(run_id)}/artifacts/download", runs.ArtifactUrls, body).items
 
     def download_artifacts(
         self,
         run_id: Ref,
         dest: Path,
         *,
-        artifacts: Iterable[ArtifactRead] | None = None,
+        artifacts: Iterable[runs.ArtifactRead] | None = None,
         overwrite: bool = False,
         watcher: "Watcher | None" = None,
     ) -> "TransferReport":
@@ -218,32 +182,32 @@ class Runs(ApiResource):
         return fetch(links, self._api.endpoint.url, plan, overwrite=overwrite, watcher=watcher)
 
     def findings(
-        self, matching: ReportFilter | None = None, *, limit: int | None = None, **fields: Unpack[ReportFields]
-    ) -> Listing[FindingRead]:
+        self, matching: runs.ReportFilter | None = None, *, limit: int | None = None, **fields: Unpack[ReportFields]
+    ) -> Listing[runs.FindingRead]:
         """Yield the findings of runs."""
-        query = query_of(self._filter(ReportFilter, matching, fields))
-        return pages(self._api, "/findings", FindingRead, query, limit=limit)
+        query = query_of(self._filter(runs.ReportFilter, matching, fields))
+        return pages(self._api, "/findings", runs.FindingRead, query, limit=limit)
 
     def metrics(
-        self, matching: ReportFilter | None = None, *, limit: int | None = None, **fields: Unpack[ReportFields]
-    ) -> Listing[MetricRead]:
+        self, matching: runs.ReportFilter | None = None, *, limit: int | None = None, **fields: Unpack[ReportFields]
+    ) -> Listing[runs.MetricRead]:
         """Yield the metrics of runs; the filter's `code` is the name of a metric."""
-        query = query_of(self._filter(ReportFilter, matching, fields))
-        return pages(self._api, "/run-metrics", MetricRead, query, limit=limit)
+        query = query_of(self._filter(runs.ReportFilter, matching, fields))
+        return pages(self._api, "/run-metrics", runs.MetricRead, query, limit=limit)
 
-    def log(self, run_id: Ref, *, follow: bool = False) -> Iterator[LogChunkRead]:
-        """Yield the log of a run in pieces of whole lines; with `follow`, until the run ends.
+    def log(self, run_id: Ref, *, follow: bool = False) -> Iterator[runs.LogChunkRead]:
+        """Yield the log of a run in pieces of complete lines; with `follow`, until the run ends.
 
-        Where the run begins again after its runner was lost, the pieces of the next attempt follow.
+        If the run starts again because its runner was lost, the pieces of the next attempt follow.
         """
         attempt, offset, wait_s = 0, 0, 0.0
         while True:
             requested_at = time.monotonic()
             query = query_of(None, offset=offset, wait_s=wait_s)
-            piece = self._api.get(f"/runs/{_run_id(run_id)}/log", LogChunkRead, query)
-            begins_anew = piece.attempt != attempt and offset > 0
-            attempt, offset = piece.attempt, 0 if begins_anew else piece.next_offset
-            if begins_anew:
+            piece = self._api.get(f"/runs/{_run_id(run_id)}/log", runs.LogChunkRead, query)
+            is_new_attempt = piece.attempt != attempt and offset > 0
+            attempt, offset = piece.attempt, 0 if is_new_attempt else piece.next_offset
+            if is_new_attempt:
                 continue
             if piece.text:
                 yield piece
@@ -265,11 +229,11 @@ class Runs(ApiResource):
             projects = [Projects(self._api).id_of(cast(Ref, ref)) for ref in refs_of("project", value)]
             selected["project_ids"] = projects
         if (value := selected.pop("mission", None)) is not None:
-            within = projects[0] if len(projects) == 1 else None
+            project_id = projects[0] if len(projects) == 1 else None
             ids = []
             for ref in cast(list[Ref], refs_of("mission", value)):
                 is_qualified = isinstance(ref, str) and "/" in ref
-                ids.append(Missions(self._api).id_of(ref, project=None if is_qualified else within))
+                ids.append(Missions(self._api).id_of(ref, project=None if is_qualified else project_id))
             selected["mission_ids"] = ids
         if (run := selected.pop("run", None)) is not None:
             selected["run_id"] = known_id(cast(Ref, run), "run") or run
@@ -282,11 +246,11 @@ class Runs(ApiResource):
 
 def _run_id(ref: Ref) -> uuid.UUID:
     if (run_id := known_id(ref, "run")) is None:
-        raise InvalidInput(what=f"The run {ref!r}", reason="say its id; `klein run list` shows them")
+        raise InvalidInput(what=f"The run {ref!r}", reason="give its id; `klein run list` shows them")
     return run_id
 
 
-def _as_link(artifact: ArtifactUrl) -> DownloadLink:
+def _as_link(artifact: runs.ArtifactUrl) -> DownloadLink:
     return DownloadLink(
         file_id=artifact.artifact.id,
         path=artifact.artifact.path,
@@ -302,53 +266,53 @@ def _as_link(artifact: ArtifactUrl) -> DownloadLink:
 class Runners(RetryingResource):
     """`client.runners`."""
 
-    def with_patience(self, patience_s: float, wait: Callable[[float], object]) -> "Runners":
+    def with_retry(self, timeout_s: float, wait: Callable[[float], object]) -> "Runners":
         """Return a client with another retry timeout."""
-        return Runners(self._api, patience_s=patience_s, wait=wait)
+        return Runners(self._api, retry_timeout_s=timeout_s, wait=wait)
 
-    def list(self) -> Listing[RunnerRead]:
+    def list(self) -> Listing[runners.RunnerRead]:
         """List all runners."""
-        return pages(self._api, "/runners", RunnerRead, [])
+        return pages(self._api, "/runners", runners.RunnerRead, [])
 
-    def register(self, registration: RunnerRegistration) -> RunnerRead:
+    def register(self, registration: runners.RunnerRegistration) -> runners.RunnerRead:
         """Register a runner, or update its description."""
-        return self._repeat("/runners", RunnerRead, registration)
+        return self._repeat("/runners", runners.RunnerRead, registration)
 
-    def claim(self, runner_id: uuid.UUID, request: ClaimRequest) -> RunAssignment | None:
+    def claim(self, runner_id: uuid.UUID, request: runners.ClaimRequest) -> runners.RunAssignment | None:
         """Wait for a run and return it; None where there is none."""
-        return self._api.send("POST", f"/runners/{runner_id}/claims", ClaimReply, request).run
+        return self._api.send("POST", f"/runners/{runner_id}/claims", runners.ClaimReply, request).run
 
-    def send_heartbeats(self, runner_id: uuid.UUID, heartbeats: Heartbeats) -> HeartbeatReplies:
+    def send_heartbeats(self, runner_id: uuid.UUID, heartbeats: runners.Heartbeats) -> runners.HeartbeatReplies:
         """Send the states of all runs, and renew their leases."""
-        return self._api.send("POST", f"/runners/{runner_id}/heartbeats", HeartbeatReplies, heartbeats)
+        return self._api.send("POST", f"/runners/{runner_id}/heartbeats", runners.HeartbeatReplies, heartbeats)
 
-    def get_context(self, run_id: uuid.UUID, attempt: Attempt) -> RunContext:
+    def get_context(self, run_id: uuid.UUID, attempt: runners.Attempt) -> runs.RunContext:
         """Return the content of `/in/mission.json`."""
-        return self._api.get(f"/runner/runs/{run_id}/context", RunContext, [("attempt", str(attempt))])
+        return self._api.get(f"/runner/runs/{run_id}/context", runs.RunContext, [("attempt", str(attempt))])
 
-    def sign_inputs(self, run_id: uuid.UUID, request: InputsRequest) -> InputUrls:
+    def sign_inputs(self, run_id: uuid.UUID, request: runners.InputsRequest) -> runners.InputUrls:
         """Return URLs of inputs."""
         path = f"/runner/runs/{run_id}/inputs"
-        return self._repeat(path, InputUrls, request)
+        return self._repeat(path, runners.InputUrls, request)
 
-    def create_log_chunk(self, run_id: uuid.UUID, chunk: LogChunkCreate) -> LogChunkUpload:
+    def create_log_chunk(self, run_id: uuid.UUID, chunk: runners.LogChunkCreate) -> runners.LogChunkUpload:
         """Return where to PUT a chunk of the log."""
         path = f"/runner/runs/{run_id}/log-chunks"
-        return self._repeat(path, LogChunkUpload, chunk)
+        return self._repeat(path, runners.LogChunkUpload, chunk)
 
-    def confirm_log_chunk(self, run_id: uuid.UUID, chunk: LogChunkConfirm) -> None:
+    def confirm_log_chunk(self, run_id: uuid.UUID, chunk: runners.LogChunkConfirm) -> None:
         """Confirm that a chunk of the log was uploaded."""
         path = f"/runner/runs/{run_id}/log-chunks/confirm"
-        self._api.post(path, chunk, patience_s=self._patience_s, wait=self._wait)
+        self._api.post(path, chunk, retry_timeout_s=self._retry_timeout_s, wait=self._wait)
 
-    def uploads(self, run_id: uuid.UUID, attempt: Attempt) -> "ArtifactUploads":
+    def uploads(self, run_id: uuid.UUID, attempt: runners.Attempt) -> "ArtifactUploads":
         """Return the upload protocol for artifacts of a run."""
-        return ArtifactUploads(self._api, run_id, attempt, patience_s=self._patience_s, wait=self._wait)
+        return ArtifactUploads(self._api, run_id, attempt, retry_timeout_s=self._retry_timeout_s, wait=self._wait)
 
-    def finish(self, run_id: uuid.UUID, finish: RunFinish) -> RunFinished:
+    def finish(self, run_id: uuid.UUID, finish: runners.RunFinish) -> runners.RunFinished:
         """Report the end of a run."""
         path = f"/runner/runs/{run_id}/finish"
-        return self._repeat(path, RunFinished, finish)
+        return self._repeat(path, runners.RunFinished, finish)
 
 
 class ArtifactUploads(Uploads):
@@ -358,21 +322,21 @@ class ArtifactUploads(Uploads):
         self,
         api: Api,
         run_id: uuid.UUID,
-        attempt: Attempt,
+        attempt: runners.Attempt,
         *,
-        patience_s: float = PATIENCE_S,
+        retry_timeout_s: float = RETRY_TIMEOUT_S,
         wait: Callable[[float], object] | None = None,
     ) -> None:
-        super().__init__(api, patience_s=patience_s, wait=wait)
+        super().__init__(api, retry_timeout_s=retry_timeout_s, wait=wait)
         self._run_id = run_id
         self._attempt = attempt
 
-    def with_patience(self, patience_s: float, wait: Callable[[float], object]) -> "ArtifactUploads":
+    def with_retry(self, timeout_s: float, wait: Callable[[float], object]) -> "ArtifactUploads":
         """Return a client with another retry timeout."""
-        return ArtifactUploads(self._api, self._run_id, self._attempt, patience_s=patience_s, wait=wait)
+        return ArtifactUploads(self._api, self._run_id, self._attempt, retry_timeout_s=timeout_s, wait=wait)
 
     def begin(self, mission_id: uuid.UUID, files: Sequence[UploadFile]) -> UploadDecisions:
         """Announce up to 200 artifacts of the run and return what to do with each, in the order given."""
-        body = ArtifactUploadsCreate(attempt=self._attempt, files=[*files])
+        body = runners.ArtifactUploadsCreate(attempt=self._attempt, files=[*files])
         path = f"/runner/runs/{mission_id}/uploads"
         return self._repeat(path, UploadDecisions, body)

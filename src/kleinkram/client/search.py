@@ -71,8 +71,8 @@ def as_filter(condition: Condition, fields: FileFields = _NO_FIELDS) -> FileFilt
     """Return the filter of a query's text, of keywords, of both, or a filter unchanged.
 
     Raises:
-        InvalidQuery: the query cannot be read.
-        InvalidInput: a keyword is unknown, or its value is not usable.
+        InvalidQuery: the query is invalid.
+        InvalidInput: a keyword is unknown, or its value is invalid.
     """
     if not (condition is None or isinstance(condition, str | FileFilter)):
         raise InvalidInput(what=f"The filter {condition!r}", reason="use query text, keywords, or a FileFilter")
@@ -128,7 +128,7 @@ def _missions(value: object, *, has_project: bool) -> dict[str, object]:
     if not qualified:
         return _place("mission", refs)
     if has_project or len(refs) > 1:
-        reason = f"say the project of {qualified[0]!r} by project="
+        reason = f"specify the project of {qualified[0]!r} with project="
         raise InvalidInput(what="The filter (mission)", reason=reason)
     project, _, name = qualified[0].partition("/")
     return {**_place("project", [project]), **_place("mission", [name])}

@@ -10,17 +10,8 @@ from pydantic import RootModel
 from kleinkram.client._http import query_of
 from kleinkram.client._nouns import ApiResource, Listing, Ref, known_id, pages, resolve_one
 from kleinkram.client.errors import TimedOut
+from kleinkram.contract import admin
 from kleinkram.contract.accounts import AccountRead, IdentityRead, MeRead, OneTimeLink, SessionRead
-from kleinkram.contract.admin import (
-    AdminHealth,
-    AdminJobs,
-    AdminSettings,
-    AdminStorage,
-    RetriedJobs,
-    ScrubRead,
-    ScrubRequest,
-    ScrubState,
-)
 from kleinkram.contract.audit import AuditFilter, AuditRead, Change, Refetch
 from kleinkram.contract.home import HomeRead, HomeStorage
 from kleinkram.contract.people import ServiceRead
@@ -171,13 +162,13 @@ _POLL_S = 1.0
 class Admin(ApiResource):
     """`client.admin`. Everything here requires an admin with a credential of scope admin."""
 
-    def storage(self) -> AdminStorage:
+    def storage(self) -> admin.AdminStorage:
         """Return the sizes of the store."""
-        return self._api.get("/admin/storage", AdminStorage)
+        return self._api.get("/admin/storage", admin.AdminStorage)
 
-    def jobs(self) -> AdminJobs:
+    def jobs(self) -> admin.AdminJobs:
         """Return the queue, the jobs that will be retried, and those that were given up."""
-        return self._api.get("/admin/jobs", AdminJobs)
+        return self._api.get("/admin/jobs", admin.AdminJobs)
 
     def retry_job(self, job_id: int) -> None:
         """Put a job that was given up back into the queue."""
@@ -185,20 +176,20 @@ class Admin(ApiResource):
 
     def retry_jobs(self) -> int:
         """Put all jobs that were given up back into the queue, and return how many."""
-        return self._api.send("POST", "/admin/jobs/retry", RetriedJobs).count
+        return self._api.send("POST", "/admin/jobs/retry", admin.RetriedJobs).count
 
-    def scrub(self) -> ScrubState:
+    def scrub(self) -> admin.ScrubState:
         """Return the results so far of the last comparison of the store with the database."""
-        return self._api.get("/admin/scrub", ScrubState)
+        return self._api.get("/admin/scrub", admin.ScrubState)
 
-    def begin_scrub(self, *, accept_losses: bool = False) -> ScrubRead:
+    def begin_scrub(self, *, accept_losses: bool = False) -> admin.ScrubRead:
         """Start comparing the store with the database; return the scrub that is under way, or begins.
 
         Where very much is missing, a scrub marks nothing, since the store may be another one, unless `accept_losses`.
         """
-        return self._api.repeat("/admin/scrub", ScrubRead, ScrubRequest(accept_losses=accept_losses))
+        return self._api.repeat("/admin/scrub", admin.ScrubRead, admin.ScrubRequest(accept_losses=accept_losses))
 
-    def watch_scrub(self, *, timeout_s: float) -> Iterator[ScrubState]:
+    def watch_scrub(self, *, timeout_s: float) -> Iterator[admin.ScrubState]:
         """Yield the state of the last scrub, once a second, until it has ended. After TimedOut the server goes on."""
         deadline = time.monotonic() + timeout_s
         while True:
@@ -210,10 +201,10 @@ class Admin(ApiResource):
                 raise TimedOut(what="The scrub", seconds=timeout_s)
             time.sleep(_POLL_S)
 
-    def health(self) -> AdminHealth:
+    def health(self) -> admin.AdminHealth:
         """Return the state of database, store and workers."""
-        return self._api.get("/admin/health", AdminHealth)
+        return self._api.get("/admin/health", admin.AdminHealth)
 
-    def settings(self) -> AdminSettings:
+    def settings(self) -> admin.AdminSettings:
         """Return the settings in force, secrets left out."""
-        return self._api.get("/admin/settings", AdminSettings)
+        return self._api.get("/admin/settings", admin.AdminSettings)

@@ -57,8 +57,8 @@ class Loopback:
     """A port of 127.0.0.1 at which one login waits for its browser. A context manager."""
 
     def __init__(self, state: str) -> None:
-        self._came: queue.SimpleQueue[str | _Denied] = queue.SimpleQueue()
-        self._server = _LoopbackServer(("127.0.0.1", 0), _listener(state, self._came))
+        self._results: queue.SimpleQueue[str | _Denied] = queue.SimpleQueue()
+        self._server = _LoopbackServer(("127.0.0.1", 0), _listener(state, self._results))
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True)
         self.port: int = self._server.server_address[1]
 
@@ -76,12 +76,12 @@ class Loopback:
     def wait(self, timeout_s: float) -> str:
         """Return the code of the browser; SignInDenied if the person refused, SignInExpired if none came in time."""
         try:
-            came = self._came.get(timeout=timeout_s)
+            result = self._results.get(timeout=timeout_s)
         except queue.Empty:
             raise SignInExpired from None
-        if isinstance(came, _Denied):
+        if isinstance(result, _Denied):
             raise SignInDenied
-        return came
+        return result
 
 
 class _LoopbackServer(socketserver.ThreadingTCPServer):
@@ -90,7 +90,7 @@ class _LoopbackServer(socketserver.ThreadingTCPServer):
     daemon_threads = True
 
 
-def _listener(state: str, came: "queue.SimpleQueue[str | _Denied]") -> type[BaseHTTPRequestHandler]:
+def _listener(state: str, results: "queue.SimpleQueue[str | _Denied]") -> type[BaseHTTPRequestHandler]:
     class Listener(BaseHTTPRequestHandler):
         timeout = _SILENCE_S
 
@@ -103,13 +103,13 @@ def _listener(state: str, came: "queue.SimpleQueue[str | _Denied]") -> type[Base
                 self._answer(HTTPStatus.BAD_REQUEST, "Not signed in", "This belongs to no login that klein waits for.")
             elif code := parameters.get("code"):
                 self._answer(HTTPStatus.OK, "Back to the terminal", "klein has what it needs. Close this window.")
-                came.put(code)
+                results.put(code)
             else:
                 self._answer(HTTPStatus.OK, "Not signed in", "You refused the sign-in of klein. Close this window.")
-                came.put(_Denied())
+                results.put(_Denied())
 
         def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the name that http.server gives it
-            """Say nothing: the query holds a code, and the terminal belongs to klein."""
+            """Log nothing: the query holds a code."""
 
         def _answer(self, status: HTTPStatus, title: str, text: str) -> None:
             page = _PAGE.format(title=title, text=text).encode()
@@ -123,7 +123,7 @@ def _listener(state: str, came: "queue.SimpleQueue[str | _Denied]") -> type[Base
 
 
 # How long a person may take in the browser; the server's codes expire then.
-BROWSER_PATIENCE_S = 300.0
+BROWSER_TIMEOUT_S = 300.0
 _LONGEST_INTERVAL_S = 60.0
 
 
@@ -136,7 +136,7 @@ class BrowserLogin:
     _verifier: str = field(repr=False)
     _loopback: Loopback = field(repr=False)
 
-    def wait(self, timeout_s: float = BROWSER_PATIENCE_S) -> SignedIn:
+    def wait(self, timeout_s: float = BROWSER_TIMEOUT_S) -> SignedIn:
         """Wait until the page has sent the browser back, and exchange its code for a token.
 
         Raises:
@@ -173,7 +173,7 @@ def wait_for_device(url: str, code: DeviceCode, wait: Callable[[float], object] 
 
     Raises:
         SignInDenied: the person refused.
-        SignInExpired: nobody typed it in time.
+        SignInExpired: the code was not typed in time.
     """
     interval_s, left_s = code.interval_s, code.expires_s
     with _connection(normal_url(url)) as api:

@@ -1,1 +1,1 @@
-"""Wire nouns: what client and server say to each other. Imports nothing of ours, does nothing but judge shapes."""
+"""Types of the API: requests, responses and errors that server and clients share, and their validation rules."""

@@ -25,7 +25,7 @@ from kleinkram.contract.people import EmailAddress, PersonRef
 def check_client_name(name: str) -> str:
     """Return the name of a program. Raises ValueError."""
     if not name.isprintable() or not name.strip():
-        raise ValueError("is empty, or holds what cannot be printed")
+        raise ValueError("is empty, or contains unprintable characters")
     return name
 
 
@@ -129,7 +129,7 @@ def check_person_name(name: str) -> str:
     """Return a person's name in NFC. Raises ValueError."""
     name = unicodedata.normalize("NFC", name)
     if not name or name != name.strip() or not name.isprintable():
-        raise ValueError("is empty, begins or ends with a space, or holds what cannot be printed")
+        raise ValueError("is empty, begins or ends with a space, or contains unprintable characters")
     return name
 
 

@@ -1,10 +1,10 @@
-"""What admins see of the whole server: store, jobs, health and settings."""
+"""The state of the server for admins: store, jobs, health, scrubs and settings."""
 
 import datetime
 import uuid
 from typing import Any
 
-from kleinkram.contract.base import Response
+from kleinkram.contract.base import Request, Response
 from kleinkram.contract.home import StoreUse
 
 
@@ -103,7 +103,7 @@ class AdminHealth(Response):
     store_allows_browser_uploads: bool
 
 
-class ScrubRequest(Response):
+class ScrubRequest(Request):
     """A scrub to start. `accept_losses`: the admin has checked that missing objects are really gone."""
 
     accept_losses: bool = False

@@ -4,17 +4,15 @@ import datetime
 import enum
 import uuid
 
-from kleinkram.contract.base import Request, Response
+from kleinkram.contract.base import NamedRef, Response
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.names import Ids, Term
+from kleinkram.contract.missions import PlaceFilter
+from kleinkram.contract.names import Term
 from kleinkram.contract.people import PersonRef
 
 
-class CredentialRef(Response):
+class CredentialRef(NamedRef):
     """The id and name of a token or link."""
-
-    id: uuid.UUID
-    name: str
 
 
 class AuditRead(Response):
@@ -43,7 +41,7 @@ class AuditRead(Response):
     request_id: str | None
 
 
-class AuditFilter(Request):
+class AuditFilter(PlaceFilter):
     """A filter of events; all given conditions apply.
 
     `person`, `token` and `operation` may be globs: `anna*`, `file.*`. `since` is inclusive, `until` exclusive; times
@@ -58,10 +56,6 @@ class AuditFilter(Request):
     share_id: uuid.UUID | None = None
     noun: Term | None = None
     noun_id: uuid.UUID | None = None
-    project_id: uuid.UUID | None = None
-    project_ids: Ids = []
-    mission_id: uuid.UUID | None = None
-    mission_ids: Ids = []
     operation: Term | None = None
     since: datetime.datetime | None = None
     until: datetime.datetime | None = None

@@ -2,6 +2,7 @@
 
 import datetime
 import hashlib
+import uuid
 from typing import Annotated, Generic, TypeVar
 
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
@@ -18,6 +19,13 @@ class Response(BaseModel):
     """Base of responses: immutable; unknown fields are ignored, so that older clients understand newer servers."""
 
     model_config = ConfigDict(frozen=True)
+
+
+class NamedRef(Response):
+    """The id and name of an object."""
+
+    id: uuid.UUID
+    name: str
 
 
 ETag = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]

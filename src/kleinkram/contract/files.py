@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from kleinkram.contract.base import ETag, Request, Response, etag_of
-from kleinkram.contract.missions import MissionRef
+from kleinkram.contract.base import ETag, NamedRef, Request, Response, etag_of
+from kleinkram.contract.missions import MissionCriteria, MissionRef
 from kleinkram.contract.names import FilePath, Label, Term, Terms
 from kleinkram.contract.people import PersonRef
 
@@ -194,7 +194,7 @@ DurationNs = Annotated[int, Field(ge=0, le=2**63 - 1)]
 Month = Annotated[str, Field(pattern=r"^[12][0-9]{3}-(0[1-9]|1[0-2])$")]
 
 
-class FileFilter(Request):
+class FileFilter(MissionCriteria):
     """A filter of files; all criteria must match, and of the values in one list, any. Names and paths may be globs.
 
     `project` and `mission` are a name or a glob, `projects` and `missions` names, globs or ids. `where` compares
@@ -204,25 +204,15 @@ class FileFilter(Request):
     `without` are terms of the query language (see the page on searching), of which none may match.
     """
 
-    text: Term | None = None
-    project: Term | None = None
-    project_id: uuid.UUID | None = None
-    projects: Terms = []
     mission: Term | None = None
     mission_id: uuid.UUID | None = None
-    missions: Terms = []
     recording_id: uuid.UUID | None = None
     path: Terms = []
-    where: Terms = []
-    topic: Terms = []
-    message_type: Terms = []
     format: Terms = []
     label: Terms = []
     state: list[BlobState] = []
     content: list[ContentState] = []
     problem: Terms = []
-    recorded_after: datetime.datetime | None = None
-    recorded_before: datetime.datetime | None = None
     min_size_bytes: SizeBytes | None = None
     max_size_bytes: SizeBytes | None = None
     min_duration_ns: DurationNs | None = None
@@ -280,11 +270,8 @@ class TimeAxis(Response):
     bins: int
 
 
-class RecordingRef(Response):
+class RecordingRef(NamedRef):
     """The id and name of a recording."""
-
-    id: uuid.UUID
-    name: str
 
 
 class MissionTopic(Response):

@@ -1,4 +1,4 @@
-"""Metadata: the typed fields that a project declares, and the values that a mission carries."""
+"""Metadata: the typed fields that a project declares, and the values of a mission."""
 
 import datetime
 import enum
@@ -40,7 +40,7 @@ class Undeclared(str, enum.Enum):
 
 
 class Location(Request):
-    """A place on earth. Degrees, WGS 84; altitude in metres above the ellipsoid."""
+    """A place on earth in degrees (WGS 84); altitude in metres above the ellipsoid."""
 
     latitude: Annotated[float, Field(ge=-90, le=90)]
     longitude: Annotated[float, Field(ge=-180, le=180)]
@@ -48,15 +48,12 @@ class Location(Request):
     name: str | None = None
 
 
-# Dates travel and are stored as ISO 8601 text; a location as the mapping of `Location` or as a place's name.
+# Dates are ISO 8601 text; a location is the mapping of `Location` or the name of a place.
 Metadata = dict[str, JsonValue]
 
 
 def check_values(metadata: Metadata) -> Metadata:
-    """Return metadata as it is, or say why it cannot be kept: what a form sends is bounded as a document is.
-
-    Raises ValueError.
-    """
+    """Return metadata unchanged; raise ValueError if it exceeds the limits of YAML documents."""
     values = characters = 0
     waiting: list[tuple[int, JsonValue]] = [(1, metadata)]
     while waiting:
@@ -80,7 +77,7 @@ BoundedMetadata = Annotated[Metadata, AfterValidator(check_values)]
 class MetadataField(Request):
     """One field that a project declares.
 
-    `unit` belongs to numbers, `pattern` (Rust regex syntax, whole value) to strings, `choices` to choices.
+    `unit` is for numbers, `pattern` (Rust regex syntax, for the entire value) for strings, `choices` for choices.
     """
 
     name: FieldName
@@ -93,7 +90,7 @@ class MetadataField(Request):
     default: bool | int | float | str | datetime.date | Location | None = None
 
     @model_validator(mode="after")
-    def _belongs_to_its_type(self) -> Self:
+    def _fits_its_type(self) -> Self:
         owners = {"unit": FieldType.number, "pattern": FieldType.string, "choices": FieldType.choice}
         for attribute, owner in owners.items():
             if getattr(self, attribute) is not None and self.type is not owner:

@@ -12,7 +12,7 @@ from kleinkram.contract.access import Right
 from kleinkram.contract.base import ETag, Request, Response, etag_of
 from kleinkram.contract.errors import FieldProblem
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, BoundedMetadata, Metadata, MetadataFields
-from kleinkram.contract.names import Name, Term, Terms, check_text
+from kleinkram.contract.names import Ids, Name, Term, Terms, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 
@@ -129,23 +129,37 @@ MetadataSort = Annotated[str, Field(pattern=r"^-?meta\.[A-Za-z][A-Za-z0-9_.]{0,1
 MissionOrder = MissionSort | MetadataSort
 
 
-class MissionFilter(Request):
-    """A filter of missions; all criteria must match, and of `projects` and `missions`, any. Names may be globs.
+class PlaceFilter(Request):
+    """A filter by where something happened; of several projects or missions, any may match."""
 
-    `projects` and `missions` are names, globs or ids. `where` compares metadata: `robot=anymal`, `temperature>20`,
-    `operator!=ada`, `site~zur*`. `text` is searched for in names, notes and metadata values.
-    """
+    project_id: uuid.UUID | None = None
+    project_ids: Ids = []
+    mission_id: uuid.UUID | None = None
+    mission_ids: Ids = []
+
+
+class MissionCriteria(Request):
+    """The criteria that filters of missions and of files have in common."""
 
     text: Term | None = None
     project: Term | None = None
     project_id: uuid.UUID | None = None
     projects: Terms = []
-    name: Term | None = None
     missions: Terms = []
     where: Terms = []
     topic: Terms = []
     message_type: Terms = []
     recorded_after: datetime.datetime | None = None
     recorded_before: datetime.datetime | None = None
+
+
+class MissionFilter(MissionCriteria):
+    """A filter of missions; all criteria must match, and of `projects` and `missions`, any. Names may be globs.
+
+    `projects` and `missions` are names, globs or ids. `where` compares metadata: `robot=anymal`, `temperature>20`,
+    `operator!=ada`, `site~zur*`. `text` is searched for in names, notes and metadata values.
+    """
+
+    name: Term | None = None
     completed: bool | None = None
     satisfied: bool | None = None

@@ -1,6 +1,6 @@
-"""Rules for names and paths: one annotated type each, used by server, SDK and, through OpenAPI, every form.
+"""Rules for names, paths, labels and ids, used by the server, the SDK and, through OpenAPI, the web forms.
 
-Two names are the same when their `name_key` is the same; the database holds that key in its unique indexes.
+Two names are the same if their `name_key` is the same; unique indexes of the database use that key.
 """
 
 import re
@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field
 MAX_NAME_CHARACTERS = 128
 MAX_PATH_CHARACTERS = 1024
 MAX_PATH_PART_BYTES = 255
-# What an index entry of the database holds, as UTF-8 of the path or its key.
+# The size limit of an index entry, for the path and its key in UTF-8.
 MAX_PATH_BYTES = 2400
 MAX_LABEL_CHARACTERS = 64
 MAX_TERM_CHARACTERS = 1024
@@ -34,7 +34,7 @@ def name_key(name: str) -> str:
 def _refuse_unprintable(text: str) -> None:
     for position, character in enumerate(text):
         if unicodedata.category(character) in {"Cc", "Cs", "Zl", "Zp"} or character in _BIDI_CONTROLS:
-            raise ValueError(f"holds the control character U+{ord(character):04X} at position {position}")
+            raise ValueError(f"contains the control character U+{ord(character):04X} at position {position}")
 
 
 def check_name(name: str) -> str:
@@ -48,9 +48,9 @@ def check_name(name: str) -> str:
     if name in {".", ".."}:
         raise ValueError("is a folder reference, not a name")
     if bad := sorted(set(name) & set('/\\*?[]"')):
-        raise ValueError(f"holds {' '.join(bad)}, which paths and wildcards need")
+        raise ValueError(f"contains {' '.join(bad)}, which paths and wildcards use")
     if _UUID.fullmatch(name):
-        raise ValueError("is shaped like an id, so it could not be told from one")
+        raise ValueError("has the form of an id")
     return name
 
 
@@ -64,7 +64,7 @@ def check_file_path(path: str) -> str:
     if not path or path.startswith("/") or path.endswith("/"):
         raise ValueError("is not a relative path to a file")
     if "\\" in path:
-        raise ValueError("holds a backslash, which other systems read as a folder separator")
+        raise ValueError("contains a backslash, which is a folder separator on other systems")
     if len(path) > MAX_PATH_CHARACTERS:
         raise ValueError(f"has {len(path)} characters; {MAX_PATH_CHARACTERS} are allowed")
     size_bytes = max(len(path.encode()), len(name_key(path).encode()))
@@ -72,7 +72,7 @@ def check_file_path(path: str) -> str:
         raise ValueError(f"has {size_bytes} bytes; {MAX_PATH_BYTES} are allowed")
     for part in path.split("/"):
         if part in {"", ".", ".."}:
-            raise ValueError(f"holds the part {part!r}, which would leave or blur its place")
+            raise ValueError(f"contains the part {part!r}")
         if len(part.encode()) > MAX_PATH_PART_BYTES:
             raise ValueError(f"has a part of {len(part.encode())} bytes; {MAX_PATH_PART_BYTES} are allowed")
     return path
@@ -83,7 +83,7 @@ def check_label(label: str) -> str:
     label = unicodedata.normalize("NFC", label)
     _refuse_unprintable(label)
     if not label or label != label.strip() or "," in label:
-        raise ValueError("is empty, holds a comma, or begins or ends with a space")
+        raise ValueError("is empty, contains a comma, or begins or ends with a space")
     if len(label) > MAX_LABEL_CHARACTERS:
         raise ValueError(f"has {len(label)} characters; {MAX_LABEL_CHARACTERS} are allowed")
     return label
@@ -93,12 +93,14 @@ def check_text(text: str) -> str:
     """Return a text that the database can store: without NUL and surrogates. Raises ValueError."""
     for position, character in enumerate(text):
         if character == "\x00" or "\ud800" <= character <= "\udfff":
-            raise ValueError(f"holds the character U+{ord(character):04X} at position {position}, which cannot be kept")
+            raise ValueError(
+                f"contains the character U+{ord(character):04X} at position {position}, which cannot be stored"
+            )
     return text
 
 
 def is_id(reference: str) -> bool:
-    """Whether a reference is an id rather than a name."""
+    """Return whether a reference is an id rather than a name."""
     return _UUID.fullmatch(reference) is not None
 
 
@@ -110,7 +112,7 @@ def file_name(path: str) -> str:
 Name = Annotated[str, AfterValidator(check_name), Field(min_length=1, max_length=MAX_NAME_CHARACTERS)]
 FilePath = Annotated[str, AfterValidator(check_file_path), Field(min_length=1, max_length=MAX_PATH_CHARACTERS)]
 Label = Annotated[str, AfterValidator(check_label), Field(min_length=1, max_length=MAX_LABEL_CHARACTERS)]
-# A word, glob or comparison to search by.
+# A search word, glob or comparison.
 Term = Annotated[str, AfterValidator(check_text), Field(max_length=MAX_TERM_CHARACTERS)]
 Terms = Annotated[list[Term], Field(max_length=50)]
 Ids = Annotated[list[uuid.UUID], Field(max_length=50)]

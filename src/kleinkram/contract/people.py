@@ -1,4 +1,4 @@
-"""People, as far as one user sees them, and the rules for e-mail addresses."""
+"""People, the description of a server, and the rules for e-mail addresses."""
 
 import datetime
 import re
@@ -7,14 +7,11 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from kleinkram.contract.base import Response
+from kleinkram.contract.base import NamedRef, Response
 
 
-class PersonRef(Response):
+class PersonRef(NamedRef):
     """The id and name of a person."""
-
-    id: uuid.UUID
-    name: str
 
 
 class PersonRead(Response):
@@ -51,7 +48,8 @@ class ViewerRead(Response):
 class ServiceRead(Response):
     """A server: `GET /api/v1/service`. `name` is the lab's; `person` is the caller, if they have an account.
 
-    Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers.
+    Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers. `token_days_max` 0: tokens
+    without an end are allowed.
     """
 
     name: str
@@ -59,7 +57,6 @@ class ServiceRead(Response):
     public_url: str
     store_url: str
     store_origin: str
-    # `token_days_max` 0: tokens without an end are allowed.
     token_days_default: int = 0
     token_days_max: int = 0
     checksum: str

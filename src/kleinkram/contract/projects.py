@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import Self
 
 from kleinkram.contract.access import Right
-from kleinkram.contract.base import ETag, Request, Response, etag_of
+from kleinkram.contract.base import ETag, NamedRef, Request, Response, etag_of
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, MetadataFields
 from kleinkram.contract.names import Name, check_text
 from kleinkram.contract.people import PersonRef
@@ -22,11 +22,8 @@ Quota = Annotated[int, Field(ge=0, le=2**63 - 1)]
 FieldsYaml = Annotated[str, Field(max_length=MAX_YAML_CHARACTERS)]
 
 
-class ProjectRef(Response):
+class ProjectRef(NamedRef):
     """The id and name of a project."""
-
-    id: uuid.UUID
-    name: str
 
 
 class _FieldsInput(Request):

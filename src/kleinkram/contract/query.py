@@ -95,14 +95,14 @@ def quoted(value: str) -> str:
 
 
 def escaped(value: str, *, after: str) -> str:
-    """Return a value for the place after an operator, without quotes, which would make it text."""
+    """Return a value to write after an operator, without quotes, which would make it text."""
     safe = "".join(f"\\{character}" if character.isspace() or character == "\\" else character for character in value)
     reads_otherwise = safe.startswith('"') or (safe.startswith("=") and after in {"<", ">"})
     return f"\\{safe}" if reads_otherwise else safe
 
 
 def as_value(value: str) -> str:
-    """Return a value for the place after a key, in quotes if necessary."""
+    """Return a value to write after a key, in quotes if necessary."""
     return value if _is_plain(value) else quoted(value)
 
 
@@ -200,7 +200,7 @@ KEYS: Mapping[str, QueryKey] = {key.name: key for key in _KEYS}
 
 
 def is_glob(value: str) -> bool:
-    """Whether a value has wildcards."""
+    """Return whether a value has wildcards."""
     return "*" in value or "?" in value
 
 
@@ -309,7 +309,7 @@ def parse_term(text: str) -> FileFilter:
 
 
 class _QueryReader:
-    """The filter read so far, and the first word that set each of its fields."""
+    """Builds a filter from words; remembers the first word that set each field, for errors."""
 
     def __init__(self) -> None:
         self._values: dict[str, str] = {}

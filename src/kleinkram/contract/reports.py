@@ -1,6 +1,6 @@
 """The report of a run: findings, metrics, previews, and metadata that it proposes for the mission.
 
-`/out/report.json` holds a `Report`; while a run lasts, each line of `/out/.kleinkram/events.jsonl` is a `ReportEvent`.
+`/out/report.json` contains a `Report`; during a run, each line of `/out/.kleinkram/events.jsonl` is a `ReportEvent`.
 """
 
 import enum
@@ -29,7 +29,7 @@ LogTime = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class Severity(str, enum.Enum):
-    """How bad a finding is."""
+    """The severity of a finding."""
 
     info = "info"
     warning = "warning"
@@ -72,7 +72,7 @@ class PutBack(Request):
 
 
 class Report(Request):
-    """The whole report of a run. `metadata` is a proposal; a person accepts or ignores it."""
+    """The report of a run. `metadata` is a proposal; a person accepts or ignores it."""
 
     findings: Annotated[list[Finding], Field(max_length=MAX_FINDINGS)] = []
     metrics: Annotated[list[Metric], Field(max_length=MAX_METRICS)] = []
@@ -89,7 +89,7 @@ class Progress(Request):
 
 
 class ReportEvent(Request):
-    """A single report while the run lasts: exactly one field is set."""
+    """A single report during a run: exactly one field is set."""
 
     finding: Finding | None = None
     metric: Metric | None = None

@@ -59,7 +59,7 @@ class Capacity(Response):
 
 
 class RunnerRegistration(Request):
-    """A runner's description of itself, sent whenever it starts. `id` is permanent; its state directory holds it.
+    """A runner's description of itself, sent at each start. `id` is permanent, and stored in its state directory.
 
     `default_image` is the digest of the image that it runs scripts on; null where it has none.
     """

@@ -12,8 +12,8 @@ from kleinkram.contract.actions import ActionDefinition, Network, ParameterValue
 from kleinkram.contract.base import Request, Response
 from kleinkram.contract.files import FileRead, RecordingRead, TopicRead
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.missions import MissionRead, MissionRef
-from kleinkram.contract.names import Ids, Term
+from kleinkram.contract.missions import MissionRead, MissionRef, PlaceFilter
+from kleinkram.contract.names import Term
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.problems import ProblemDocument
 from kleinkram.contract.reports import Finding, Metric, Preview, Progress, Severity
@@ -23,7 +23,7 @@ MAX_LAUNCHED = 1000
 MAX_SAMPLES = 720
 # Metrics that a run in a list carries.
 MAX_LISTED_METRICS = 12
-# The most that is stored of the output of a run; the log says where it was cut.
+# The maximum stored size of the output of a run; the log shows where it was truncated.
 LOG_BYTES = 100 * 2**20
 
 
@@ -131,12 +131,12 @@ class UsageSample(Response):
 
 
 class RunRead(Response):
-    """A run.
+    """A run of an action on a mission.
 
-    `reason`, `message` and `exit_code` say how it ended; `waits_for` why it is still queued. `image_digest` is of the
-    image that was run. `reuses_id` names the earlier run whose results this run reuses; it has none of its own.
-    `metrics` are the first reported ones, those of the whole run before those of single files; empty in a lineage.
-    `may_cancel`: the reader may cancel it, and it has not ended.
+    `reason`, `message` and `exit_code` describe how it ended, `waits_for` why it is still queued. `image_digest` is of
+    the image that was run. `reuses_id` is the earlier run whose results this run reuses; it has none of its own.
+    `metrics` are the first reported ones, those of the run before those of single files; empty in a lineage.
+    `may_cancel`: the caller may cancel it, and it has not ended.
     """
 
     id: uuid.UUID
@@ -205,16 +205,12 @@ class RunsCreated(Response):
     items: list[Annotated[RunCreated | RunRefused, Field(discriminator="outcome")]]
 
 
-class RunFilter(Request):
+class RunFilter(PlaceFilter):
     """A filter for runs: all criteria must match. `action` may be a glob of the name.
 
     Of several projects or missions, any may match.
     """
 
-    project_id: uuid.UUID | None = None
-    project_ids: Ids = []
-    mission_id: uuid.UUID | None = None
-    mission_ids: Ids = []
     action_id: uuid.UUID | None = None
     action: Term | None = None
     state: Annotated[list[RunState], Field(max_length=len(RunState))] = []
@@ -262,34 +258,29 @@ class ArtifactUrls(Response):
     items: list[ArtifactUrl]
 
 
-class FindingRead(Response):
-    """A finding and the run that reported it."""
-
+class _FromRun(Response):
     id: int
     run_id: uuid.UUID
     mission: MissionRef
     action: ActionRef
+
+
+class FindingRead(_FromRun):
+    """A finding and the run that reported it."""
+
     finding: Finding
 
 
-class MetricRead(Response):
+class MetricRead(_FromRun):
     """A metric and the run that reported it."""
 
-    id: int
-    run_id: uuid.UUID
-    mission: MissionRef
-    action: ActionRef
     metric: Metric
 
 
-class ReportFilter(Request):
+class ReportFilter(PlaceFilter):
     """A filter for findings or metrics. `code` (or a metric's name) may be a glob."""
 
     run_id: uuid.UUID | None = None
-    mission_id: uuid.UUID | None = None
-    mission_ids: Ids = []
-    project_id: uuid.UUID | None = None
-    project_ids: Ids = []
     code: Term | None = None
     severity: Annotated[list[Severity], Field(max_length=len(Severity))] = []
 
@@ -297,7 +288,7 @@ class ReportFilter(Request):
 class LogChunkRead(Response):
     """A chunk of the log of a run from the byte `offset` on; the next one begins at `next_offset`.
 
-    It ends with a whole line, unless the log ends or the line is very long. `is_over`: the log ends at `next_offset`.
+    It ends with a complete line, unless the log ends or the line is very long. `is_over`: the log ends there.
     """
 
     attempt: int

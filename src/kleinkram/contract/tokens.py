@@ -44,7 +44,7 @@ def with_checksum(text: str) -> str:
 
 
 def has_valid_checksum(secret: str) -> bool:
-    """Whether a secret has the right form and checksum; it may still be revoked, or never have been issued."""
+    """Return whether a secret has the right form and checksum; it may still be revoked, or never have been issued."""
     return _PATTERN.fullmatch(secret) is not None and with_checksum(secret[:-CHECKSUM_CHARACTERS]) == secret
 
 
@@ -152,7 +152,7 @@ MAX_SHARED_FILES = 2_000
 
 
 def is_link(text: str) -> bool:
-    """Whether a text is the address of a share link."""
+    """Return whether a text is the address of a share link."""
     return text.startswith(("http://", "https://")) and f"{SHARE_PAGE}#" in text
 
 
@@ -167,7 +167,7 @@ class ShareCreate(Request):
 class ShareRead(Response):
     """A link without its secret; `prefix` is the beginning of the secret.
 
-    `file_count` is null for a link to a whole mission. Downloads count each file whose URL was requested.
+    `file_count` is null for a link to all files of a mission. Downloads count each file whose URL was requested.
     """
 
     id: uuid.UUID

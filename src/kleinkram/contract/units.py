@@ -85,8 +85,16 @@ def read_time(text: str) -> datetime.datetime:
 
     Raises ValueError.
     """
+    text = text.strip()
     try:
-        return _read_time(text.strip())
+        if date := _DATE.fullmatch(text):
+            return datetime.datetime(int(date["year"]), int(date["month"] or 1), int(date["day"] or 1), tzinfo=_UTC)
+        text = text[:-1] + "+00:00" if text[-1:] in {"Z", "z"} else text
+        if (zone := _ZONE.search(text)) and len(zone[0]) < len("+00:00"):
+            hours, minutes = zone[0][:3], zone[0][3:].lstrip(":") or "00"
+            text = f"{text[: zone.start()]}{hours}:{minutes}"
+        at = datetime.datetime.fromisoformat(text)
+        return at.astimezone(_UTC) if at.tzinfo else at.replace(tzinfo=_UTC)
     except (ValueError, OverflowError):
         raise ValueError("write a time as 2026, 2026-05, 2026-05-01 or 2026-05-01T10:00Z") from None
 
@@ -107,17 +115,6 @@ def read_month(text: str) -> str:
     if _MONTH.fullmatch(text) is None:
         raise ValueError("write a month as 2026-05")
     return text
-
-
-def _read_time(text: str) -> datetime.datetime:
-    if date := _DATE.fullmatch(text):
-        return datetime.datetime(int(date["year"]), int(date["month"] or 1), int(date["day"] or 1), tzinfo=_UTC)
-    text = text[:-1] + "+00:00" if text[-1:] in {"Z", "z"} else text
-    if (zone := _ZONE.search(text)) and len(zone[0]) < len("+00:00"):
-        hours, minutes = zone[0][:3], zone[0][3:].lstrip(":") or "00"
-        text = f"{text[: zone.start()]}{hours}:{minutes}"
-    at = datetime.datetime.fromisoformat(text)
-    return at.astimezone(_UTC) if at.tzinfo else at.replace(tzinfo=_UTC)
 
 
 def _format(number: int, units: Mapping[str, int]) -> str:

@@ -14,7 +14,7 @@ from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import FilePath
 from kleinkram.contract.problems import ProblemDocument
 
-# The least that S3 takes. A part that did not arrive whole is sent again, which is dear on a slow link.
+# The minimum of S3. An incomplete part is sent again, so small parts waste less on a slow link.
 MIN_PART_BYTES = 5 * 1024 * 1024
 MAX_PARTS = 10_000
 MAX_FILE_BYTES = 5 * 1024**4
@@ -26,7 +26,7 @@ PartNumber = Annotated[int, Field(ge=1, le=MAX_PARTS)]
 
 
 def part_size_bytes(file_size_bytes: int) -> int:
-    """Return the part size of a file: a function of its size alone, so that every client cuts alike.
+    """Return the part size of a file. It depends only on the file size, so that all clients use the same parts.
 
     5 MiB up to 40 GiB, then the smallest multiple of 5 MiB that needs no more than 8 192 parts (S3 allows 10 000).
     """
@@ -50,7 +50,7 @@ CHECKSUM_HEX_DIGITS = {ChecksumKind.crc64nvme: 16, ChecksumKind.sha256: 64, Chec
 
 
 class UploadState(str, enum.Enum):
-    """`open` takes parts, `completing` is being finished by the server, the others are ends."""
+    """`open` accepts parts, the server finishes one that is `completing`; the others are final."""
 
     open = "open"
     completing = "completing"
@@ -60,10 +60,10 @@ class UploadState(str, enum.Enum):
 
 
 class UploadFile(Request):
-    """One file that a client wants to upload. Hashes where they are known already, lower-case hex.
+    """One file to upload. The hashes are lower-case hex, and may be left out if they are not known yet.
 
-    Clients send both hashes of small files at once: most are then decided in one response, which also contains the
-    URL of the part where there is only one.
+    Clients announce small files with both hashes: then one response decides about most of them, and contains the URL
+    of a file's only part.
     `upload_id` resumes an earlier upload of the same path and size, or starts one with that id. Repeating a request
     with the same id therefore returns the upload that the first request created.
     """
@@ -82,7 +82,7 @@ class UploadBegin(Request):
 
 
 class StoredPart(Response):
-    """A part that the store already holds."""
+    """A part that the store has."""
 
     number: PartNumber
     size_bytes: int
@@ -90,7 +90,7 @@ class StoredPart(Response):
 
 
 class UploadRead(Response):
-    """An upload under way. `parts` are those the store holds, in order; empty for one that has just begun."""
+    """An upload. `parts` are those that the store has, in order."""
 
     id: uuid.UUID
     mission_id: uuid.UUID
@@ -117,7 +117,7 @@ class SignedPart(Response):
 class UploadRequired(Response):
     """Send the parts that `upload` does not list.
 
-    `part` is where the only part of a file goes, signed for the checksum that was announced; else ask for addresses.
+    `part`: the URL of the file's only part, signed for the announced checksum. Otherwise, request URLs of the parts.
     """
 
     decision: Literal["upload"] = "upload"
@@ -126,21 +126,21 @@ class UploadRequired(Response):
 
 
 class AlreadyPresent(Response):
-    """The mission already has this very file under this name: nothing to send. `file` is null for who may not read."""
+    """The mission already has this file. Send nothing. `file` is null without the right to read."""
 
     decision: Literal["already_present"] = "already_present"
     file: FileRead | None
 
 
 class Deduplicated(Response):
-    """The same bytes are kept already and you may read them: the file now exists, nothing to send."""
+    """The server already has these bytes, and you may read them. The file now exists; send nothing."""
 
     decision: Literal["deduplicated"] = "deduplicated"
     file: FileRead
 
 
 class HashRequired(Response):
-    """Something of this name or size is kept already: ask again with the sha256."""
+    """The server has a file with this name or size. Announce the file again with its sha256."""
 
     decision: Literal["hash_required"] = "hash_required"
     path: str
@@ -160,13 +160,13 @@ UploadDecision = Annotated[
 
 
 class UploadDecisions(Response):
-    """One decision a file, in the order asked."""
+    """One decision per file, in the order of the request."""
 
     items: list[UploadDecision]
 
 
 class PartToSign(Request):
-    """A part about to be sent, with its checksum in lower-case hex (of the kind that the upload names)."""
+    """A part to send, with its checksum in lower-case hex, of the kind that the upload specifies."""
 
     upload_id: uuid.UUID
     number: PartNumber
@@ -174,25 +174,25 @@ class PartToSign(Request):
 
 
 class PartsSign(Request):
-    """Parts to sign, of one or several uploads: many small files take one request."""
+    """Parts to sign, of one or several uploads."""
 
     parts: Annotated[list[PartToSign], Field(min_length=1, max_length=MAX_FILES_PER_REQUEST)]
 
     @model_validator(mode="after")
     def _each_part_once(self) -> Self:
         if len({(part.upload_id, part.number) for part in self.parts}) < len(self.parts):
-            raise ValueError("a part is asked for twice; one part has one checksum")
+            raise ValueError("a part is listed twice")
         return self
 
 
 class SignedParts(Response):
-    """Signed parts, in the order asked; asking also renews the leases of their uploads."""
+    """Signed parts, in the order of the request, which also renewed the leases of their uploads."""
 
     items: list[SignedPart]
 
 
 class UploadFinish(Request):
-    """An upload whose parts are all sent; the hashes are of the whole file."""
+    """An upload whose parts are all sent, and the hashes of the file."""
 
     upload_id: uuid.UUID
     sha256: Sha256
@@ -206,7 +206,7 @@ class UploadsComplete(Request):
 
 
 class Completed(Response):
-    """The store agreed; the file exists. It is null for who may not read, where another brought the same bytes."""
+    """The upload is complete and the file exists. `file` is null without the right to read."""
 
     outcome: Literal["completed"] = "completed"
     upload_id: uuid.UUID
@@ -225,7 +225,7 @@ UploadOutcome = Annotated[Completed | NotCompleted, Field(discriminator="outcome
 
 
 class UploadOutcomes(Response):
-    """One outcome an upload, in the order asked."""
+    """One outcome per upload, in the order of the request."""
 
     items: list[UploadOutcome]
 
@@ -239,5 +239,5 @@ def crc64nvme(data: bytes | memoryview, value: int = 0) -> int:
 
 
 def combine_crc64nvme(first: int, second: int, second_bytes: int) -> int:
-    """Return the CRC-64/NVME of two byte strings one after the other; `second_bytes` is the size of the second."""
+    """Return the CRC-64/NVME of two concatenated byte strings; `second_bytes` is the size of the second."""
     return int(_MODEL.combine(first, second, second_bytes))

@@ -13,7 +13,7 @@ import urllib3
 
 from kleinkram.client._http import Backoff
 from kleinkram.client.runs import Runners
-from kleinkram.client.transfer.store import PATIENCE_S, StoreAnswer, StoreClient
+from kleinkram.client.transfer.store import TRANSFER_RETRY_S, StoreAnswer, StoreClient
 from kleinkram.contract.actions import Network
 from kleinkram.contract.errors import FileUnavailable, InvalidRequest, KleinkramError, NotFound, RunGone
 from kleinkram.contract.names import check_file_path
@@ -142,7 +142,7 @@ class InputDownload:
     """Downloads the inputs of one run by signed URLs, and resumes broken downloads. `store` is shared by all runs."""
 
     def __init__(self, runners: Runners, store: StoreClient, assignment: RunAssignment, stop: StopSignal) -> None:
-        self._runners = runners.with_patience(PATIENCE_S, stop.wait)
+        self._runners = runners.with_retry(TRANSFER_RETRY_S, stop.wait)
         self._store = store
         self._assignment = assignment
         self._stop = stop
@@ -194,7 +194,7 @@ class InputDownload:
 
     def _receive(self, part: PartialInput, path: str, check: Callable[[], None]) -> None:
         """Receive the missing bytes of a file, from where the last connection broke."""
-        backoff, refusals = Backoff(PATIENCE_S, self._stop.wait), 0
+        backoff, refusals = Backoff(TRANSFER_RETRY_S, self._stop.wait), 0
         while part.offset < part.file.size_bytes:
             check()
             before = part.offset
@@ -208,7 +208,7 @@ class InputDownload:
             finally:
                 answer.close()
             if part.offset > before:
-                backoff = Backoff(PATIENCE_S, self._stop.wait)
+                backoff = Backoff(TRANSFER_RETRY_S, self._stop.wait)
             elif answer.answer is StoreAnswer.sign_again and refusals < _MAX_REFUSALS:
                 refusals += 1
                 self._sign([path])

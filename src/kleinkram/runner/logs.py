@@ -95,7 +95,7 @@ class LogUpload:
         redactor: Redactor,
     ) -> None:
         self._executor = executor
-        self._runners = runners.with_patience(_RETRY_S, self._wait)
+        self._runners = runners.with_retry(_RETRY_S, self._wait)
         self._store = store
         self._assignment = assignment
         self._path = directory / LOG_UPLOAD

@@ -22,8 +22,8 @@ from pydantic import ValidationError
 from kleinkram.client._http import Backoff
 from kleinkram.client.errors import ServerUnreachable, StoreTroubled, StoreUnreachable
 from kleinkram.client.transfer.plan import LocalFile, identity_of
+from kleinkram.client.transfer.pool import RateLimit
 from kleinkram.client.transfer.report import TransferResult, Watcher
-from kleinkram.client.transfer.threads import RateLimit
 from kleinkram.client.transfer.upload import Uploader
 from kleinkram.contract import errors, reports
 from kleinkram.contract.metadata import check_values
@@ -396,7 +396,7 @@ class ResultUpload:
         run_id = self._assignment.run_id
         while True:
             try:
-                self._context.runners.with_patience(math.inf, self._stop.wait).finish(run_id, finish)
+                self._context.runners.with_retry(math.inf, self._stop.wait).finish(run_id, finish)
                 return
             except errors.RunGone:  # noqa: PERF203  (each round is a request)
                 raise
@@ -447,12 +447,13 @@ class ResultUpload:
             self._context.runners.uploads(run_id, self._assignment.attempt),
             self._context.url,
             run_id,
+            connections=min(_CONNECTIONS, len(files)),
             pace=RateLimit(None),
             watcher=Watcher(),
             ended=results.append,
             journals=self._job.directory / _JOURNALS,
         )
-        self._uploader.run(files, min(_CONNECTIONS, len(files)))
+        self._uploader.run(files)
         return [
             RejectedFile(result.path, str(result.error), is_temporary=isinstance(result.error, StoreTroubled))
             for result in results

@@ -4,10 +4,11 @@ A request has one transaction by default: committed when the route returns, roll
 the object store opens several with `Database.begin`; reads can do without a transaction (`Database.autocommit`).
 """
 
+import hashlib
 import select
 from collections.abc import AsyncIterator, Iterable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager
-from typing import Any
+from typing import Any, overload
 
 import psycopg
 from psycopg.types.array import ListBinaryDumper
@@ -44,6 +45,8 @@ from kleinkram.server.settings import Settings, async_dsn
 STATEMENT_TIMEOUT_S = 30
 _POOL_TIMEOUT_S = 20
 _DISK_FULL = "its disk is full: free space on the server"
+# A row of an index holds 2704 bytes: a topic's name and type together stay well below.
+_MAX_TEXT_BYTES = 1000
 # The first parameter of services: an open transaction that they must not end.
 Connection = AsyncConnection
 
@@ -192,3 +195,20 @@ def upsert_rows(table: Table, rows: Sequence[Mapping[str, Any]]) -> postgresql.I
 
 def _select_rows(table: Table, rows: Sequence[Mapping[str, Any]]) -> Select[Any]:
     return sql_select(unnest_rows([table.c[key] for key in rows[0]], rows))
+
+
+@overload
+def fit_text(text: str) -> str: ...
+@overload
+def fit_text(text: None) -> None: ...
+def fit_text(text: str | None) -> str | None:
+    """Return `text` without what PostgreSQL cannot store (NUL, lone surrogates), at most 1000 bytes of UTF-8.
+
+    Longer text is cut and ends with a hash of the whole, so that different texts stay different.
+    """
+    if text is None:
+        return None
+    whole = text.encode("utf-8", "backslashreplace").replace(b"\0", b"\\0")
+    if len(whole) > _MAX_TEXT_BYTES:
+        whole = whole[: _MAX_TEXT_BYTES - 20] + b"..." + hashlib.sha256(whole).hexdigest()[:16].encode()
+    return whole.decode("utf-8", "ignore")

@@ -28,8 +28,6 @@ from kleinkram.standalone.data_dir import (
     write_private,
 )
 from kleinkram.standalone.errors import DataDirUnusable, NotRunning, StandaloneError
-from kleinkram.standalone.object_store import StoreAccess
-from kleinkram.standalone.postgres import MIGRATE, SERVE, role_url
 from kleinkram.standalone.processes import end_marked_processes, spawn_in_terminal
 from kleinkram.standalone.services import UpOptions, backup_environment, make_plan
 from kleinkram.standalone.supervisor import EndRequested, Supervisor, pause, watch_signals
@@ -97,10 +95,12 @@ def _data_services(data_dir: DataDir) -> Iterator[dict[str, str]]:
     """Run database and store; yields their settings. The caller holds the lock."""
     end_marked_processes(data_dir.root)
     supervisor = Supervisor(make_plan(UpOptions(data_dir.root, with_runner=False)))
-    cluster, store = supervisor.plan.postgres, supervisor.plan.store
     try:
         supervisor.start_data_services()
-        yield backup_environment(cluster.url(SERVE), cluster.url(MIGRATE), store.access)
+        plan = supervisor.plan
+        yield backup_environment(
+            load_secrets(data_dir), postgres_port=plan.postgres.port, store_port=plan.store.ports["s3"]
+        )
     finally:
         supervisor.stop()
 
@@ -114,13 +114,8 @@ def _running_environment(data_dir: DataDir) -> dict[str, str]:
     info = load_runtime_info(data_dir)
     if info is None:
         raise NotRunning(f"Kleinkram on {data_dir.root} is still starting: try again once it answers.")
-    secrets, port = load_secrets(data_dir), info.ports["postgres"]
     store_port = info.ports["s3" if "proxy" in info.services else "store"]
-    return backup_environment(
-        role_url(SERVE, secrets.postgres_serve, port),
-        role_url(MIGRATE, secrets.postgres_migrate, port),
-        StoreAccess(f"http://127.0.0.1:{store_port}", secrets.s3_access_key, secrets.s3_secret_key),
-    )
+    return backup_environment(load_secrets(data_dir), postgres_port=info.ports["postgres"], store_port=store_port)
 
 
 def _run(task: BackupTask, environment: dict[str, str]) -> int:

@@ -115,7 +115,7 @@ def _programs() -> Iterator[CheckResult]:
 def _folder(data_dir: DataDir) -> CheckResult:
     check, root = "data directory", data_dir.root
     if not data_dir.lock_file.exists():
-        return problem(check, f"There is none at {root}.", "`klein up` makes it.")
+        return problem(check, f"There is none at {root}.", "`klein up` creates it.")
     if not os.access(root, os.R_OK | os.W_OK | os.X_OK):
         return problem(check, f"{root} cannot be written.", "Run as the user that owns it.")
     if root.stat().st_mode & 0o066:
@@ -150,7 +150,7 @@ def _postgres_major() -> int | None:
 def _token(data_dir: DataDir) -> CheckResult:
     check, token = "owner token", data_dir.token_file
     if not token.exists():
-        return problem(check, f"{token} is not there.", "`klein up` makes a new one.")
+        return problem(check, f"{token} does not exist.", "`klein up` creates a new one.")
     if token.stat().st_mode & 0o077:
         return problem(check, f"{token} can be read by others.", f"Run `chmod 600 {token}`.")
     return ok(check, "Readable by its owner only.")

@@ -5,6 +5,7 @@ can reach its other ports: master and filer serve no HTTP there, and volumes acc
 gRPC ports, which no page can use, have no authentication: accounts of this machine are trusted that far.
 """
 
+import contextlib
 import hashlib
 import hmac
 import importlib.metadata
@@ -149,6 +150,14 @@ def start(store: StoreFolder, *, extra: Sequence[str] = ()) -> "subprocess.Popen
             directory=store.folder,  # weed reads a security.toml from its working directory
         )
     )
+
+
+def remove_sockets(store: StoreFolder) -> None:
+    """Remove the sockets that weed creates in /tmp, for which it has no flag, and leaves there when it ends."""
+    for service in _SERVICES:
+        port = store.ports.get(f"{service}_grpc", store.ports[service] + 10_000)
+        with contextlib.suppress(OSError):
+            Path(f"/tmp/seaweedfs-{service}-grpc-{port}.sock").unlink()  # noqa: S108  (weed's path)
 
 
 def request(access: StoreAccess, method: str, path: str, *, body: bytes = b"", timeout_s: float = 5) -> HttpResponse:

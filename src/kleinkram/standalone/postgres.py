@@ -73,29 +73,19 @@ class PostgresBinaries:
 
 
 @dataclass(frozen=True)
-class PostgresPasswords:
-    """One password per role."""
-
-    admin: str
-    migrate: str
-    serve: str
-
-
-@dataclass(frozen=True)
 class PostgresCluster:
-    """One private PostgreSQL: its programs, folders, port and passwords."""
+    """One private PostgreSQL: its programs, folders, port, and passwords by role."""
 
     binaries: PostgresBinaries
     data_dir: Path
     folder: Path
     log: Path
     port: int
-    passwords: PostgresPasswords
+    passwords: Mapping[str, str]
 
     def url(self, role: str, database: str = DATABASE) -> str:
         """Return the `postgresql://` URL of a database for one of the three roles."""
-        password = {ADMIN: self.passwords.admin, MIGRATE: self.passwords.migrate, SERVE: self.passwords.serve}[role]
-        return role_url(role, password, self.port, database)
+        return role_url(role, self.passwords[role], self.port, database)
 
 
 def locate_postgres() -> PostgresBinaries:
@@ -154,7 +144,7 @@ def initialise(cluster: PostgresCluster) -> None:
     password_file = cluster.data_dir / ".initdb-password"
     password_file.touch(mode=0o600)
     try:
-        password_file.write_text(cluster.passwords.admin)
+        password_file.write_text(cluster.passwords[ADMIN])
         locale = ["--locale=C", "--locale-provider=builtin", "--builtin-locale=C.UTF-8"]
         if cluster.binaries.major < 17:
             locale = ["--locale=C.UTF-8"]
@@ -214,15 +204,14 @@ def prepare_database(cluster: PostgresCluster) -> None:
     Raises:
         ServiceFailed: PostgreSQL refused.
     """
-    passwords = cluster.passwords
     # Names are constants, passwords hexadecimal: nothing here can end a literal.
     script = f"""
         DO $$ BEGIN
           IF NOT EXISTS (SELECT FROM pg_roles WHERE rolname = '{MIGRATE}') THEN CREATE ROLE {MIGRATE} LOGIN; END IF;
           IF NOT EXISTS (SELECT FROM pg_roles WHERE rolname = '{SERVE}') THEN CREATE ROLE {SERVE} LOGIN; END IF;
         END $$;
-        ALTER ROLE {MIGRATE} PASSWORD '{passwords.migrate}';
-        ALTER ROLE {SERVE} PASSWORD '{passwords.serve}';
+        ALTER ROLE {MIGRATE} PASSWORD '{cluster.passwords[MIGRATE]}';
+        ALTER ROLE {SERVE} PASSWORD '{cluster.passwords[SERVE]}';
         SELECT 'CREATE DATABASE {DATABASE} OWNER {MIGRATE}'
           WHERE NOT EXISTS (SELECT FROM pg_database WHERE datname = '{DATABASE}') \\gexec
         REVOKE ALL ON DATABASE {DATABASE} FROM PUBLIC;
@@ -246,7 +235,7 @@ def run_sql(cluster: PostgresCluster, script: str, *, database: str = "postgres"
         capture_output=True,
         text=True,
         check=False,
-        env={"PGPASSWORD": cluster.passwords.admin, "PGCONNECT_TIMEOUT": "10"},
+        env={"PGPASSWORD": cluster.passwords[ADMIN], "PGCONNECT_TIMEOUT": "10"},
     )
     if done.returncode != 0:
         raise ServiceFailed(f"PostgreSQL on port {cluster.port} refused: {done.stderr.strip()} (log: {cluster.log})")

@@ -12,10 +12,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from kleinkram.standalone.address import METRICS_PORTS, Listening, assign_ports, check_listening, public_urls
-from kleinkram.standalone.data_dir import DataDir, ensure_owner_token, load_ports, load_secrets, write_private
+from kleinkram.standalone.data_dir import DataDir, Secrets, ensure_owner_token, load_ports, load_secrets, write_private
 from kleinkram.standalone.http_client import bundle_with
 from kleinkram.standalone.object_store import BUCKET, PORT_NAMES, StoreAccess, StoreFolder, locate_weed
-from kleinkram.standalone.postgres import MIGRATE, SERVE, PostgresCluster, PostgresPasswords, locate_postgres
+from kleinkram.standalone.postgres import ADMIN, MIGRATE, SERVE, PostgresCluster, locate_postgres, role_url
 from kleinkram.standalone.processes import ChildCommand, kill_group, stop
 
 SERVER = (sys.executable, "-m", "kleinkram.server")
@@ -182,7 +182,11 @@ def make_plan(options: UpOptions) -> Plan:
             folder=data_dir.postgres,
             log=data_dir.log("postgres"),
             port=ports["postgres"],
-            passwords=PostgresPasswords(secrets.postgres_admin, secrets.postgres_migrate, secrets.postgres_serve),
+            passwords={
+                ADMIN: secrets.postgres_admin,
+                MIGRATE: secrets.postgres_migrate,
+                SERVE: secrets.postgres_serve,
+            },
         ),
         store=StoreFolder(
             program=weed,
@@ -198,10 +202,14 @@ def make_plan(options: UpOptions) -> Plan:
     )
 
 
-def backup_environment(serve_url: str, migrate_url: str, access: StoreAccess) -> dict[str, str]:
+def backup_environment(secrets: Secrets, *, postgres_port: int, store_port: int) -> dict[str, str]:
     """Return the settings of database, for both roles, and store."""
-    urls = {"KLEINKRAM_DATABASE_URL": serve_url, "KLEINKRAM_MIGRATION_DATABASE_URL": migrate_url}
-    return {**urls, **_store_environment(access)}
+    access = StoreAccess(f"http://127.0.0.1:{store_port}", secrets.s3_access_key, secrets.s3_secret_key)
+    return {
+        "KLEINKRAM_DATABASE_URL": role_url(SERVE, secrets.postgres_serve, postgres_port),
+        "KLEINKRAM_MIGRATION_DATABASE_URL": role_url(MIGRATE, secrets.postgres_migrate, postgres_port),
+        **_store_environment(access),
+    }
 
 
 def _store_environment(access: StoreAccess) -> dict[str, str]:

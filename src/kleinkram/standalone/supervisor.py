@@ -178,7 +178,7 @@ class Supervisor:
 
         Raises:
             StandaloneError: a service ended or was not ready in time.
-            EndRequested: the end was requested meanwhile.
+            EndRequested: the end was requested.
         """
         plan = self.plan
         self._api_may_begin = False
@@ -208,7 +208,7 @@ class Supervisor:
 
         Raises:
             StandaloneError: one ended or was not ready in time.
-            EndRequested: the end was requested meanwhile.
+            EndRequested: the end was requested.
         """
         self._launch_data_services()
         self._wait_for_postgres()
@@ -240,6 +240,7 @@ class Supervisor:
         for name in _STOP_ORDER:
             if service := self.services.pop(name, None):
                 service.stop()
+        object_store.remove_sockets(self.plan.store)
         self.plan.data_dir.runtime_file.unlink(missing_ok=True)
 
     def runtime_info(self) -> RuntimeInfo:
@@ -392,7 +393,7 @@ def _log(sentence: str) -> None:
 
 
 def _log_taken(ports: list[str]) -> None:
-    _log(f"another program took {' and '.join(ports)} meanwhile: starting again on other ports")
+    _log(f"another program took {' and '.join(ports)}: starting again on other ports")
 
 
 def _print_address(supervisor: Supervisor, options: UpOptions) -> None:

@@ -12,7 +12,6 @@ from typing import Any
 import psycopg
 
 from kleinkram.server.backup.operations import (
-    BackupOptions,
     CreatedBackup,
     Pruned,
     Restored,
@@ -23,6 +22,7 @@ from kleinkram.server.backup.operations import (
     verify,
 )
 from kleinkram.server.backup.rclone import Rclone
+from kleinkram.server.backup.repository import Repository, make_repository, open_repository
 from kleinkram.server.s3.storage import Storage, open_storage
 from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.api_server import Api
@@ -47,28 +47,33 @@ def back_up(
     bytes_per_s: float | None = None,
 ) -> CreatedBackup:
     """Make a backup."""
-    return create(settings, _options(place, passphrase, bytes_per_s), encrypt=encrypt)
+    repository = make_repository(str(place), passphrase, Rclone({}, 4, bytes_per_s), encrypt=encrypt)
+    return create(settings, repository, _show_nothing)
 
 
 def verify_place(place: object, *, passphrase: str | None = None, read_all: bool = True) -> Verification:
     """Verify backups, by default every byte."""
-    return verify(_options(place, passphrase), None, read_all=read_all)
+    return verify(_opened(place, passphrase), None, _show_nothing, read_all=read_all)
 
 
 def restore_to(
     settings: Settings, place: object, *, passphrase: str | None = None, snapshot_id: str | None = None
 ) -> Restored:
     """Restore a backup."""
-    return restore(settings, _options(place, passphrase), snapshot_id)
+    return restore(settings, _opened(place, passphrase), snapshot_id, _show_nothing)
 
 
 def prune_place(place: object, *, keep: int, passphrase: str | None = None) -> Pruned:
     """Prune backups."""
-    return prune(_options(place, passphrase), keep=keep)
+    return prune(_opened(place, passphrase), keep=keep)
 
 
-def _options(place: object, passphrase: str | None, bytes_per_s: float | None = None) -> BackupOptions:
-    return BackupOptions(str(place), passphrase, Rclone({}, 4, bytes_per_s), quiet=True)
+def _opened(place: object, passphrase: str | None) -> Repository:
+    return open_repository(str(place), passphrase, Rclone({}, 4))
+
+
+def _show_nothing(_: str) -> None:
+    """Show no progress."""
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,13 @@ import os
 import subprocess
 import time
 from pathlib import Path
-from typing import Any
 
 import psycopg
 import pytest
 
 from kleinkram.server.backup import database as backup_database
 from kleinkram.server.backup import lock as lock_module
+from kleinkram.server.backup import operations
 from kleinkram.server.backup.database import deletion_lock
 from kleinkram.server.backup.errors import (
     BackupConflict,
@@ -21,7 +21,8 @@ from kleinkram.server.backup.errors import (
     BackupUnreachable,
     PassphraseWrong,
 )
-from kleinkram.server.backup.operations import _Creation
+from kleinkram.server.backup.objects import ObjectIndex
+from kleinkram.server.backup.operations import Messages
 from kleinkram.server.backup.rclone import Rclone
 from kleinkram.server.backup.repository import open_repository
 from kleinkram.server.maintenance import collect_garbage
@@ -102,7 +103,7 @@ def test_encrypted_backups_reveal_nothing_and_can_be_restored(
     with pytest.raises(BackupRequestInvalid, match="needs a passphrase"):
         back_up(source, tmp_path, encrypt=True)
     made = back_up(source, tmp_path, encrypt=True, passphrase="horse staple")
-    assert back_up(source, tmp_path, passphrase="horse staple").copied == 0
+    assert back_up(source, tmp_path, passphrase="horse staple").copied.count == 0
     known = {made.snapshot.id, *(Path(key).name for key in contents(source))}
     files = [path for path in tmp_path.rglob("*") if path.is_file()]
     assert not {path.name for path in files} & known
@@ -175,8 +176,8 @@ def test_backups_in_a_bucket(
             back_up(source, place)
     with pytest.raises(BackupNotFound):
         verify_place(place)
-    assert back_up(source, place, encrypt=True, passphrase="p").copied == 7
-    assert back_up(source, place, encrypt=True, passphrase="p").copied == 0
+    assert back_up(source, place, encrypt=True, passphrase="p").copied.count == 7
+    assert back_up(source, place, encrypt=True, passphrase="p").copied.count == 0
     assert prune_place(place, keep=1, passphrase="p").remaining
     result = verify_place(place, passphrase="p")
     assert (result.damage.first, result.snapshots, result.unused) == ([], 1, 0)
@@ -191,7 +192,7 @@ def test_a_process_that_lost_its_lock_completes_and_removes_nothing(
     source = settings_of(populated)
     first = back_up(source, bucket_location)
     repository = open_repository(bucket_location, None, Rclone())
-    problems = _Creation._problems
+    find_problems = operations._find_problems
 
     def another_takes_over() -> None:
         """Another process comes after ten minutes of silence."""
@@ -200,9 +201,9 @@ def test_a_process_that_lost_its_lock_completes_and_removes_nothing(
             with repository.locked():
                 pass
 
-    def take_over(self: _Creation) -> Any:
+    def take_over(index: ObjectIndex, dsn: str) -> Messages:
         another_takes_over()
-        return problems(self)
+        return find_problems(index, dsn)
 
     with repository.locked(), pytest.raises(BackupConflict, match="Another process"):
         back_up(source, bucket_location)
@@ -211,7 +212,7 @@ def test_a_process_that_lost_its_lock_completes_and_removes_nothing(
         another_takes_over()
         with pytest.raises(BackupConflict, match="another may have changed"):
             confirm()
-    monkeypatch.setattr(_Creation, "_problems", take_over)
+    monkeypatch.setattr(operations, "_find_problems", take_over)
     with pytest.raises(BackupConflict, match="another may have changed"):
         back_up(source, bucket_location)
     assert repository.snapshot_ids() == [first.snapshot.id]
@@ -223,7 +224,7 @@ def test_a_lock_of_a_dead_process_of_this_machine_is_removed(bucket_location: st
     repository = open_repository(bucket_location, None, Rclone())
     left = f"{lock_module._host()}.{2**22 - 1}.1.abc"
     repository.rclone.write(f"{repository.root}/locks/{left}", b"lock")
-    assert back_up(source, bucket_location).copied == 0
+    assert back_up(source, bucket_location).copied.count == 0
 
 
 @pytest.mark.parametrize("path", ["unfinished/thesis.tex", "lockers.csv", "objects/field-day.bag"])
@@ -254,7 +255,7 @@ def test_files_of_an_unfinished_backup_are_removed_by_the_next(populated: Api, t
     half.write_text("half")
     made = back_up(settings_of(populated), tmp_path)
     assert not half.exists()
-    assert made.copied == 0
+    assert made.copied.count == 0
 
 
 def test_backups_of_another_format_are_refused(tmp_path: Path) -> None:
@@ -302,17 +303,17 @@ def test_no_garbage_is_collected_while_a_backup_copies(start_api: StartApi) -> N
 def test_a_deletion_lock_that_the_database_ended_makes_no_backup(
     populated: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    problems = _Creation._problems
+    find_problems = operations._find_problems
 
-    def disconnect(self: _Creation) -> Any:
+    def disconnect(index: ObjectIndex, dsn: str) -> Messages:
         """Let the database end the connections of backups, as when it is restarted."""
-        result = problems(self)
+        result = find_problems(index, dsn)
         query = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = 'kleinkram backup'"
         with psycopg.connect(plain_dsn(settings_of(populated).database_url)) as other:
             other.execute(f"{query} AND datname = current_database()")
         return result
 
-    monkeypatch.setattr(_Creation, "_problems", disconnect)
+    monkeypatch.setattr(operations, "_find_problems", disconnect)
     with pytest.raises(BackupUnreachable, match="kept objects from being deleted"):
         back_up(settings_of(populated), tmp_path)
     assert not any(tmp_path.glob("snapshots/*.json"))

@@ -95,7 +95,7 @@ def test_a_truncated_object_is_corrupt_with_a_reason(api: Api, mission_id: str) 
     _put(api, _key(api, file["id"]), body[:1000])
     assert _counts(_scrub(api)) == (0, 1, 0)
     read = _read(api, file)
-    assert (read["state"], read["state_reason"]) == ("corrupt", "it has 1000 bytes, and came with 3000")
+    assert (read["state"], read["state_reason"]) == ("corrupt", "it has 1000 bytes instead of 3000")
 
 
 @pytest.mark.parametrize("was", ["lost", "corrupt"])
@@ -153,7 +153,7 @@ def test_old_verifications_are_repeated_oldest_first_in_batches(
 
 
 @pytest.mark.parametrize("how", ["empty", pytest.param("another", marks=pytest.mark.slow)])
-def test_another_store_marks_nothing_until_somebody_says_so(start_api: StartApi, how: str) -> None:
+def test_another_store_marks_nothing_until_losses_are_accepted(start_api: StartApi, how: str) -> None:
     api = start_api()
     mission_id = str(api.mission(api.project()["id"])["id"])
     files = _verified(api, mission_id, 12)
@@ -265,7 +265,7 @@ def test_one_at_a_time_and_each_when_it_is_due(start_api: StartApi) -> None:
     assert forceful["id"] != first["id"]
     run_jobs(api)
     assert api.get("/admin/scrub").ok()["last"]["id"] == forceful["id"]
-    assert "and replaced it" in api.sql("SELECT aborted_reason FROM scrub WHERE id = %s", first["id"])[0][0]
+    assert "replaced this one" in api.sql("SELECT aborted_reason FROM scrub WHERE id = %s", first["id"])[0][0]
 
     def due(hours: float) -> int:
         async def look(context: AppContext) -> None:

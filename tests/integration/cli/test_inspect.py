@@ -29,18 +29,18 @@ def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     return int(ended.value.code or 0)
 
 
-def test_a_person_reads_what_is_in_it(
+def test_inspect_prints_topics_as_text(
     drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(monkeypatch, drive) == 0
     shown = capsys.readouterr().out
-    assert "indexed (whole)" in shown
+    assert "indexed (complete)" in shown
     assert "/imu" in shown
     assert run(monkeypatch, "--deep", drive) == 0
     assert "every byte checked" in capsys.readouterr().out
 
 
-def test_a_broken_file_is_an_answer(
+def test_inspecting_broken_files_exits_with_0(
     drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     drive.write_bytes(drive.read_bytes()[:-2000])
@@ -53,7 +53,7 @@ def test_a_broken_file_is_an_answer(
     assert cut["reason"]
 
 
-def test_a_missing_path_is_a_wrong_use(
+def test_a_missing_path_is_a_usage_error(
     drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(monkeypatch, drive, "/no/such/file.bag") == 2
@@ -62,14 +62,14 @@ def test_a_missing_path_is_a_wrong_use(
     assert items.out == ""
 
 
-def test_a_folder_without_recordings_says_so(
+def test_a_folder_without_recordings_prints_a_note(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(monkeypatch, tmp_path) == 0
     assert "no recordings" in capsys.readouterr().err
 
 
-def test_losses_and_problems_in_plain_words(capsys: pytest.CaptureFixture[str]) -> None:
+def test_losses_and_problems_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
     summary = RecordingSummary(
         RecordingFormat.rosbag2_db3,
         Content.recovered,
@@ -92,13 +92,13 @@ def test_a_text_from_a_file_is_read_unchanged(tmp_path: Path) -> None:
     assert read_text(tmp_path / "mission.yaml") == text
 
 
-def test_a_file_that_cannot_be_read_is_named_and_the_others_are_shown(
+def test_unreadable_files_are_reported_and_others_shown(
     drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (drive.parent / "gone.mcap").symlink_to(drive.parent / "nowhere")
     assert run(monkeypatch, drive.parent) == 8
     items = capsys.readouterr()
-    assert "indexed (whole)" in items.out
+    assert "indexed (complete)" in items.out
     assert "gone.mcap: cannot be read" in items.err
     assert run(monkeypatch, "--json", drive.parent) == 8
     shown = {Path(row["path"]).name: row["content"] for row in json.loads(capsys.readouterr().out)["items"]}

@@ -40,7 +40,7 @@ def made(run: RunRead) -> RunsCreated:
     return RunsCreated(items=[RunCreated(run=RunRead.model_validate(run.model_dump()))])
 
 
-def test_a_path_is_run_as_it_is_and_followed(tmp_path: Path) -> None:
+def test_an_unpublished_action_is_run_and_followed(tmp_path: Path) -> None:
     (tmp_path / "look.py").write_text("print('hello')")
     run = run_detail(RunState.queued)
     done = run.model_copy(update={"state": RunState.failed, "message": "It ended with the exit code 3."})
@@ -55,7 +55,7 @@ def test_a_path_is_run_as_it_is_and_followed(tmp_path: Path) -> None:
     assert script.requests[1].body["definition"]["script"] == "print('hello')"
 
 
-def test_a_version_of_a_published_action_is_named_with_it() -> None:
+def test_a_version_of_an_action_can_be_run() -> None:
     action, older = action_read("look", number=4), action_read("look", number=3).latest
     refusal = RunRefused(mission_id=MISSION.id, problem=to_problem(NotFound(noun="mission", ref="day"), "r"))
     with scripted(page(MISSION), page(action), page(action.latest, older), RunsCreated(items=[refusal])) as script:
@@ -103,13 +103,13 @@ def test_parameters_are_read_as_their_types() -> None:
             parameter_values(definition, [assignments])
 
 
-def test_a_version_stands_behind_the_last_at() -> None:
+def test_a_version_follows_the_last_at_sign() -> None:
     assert split_version("look@3") == ("look", 3)
     assert split_version("a@b") == ("a@b", None)
     assert split_version("@3") == ("@3", None)
 
 
-def test_the_next_version_is_published_only_if_it_is_another(tmp_path: Path) -> None:
+def test_an_unchanged_action_is_not_published_again(tmp_path: Path) -> None:
     (tmp_path / "look.py").write_text("print(1)")
     action = action_read("look")
     create = ("action", "create", tmp_path / "look.py", "--new-version")

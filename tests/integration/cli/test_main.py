@@ -25,7 +25,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_explains_itself(name: str) -> None:
+def test_every_command_has_help(name: str) -> None:
     shown = CliRunner().invoke(app, [name, "--help"])
     assert shown.exit_code == 0, shown.output
     assert "Usage:" in shown.output
@@ -34,7 +34,7 @@ def test_every_command_explains_itself(name: str) -> None:
 
 
 @pytest.mark.parametrize(("alias", "name"), ALIASES.items())
-def test_words_of_the_original_are_understood_and_not_listed(alias: str, name: str) -> None:
+def test_aliases_of_the_original_work_and_are_not_listed(alias: str, name: str) -> None:
     run = CliRunner()
     assert run.invoke(app, [alias, "--help"]).output == run.invoke(app, [name, "--help"]).output.replace(
         f"klein {name}", f"klein {alias}"

@@ -59,7 +59,7 @@ def test_all_fields_of_a_run_are_shown_and_names_are_escaped() -> None:
     assert "\x1b" not in text
 
 
-def test_lineage_reads_both_ways() -> None:
+def test_lineage_shows_creator_and_readers() -> None:
     file = file_read("derived/slam.bag", content=b"x")
     maker, reader = (RunRead.model_validate(run_detail(RunState.done).model_dump()) for _ in range(2))
     sha256 = file.sha256 or ""

@@ -17,7 +17,7 @@ def init(*arguments: object) -> None:
     assert ran.exit_code == 0, ran.output
 
 
-def test_both_kinds_are_actions(tmp_path: Path) -> None:
+def test_init_creates_valid_actions(tmp_path: Path) -> None:
     init(tmp_path / "My Script")
     init(tmp_path / "my-image", "--image")
 
@@ -31,7 +31,7 @@ def test_both_kinds_are_actions(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_tests_of_both_kinds_pass(tmp_path: Path) -> None:
+def test_tests_of_created_actions_pass(tmp_path: Path) -> None:
     init(tmp_path / "script")
     init(tmp_path / "image", "--image")
     command = [sys.executable, "-m", "pytest", "-q", "-c", "/dev/null", "-p", "no:cacheprovider", str(tmp_path)]
@@ -39,7 +39,7 @@ def test_the_tests_of_both_kinds_pass(tmp_path: Path) -> None:
     assert "2 passed" in ran.stdout, ran.stdout
 
 
-def test_nothing_is_written_over(tmp_path: Path) -> None:
+def test_init_overwrites_nothing(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "main.py").write_text("print('mine')")
     with pytest.raises(InvalidInput, match="new or empty"):

@@ -11,7 +11,7 @@ import kleinkram.client.transfer
 from kleinkram.client.config import Endpoint, EndpointSource
 
 
-def test_the_package_exports_what_it_says() -> None:
+def test_the_package_exports_its_public_names() -> None:
     assert kleinkram.__all__ == ["Client", "__version__", "connect"]
     assert kleinkram.connect is kleinkram.client.connect
     for module in (kleinkram, kleinkram.client, kleinkram.client.transfer):
@@ -19,7 +19,7 @@ def test_the_package_exports_what_it_says() -> None:
             assert getattr(module, name) is not None
 
 
-def test_a_client_has_one_attribute_a_noun() -> None:
+def test_a_client_has_one_attribute_per_noun() -> None:
     with kleinkram.client.Client(Endpoint("x", "http://127.0.0.1:9", "t", EndpointSource.argument)) as client:
         nouns = {name for name in dir(client) if not name.startswith("_")} - {"endpoint", "close", "upload", "download"}
         assert all(getattr(client, noun) is getattr(client, noun) for noun in nouns)

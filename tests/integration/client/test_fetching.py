@@ -30,7 +30,7 @@ def bring(fetching: PartialFile, *numbers: int, content: bytes = CONTENT) -> Non
         fetching.hash_ready(nothing)
 
 
-def test_any_order_will_do(tmp_path: Path) -> None:
+def test_ranges_arrive_in_any_order(tmp_path: Path) -> None:
     target = tmp_path / "big.bin"
     fetching = PartialFile(LINK, target, overwrite=False)
     bring(fetching, 3, 1, 0)
@@ -42,7 +42,7 @@ def test_any_order_will_do(tmp_path: Path) -> None:
     assert [*tmp_path.iterdir()] == [target]
 
 
-def test_the_next_run_takes_up_what_is_there(tmp_path: Path) -> None:
+def test_the_next_run_resumes_the_download(tmp_path: Path) -> None:
     first = PartialFile(LINK, tmp_path / "big.bin", overwrite=False)
     bring(first, 0, 2)
     with pytest.raises(DestinationRefused, match="another klein process"):
@@ -70,7 +70,7 @@ def test_a_partial_download_of_another_file_is_not_resumed(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("kind", ["sha256", "crc64nvme"])
-def test_other_bytes_are_found_and_removed(tmp_path: Path, kind: str) -> None:
+def test_a_download_with_other_bytes_is_removed(tmp_path: Path, kind: str) -> None:
     crc = Crc64Hash()
     crc.update(memoryview(CONTENT))
     link = LINK if kind == "sha256" else link_to(FILE, sha256=None, crc64nvme=crc.hexdigest())

@@ -17,20 +17,10 @@ from kleinkram.client import _network
 from kleinkram.client._http import Backoff
 from kleinkram.client._network import NetworkMonitor, WatchedConnection, WatchedPools, has_address
 from kleinkram.client.errors import ServerUnreachable
-from kleinkram.client.transfer import plan_download
+from kleinkram.client.transfer import plan_download, store
 from kleinkram.client.transfer.download import fetch
-from kleinkram.client.transfer.link import (
-    CALM_S,
-    QUICK_S,
-    SLOW_S,
-    CongestionWindow,
-    Lane,
-    LinkMonitor,
-    diagnose,
-    is_silence,
-)
-from kleinkram.client.transfer.report import LinkReport, Watcher
-from kleinkram.client.transfer.threads import Stop
+from kleinkram.client.transfer.pool import CALM_S, QUICK_S, SLOW_S, CongestionWindow, Stop
+from kleinkram.client.transfer.report import LinkReport, OutageReporter, Watcher, diagnose, is_silence
 from kleinkram.contract.files import DownloadLink
 from kleinkram.contract.uploads import MIN_PART_BYTES as PART
 from tests.api_objects import file_read
@@ -40,7 +30,7 @@ _CONNECTIONS = 4
 
 
 class Clock:
-    """A clock that goes when it is told to."""
+    """A clock that is set by the test."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -55,7 +45,7 @@ def clock() -> Clock:
 
 
 def test_a_fast_link_is_fully_used_after_several_parts(clock: Clock) -> None:
-    window = CongestionWindow(_CONNECTIONS, clock=clock)
+    window = CongestionWindow(_CONNECTIONS, Stop(), clock=clock)
     assert window.limit_bytes == PART
     for _ in range(_CONNECTIONS):
         window.arrived(PART, 0.05)
@@ -63,15 +53,15 @@ def test_a_fast_link_is_fully_used_after_several_parts(clock: Clock) -> None:
 
 
 def test_a_slow_link_carries_one_part_at_a_time(clock: Clock) -> None:
-    window = CongestionWindow(_CONNECTIONS, clock=clock)
+    window = CongestionWindow(_CONNECTIONS, Stop(), clock=clock)
     for _ in range(4):
         clock.now += QUICK_S + 5
         window.arrived(PART, QUICK_S + 5)
     assert window.limit_bytes == PART
 
 
-def test_a_slow_but_steady_link_gets_one_more_and_gives_it_back_when_it_does_not_help(clock: Clock) -> None:
-    window = CongestionWindow(_CONNECTIONS, clock=clock)
+def test_a_slow_but_steady_link_tries_one_more_part(clock: Clock) -> None:
+    window = CongestionWindow(_CONNECTIONS, Stop(), clock=clock)
     clock.now += CALM_S
     window.arrived(PART, QUICK_S + 5)
     assert window.limit_bytes == 2 * PART
@@ -80,7 +70,7 @@ def test_a_slow_but_steady_link_gets_one_more_and_gives_it_back_when_it_does_not
 
 
 def test_a_lost_connection_leaves_one_part_and_the_link_grows_again(clock: Clock) -> None:
-    window = CongestionWindow(_CONNECTIONS, clock=clock)
+    window = CongestionWindow(_CONNECTIONS, Stop(), clock=clock)
     for _ in range(_CONNECTIONS):
         window.arrived(PART, 0.05)
     window.lost()
@@ -94,14 +84,14 @@ def test_a_lost_connection_leaves_one_part_and_the_link_grows_again(clock: Clock
 
 
 def test_many_small_files_may_go_at_once_on_any_link(clock: Clock) -> None:
-    window = CongestionWindow(_CONNECTIONS, clock=clock)
+    window = CongestionWindow(_CONNECTIONS, Stop(), clock=clock)
     for _ in range(100):
         window.arrived(10_000, 1.0)
         assert window.limit_bytes >= _CONNECTIONS * 10_000
 
 
-def test_a_small_part_beside_large_ones_takes_no_room_from_them(clock: Clock) -> None:
-    window = CongestionWindow(_CONNECTIONS, clock=clock)
+def test_a_small_part_does_not_shrink_the_window(clock: Clock) -> None:
+    window = CongestionWindow(_CONNECTIONS, Stop(), clock=clock)
     for _ in range(_CONNECTIONS):
         window.arrived(8 * PART, 0.5)
     assert window.limit_bytes >= _CONNECTIONS * 7 * PART
@@ -109,83 +99,83 @@ def test_a_small_part_beside_large_ones_takes_no_room_from_them(clock: Clock) ->
     assert window.limit_bytes >= _CONNECTIONS * 7 * PART
 
 
-def test_large_parts_of_a_very_large_file_are_judged_by_their_rate(clock: Clock) -> None:
-    window = CongestionWindow(_CONNECTIONS, clock=clock)
+def test_large_parts_are_judged_by_their_rate(clock: Clock) -> None:
+    window = CongestionWindow(_CONNECTIONS, Stop(), clock=clock)
     window.arrived(100 * PART, 10.0)
     assert window.limit_bytes > 100 * PART
 
 
 def test_interrupted_parts_are_sent_before_new_ones() -> None:
-    lane = Lane(Stop(), CongestionWindow(_CONNECTIONS))
+    window = CongestionWindow(_CONNECTIONS, Stop())
     order: list[str] = []
     is_waiting = threading.Event()
 
     def second() -> None:
-        with lane.place() as place:
+        with window.slot() as slot:
             is_waiting.set()
-            with lane.turn(place, PART):
+            with window.acquire(slot, PART):
                 order.append("second")
 
-    with lane.place() as place:
-        with lane.turn(place, PART):
+    with window.slot() as slot:
+        with window.acquire(slot, PART):
             thread = threading.Thread(target=second)
             thread.start()
             is_waiting.wait()
-        lane.lost()
-        with lane.turn(place, PART):
+        window.lost()
+        with window.acquire(slot, PART):
             order.append("first again")
     thread.join(10)
     assert order == ["first again", "second"]
 
 
-def test_a_part_with_trouble_of_its_own_lets_others_go_first() -> None:
-    lane = Lane(Stop(), CongestionWindow(_CONNECTIONS))
-    with lane.place() as troubled:
-        lane.step_out(troubled)
-        with lane.place() as other, lane.turn(other, PART):
+def test_a_part_with_an_error_of_its_own_lets_others_go_first() -> None:
+    window = CongestionWindow(_CONNECTIONS, Stop())
+    with window.slot() as failing:
+        window.leave(failing)
+        with window.slot() as other, window.acquire(other, PART):
             pass
-        with lane.turn(troubled, PART):
+        with window.acquire(failing, PART):
             pass
 
 
-def _watch(clock: Clock) -> tuple[LinkMonitor, list[str]]:
+def _outages(clock: Clock) -> tuple[OutageReporter, list[str]]:
     messages: list[str] = []
-    return LinkMonitor(messages.append, clock=clock), messages
+    return OutageReporter(messages.append, clock=clock), messages
 
 
 def _backoff() -> Backoff:
     return Backoff(10.0, lambda _: None)
 
 
-def test_a_silent_network_is_reported_once_for_all_connections(clock: Clock) -> None:
-    watch, messages = _watch(clock)
+def test_a_silent_network_is_reported_once(clock: Clock) -> None:
+    outages, messages = _outages(clock)
     for _ in range(4):
-        watch.lost("http://store:9000/b/k?signature=x", _backoff(), TimeoutError(), "it took too long")
+        outages.lost("http://store:9000/b/k?signature=x", _backoff(), TimeoutError(), "it took too long")
     assert messages == ["no answer for 15 s from store:9000, reconnecting"]
     clock.now += 20
-    watch.arrived()
+    outages.arrived()
     assert messages[1:] == ["connected again after 35 s"]
-    assert watch.report() == LinkReport(connections_lost=4, longest_outage_s=35.0)
+    assert outages.report() == LinkReport(connections_lost=4, longest_outage_s=35.0)
 
 
 def test_a_changed_address_is_reported_and_reconnected_from_at_once(clock: Clock) -> None:
-    watch, messages = _watch(clock)
-    watch.moved("10.0.0.7")
-    assert watch.has_moved()
-    watch.lost("http://store", _backoff(), ConnectionResetError(), "reset", resent_bytes=1_500_000)
+    outages, messages = _outages(clock)
+    outages.network_changed("10.0.0.7")
+    assert outages.is_network_changed()
+    outages.lost("http://store", _backoff(), ConnectionResetError(), "reset", resent_bytes=1_500_000)
     assert messages == ["this machine no longer has the address 10.0.0.7 (another network?), reconnecting"]
     clock.now += 2
-    assert not watch.has_moved()
-    advice = watch.report().advice()
+    assert not outages.is_network_changed()
+    advice = outages.report().advice()
     assert advice is not None
     assert "network changed 1 time" in advice
     assert "1.5 MB had to be sent again" in advice
 
 
-def test_a_connection_that_is_replaced_at_once_is_not_worth_a_word_while_it_lasts(clock: Clock) -> None:
-    watch, messages = _watch(clock)
-    watch.lost("http://store", _backoff(), ConnectionResetError(), "reset")
-    watch.arrived()
+def test_a_connection_replaced_at_once_is_not_reported(clock: Clock) -> None:
+    outages, messages = _outages(clock)
+    outages.lost("http://store", _backoff(), ConnectionResetError(), "reset")
+    outages.arrived()
     assert messages == []
 
 
@@ -223,12 +213,12 @@ def _unconnected(cause: OSError) -> BaseException:
 
 
 def test_a_store_that_refuses_connections_is_not_silent(clock: Clock) -> None:
-    watch, messages = _watch(clock)
-    watch.lost("http://store:9000/b/k", _backoff(), _refused(), "Connection refused")
+    outages, messages = _outages(clock)
+    outages.lost("http://store:9000/b/k", _backoff(), _refused(), "Connection refused")
     assert messages == []
     clock.now += 20
-    watch.arrived()
-    assert watch.report().longest_outage_s == 20
+    outages.arrived()
+    assert outages.report().longest_outage_s == 20
 
 
 @pytest.mark.parametrize(
@@ -240,13 +230,13 @@ def test_a_store_that_refuses_connections_is_not_silent(clock: Clock) -> None:
     ],
 )
 def test_a_missing_network_is_reported(clock: Clock, cause: OSError, monkeypatch: pytest.MonkeyPatch) -> None:
-    watch, messages = _watch(clock)
+    outages, messages = _outages(clock)
     backoff = _backoff()
     error = _unconnected(cause)
-    watch.lost("http://store:9000/b/k", backoff, error, str(cause.strerror))
+    outages.lost("http://store:9000/b/k", backoff, error, str(cause.strerror))
     assert messages == [], "this may pass in a moment"
     monkeypatch.setattr(backoff, "lasting_s", lambda: 6.0)
-    watch.lost("http://store:9000/b/k", backoff, error, str(cause.strerror))
+    outages.lost("http://store:9000/b/k", backoff, error, str(cause.strerror))
     assert messages == [
         f"this machine cannot reach store:9000 ({cause.strerror}): it may have no network; trying again"
     ]
@@ -263,7 +253,7 @@ def test_addresses_of_this_machine_are_recognised() -> None:
     assert not has_address(("192.0.2.77", 1234))
 
 
-def test_a_machine_that_cannot_look_keeps_its_connections(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_connections_stay_if_addresses_cannot_be_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     def cannot(*_: object) -> socket.socket:
         raise OSError(errno.EMFILE, "Too many open files")
 
@@ -290,7 +280,7 @@ def test_connections_may_be_collected_by_a_thread_that_looks_at_others(listening
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts a busy peer as a silent one")
-def test_a_store_that_takes_nothing_for_a_while_is_not_taken_for_a_dead_one() -> None:
+def test_a_busy_store_is_not_treated_as_dead() -> None:
     listener = socket.create_server(("127.0.0.1", 0))
     connection = WatchedConnection(*listener.getsockname(), socket_options=[*_network.socket_options()])
     connection.connect()
@@ -344,7 +334,7 @@ def test_the_diagnosis_names_what_does_not_answer(listening: Callable[[], str]) 
     assert diagnose(works, None).startswith("It can be reached again")
 
 
-def test_a_transfer_that_ends_before_its_first_byte_says_what_does_not_answer(
+def test_a_transfer_without_a_connection_names_what_does_not_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server = f"http://127.0.0.1:{choose_port()}"
@@ -357,7 +347,7 @@ def test_a_transfer_that_ends_before_its_first_byte_says_what_does_not_answer(
     def links(_: object) -> Sequence[DownloadLink]:
         raise ServerUnreachable(url=server, reason="Connection refused")
 
-    monkeypatch.setattr(sys.modules["kleinkram.client.transfer.download"], "PATIENCE_S", 0.0)
+    monkeypatch.setattr(store, "TRANSFER_RETRY_S", 0.0)
     with pytest.raises(ServerUnreachable):
         fetch(links, server, plan_download([file_read("a")], tmp_path), watcher=MessageRecorder())
     assert "cannot be reached: Connection refused" in messages[-1]

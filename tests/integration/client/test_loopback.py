@@ -50,24 +50,24 @@ def test_requests_without_the_state_are_rejected(loopback: Loopback, target: str
     assert loopback.wait(5) == "right"
 
 
-def test_a_refusal_is_one(loopback: Loopback) -> None:
+def test_a_refusal_raises_sign_in_denied(loopback: Loopback) -> None:
     assert visit(loopback, f"/?error=denied&state={STATE}").status == 200
     with pytest.raises(SignInDenied):
         loopback.wait(5)
 
 
-def test_a_connection_that_says_nothing_keeps_nobody_waiting(loopback: Loopback) -> None:
+def test_a_silent_connection_does_not_block_others(loopback: Loopback) -> None:
     with socket.create_connection(("127.0.0.1", loopback.port)):
         visit(loopback, f"/?code=right&state={STATE}")
         assert loopback.wait(5) == "right"
 
 
-def test_waiting_ends(loopback: Loopback) -> None:
+def test_waiting_for_the_browser_ends(loopback: Loopback) -> None:
     with pytest.raises(SignInExpired):
         loopback.wait(0.01)
 
 
-def test_nothing_listens_once_it_is_over() -> None:
+def test_the_port_is_closed_after_the_login() -> None:
     with Loopback(STATE) as waiting:
         port = waiting.port
     with pytest.raises(ConnectionRefusedError), socket.create_connection(("127.0.0.1", port)):

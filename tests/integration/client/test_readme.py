@@ -8,7 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[3]
 
 
-def test_the_python_of_the_readme_passes_mypy(tmp_path: Path) -> None:
+def test_python_in_the_readme_passes_mypy(tmp_path: Path) -> None:
     examples = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     assert examples
     for number, example in enumerate(examples):

@@ -42,7 +42,7 @@ def piece(text: str, offset: int, *, attempt: int = 1, is_over: bool = False) ->
     return LogChunkRead(attempt=attempt, offset=offset, next_offset=offset + len(text), text=text, is_over=is_over)
 
 
-def test_very_many_missions_are_launched_by_the_thousand() -> None:
+def test_runs_are_launched_in_batches() -> None:
     missions = [uuid.uuid4() for _ in range(MAX_LAUNCHED + 1)]
     with scripted(RunsCreated(items=[]), RunsCreated(items=[])) as script, client_of(script) as client:
         assert client.runs.launch(SCRIPT, missions, parameters={"rate": 2}) == []
@@ -58,7 +58,7 @@ def test_a_definition_has_no_versions() -> None:
         client.runs.launch(SCRIPT, [uuid.uuid4()], version=2)
 
 
-def test_a_log_is_followed_to_its_end_and_begins_anew_with_a_new_attempt() -> None:
+def test_following_a_log_continues_with_the_next_attempt() -> None:
     answers = [piece("one\n", 0), piece("", 4), piece("", 0, attempt=2), piece("ONE\n", 0, attempt=2)]
     with scripted(*answers, piece("two\n", 4, attempt=2, is_over=True)) as script, client_of(script) as client:
         pieces = [*client.runs.log(uuid.uuid4(), follow=True)]
@@ -75,12 +75,12 @@ def test_a_log_is_followed_to_its_end_and_begins_anew_with_a_new_attempt() -> No
     assert "wait_s=20" in queries[1]
 
 
-def test_a_log_that_is_not_followed_ends_where_it_is() -> None:
+def test_a_log_that_is_not_followed_ends_at_its_current_end() -> None:
     with scripted(piece("one\n", 0), piece("", 4)) as script, client_of(script) as client:
         assert [piece.text for piece in client.runs.log(uuid.uuid4())] == ["one\n"]
 
 
-def test_waiting_ends_with_the_run_or_with_patience() -> None:
+def test_waiting_ends_with_the_run_or_the_timeout() -> None:
     seen: list[RunDetail] = []
     with scripted(run_detail(RunState.running), run_detail(RunState.failed)) as script, client_of(script) as client:
         assert client.runs.wait(uuid.uuid4(), seen=seen.append).state is RunState.failed

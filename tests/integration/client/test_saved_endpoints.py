@@ -42,7 +42,7 @@ def mode(path: Path) -> int:
     return path.stat().st_mode & 0o777
 
 
-def test_the_file_is_for_its_owner_alone() -> None:
+def test_only_the_owner_can_read_the_file() -> None:
     add_endpoint("lab", LAB)
     assert mode(endpoints_file()) == 0o600
     assert mode(endpoints_file().parent) == 0o700
@@ -69,7 +69,7 @@ def test_saved_endpoints_are_loaded() -> None:
     assert load_endpoints() == SavedEndpoints(current="lab", endpoints={"lab": LAB, "field": FIELD})
 
 
-def test_a_file_of_an_earlier_version_is_understood() -> None:
+def test_a_file_of_an_earlier_version_is_loaded() -> None:
     endpoints_file().parent.mkdir(parents=True)
     endpoints_file().write_text('{"version": 1, "current": "x", "endpoints": {"x": {"url": "http://x", "token": "t"}}}')
     endpoints_file().chmod(0o600)
@@ -93,7 +93,7 @@ def test_choosing_and_removing() -> None:
             refused("nowhere")
 
 
-def test_a_name_stays_with_its_server() -> None:
+def test_a_name_cannot_change_its_server() -> None:
     add_endpoint("lab", LAB)
     add_endpoint("lab", LAB.model_copy(update={"token": "newer"}))
     with pytest.raises(EndpointTaken, match="https://lab"):
@@ -101,7 +101,7 @@ def test_a_name_stays_with_its_server() -> None:
     assert load_endpoints().endpoints["lab"].token == "newer"
 
 
-def test_only_the_token_that_was_meant_is_forgotten() -> None:
+def test_logout_forgets_only_the_named_token() -> None:
     add_endpoint("lab", LAB)
     remove_endpoint("lab", token="another")
     assert "lab" in load_endpoints().endpoints

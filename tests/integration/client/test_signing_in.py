@@ -89,7 +89,7 @@ def test_a_refusal_ends_the_waiting(refusal: KleinkramError) -> None:
     assert len(server.requests) == 2
 
 
-def test_a_device_does_not_wait_for_ever() -> None:
+def test_waiting_for_a_device_code_ends() -> None:
     waited: list[float] = []
     with scripted(*[SignInPending(interval_s=5)] * 20) as server, pytest.raises(SignInExpired):
         wait_for_device(server.url, CODE, waited.append)
@@ -123,13 +123,13 @@ def test_no_two_logins_have_the_same_secrets() -> None:
         assert answers[0][name] != answers[1][name]
 
 
-def test_a_token_that_is_brought_along_is_tried() -> None:
+def test_a_token_passed_to_login_is_tried() -> None:
     with scripted(ME) as server:
         assert who_has(server.url, "brought") == ME
     assert (server.requests[0].path, server.requests[0].authorization) == ("/api/v1/me", "Bearer brought")
 
 
-def test_a_token_that_is_refused_says_how_to_get_another(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refused_token_explains_how_to_get_another(monkeypatch: pytest.MonkeyPatch) -> None:
     refusal = NotAuthenticated(reason="the token is not valid here")
     monkeypatch.delenv("KLEINKRAM_TOKEN", raising=False)
     with scripted(refusal, refusal) as server:
@@ -141,7 +141,7 @@ def test_a_token_that_is_refused_says_how_to_get_another(monkeypatch: pytest.Mon
             who_has(server.url, "brought")
 
 
-def test_ending_a_token_revokes_that_very_one() -> None:
+def test_ending_a_token_revokes_only_that_token() -> None:
     with scripted(ME, b"") as server:
         assert end_token(server.url, "mine") is True
     assert [(request.method, request.path) for request in server.requests] == [
@@ -151,12 +151,12 @@ def test_ending_a_token_revokes_that_very_one() -> None:
     assert {request.authorization for request in server.requests} == {"Bearer mine"}
 
 
-def test_a_token_that_is_good_for_nothing_needs_no_ending() -> None:
+def test_ending_an_invalid_token_does_nothing() -> None:
     with scripted(NotAuthenticated(reason="the token is not valid here")) as server:
         assert end_token(server.url, "mine") is False
 
 
-def test_nobody_is_sent_to_what_is_no_server() -> None:
+def test_only_a_kleinkram_server_is_accepted() -> None:
     with scripted(NotAuthenticated(reason="the request has no bearer token")) as server:
         check_server(server.url)
     with scripted(b"<html>a printer</html>") as printer, pytest.raises(AnswerNotUnderstood):

@@ -56,7 +56,7 @@ def _replace(path: Path) -> None:
     ("change", "reason"),
     [(_append, "bytes"), (_overwrite, "written"), (_replace, "place"), (Path.unlink, "gone")],
 )
-def test_every_change_is_found_before_and_after(local: LocalFile, change: Callable[[Path], None], reason: str) -> None:
+def test_every_change_of_a_file_is_detected(local: LocalFile, change: Callable[[Path], None], reason: str) -> None:
     source = OpenFile(local)
     change(local.source)
     with pytest.raises(FileChanged, match=reason):
@@ -93,7 +93,7 @@ def test_an_empty_crc_has_sixteen_digits() -> None:
     assert Crc64Hash().hexdigest() == "0" * 16
 
 
-def test_files_are_announced_in_batches_just_ahead_of_need() -> None:
+def test_files_are_announced_in_batches() -> None:
     def of(size: int) -> LocalFile:
         return LocalFile(Path("x"), "x", FileIdentity(size, 0, 0, 0))
 

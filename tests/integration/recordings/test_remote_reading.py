@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.client import Client, connect
-from kleinkram.client.recordings import RemoteFiles
+from kleinkram.client.files import RemoteFiles
 from kleinkram.contract.errors import NotFound
 from kleinkram.recordings import RawMessage, Recording, SourceError
 from kleinkram.recordings.http_source import HttpSource

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import signal
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
 from kleinkram.client import _http
-from kleinkram.client.transfer import upload_pipeline
+from kleinkram.client.transfer import store
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner import results
@@ -102,8 +101,7 @@ def test_rejected_reports_are_sent_again(
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a runner give up soon, and begin anew at once."""
     monkeypatch.setattr(results, "_RETRY_EVERY_S", 0.01)
-    monkeypatch.setattr(sys.modules["kleinkram.client.transfer.upload"], "PATIENCE_S", 0.1)
-    monkeypatch.setattr(upload_pipeline, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(store, "TRANSFER_RETRY_S", 0.1)
     monkeypatch.setattr(_http, "LONGEST_WAIT_S", 0.05)
 
 

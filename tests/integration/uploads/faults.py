@@ -14,7 +14,6 @@ from kleinkram.server.blobs import queries, scrub, service
 from kleinkram.server.blobs.verification import ObjectChecksums
 from kleinkram.server.maintenance import collect_garbage
 from kleinkram.server.uploads import completion, parts, rules
-from kleinkram.server.uploads import jobs as upload_jobs
 from kleinkram.server.uploads import queries as upload_queries
 from kleinkram.server.uploads import service as upload_service
 from tests.integration.uploads.state_machine import Machine, Upload
@@ -106,7 +105,7 @@ FAULTS = [
     ),
     Fault(
         "expiry leaves the reservation",
-        upload_jobs.maintain_uploads,
+        completion.maintain_uploads,
         ".values(state=UploadState.expired.value)",
         ".values(state=UploadState.open.value)",
         "expire",
@@ -114,7 +113,7 @@ FAULTS = [
     ),
     Fault(
         "expiry leaves the object",
-        upload_jobs._clean_up,
+        completion._clean_up,
         _THE_OBJECT_GOES,
         "pass\n",
         "every_object_is_known",

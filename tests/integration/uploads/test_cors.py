@@ -77,7 +77,7 @@ def test_a_page_of_ours_and_a_viewer_read_ranges(lab: Api) -> None:
         assert _shown(answer) >= {"content-range", "content-length", "accept-ranges", "etag"}
 
 
-def test_other_pages_are_let_do_nothing_and_viewers_send_nothing(lab: Api) -> None:
+def test_other_origins_may_not_read_and_viewers_may_not_write(lab: Api) -> None:
     _, part = _part_to_send(lab, b"never sent")
     assert _preflight(part["url"], _VIEWER, "PUT") is None
     for method in ("GET", "PUT", "DELETE"):
@@ -85,7 +85,7 @@ def test_other_pages_are_let_do_nothing_and_viewers_send_nothing(lab: Api) -> No
     assert _preflight(part["url"], _PAGE, "DELETE") is None
 
 
-def test_rules_of_somebody_else_are_left(start_api: StartApi, store: RunningStore) -> None:
+def test_cors_rules_of_others_stay(start_api: StartApi, store: RunningStore) -> None:
     settings = start_api(**_PUBLIC).app.state.settings
     later = start_api(s3_bucket=settings.s3_bucket, s3_cors="leave", public_url=_ELSEWHERE)
     url = f"{store.endpoint}/{settings.s3_bucket}/any"
@@ -94,7 +94,7 @@ def test_rules_of_somebody_else_are_left(start_api: StartApi, store: RunningStor
     assert later.app.state.pages_may_send is False
 
 
-def test_a_store_without_such_rules_is_used_all_the_same(
+def test_a_store_without_cors_rules_is_used(
     start_api: StartApi, store: RunningStore, caplog: pytest.LogCaptureFixture
 ) -> None:
     def rule(requested: ProxiedRequest) -> Reply | None:
@@ -109,7 +109,7 @@ def test_a_store_without_such_rules_is_used_all_the_same(
     assert "NotImplemented" in warning.__dict__["fields"]["reason"]
 
 
-def test_pages_receive_the_address_of_the_store(lab: Api, store: RunningStore) -> None:
+def test_pages_receive_the_url_of_the_store(lab: Api, store: RunningStore) -> None:
     shown = lab.as_(None).get("/service").ok()
     assert shown["store_origin"] == store.endpoint
     assert shown["name"] == "Kleinkram"

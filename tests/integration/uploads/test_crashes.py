@@ -11,7 +11,7 @@ from kleinkram.contract.uploads import UploadFinish
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.context import AppContext
 from kleinkram.server.uploads import completion
-from kleinkram.server.uploads.jobs import maintain_uploads
+from kleinkram.server.uploads.completion import maintain_uploads
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.jobs import on_site
@@ -49,7 +49,7 @@ def test_a_crash_after_the_mark_is_finished_by_the_job(api: Api, mission_id: str
     assert complete(api, upload, body)["file"]["id"] == files[0]["id"]
 
 
-def test_a_crash_after_the_store_joined_the_parts_is_finished_too(api: Api, mission_id: str) -> None:
+def test_a_crash_after_joining_the_parts_is_finished_by_the_job(api: Api, mission_id: str) -> None:
     body = os.urandom(_PART + 100)
     upload = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     send(api, upload, body)
@@ -60,7 +60,7 @@ def test_a_crash_after_the_store_joined_the_parts_is_finished_too(api: Api, miss
     assert complete(api, upload, body)["outcome"] == "completed"
 
 
-def test_a_marked_upload_whose_parts_never_came_opens_again(api: Api, mission_id: str) -> None:
+def test_a_marked_upload_without_its_parts_is_reopened(api: Api, mission_id: str) -> None:
     body = os.urandom(_PART + 100)
     upload = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     send(api, upload, body, only=[1])
@@ -71,9 +71,7 @@ def test_a_marked_upload_whose_parts_never_came_opens_again(api: Api, mission_id
 
 
 @pytest.mark.parametrize("size_bytes", [100, _PART + 100])
-def test_uploading_again_after_the_mark_need_not_wait_for_garbage_collection(
-    api: Api, mission_id: str, size_bytes: int
-) -> None:
+def test_uploading_again_does_not_wait_for_garbage_collection(api: Api, mission_id: str, size_bytes: int) -> None:
     body = os.urandom(size_bytes)
     upload = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     send(api, upload, body)
@@ -86,7 +84,7 @@ def test_uploading_again_after_the_mark_need_not_wait_for_garbage_collection(
     assert (decision["decision"], decision["file"]["sha256"]) == ("already_present", sha256(body))
 
 
-def test_a_token_that_may_not_fill_the_mission_ends_nothing_there(api: Api, mission_id: str) -> None:
+def test_a_token_without_the_right_ends_no_uploads(api: Api, mission_id: str) -> None:
     body = os.urandom(100)
     ada = people.person(api)
     people.grant(api, ada, Right.create, mission_id=mission_id)
@@ -114,7 +112,7 @@ def test_a_partial_upload_continues_after_it_was_marked(api: Api, mission_id: st
     assert complete(api, decision["upload"], body)["outcome"] == "completed"
 
 
-def test_an_abandoned_upload_expires_and_leaves_nothing_in_the_store(start_api: Any) -> None:
+def test_an_abandoned_upload_expires_and_is_removed_from_the_store(start_api: Any) -> None:
     api = start_api()
     mission_id = api.mission(api.project()["id"])["id"]
     large, small = os.urandom(_PART + 100), os.urandom(100)
@@ -131,7 +129,7 @@ def test_an_abandoned_upload_expires_and_leaves_nothing_in_the_store(start_api: 
     assert begin(api, mission_id, {"small": small})[0]["decision"] == "upload"
 
 
-def test_a_multipart_upload_that_nobody_wrote_down_is_found_and_dropped(api: Api, mission_id: str) -> None:
+def test_an_unrecorded_multipart_upload_is_aborted(api: Api, mission_id: str) -> None:
     body = os.urandom(_PART + 100)
     upload = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     key = api.sql("SELECT key FROM upload WHERE id = %s", upload["id"])[0][0]
@@ -142,7 +140,7 @@ def test_a_multipart_upload_that_nobody_wrote_down_is_found_and_dropped(api: Api
     assert on_site(api, lambda context: context.storage.list_multiparts(key)) == []
 
 
-def test_one_of_two_clients_that_race_for_a_name_gets_a_conflict(api: Api, mission_id: str) -> None:
+def test_one_of_two_concurrent_clients_of_a_name_gets_a_conflict(api: Api, mission_id: str) -> None:
     bodies = [os.urandom(1000) for _ in range(8)]
     barrier = threading.Barrier(len(bodies))
     outcomes: list[str] = []

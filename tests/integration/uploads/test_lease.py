@@ -56,9 +56,7 @@ def _send(client: Client, mission_id: str, file: Path, watcher: _Listening) -> T
     return upload(client, uuid.UUID(mission_id), plan_upload([file]), watcher=watcher).results[0]
 
 
-def test_the_second_client_takes_over_when_the_lease_ends(
-    api: Api, client: Client, mission_id: str, file: Path
-) -> None:
+def test_the_second_client_continues_when_the_lease_ends(api: Api, client: Client, mission_id: str, file: Path) -> None:
     body = file.read_bytes()
     dead = begin(api, mission_id, {"run.bin": body}, hashed=False)[0]["upload"]
     send(api, dead, body, only=[1])
@@ -74,7 +72,7 @@ def test_the_second_client_takes_over_when_the_lease_ends(
     assert complete(api, dead, body)["problem"]["code"] == "upload_gone"
 
 
-def test_a_client_that_lives_keeps_its_name(api: Api, client: Client, mission_id: str, file: Path) -> None:
+def test_a_live_client_keeps_its_reserved_name(api: Api, client: Client, mission_id: str, file: Path) -> None:
     theirs = os.urandom(_PART + 2000)
     alive = begin(api, mission_id, {"run.bin": theirs}, hashed=False)[0]["upload"]
     watcher = _Listening()

@@ -99,12 +99,12 @@ def _api(
         yield start_api(s3_internal_url=middleman.url)
 
 
-def test_the_probe_finds_what_this_store_verifies(api: Api, request: pytest.FixtureRequest) -> None:
+def test_the_probe_detects_the_checksums_of_the_store(api: Api, request: pytest.FixtureRequest) -> None:
     assert api.get("/service").ok()["checksum"] == request.node.callspec.params["api"]
 
 
 @pytest.mark.parametrize("size_bytes", [0, 100, 2 * _PART + 5])
-def test_a_file_comes_back_as_it_went_and_is_verified(api: Api, mission_id: str, size_bytes: int) -> None:
+def test_a_file_is_uploaded_downloaded_and_verified_unchanged(api: Api, mission_id: str, size_bytes: int) -> None:
     body = os.urandom(size_bytes)
     file = upload(api, mission_id, "run.bin", body)
     assert file["crc64nvme"] is None, "these stores verify no checksum of the whole, so none is their word"

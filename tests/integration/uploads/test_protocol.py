@@ -24,7 +24,7 @@ def _two() -> bytes:
 
 
 @pytest.mark.parametrize("size_bytes", [0, 1, _PART - 1, _PART, _PART + 1, 2 * _PART + 5])
-def test_a_file_of_any_size_comes_back_as_it_went(api: Api, mission_id: str, size_bytes: int) -> None:
+def test_files_of_any_size_are_downloaded_unchanged(api: Api, mission_id: str, size_bytes: int) -> None:
     body = os.urandom(size_bytes)
     file = upload(api, mission_id, "a/run.bin", body)
     assert (file["path"], file["size_bytes"], file["state"]) == ("a/run.bin", size_bytes, "stored")
@@ -70,7 +70,7 @@ def test_the_same_content_elsewhere_is_linked_without_a_byte(api: Api, mission_i
     assert [event["operation"] for event in api.events(decision["file"]["id"])] == ["file.link"]
 
 
-def test_bytes_that_only_others_claim_are_not_handed_out(api: Api, mission_id: str) -> None:
+def test_bytes_that_only_others_claim_are_not_linked(api: Api, mission_id: str) -> None:
     body = os.urandom(1000)
     file = upload(api, mission_id, "theirs.bin", body)
     stranger = uuid.uuid4()
@@ -98,7 +98,9 @@ def test_other_content_under_the_same_name_is_refused_naming_both_hashes(
 
 
 @pytest.mark.parametrize("path", ["RUN.bin", "run.bin/below"])
-def test_a_name_that_blurs_another_is_a_conflict(api: Api, mission_id: str, path: str, one: bytes, two: bytes) -> None:
+def test_a_name_that_differs_only_in_case_or_form_is_a_conflict(
+    api: Api, mission_id: str, path: str, one: bytes, two: bytes
+) -> None:
     upload(api, mission_id, "run.bin", one)
     decision = begin(api, mission_id, {path: two})[0]
     assert (decision["decision"], decision["problem"]["code"]) == ("refused", "path_conflict")
@@ -110,9 +112,7 @@ def test_a_file_may_not_stand_where_a_folder_is(api: Api, mission_id: str, one: 
     assert begin(api, mission_id, {"day": two})[0]["problem"]["code"] == "path_conflict"
 
 
-def test_two_names_in_one_request_that_are_the_same_do_not_both_begin(
-    api: Api, mission_id: str, one: bytes, two: bytes
-) -> None:
+def test_equal_names_in_one_request_do_not_both_begin(api: Api, mission_id: str, one: bytes, two: bytes) -> None:
     decisions = begin(api, mission_id, {"Zürich.bin": one, "ZU\u0308RICH.bin": two})
     assert [decision["decision"] for decision in decisions] == ["upload", "refused"]
 
@@ -131,7 +131,7 @@ def test_other_bytes_are_refused_by_the_store(api: Api, mission_id: str) -> None
     assert complete(api, started, body)["outcome"] == "completed"
 
 
-def test_an_address_dies_with_its_time(start_api: Any) -> None:
+def test_a_signed_url_expires(start_api: Any) -> None:
     api = start_api(part_url_s=1)
     mission_id = api.mission(api.project()["id"])["id"]
     started = begin(api, mission_id, {"run.bin": b"body"})[0]["upload"]
@@ -141,13 +141,13 @@ def test_an_address_dies_with_its_time(start_api: Any) -> None:
     upload_client.wait_until(lambda: put(sign(api, started, [(1, b"body")]).ok()["items"][0], b"body") == 200)
 
 
-def test_a_file_that_changes_after_it_was_announced_is_gone(api: Api, mission_id: str, one: bytes, two: bytes) -> None:
+def test_a_file_that_changes_after_its_announcement_is_gone(api: Api, mission_id: str, one: bytes, two: bytes) -> None:
     started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
     sign(api, started, [(1, one)]).ok()
     sign(api, started, [(1, two)]).refused(410, "upload_gone")
 
 
-def test_a_wrong_whole_checksum_makes_no_file(api: Api, mission_id: str) -> None:
+def test_a_wrong_file_checksum_makes_no_file(api: Api, mission_id: str) -> None:
     body = os.urandom(_PART + 10)
     started = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     send(api, started, body)
@@ -179,7 +179,7 @@ def test_completing_twice_gives_the_same_file_once(api: Api, mission_id: str) ->
     assert [event["operation"] for event in api.events(first["file"]["id"])] == ["file.upload"]
 
 
-def test_a_client_resumes_by_its_upload_and_learns_what_the_store_holds(api: Api, mission_id: str) -> None:
+def test_resuming_an_upload_lists_the_parts_in_the_store(api: Api, mission_id: str) -> None:
     body = os.urandom(3 * _PART)
     started = begin(api, mission_id, {"run.bin": body}, hashed=False)[0]["upload"]
     send(api, started, body, only=[1, 3])
@@ -214,7 +214,7 @@ def test_a_reserved_name_is_reported_with_its_owner_and_expiry(api: Api, mission
     assert decision["problem"]["lease_ends_at"][:16] == started["lease_ends_at"][:16]
 
 
-def test_a_name_whose_client_died_is_free_after_the_lease(api: Api, mission_id: str, one: bytes) -> None:
+def test_the_name_of_a_dead_client_is_free_after_the_lease(api: Api, mission_id: str, one: bytes) -> None:
     dead = begin(api, mission_id, {"run.bin": one})[0]["upload"]
     api.sql("UPDATE upload SET lease_ends_at = now() WHERE id = %s", dead["id"])
     alive = begin(api, mission_id, {"run.bin": one})[0]["upload"]
@@ -233,7 +233,7 @@ def test_an_upload_can_be_cancelled(api: Api, mission_id: str, one: bytes) -> No
     assert begin(api, mission_id, {"run.bin": one})[0]["decision"] == "upload"
 
 
-def test_a_mission_deleted_meanwhile_takes_no_file(api: Api, one: bytes) -> None:
+def test_a_mission_deleted_during_an_upload_gets_no_file(api: Api, one: bytes) -> None:
     project = api.project()
     mission_id = api.mission(project["id"])["id"]
     started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
@@ -265,7 +265,7 @@ def test_a_path_that_leaves_the_mission_is_refused(api: Api, mission_id: str, pa
     assert "files.0.path" in answer.refused(422, "invalid_request")["problems"][0]["field"]
 
 
-def test_parts_are_cut_alike_by_everybody(api: Api, mission_id: str) -> None:
+def test_all_clients_use_the_same_part_sizes(api: Api, mission_id: str) -> None:
     body = bytes(2 * _PART + 1)
     started = begin(api, mission_id, {"run.bin": body}, hashed=False)[0]["upload"]
     assert [len(piece) for _, piece in parts_of(started, body)] == [_PART, _PART, 1]
@@ -276,7 +276,7 @@ def test_one_part_is_signed_for_one_checksum_only(api: Api, mission_id: str, one
     sign(api, started, [(1, one), (1, two)]).refused(422, "invalid_request")
 
 
-def test_a_small_file_announced_by_both_hashes_is_signed_for_at_once(
+def test_announcing_both_hashes_of_a_small_file_returns_its_url(
     api: Api, mission_id: str, one: bytes, two: bytes
 ) -> None:
     [shown] = begin(api, mission_id, {"run.bin": one}, crc64nvme=crc64(one))
@@ -289,13 +289,13 @@ def test_a_small_file_announced_by_both_hashes_is_signed_for_at_once(
     assert complete(api, started, one)["outcome"] == "completed"
 
 
-def test_multipart_uploads_and_unhashed_files_are_not_signed_at_once(api: Api, mission_id: str, one: bytes) -> None:
+def test_announcing_large_or_unhashed_files_returns_no_url(api: Api, mission_id: str, one: bytes) -> None:
     large = os.urandom(_PART + 1)
     assert begin(api, mission_id, {"run.bin": one})[0]["part"] is None
     assert begin(api, mission_id, {"large.bin": large}, crc64nvme=crc64(large))[0]["part"] is None
 
 
-def test_one_signed_for_other_bytes_is_not_signed_for_at_once(
+def test_announcing_a_file_signed_for_other_bytes_returns_no_url(
     api: Api, mission_id: str, one: bytes, two: bytes
 ) -> None:
     started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
@@ -304,7 +304,7 @@ def test_one_signed_for_other_bytes_is_not_signed_for_at_once(
     assert (again["upload"]["id"], again["part"]) == (started["id"], None)
 
 
-def test_an_address_writes_once(api: Api, mission_id: str, one: bytes) -> None:
+def test_a_signed_url_writes_once(api: Api, mission_id: str, one: bytes) -> None:
     started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
     signed = sign(api, started, [(1, one)]).ok()["items"][0]
     assert put(signed, one) == 200
@@ -312,7 +312,7 @@ def test_an_address_writes_once(api: Api, mission_id: str, one: bytes) -> None:
     assert complete(api, started, one)["outcome"] == "completed"
 
 
-def test_a_checksum_of_the_wrong_kind_is_refused_and_spoils_nothing(api: Api, mission_id: str, one: bytes) -> None:
+def test_a_checksum_of_the_wrong_kind_is_refused_without_side_effects(api: Api, mission_id: str, one: bytes) -> None:
     started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
     wrong = {"upload_id": started["id"], "number": 1, "checksum": sha256(one)}
     problem = api.post("/uploads/parts", {"parts": [wrong]}).refused(422, "invalid_request")
@@ -322,7 +322,7 @@ def test_a_checksum_of_the_wrong_kind_is_refused_and_spoils_nothing(api: Api, mi
     assert complete(api, started, one)["outcome"] == "completed"
 
 
-def test_a_file_and_a_folder_of_one_name_do_not_both_come_in(api: Api, mission_id: str, one: bytes, two: bytes) -> None:
+def test_a_file_and_a_folder_of_one_name_conflict(api: Api, mission_id: str, one: bytes, two: bytes) -> None:
     assert [item["decision"] for item in begin(api, mission_id, {"day": one, "day/run": two})] == ["upload", "refused"]
     other = begin(api, mission_id, {"day/run": two})[0]["upload"]
     first = api.all(f"/missions/{mission_id}/uploads")[0]
@@ -337,7 +337,7 @@ def test_a_file_and_a_folder_of_one_name_do_not_both_come_in(api: Api, mission_i
     assert outcomes[1]["problem"]["code"] == "path_conflict"
 
 
-def test_a_batch_completed_again_misses_only_deleted_files(api: Api, mission_id: str, one: bytes, two: bytes) -> None:
+def test_completing_a_batch_again_omits_only_deleted_files(api: Api, mission_id: str, one: bytes, two: bytes) -> None:
     uploads = [item["upload"] for item in begin(api, mission_id, {"one": one, "two": two})]
     for item, body in zip(uploads, (one, two), strict=True):
         send(api, item, body)

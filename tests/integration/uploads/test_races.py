@@ -37,7 +37,7 @@ def _race(api: Api, mission_id: str, works: "list[Callable[[], Any]]") -> list[A
 
 
 @pytest.mark.parametrize("link_first", [True, False])
-def test_a_link_never_takes_the_place_of_what_was_completed(
+def test_a_link_does_not_replace_a_completed_upload(
     api: Api, mission_id: str, duplicate: bytes, link_first: bool
 ) -> None:
     body = os.urandom(1000)
@@ -60,7 +60,7 @@ def test_a_link_never_takes_the_place_of_what_was_completed(
     assert _read(api, mission_id) == [("run.bin", body)]
 
 
-def test_the_first_of_a_link_and_an_upload_for_one_name_gets_it(api: Api, mission_id: str, duplicate: bytes) -> None:
+def test_the_first_of_a_link_and_an_upload_gets_the_name(api: Api, mission_id: str, duplicate: bytes) -> None:
     body = os.urandom(1000)
 
     def link() -> Any:
@@ -100,7 +100,7 @@ def test_a_missing_file_is_repaired_once_by_the_first_upload(
     assert [file["id"] for file in api.all("/files", {"mission_id": mission_id})] == [linked["id"]]
 
 
-def test_a_lost_file_that_is_found_again_while_it_is_to_be_linked_is_present(
+def test_a_missing_file_verified_before_it_is_linked_is_present(
     api: Api, mission_id: str, duplicate: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mine = begin(api, mission_id, {"run.bin": duplicate})[0]["file"]["id"]

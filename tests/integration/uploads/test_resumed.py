@@ -42,7 +42,7 @@ class _Killed(BaseException):
 
 
 @pytest.mark.parametrize("count", [1, 30])
-def test_a_client_killed_before_it_completes_sends_nothing_again(
+def test_a_client_killed_before_completion_sends_nothing_again(
     api: Api, mission_id: str, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))

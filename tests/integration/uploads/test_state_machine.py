@@ -28,7 +28,7 @@ def _machine(start_api: StartApi) -> Iterator[type[Machine]]:
     site.close()
 
 
-def test_the_page_names_every_state() -> None:
+def test_the_states_page_names_every_state() -> None:
     for heading, states in (("An upload", UploadState), ("A blob", BlobState)):
         assert {state for edge in documented(heading) for state in edge} == {item.value for item in states}
 
@@ -59,7 +59,7 @@ def _found_by(machine: type[Machine], fault: Fault) -> str | None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS, ids=[fault.name for fault in FAULTS])
-def test_a_planted_fault_is_found(machine: type[Machine], fault: Fault) -> None:
+def test_an_injected_fault_is_detected(machine: type[Machine], fault: Fault) -> None:
     assert _found_by(machine, fault) is None, "nothing is wrong before"
     with planted(fault):
         assert _found_by(machine, fault) == fault.found_by

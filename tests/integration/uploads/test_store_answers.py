@@ -73,7 +73,7 @@ def _is_multipart(requested: ProxiedRequest) -> bool:
 
 
 @pytest.mark.parametrize("shown", [item for item in _PASSING if isinstance(item, Reply)], ids=repr)
-def test_a_store_that_cannot_now_does_not_end_an_upload(
+def test_an_unavailable_store_does_not_end_an_upload(
     api: Api, middleman: Middleman, mission_id: str, shown: Reply
 ) -> None:
     body = os.urandom(_PART + 100)
@@ -87,7 +87,7 @@ def test_a_store_that_cannot_now_does_not_end_an_upload(
 
 
 @pytest.mark.parametrize("size_bytes", [1000, _PART + 100])
-def test_a_proxy_that_finds_nothing_does_not_end_an_upload(
+def test_a_404_of_a_proxy_does_not_end_an_upload(
     api: Api, middleman: Middleman, mission_id: str, size_bytes: int
 ) -> None:
     """An answer to HEAD says nothing but its status, whoever gives it."""
@@ -110,7 +110,7 @@ def test_an_upload_that_the_store_does_not_know_is_gone(api: Api, middleman: Mid
 
 
 @pytest.mark.parametrize("listed", [0, 1])
-def test_one_that_sees_parts_vanish_while_another_joins_them_ends_nothing(
+def test_concurrent_completions_do_not_end_the_upload(
     api: Api, middleman: Middleman, mission_id: str, listed: int
 ) -> None:
     """Between the answer to the first and its file, a second asks, and the store lists what is left of the parts."""
@@ -144,7 +144,7 @@ def _sent(client: Client, mission_id: str, file: Path) -> TransferResult:
 
 
 @pytest.mark.parametrize("size_bytes", [1000, _PART + 1000])
-def test_a_client_goes_on_sending_until_the_store_can(
+def test_an_upload_is_retried_until_the_store_is_available(
     middleman: Middleman, client: Client, mission_id: str, tmp_path: Path, size_bytes: int
 ) -> None:
     file = tmp_path / "run.bin"
@@ -171,7 +171,7 @@ def test_an_unknown_upload_is_reported_to_the_client(
     assert api.all(f"/missions/{mission_id}/uploads") == []
 
 
-def test_a_client_goes_on_fetching_until_the_store_can(
+def test_a_download_is_retried_until_the_store_is_available(
     api: Api, middleman: Middleman, client: Client, mission_id: str, tmp_path: Path
 ) -> None:
     body = os.urandom(_PART + 100)
@@ -185,7 +185,7 @@ def test_a_client_goes_on_fetching_until_the_store_can(
     assert (tmp_path / "back" / "run.bin").read_bytes() == body
 
 
-def test_a_file_that_the_store_does_not_return_keeps_no_other_from_arriving(
+def test_a_file_that_the_store_does_not_return_blocks_no_other(
     middleman: Middleman, client: Client, mission_id: str, tmp_path: Path
 ) -> None:
     """Both are so large that one of them fills a link that has not proved to be fast."""

@@ -21,7 +21,7 @@ def values() -> list[ReportEvent]:
     return [ReportEvent.model_validate_json(line) for line in (run_files.out / EVENTS_FILE).read_bytes().splitlines()]
 
 
-def test_each_kind_is_one_event() -> None:
+def test_each_report_is_one_event() -> None:
     report.finding("warning", "imu.gap", "2 s without a message", file="a/drive.bag", topic="/imu", time_ns=17)
     report.metric("ate_rmse", 0.12, unit="m", file=run_files.in_dir / "a" / "drive.bag")
     report.preview(run_files.out / "track.png", "The way")
@@ -59,7 +59,7 @@ def test_invalid_reports_are_refused_in_the_script() -> None:
     assert not (run_files.out / EVENTS_FILE).exists()
 
 
-def test_lines_of_many_threads_stay_whole() -> None:
+def test_concurrent_reports_are_not_interleaved() -> None:
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda n: report.metric(f"m{n}", n, unit="x" * 30), range(500)))
     assert {event.metric.value for event in values() if event.metric} == set(range(500))

@@ -38,7 +38,7 @@ def test_numbers_never_change() -> None:
     }
 
 
-def test_several_failures_of_one_kind_keep_it() -> None:
+def test_failures_with_one_exit_code_keep_it() -> None:
     changed = local.FileChanged(path="a", reason="b")
     left_out = local.StillRecording(path="a", reason="b")
     gone: KleinkramError = NotFound(noun="file", ref="x")
@@ -67,5 +67,5 @@ def test_all_problems_are_printed_with_their_place(capsys: pytest.CaptureFixture
     assert "t (line 2, column 4): is not a number" in output
 
 
-def test_a_bug_is_not_explained_away() -> None:
+def test_unexpected_errors_are_not_handled() -> None:
     assert explain(KeyError("x")) is None

@@ -17,5 +17,5 @@ from kleinkram.cli.run_view import harmless
         ("left\u202eto right", "left\\u202eto right"),
     ],
 )
-def test_only_colours_reach_the_terminal(written: str, shown: str) -> None:
+def test_log_lines_keep_only_colour_codes(written: str, shown: str) -> None:
     assert harmless(written) == shown

@@ -26,26 +26,26 @@ def klein(*arguments: str) -> Result:
     return CliRunner().invoke(app, [*arguments])
 
 
-def test_one_way_at_a_time() -> None:
+def test_device_and_token_exclude_each_other() -> None:
     assert isinstance(klein("login", LAB, "--device", "--token").exception, InvalidInput)
 
 
-def test_a_server_must_be_selected() -> None:
+def test_login_requires_a_server() -> None:
     assert isinstance(klein("login").exception, NotConfigured)
 
 
 @pytest.mark.parametrize("url", ["lab", f"{LAB}/s#klein_link_x", "https://ada:secret@lab.example"])
-def test_an_address_without_server_is_refused(url: str) -> None:
+def test_invalid_server_addresses_are_refused(url: str) -> None:
     assert isinstance(klein("login", url).exception, InvalidInput)
 
 
-def test_without_a_browser_the_other_way_is_named() -> None:
+def test_without_a_browser_the_device_sign_in_is_suggested() -> None:
     refused = klein("login", LAB).exception
     assert isinstance(refused, NoBrowser)
     assert f"klein login {LAB} --device" in str(refused)
 
 
-def test_a_name_that_another_server_has_is_refused_before_anybody_signs_in() -> None:
+def test_a_taken_endpoint_name_is_refused_before_sign_in() -> None:
     add_endpoint("lab", SavedEndpoint(url="https://other.example", token="t"))
     assert isinstance(klein("login", LAB, "--name", "lab").exception, EndpointTaken)
 
@@ -57,7 +57,7 @@ def test_an_unencrypted_connection_is_reported(url: str, is_warned: bool) -> Non
     assert ("not encrypted" in klein("login", url).output) == is_warned
 
 
-def test_the_list_says_who_one_is_and_until_when() -> None:
+def test_endpoint_list_shows_accounts_and_expiry() -> None:
     past = datetime.datetime(2020, 1, 1, tzinfo=datetime.timezone.utc)
     later = datetime.datetime(2100, 1, 1, tzinfo=datetime.timezone.utc)
     add_endpoint("old", SavedEndpoint(url="https://old", token="old-secret", person="Ada", expires_at=past))
@@ -81,20 +81,20 @@ def test_the_list_says_who_one_is_and_until_when() -> None:
 
 
 @pytest.mark.parametrize("arguments", [(), ("some-id", "--all"), ("no-id",)])
-def test_the_session_to_sign_out_is_named_once(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_session_revoke_requires_one_session(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("KLEINKRAM_URL", LAB)
     monkeypatch.setenv("KLEINKRAM_TOKEN", "t")
     assert isinstance(klein("session", "revoke", *arguments).exception, InvalidInput)
 
 
-def test_logging_out_needs_a_server() -> None:
+def test_logout_requires_one_endpoint() -> None:
     assert isinstance(klein("logout", "lab", "--all").exception, InvalidInput)
     assert isinstance(klein("logout").exception, NotConfigured)
     assert klein("logout", "--all").exit_code == 0
     assert load_endpoints().endpoints == {}
 
 
-def test_a_token_in_the_environment_is_not_kleins_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_logout_does_not_revoke_a_token_of_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("KLEINKRAM_URL", LAB)
     monkeypatch.setenv("KLEINKRAM_TOKEN", "t")
     refused = klein("logout").exception

@@ -1,8 +1,9 @@
 """Rendering of text for terminals."""
 
 import pytest
+import typer
 
-from kleinkram.cli.render import details, escape, line, note, show_json, table
+from kleinkram.cli.render import Output, details, escape, line, note, show_json, table
 from kleinkram.client.transfer import Outcome
 
 
@@ -39,14 +40,14 @@ def test_columns_are_aligned_and_numbers_are_at_the_right(capsys: pytest.Capture
     ]
 
 
-def test_an_empty_table_says_so_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_table_prints_a_note_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
     table(["name"], [])
     output = capsys.readouterr()
     assert output.out == ""
     assert output.err
 
 
-def test_details_leave_out_what_is_not_known(capsys: pytest.CaptureFixture[str]) -> None:
+def test_details_omit_missing_values(capsys: pytest.CaptureFixture[str]) -> None:
     details([("name", "x"), ("nothing", None), ("empty", ""), ("count", 0), ("long name", True)])
     assert capsys.readouterr().out.splitlines() == ["name:      x", "count:     0", "long name: yes"]
 
@@ -56,3 +57,16 @@ def test_json_has_plain_values(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == (
         '{\n  "outcome": "already_present",\n  "items": [\n    {\n      "a": 1\n    }\n  ],\n  "name": "\\u001b"\n}\n'
     )
+
+
+def test_output_is_a_document_or_text_and_sets_the_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
+    output = Output({"moved": 1}, ["Moved one file.", "It was large."], exit_code=9)
+    with pytest.raises(typer.Exit) as ended:
+        output.show(as_json=False)
+    assert ended.value.exit_code == 9
+    assert capsys.readouterr() == ("", "Moved one file.\nIt was large.\n")
+    with pytest.raises(typer.Exit):
+        output.show(as_json=True)
+    assert capsys.readouterr() == ('{\n  "moved": 1\n}\n', "")
+    Output({}, lambda: line("a table")).show(as_json=False)
+    assert capsys.readouterr().out == "a table\n"

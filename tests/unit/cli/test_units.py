@@ -76,7 +76,7 @@ def test_instants_are_utc_to_the_millisecond() -> None:
     assert units.instant(None) is None
 
 
-def test_one_is_not_written_as_several() -> None:
+def test_counts_have_singular_and_plural() -> None:
     assert [units.count(number, "file") for number in (0, 1, 2, 1200)] == [
         "0 files",
         "1 file",

@@ -28,14 +28,14 @@ def _upload(folder: Path, failure: KleinkramError, monkeypatch: pytest.MonkeyPat
     return begun, lambda: module._upload_folders(client, "alpine", [str(folder)], how)
 
 
-def test_ctrl_c_ends_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_stops_all_uploads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begun, run = _upload(tmp_path, Interrupted(), monkeypatch)
     with pytest.raises(Interrupted):
         run()
     assert begun == ["a"]
 
 
-def test_one_that_fails_does_not_stop_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_upload_does_not_stop_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begun, run = _upload(tmp_path, NotFound(noun="mission", ref="a"), monkeypatch)
     result, code = run()
     assert (begun, code) == (["a", "b"], ExitCode.not_found)

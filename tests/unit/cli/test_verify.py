@@ -9,7 +9,7 @@ def _verified(mission: str) -> FileVerdict:
     return FileVerdict("a", Verdict.same, 1, None, file_read("a", mission=mission))
 
 
-def test_the_mission_is_named_where_there_are_several() -> None:
+def test_paths_include_the_mission_if_there_are_several() -> None:
     missing = FileVerdict("b", Verdict.missing, 1, None, None)
     assert [path for _, path in _named([_verified("day"), missing])] == ["a", "b"]
     assert [path for _, path in _named([_verified("day"), _verified("night")])] == ["alps/day/a", "alps/night/a"]

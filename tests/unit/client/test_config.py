@@ -35,7 +35,7 @@ def local(tmp_path: Path) -> Path:
     return instance
 
 
-def test_nothing_known_says_what_to_do() -> None:
+def test_no_endpoint_explains_what_to_do() -> None:
     with pytest.raises(NotConfigured, match="klein up"):
         find_endpoint()
 
@@ -51,7 +51,7 @@ def test_the_order_of_places(local: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert (endpoint.source, endpoint.token) == (EndpointSource.argument, "arg-token")
 
 
-def test_a_token_is_only_used_for_the_server_it_is_for(local: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_token_is_sent_only_to_its_server(local: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     add_endpoint("lab", SavedEndpoint(url="https://lab", token="lab-token"))
     monkeypatch.setenv("KLEINKRAM_URL", "https://lab")
     assert find_endpoint().token == "lab-token"
@@ -61,7 +61,7 @@ def test_a_token_is_only_used_for_the_server_it_is_for(local: Path, monkeypatch:
     assert find_endpoint().token is None, "a stranger there"
 
 
-def test_the_address_of_a_link_is_a_server_and_a_secret(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_url_of_a_share_link_is_a_server_and_a_secret(monkeypatch: pytest.MonkeyPatch) -> None:
     endpoint = find_endpoint("https://lab/s#klein_link_x")
     assert (endpoint.url, endpoint.token) == ("https://lab", "klein_link_x")
     assert "klein_link_x" not in repr(endpoint)

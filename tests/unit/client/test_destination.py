@@ -32,7 +32,7 @@ def test_nested_puts_project_and_mission_before_the_path(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("other", ["a", "a/b"])
-def test_two_files_for_one_place_name_both(tmp_path: Path, other: str) -> None:
+def test_two_files_with_one_destination_are_both_named(tmp_path: Path, other: str) -> None:
     files = [file_read("a"), file_read(other, mission="night")]
     with pytest.raises(PathsCollide, match=r"(alps/day/a.*alps/night/|alps/night/.*alps/day/a).* --nested "):
         plan_download(files, tmp_path)
@@ -68,6 +68,6 @@ def test_a_destination_that_is_a_link_itself_is_meant(tmp_path: Path) -> None:
     assert (tmp_path / "disk" / "sub").is_dir()
 
 
-def test_the_temporary_name_fits_where_the_name_does() -> None:
+def test_the_temporary_name_is_not_too_long() -> None:
     assert partial_path(Path("d/a.bag"), ".klein-part") == Path("d/a.bag.klein-part")
     assert len(partial_path(Path("d/" + "ü" * 127), ".klein-part").name.encode()) <= 255

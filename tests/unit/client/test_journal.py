@@ -49,7 +49,7 @@ def the_file() -> Path:
 PART = JournalPart(number=1, checksum="ab", etag="cd")
 
 
-def test_remembers_the_upload_and_its_parts() -> None:
+def test_a_journal_stores_the_upload_and_its_parts() -> None:
     upload_id = begun(PART)
     remembered = reopened().remembered
     assert remembered is not None
@@ -57,7 +57,7 @@ def test_remembers_the_upload_and_its_parts() -> None:
 
 
 @pytest.mark.parametrize("cut", range(1, 40))
-def test_a_torn_last_line_is_ignored_and_not_built_upon(cut: int) -> None:
+def test_a_torn_last_line_is_ignored_and_removed(cut: int) -> None:
     begun(PART, JournalPart(number=2, checksum="ef", etag="01"))
     os.truncate(the_file(), the_file().stat().st_size - cut)
     journal = reopened()
@@ -70,19 +70,19 @@ def test_a_torn_last_line_is_ignored_and_not_built_upon(cut: int) -> None:
     assert set(again.parts) == {1, 3}
 
 
-def test_a_torn_head_is_no_journal() -> None:
+def test_a_journal_with_a_torn_head_is_ignored() -> None:
     begun()
     os.truncate(the_file(), 10)
     assert reopened().remembered is None
 
 
-def test_rubbish_is_no_journal() -> None:
+def test_a_journal_with_invalid_content_is_ignored() -> None:
     begun(PART)
     the_file().write_bytes(b"\0" * 200 + b"\n")
     assert reopened().remembered is None
 
 
-def test_another_upload_starts_it_anew() -> None:
+def test_another_upload_replaces_the_journal() -> None:
     begun(PART)
     second = begun()
     remembered = reopened().remembered
@@ -90,7 +90,7 @@ def test_another_upload_starts_it_anew() -> None:
     assert (remembered.upload_id, remembered.parts) == (second, {})
 
 
-def test_two_never_share_one() -> None:
+def test_two_processes_never_share_a_journal() -> None:
     journal = reopened()
     with pytest.raises(UploadElsewhere):
         reopened()
@@ -141,7 +141,7 @@ def test_entries_of_a_shared_journal_remain_after_closing() -> None:
     assert len([*journals_dir().iterdir()]) == 1
 
 
-def test_a_journal_that_is_there_is_read_though_there_are_files_to_spare() -> None:
+def test_an_existing_journal_is_read_even_with_spare_files() -> None:
     upload_id = begun(PART)
     journals = Journals()
     reopened(journals, other(1)).forget()
@@ -182,7 +182,7 @@ def test_each_journal_has_its_own_file_where_hard_links_are_unavailable(monkeypa
     assert [*journals_dir().iterdir()] == []
 
 
-def test_the_journal_of_a_large_file_is_made_anew() -> None:
+def test_a_large_file_gets_a_journal_of_its_own() -> None:
     journals = Journals()
     reopened(journals, other(1)).forget()
     large = reopened(journals, other(2, MIN_PART_BYTES + 1))

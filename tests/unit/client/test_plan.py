@@ -38,11 +38,11 @@ def day(tmp_path: Path) -> Path:
         ("{day}/bag/metadata.yaml", ["metadata.yaml"]),
     ],
 )
-def test_a_folder_keeps_its_tree_and_a_slash_means_its_contents(day: Path, argument: str, planned: list[str]) -> None:
+def test_a_folder_keeps_its_tree_and_a_slash_selects_its_contents(day: Path, argument: str, planned: list[str]) -> None:
     assert [file.path for file in plan_upload([argument.format(day=day)]).files] == planned
 
 
-def test_a_point_means_the_contents_of_this_folder(day: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_dot_selects_the_contents_of_this_folder(day: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(day)
     assert [file.path for file in plan_upload(["."]).files] == ["bag/metadata.yaml", "cam.mcap"]
 
@@ -98,7 +98,7 @@ def test_names_that_no_mission_takes_are_named_and_left_out(day: Path, name: byt
     assert all("\n" not in str(error) for error in refused)
 
 
-def test_a_path_that_is_not_there_is_an_error(tmp_path: Path) -> None:
+def test_a_missing_path_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="nowhere"):
         plan_upload([tmp_path / "nowhere"])
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from kleinkram.client.transfer.threads import Budget, Stop, Stopped, WorkQueue
+from kleinkram.client.transfer.pool import Budget, Stop, Stopped, WorkQueue
 
 
 def in_thread(work: Callable[[], object]) -> tuple[threading.Thread, list[object]]:
@@ -23,7 +23,7 @@ def in_thread(work: Callable[[], object]) -> tuple[threading.Thread, list[object
     return thread, answers
 
 
-def test_things_arrive_in_order_and_in_batches() -> None:
+def test_items_arrive_in_order_and_in_batches() -> None:
     channel: WorkQueue[int] = WorkQueue(Stop())
     for number in range(5):
         channel.put(number)
@@ -67,7 +67,7 @@ def test_waiting_for_memory_ends_when_half_of_the_budget_is_free() -> None:
     assert answers == [None]
 
 
-def test_the_end_wakes_everybody_and_keeps_the_first_failure() -> None:
+def test_a_stop_wakes_all_threads_and_keeps_the_first_failure() -> None:
     stop = Stop()
     channel: WorkQueue[str] = WorkQueue(stop)
     budget = Budget(stop, 1)

@@ -1,11 +1,11 @@
 """The bandwidth limit is not exceeded."""
 
 from kleinkram.client._http import LONGEST_WAIT_S, Backoff
-from kleinkram.client.transfer.threads import RateLimit
+from kleinkram.client.transfer.pool import RateLimit
 
 
 class Clock:
-    """A clock that moves when somebody waits."""
+    """A clock that moves with each wait."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -17,7 +17,7 @@ class Clock:
         self.now += seconds
 
 
-def test_bytes_take_the_time_they_may() -> None:
+def test_the_rate_limit_is_not_exceeded() -> None:
     clock = Clock()
     pace = RateLimit(1000, clock=clock)
     for _ in range(50):
@@ -25,7 +25,7 @@ def test_bytes_take_the_time_they_may() -> None:
     assert 4.5 <= clock.now - 100 <= 5.0
 
 
-def test_idle_time_is_not_saved_up() -> None:
+def test_idle_time_does_not_raise_the_rate() -> None:
     clock = Clock()
     pace = RateLimit(1000, clock=clock)
     clock.now += 3600

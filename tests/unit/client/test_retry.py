@@ -3,10 +3,10 @@
 from kleinkram.client._http import LONGEST_WAIT_S, Backoff
 
 
-def test_patience_runs_out_and_what_else_was_waited_for_is_not_counted() -> None:
+def test_the_retry_timeout_excludes_other_waits() -> None:
     waits: list[float] = []
     backoff = Backoff(0.0, waits.append)
     assert not backoff.pause()
-    backoff.excuse(10 * LONGEST_WAIT_S)
+    backoff.extend(10 * LONGEST_WAIT_S)
     assert backoff.pause()
     assert len(waits) == 1

@@ -7,7 +7,7 @@ import pytest
 from kleinkram.contract.uploads import combine_crc64nvme, crc64nvme
 
 
-def test_the_check_value_of_the_standard() -> None:
+def test_checksums_match_the_standard() -> None:
     assert crc64nvme(b"123456789") == 0xAE8B14860A799888
 
 

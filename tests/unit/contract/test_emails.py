@@ -16,7 +16,7 @@ _EXPIRY: TypeAdapter[datetime.datetime] = TypeAdapter(Expiry)
 
 
 @pytest.mark.parametrize("address", ["a@b", "Ada.Lovelace+robots@Lab.Example", "o'hara@xn--zrich-kva.example"])
-def test_addresses_are_taken_as_they_are(address: str) -> None:
+def test_valid_addresses_are_unchanged(address: str) -> None:
     assert _ADDRESS.validate_python(address) == address
 
 
@@ -48,7 +48,7 @@ def test_invalid_and_confusable_addresses_are_refused(address: str) -> None:
 
 
 @given(st.from_regex(r"[A-Za-z0-9.+-]{1,20}@[A-Za-z0-9.-]{1,20}", fullmatch=True))
-def test_the_key_is_the_same_in_any_case_and_keeps_its_domain(address: str) -> None:
+def test_email_keys_ignore_case(address: str) -> None:
     assert email_key(address.upper()) == email_key(address.swapcase()) == email_key(address)
     assert email_key(address).endswith("@" + email_domain(address))
 
@@ -60,7 +60,7 @@ def test_a_domain_is_exactly_one(domain: str) -> None:
     assert _DOMAIN.validate_python("LAB.example") == "lab.example"
 
 
-def test_an_end_has_a_zone_and_comes_in_utc() -> None:
+def test_expiry_times_require_a_zone_and_are_utc() -> None:
     assert _EXPIRY.validate_python("2027-01-01T00:00:00+02:00").isoformat() == "2026-12-31T22:00:00+00:00"
     for text in (
         "2027-01-01T00:00:00",

@@ -65,7 +65,7 @@ def test_all_problems_are_named_at_once() -> None:
     assert "site: is unknown" in sentence
 
 
-def test_a_newer_server_that_leaves_out_a_field_does_not_make_a_wrong_sentence() -> None:
+def test_an_error_with_missing_fields_becomes_internal_error() -> None:
     document = to_problem(FileExists(path="a", existing_sha256=None, sent_sha256=None, existing_file_id="1"), "req-9")
     cut = {key: value for key, value in document.model_dump(mode="json").items() if key != "path"}
     back = from_problem(ProblemDocument.model_validate(cut))

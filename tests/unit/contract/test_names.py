@@ -22,7 +22,7 @@ _UUID = "0f0e0d0c-0b0a-4090-8070-605040302010"
         (_UUID, "shaped like an id"),
     ],
 )
-def test_a_name_that_cannot_be_says_why(name: str, why: str) -> None:
+def test_invalid_names_are_refused_with_a_reason(name: str, why: str) -> None:
     with pytest.raises(ValueError, match=why):
         check_name(name)
 
@@ -39,7 +39,7 @@ def test_names_that_differ_by_case_or_unicode_form_are_the_same() -> None:
 
 
 @given(st.text())
-def test_the_key_of_a_key_is_itself(text: str) -> None:
+def test_name_keys_are_idempotent(text: str) -> None:
     assert name_key(name_key(text)) == name_key(text)
 
 
@@ -58,13 +58,13 @@ def test_the_key_of_a_key_is_itself(text: str) -> None:
         ("a/" * 600 + "b", "1201 characters"),
     ],
 )
-def test_a_path_that_leaves_or_blurs_its_place_is_refused(path: str, why: str) -> None:
+def test_invalid_paths_are_refused(path: str, why: str) -> None:
     with pytest.raises(ValueError, match=why):
         check_file_path(path)
 
 
 @given(st.text(min_size=1))
-def test_an_accepted_path_has_no_way_out(text: str) -> None:
+def test_accepted_paths_stay_inside_the_mission(text: str) -> None:
     try:
         path = check_file_path(text)
     except ValueError:

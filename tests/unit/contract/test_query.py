@@ -59,7 +59,7 @@ _DAY = datetime.datetime(2026, 5, 1, tzinfo=datetime.timezone.utc)
         ('-""', {}),
     ],
 )
-def test_a_text_means_a_filter(text: str, fields: dict[str, Any]) -> None:
+def test_queries_are_parsed_to_filters(text: str, fields: dict[str, Any]) -> None:
     assert parse(text) == FileFilter(**fields)
     assert parse(render(parse(text))) == parse(text)
 
@@ -79,7 +79,7 @@ def test_a_text_means_a_filter(text: str, fields: dict[str, Any]) -> None:
         ('project:"Town"', "project:Town"),
     ],
 )
-def test_a_query_has_one_spelling(text: str, message: str) -> None:
+def test_queries_are_normalized(text: str, message: str) -> None:
     assert render(parse(text)) == message
 
 
@@ -120,13 +120,13 @@ def test_unreadable_queries_name_the_column(text: str, column: int, words: str) 
 
 
 @pytest.mark.parametrize("field", ["without", "where"])
-def test_a_filter_whose_terms_say_nothing_has_no_text(field: str) -> None:
+def test_filters_with_invalid_terms_cannot_be_rendered(field: str) -> None:
     matching = FileFilter.model_validate({field: ["a b"]})
     with pytest.raises(InvalidQuery):
         render(matching)
 
 
-def test_a_text_and_a_filter_beside_it_are_one() -> None:
+def test_a_query_and_a_filter_are_combined() -> None:
     requested = FileQuery(query="alps label:a size>1GB", text="rain", label=["b"], min_size_bytes=5, content=["broken"])
     assert render(combined_filter(requested)) == "alps rain label:a label:b content:broken size>1GB"
     assert type(combined_filter(FileQuery(text="rain"))) is FileFilter
@@ -180,7 +180,7 @@ _filters = st.builds(
 
 
 @given(_filters, st.lists(_filters, max_size=2))
-def test_the_text_of_a_filter_means_that_filter(plain: FileFilter, others: list[FileFilter]) -> None:
+def test_rendered_filters_parse_to_the_same_filter(plain: FileFilter, others: list[FileFilter]) -> None:
     """Words and comparisons may be spelled in more ways than one: these come back in the one spelling."""
     terms = [f"-{term}" for other in others for term in map(render, _single(other))][:50]
     matching = plain.model_copy(update={"without": parse(" ".join(terms)).without})
@@ -214,7 +214,7 @@ def _single(matching: FileFilter) -> list[FileFilter]:
 
 
 @given(_value)
-def test_any_text_is_read_or_refused_by_name(text: str) -> None:
+def test_any_text_parses_or_raises_invalid_query(text: str) -> None:
     try:
         matching = parse(text)
     except InvalidQuery as error:

@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kleinkram.server.blobs.summaries import fit_text
+from kleinkram.server.db import fit_text
 
 
 @given(st.text())

@@ -2781,7 +2781,7 @@ export interface components {
         };
         /**
          * AlreadyPresent
-         * @description The mission already has this very file under this name: nothing to send. `file` is null for who may not read.
+         * @description The mission already has this file. Send nothing. `file` is null without the right to read.
          */
         AlreadyPresent: {
             /**
@@ -3046,7 +3046,7 @@ export interface components {
         };
         /**
          * Completed
-         * @description The store agreed; the file exists. It is null for who may not read, where another brought the same bytes.
+         * @description The upload is complete and the file exists. `file` is null without the right to read.
          */
         Completed: {
             file: components["schemas"]["FileRead"] | null;
@@ -3110,7 +3110,7 @@ export interface components {
         };
         /**
          * Deduplicated
-         * @description The same bytes are kept already and you may read them: the file now exists, nothing to send.
+         * @description The server already has these bytes, and you may read them. The file now exists; send nothing.
          */
         Deduplicated: {
             /**
@@ -3825,7 +3825,7 @@ export interface components {
         };
         /**
          * HashRequired
-         * @description Something of this name or size is kept already: ask again with the sha256.
+         * @description The server has a file with this name or size. Announce the file again with its sha256.
          */
         HashRequired: {
             /**
@@ -4093,7 +4093,7 @@ export interface components {
         };
         /**
          * Location
-         * @description A place on earth. Degrees, WGS 84; altitude in metres above the ellipsoid.
+         * @description A place on earth in degrees (WGS 84); altitude in metres above the ellipsoid.
          */
         Location: {
             /** Altitude */
@@ -4139,7 +4139,7 @@ export interface components {
          * LogChunkRead
          * @description A chunk of the log of a run from the byte `offset` on; the next one begins at `next_offset`.
          *
-         *     It ends with a whole line, unless the log ends or the line is very long. `is_over`: the log ends at `next_offset`.
+         *     It ends with a complete line, unless the log ends or the line is very long. `is_over`: the log ends there.
          */
         LogChunkRead: {
             /** Attempt */
@@ -4247,7 +4247,7 @@ export interface components {
          * MetadataField
          * @description One field that a project declares.
          *
-         *     `unit` belongs to numbers, `pattern` (Rust regex syntax, whole value) to strings, `choices` to choices.
+         *     `unit` is for numbers, `pattern` (Rust regex syntax, for the entire value) for strings, `choices` for choices.
          */
         MetadataField: {
             /** Choices */
@@ -4855,7 +4855,7 @@ export interface components {
         ParameterType: "string" | "integer" | "number" | "boolean" | "choice" | "topic";
         /**
          * PartsSign
-         * @description Parts to sign, of one or several uploads: many small files take one request.
+         * @description Parts to sign, of one or several uploads.
          */
         PartsSign: {
             /** Parts */
@@ -4863,7 +4863,7 @@ export interface components {
         };
         /**
          * PartToSign
-         * @description A part about to be sent, with its checksum in lower-case hex (of the kind that the upload names).
+         * @description A part to send, with its checksum in lower-case hex, of the kind that the upload specifies.
          */
         PartToSign: {
             /** Checksum */
@@ -5258,7 +5258,7 @@ export interface components {
         };
         /**
          * Report
-         * @description The whole report of a run. `metadata` is a proposal; a person accepts or ignores it.
+         * @description The report of a run. `metadata` is a proposal; a person accepts or ignores it.
          */
         Report: {
             /**
@@ -5626,7 +5626,7 @@ export interface components {
         };
         /**
          * RunnerRegistration
-         * @description A runner's description of itself, sent whenever it starts. `id` is permanent; its state directory holds it.
+         * @description A runner's description of itself, sent at each start. `id` is permanent, and stored in its state directory.
          *
          *     `default_image` is the digest of the image that it runs scripts on; null where it has none.
          */
@@ -5671,12 +5671,12 @@ export interface components {
         };
         /**
          * RunRead
-         * @description A run.
+         * @description A run of an action on a mission.
          *
-         *     `reason`, `message` and `exit_code` say how it ended; `waits_for` why it is still queued. `image_digest` is of the
-         *     image that was run. `reuses_id` names the earlier run whose results this run reuses; it has none of its own.
-         *     `metrics` are the first reported ones, those of the whole run before those of single files; empty in a lineage.
-         *     `may_cancel`: the reader may cancel it, and it has not ended.
+         *     `reason`, `message` and `exit_code` describe how it ended, `waits_for` why it is still queued. `image_digest` is of
+         *     the image that was run. `reuses_id` is the earlier run whose results this run reuses; it has none of its own.
+         *     `metrics` are the first reported ones, those of the run before those of single files; empty in a lineage.
+         *     `may_cancel`: the caller may cancel it, and it has not ended.
          */
         RunRead: {
             action: components["schemas"]["ActionRef"];
@@ -5913,7 +5913,8 @@ export interface components {
          * ServiceRead
          * @description A server: `GET /api/v1/service`. `name` is the lab's; `person` is the caller, if they have an account.
          *
-         *     Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers.
+         *     Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers. `token_days_max` 0: tokens
+         *     without an end are allowed.
          */
         ServiceRead: {
             /** Checksum */
@@ -5994,7 +5995,7 @@ export interface components {
         };
         /**
          * Severity
-         * @description How bad a finding is.
+         * @description The severity of a finding.
          * @enum {string}
          */
         Severity: "info" | "warning" | "error";
@@ -6048,7 +6049,7 @@ export interface components {
          * ShareRead
          * @description A link without its secret; `prefix` is the beginning of the secret.
          *
-         *     `file_count` is null for a link to a whole mission. Downloads count each file whose URL was requested.
+         *     `file_count` is null for a link to all files of a mission. Downloads count each file whose URL was requested.
          */
         ShareRead: {
             /**
@@ -6120,7 +6121,7 @@ export interface components {
         };
         /**
          * SignedParts
-         * @description Signed parts, in the order asked; asking also renews the leases of their uploads.
+         * @description Signed parts, in the order of the request, which also renewed the leases of their uploads.
          */
         SignedParts: {
             /** Items */
@@ -6185,7 +6186,7 @@ export interface components {
         };
         /**
          * StoredPart
-         * @description A part that the store already holds.
+         * @description A part that the store has.
          */
         StoredPart: {
             /** Etag */
@@ -6534,7 +6535,7 @@ export interface components {
         };
         /**
          * UploadDecisions
-         * @description One decision a file, in the order asked.
+         * @description One decision per file, in the order of the request.
          */
         UploadDecisions: {
             /** Items */
@@ -6542,10 +6543,10 @@ export interface components {
         };
         /**
          * UploadFile
-         * @description One file that a client wants to upload. Hashes where they are known already, lower-case hex.
+         * @description One file to upload. The hashes are lower-case hex, and may be left out if they are not known yet.
          *
-         *     Clients send both hashes of small files at once: most are then decided in one response, which also contains the
-         *     URL of the part where there is only one.
+         *     Clients announce small files with both hashes: then one response decides about most of them, and contains the URL
+         *     of a file's only part.
          *     `upload_id` resumes an earlier upload of the same path and size, or starts one with that id. Repeating a request
          *     with the same id therefore returns the upload that the first request created.
          */
@@ -6563,7 +6564,7 @@ export interface components {
         };
         /**
          * UploadFinish
-         * @description An upload whose parts are all sent; the hashes are of the whole file.
+         * @description An upload whose parts are all sent, and the hashes of the file.
          */
         UploadFinish: {
             /** Crc64Nvme */
@@ -6578,7 +6579,7 @@ export interface components {
         };
         /**
          * UploadOutcomes
-         * @description One outcome an upload, in the order asked.
+         * @description One outcome per upload, in the order of the request.
          */
         UploadOutcomes: {
             /** Items */
@@ -6586,7 +6587,7 @@ export interface components {
         };
         /**
          * UploadRead
-         * @description An upload under way. `parts` are those the store holds, in order; empty for one that has just begun.
+         * @description An upload. `parts` are those that the store has, in order.
          */
         UploadRead: {
             checksum: components["schemas"]["ChecksumKind"];
@@ -6641,7 +6642,7 @@ export interface components {
          * UploadRequired
          * @description Send the parts that `upload` does not list.
          *
-         *     `part` is where the only part of a file goes, signed for the checksum that was announced; else ask for addresses.
+         *     `part`: the URL of the file's only part, signed for the announced checksum. Otherwise, request URLs of the parts.
          */
         UploadRequired: {
             /**
@@ -6662,7 +6663,7 @@ export interface components {
         };
         /**
          * UploadState
-         * @description `open` takes parts, `completing` is being finished by the server, the others are ends.
+         * @description `open` accepts parts, the server finishes one that is `completing`; the others are final.
          * @enum {string}
          */
         UploadState: "open" | "completing" | "done" | "aborted" | "expired";

@@ -1,4 +1,4 @@
-"""Where downloaded files go, always inside the destination; and one file's download under way."""
+"""The plan of a download, whose files stay inside the destination; and the temporary file of each download."""
 
 import fcntl
 import hashlib
@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from kleinkram.client.errors import DestinationDiffers, DestinationRefused, DiskFull, PathsCollide, VerifyFailed
 from kleinkram.client.transfer.local_file import SLICE_BYTES, Checksum, Crc64Hash, read_slice
 from kleinkram.client.transfer.plan import distinct_text
+from kleinkram.client.transfer.pool import FileTransfer
 from kleinkram.contract.files import DownloadLink, FileRead
 from kleinkram.contract.names import MAX_PATH_PART_BYTES, check_file_path
 from kleinkram.contract.runs import ArtifactRead
@@ -152,29 +153,26 @@ class _Range(BaseModel):
     number: int
 
 
-class PartialFile:
+class PartialFile(FileTransfer):
     """A file being downloaded to `target`: its temporary file, which ranges have arrived, and its checksum so far.
 
-    Safe to share between threads. The checksum is made in order, by whichever thread finds the next range complete.
-    The ranges are written beside the target, a line each, so that the same command resumes; the checksum of the whole
-    decides.
+    Safe to share between threads. The thread that completes the next range hashes it, in order. A journal beside the
+    target lists the ranges, so that the same command resumes.
     """
 
     def __init__(self, link: DownloadLink, target: Path, *, overwrite: bool) -> None:
         """Open the temporary file, and resume what an earlier run left; raise DestinationRefused where it cannot."""
+        super().__init__(link.path, link.url)
         self.link = link
         self.target = target
         self.size_bytes = link.size_bytes
         self.fetched_bytes = 0
-        self.ended = False
         self._overwrite = overwrite
         self._part = partial_path(target, PART_SUFFIX)
         self._journal_file = partial_path(target, JOURNAL_SUFFIX)
-        self._lock = threading.Lock()
         self._hashing = threading.Lock()
         self._hashed_to = 0
         self._checksum: Checksum = hashlib.sha256() if link.sha256 else Crc64Hash()
-        self._left = 1  # the handing out of ranges itself
         self._handle = _open_locked(self._part)
         head = _Head.model_validate(link, from_attributes=True)
         self._done = _read_journal(self._journal_file, head)
@@ -197,25 +195,8 @@ class PartialFile:
         """Return how many bytes an earlier run left."""
         return sum(min(RANGE_BYTES, self.size_bytes - number * RANGE_BYTES) for number in self._done)
 
-    def add_range(self) -> None:
-        """Count one more range to fetch."""
-        with self._lock:
-            self._left += 1
-
-    def part_done(self) -> bool:
-        """Count one range (or the handing out) as done; return True for the last of all."""
-        with self._lock:
-            self._left -= 1
-            return self._left == 0
-
-    def end(self) -> bool:
-        """End this download; return False when it had ended already."""
-        with self._lock:
-            first, self.ended = not self.ended, True
-        return first
-
     def write(self, offset: int, data: bytes) -> None:
-        """Write bytes at their place; raise DiskFull where there is no room."""
+        """Write bytes at an offset; raise DiskFull if there is no room."""
         view = memoryview(data)
         while view:
             try:
@@ -259,7 +240,7 @@ class PartialFile:
             os.posix_fadvise(self._handle, max(0, end - RANGE_BYTES), RANGE_BYTES, os.POSIX_FADV_DONTNEED)
 
     def finish(self, check: Callable[[], None]) -> None:
-        """Verify the whole, force it to disk, and give it its name. Only once every range has arrived.
+        """Verify the file, force it to disk, and give it its name. Only after every range has arrived.
 
         Raises:
             VerifyFailed: the checksum differs; the bytes are removed.
@@ -324,7 +305,7 @@ def _open_locked(part: Path) -> int:
             raise DestinationRefused(path=str(part), reason="another klein process is downloading it") from None
         except FileNotFoundError:
             pass
-        os.close(handle)  # another process has finished it meanwhile
+        os.close(handle)  # another process has finished it
 
 
 def _read_journal(file: Path, head: _Head) -> set[int]:

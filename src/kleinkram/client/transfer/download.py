@@ -1,32 +1,23 @@
-"""Downloading a plan. The same command, run again after any interruption, fetches only what is missing.
+"""Downloads a plan: the caller's thread gets URLs in batches and queues ranges; others fetch, verify and finish.
 
-The caller's thread asks for URLs in batches and hands out ranges; other threads fetch, verify and finish. Memory: one
-slice per thread.
+The same command, run again after any interruption, fetches only what is missing. Memory: one slice per thread.
 """
 
 import contextlib
 import itertools
 import os
 import shutil
-import threading
 import time
 import uuid
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import urllib3
 
 from kleinkram.client._client import Client
 from kleinkram.client._http import Backoff
-from kleinkram.client.errors import (
-    DestinationDiffers,
-    DestinationRefused,
-    DiskFull,
-    ServerUnreachable,
-    TransferFailed,
-    VerifyFailed,
-)
+from kleinkram.client.errors import DestinationDiffers, DestinationRefused, DiskFull, ServerUnreachable, VerifyFailed
+from kleinkram.client.transfer import store
 from kleinkram.client.transfer.destination import (
     PART_SUFFIX,
     DownloadPlan,
@@ -36,33 +27,29 @@ from kleinkram.client.transfer.destination import (
     partial_path,
     regular_size,
 )
-from kleinkram.client.transfer.link import CongestionWindow, Lane, LinkMonitor
 from kleinkram.client.transfer.local_file import SLICE_BYTES, is_same
+from kleinkram.client.transfer.pool import Part, RateLimit, TransferPool, check_limits
 from kleinkram.client.transfer.report import (
     CONNECTIONS,
-    LinkReport,
     Outcome,
     ResultCollector,
     TransferReport,
     TransferResult,
     Watcher,
 )
-from kleinkram.client.transfer.store import PATIENCE_S, GetResult, StoreAnswer, StoreClient
-from kleinkram.client.transfer.threads import Budget, RateLimit, Stop, WorkQueue, check_limits
+from kleinkram.client.transfer.store import GetResult, StoreResult
 from kleinkram.contract.errors import FileUnavailable, KleinkramError, NotFound
 from kleinkram.contract.files import DownloadLink
 
-_LINKS_AT_ONCE = 50
-_FILES_UNDER_WAY = 64
-_RANGES_AHEAD = 16
-_REFUSALS = 4
-_OF_ONE_FILE = (DestinationDiffers, DestinationRefused, TransferFailed, VerifyFailed, FileUnavailable, NotFound)
+_LINKS_PER_REQUEST = 50
+_MAX_FILES = 64
+_MAX_QUEUED_RANGES = 16
 
-# Returns where to read some files, by their ids, in the order asked.
+# Returns where to read files, by their ids, in the order asked.
 Links = Callable[[Sequence[uuid.UUID]], Sequence[DownloadLink]]
-# Asks the server to read the bytes of a file and compare them with its checksums.
+# Has the server read the bytes of a file and compare them with its checksums.
 Check = Callable[[uuid.UUID], object]
-# The server needs half a minute to find that a store cannot return an object.
+# The server takes up to half a minute to notice that a store cannot return an object.
 _CHECK_S, _CHECK_POLL_S = 45.0, 2.0
 
 
@@ -77,8 +64,8 @@ def download(
 ) -> TransferReport:
     """Download the planned files and return the result for each.
 
-    Every file is verified against the server's checksum, then appears under its name at once and whole; until then it
-    is `NAME.klein-part`. An existing file stays: the same, or refused unless `overwrite`.
+    Every file is verified against the server's checksum before it gets its name; until then it is `NAME.klein-part`.
+    An existing file stays: it is the same, or the download of that file is refused unless `overwrite`.
 
     Raises:
         DiskFull: there is no room for all of it.
@@ -107,9 +94,9 @@ def fetch(
     watcher: Watcher | None = None,
     check: Check | None = None,
 ) -> TransferReport:
-    """Download what is planned, as `download` does, from where `links` of a `server` point.
+    """Download the planned files, as `download` does, from the URLs that `links` returns.
 
-    `check` has the server read a file that the store does not return.
+    `server` is the URL of the server. `check` has it read a file that the store does not return.
     """
     check_limits(connections, bytes_per_s)
     watcher = watcher or Watcher()
@@ -120,13 +107,14 @@ def fetch(
     downloader = Downloader(
         links,
         server,
+        connections=connections,
         pace=RateLimit(bytes_per_s),
         watcher=watcher,
         overwrite=overwrite,
         ended=lambda result: results.add(result.file_id, result),
         check=check,
     )
-    link = downloader.run(plan.targets, connections)
+    link = downloader.run(lambda: downloader.queue(plan.targets))
     return TransferReport(results.in_order([target.file.id for target in plan.targets]), plan.left_out, link)
 
 
@@ -140,7 +128,7 @@ def _check_room(plan: DownloadPlan) -> None:
     needed = 0
     for target in plan.targets:
         if not target.local.exists():
-            present = 0  # what an earlier run left takes its room already
+            present = 0  # bytes of an earlier run take up room already
             with contextlib.suppress(OSError):
                 present = partial_path(target.local, PART_SUFFIX).stat().st_blocks * 512
             needed += max(0, target.file.size_bytes - present)
@@ -148,16 +136,13 @@ def _check_room(plan: DownloadPlan) -> None:
         raise DiskFull(path=os.fspath(dest), reason=f"{needed} bytes are needed and {free} are free")
 
 
-class _FileRange(NamedTuple):
-    """A range of a file to fetch, both ends inclusive."""
+class _FileRange(Part):
+    """A range of a file to fetch."""
 
-    fetching: PartialFile
-    number: int
-    first: int
-    last: int
+    file: PartialFile
 
 
-class Downloader:
+class Downloader(TransferPool[_FileRange]):
     """One run of a download. `ended` is called once per file, from any thread."""
 
     def __init__(
@@ -165,80 +150,45 @@ class Downloader:
         links: Links,
         server: str,
         *,
+        connections: int,
         pace: RateLimit,
         watcher: Watcher,
         overwrite: bool,
         ended: Callable[[TransferResult], None],
         check: Check | None = None,
     ) -> None:
+        super().__init__(
+            server,
+            connections=connections,
+            spare_threads=1,  # while one thread hashes, no connection is idle
+            max_files=_MAX_FILES,
+            max_queued=_MAX_QUEUED_RANGES,
+            pace=pace,
+            watcher=watcher,
+        )
         self._links = links
         self._check = check
         self._refused = Counter[uuid.UUID]()
-        self._server = server
-        self._stop = Stop()
-        self._pace = pace
-        self._watcher = watcher
-        self._link = LinkMonitor(watcher.notify)
         self._overwrite = overwrite
         self._ended = ended
-        self._under_way = Budget(self._stop, _FILES_UNDER_WAY)
-        self._ahead = Budget(self._stop, _RANGES_AHEAD)
-        self._ranges: WorkQueue[_FileRange] = WorkQueue(self._stop)
         self._targets: dict[uuid.UUID, DownloadTarget] = {}
-        self._open: dict[uuid.UUID, PartialFile] = {}
 
-    def run(self, targets: Sequence[DownloadTarget], connections: int) -> LinkReport:
-        """Download the files; return when each has ended, with how the network was.
+    # -- queueing: the caller's thread --------------------------------------------------------------------------------
 
-        Raises:
-            KleinkramError: something that concerns all files; what has arrived stays for the next run.
-        """
+    def queue(self, targets: Sequence[DownloadTarget]) -> None:
+        """Queue what is missing of these files; waits while enough is queued."""
         self._targets = {target.file.id: target for target in targets}
-        self._store = StoreClient(connections)
-        self._lane = Lane(self._stop, CongestionWindow(connections))
-        self._lines = threading.BoundedSemaphore(connections)
-        # One more than there are connections: while one hashes what arrived, none of them idles.
-        threads = [self._stop.start(self._fetch_loop) for _ in range(connections + 1)]
+        missing = (target for target in targets if self._is_missing(target))
+        while batch := [*itertools.islice(missing, _LINKS_PER_REQUEST)]:
+            self._queue_batch(batch)
 
-        def fetch_all() -> None:
-            needed = (target for target in targets if self._is_needed(target))
-            while batch := [*itertools.islice(needed, _LINKS_AT_ONCE)]:
-                self._hand_out(batch)
-            self._under_way.wait_until_free()
-
-        try:
-            self._link.watch(self._stop, self._server, fetch_all)
-        finally:
-            self._stop.now()
-            for thread in threads:
-                thread.join(timeout=2.0)
-            for fetching in self._open.values():
-                fetching.close()
-            self._store.close()
-        return self._link.report()
-
-    def _ask_links(self, file_ids: Sequence[uuid.UUID]) -> Sequence[DownloadLink]:
-        """Ask where files are, for as long as a store would be waited for."""
-        backoff: Backoff | None = None
-        while True:
-            try:
-                return self._links(file_ids)
-            except ServerUnreachable as error:
-                failure = error
-            backoff = backoff or Backoff(PATIENCE_S, self._stop.wait)
-            self._link.waits_for_server(self._server)
-            if not backoff.pause():
-                raise failure
-
-    # -- handing out: the caller's thread -----------------------------------------------------------------------------
-
-    def _is_needed(self, target: DownloadTarget) -> bool:
-        """Say whether a file must be fetched; end one that is there already, or cannot be written."""
+    def _is_missing(self, target: DownloadTarget) -> bool:
+        """Return whether a file must be fetched; end one that is there already, or cannot be written."""
         try:
             make_folders(target.dest, target.relative)
             if regular_size(target.local) is None:
                 return True
-            if is_same(target.file, target.local, self._stop.check):
+            if is_same(target.file, target.local, self.stop.check):
                 self._watcher.skipped(target.file.path, target.file.size_bytes, target.file.size_bytes)
                 self._end(target, Outcome.already_present)
                 return False
@@ -249,143 +199,123 @@ class Downloader:
             self._end(target, Outcome.refused, error=DestinationDiffers(path=str(target.local)))
         return self._overwrite
 
-    def _hand_out(self, batch: Sequence[DownloadTarget]) -> None:
+    def _queue_batch(self, batch: Sequence[DownloadTarget]) -> None:
         try:
-            links = self._ask_links([target.file.id for target in batch])
+            links = self._request_links([target.file.id for target in batch])
         except (FileUnavailable, NotFound) as error:
             if len(batch) == 1:
                 self._end(batch[0], Outcome.refused, error=error)
                 return
             for target in batch:
-                self._hand_out([target])
+                self._queue_batch([target])
             return
         for target, link in zip(batch, links, strict=True):
-            self._under_way.acquire(1)
             try:
-                fetching = PartialFile(link, target.local, overwrite=self._overwrite)
+                file = PartialFile(link, target.local, overwrite=self._overwrite)
             except DestinationRefused as error:
-                self._under_way.release(1)
                 self._end(target, Outcome.refused, error=error)
                 continue
-            self._open[link.file_id] = fetching
-            self._watcher.skipped(target.file.path, fetching.stored_bytes(), link.size_bytes)
-            for number, first, last in [*fetching.missing()]:
-                if fetching.ended:
+            self._open_file(file)
+            self._watcher.skipped(file.path, file.stored_bytes(), file.size_bytes)
+            for number, first, last in [*file.missing()]:
+                if file.ended:
                     break
-                self._ahead.acquire(1)
-                fetching.add_range()
-                self._ranges.put(_FileRange(fetching, number, first, last))
-            self._count_done(fetching)
+                part = _FileRange(file, number, first, last + 1 - first)
+                self._add_part(part)
+                self._parts.put(part)
+            self._count_done(file)
+
+    def _request_links(self, file_ids: Sequence[uuid.UUID]) -> Sequence[DownloadLink]:
+        """Return links to files; retried while the server is unavailable."""
+        backoff: Backoff | None = None
+        while True:
+            try:
+                return self._links(file_ids)
+            except ServerUnreachable:  # noqa: PERF203  (each round is a request)
+                backoff = backoff or Backoff(store.TRANSFER_RETRY_S, self.wait_for_server)
+                if not backoff.pause():
+                    raise
 
     # -- fetching: the other threads ----------------------------------------------------------------------------------
 
-    def _fetch_loop(self) -> None:
-        while True:
-            for part in self._ranges.take(1):
-                fetching = part.fetching
-                try:
-                    if not fetching.ended:
-                        with self._lines, self._lane.place() as place:
-                            self._fetch(part, place)
-                        fetching.arrived(part.number, part.last - part.first + 1)
-                        fetching.hash_ready(self._stop.check)
-                except _OF_ONE_FILE as error:
-                    self._fail(fetching, error)
-                self._ahead.release(1)
-                self._count_done(fetching)
-
-    def _fetch(self, part: _FileRange, place: int) -> None:
-        fetching, offset, refusals = part.fetching, part.first, 0
-        backoff = Backoff(PATIENCE_S, self._stop.wait)
-        while offset <= part.last:
-            with self._lane.turn(place, part.last + 1 - offset) as waited_s:
-                backoff.excuse(waited_s)
-                result, reached = self._get(part, offset)
-            if reached > offset:
-                offset, backoff = reached, Backoff(PATIENCE_S, self._stop.wait)
-                if result.error is not None:
-                    self._link.lost(fetching.link.url, backoff, result.error, result.why)
-            elif result.answer in {StoreAnswer.taken, StoreAnswer.try_again}:
-                if result.error is None:
-                    self._lane.step_out(place)
-                if result.error is None and not result.is_store_wide and self._check is not None:
-                    self._raise_if_damaged(fetching, result.why, self._check)
-                else:
-                    self._link.lost(fetching.link.url, backoff, result.error, result.why)
-                if not self._link.pause(backoff, self._stop):
-                    raise self._link.give_up(fetching.link.url, fetching.link.path, result)
-            elif result.answer is StoreAnswer.sign_again and refusals < _REFUSALS:
-                refusals += 1
-                fetching.link = self._ask_links([fetching.link.file_id])[0]
-            else:
-                raise TransferFailed(path=fetching.link.path, reason=result.reason)
-
-    def _get(self, part: _FileRange, offset: int) -> tuple[GetResult, int]:
-        """Write the bytes from an offset to the range's end; return the store's answer and the offset reached."""
-        began_at, began_offset = time.monotonic(), offset
-        result = self._store.get(part.fetching.link.url, offset, part.last, SLICE_BYTES)
-        path, total = part.fetching.link.path, part.fetching.size_bytes
+    def _request(self, part: _FileRange) -> GetResult | None:
+        file = part.file
+        first = part.offset + part.moved_bytes
+        result = self._store.get(file.url, first, part.offset + part.size_bytes - 1, SLICE_BYTES)
         try:
             for data in result.slices():
-                self._stop.check()
-                data = data[: part.last + 1 - offset]
-                self._pace.spend(len(data), self._stop.wait)
-                part.fetching.write(offset, data)
-                offset += len(data)
-                self._link.arrived()
-                self._watcher.moved(path, len(data), total)
+                self.stop.check()
+                data = data[: part.left_bytes]
+                self._pace.spend(len(data), self.stop.wait)
+                file.write(part.offset + part.moved_bytes, data)
+                part.moved_bytes += len(data)
+                self.outages.arrived()
+                self._watcher.moved(file.path, len(data), file.size_bytes)
         except urllib3.exceptions.HTTPError as error:
             result.error = error
         finally:
             result.close()
-        if result.is_store_wide:
-            self._lane.lost()
-        elif offset > part.last:
-            self._lane.arrived(offset - began_offset, time.monotonic() - began_at)
-        return result, offset
+        return result if part.left_bytes else None
 
-    def _raise_if_damaged(self, fetching: PartialFile, why: str, check: Check) -> None:
-        """Have the server check a file whose bytes the store does not return; the second time, wait for the answer.
+    def _sign_again(self, part: _FileRange) -> None:
+        file = part.file
+        [file.link] = self._request_links([file.link.file_id])
+        file.url = file.link.url
+
+    def _report_failure(self, part: _FileRange, result: StoreResult, backoff: Backoff) -> None:
+        if result.is_store_wide or self._check is None:
+            super()._report_failure(part, result, backoff)
+        else:
+            self._raise_if_damaged(part, result.why, self._check)
+
+    def _raise_if_damaged(self, part: _FileRange, why: str, check: Check) -> None:
+        """Have the server check a file whose bytes the store does not return; the second time, wait for the result.
 
         Raises:
-            FileUnavailable: the server found that it is damaged or lost.
+            FileUnavailable: the server found that it is damaged or missing.
         """
-        file_id = fetching.link.file_id
+        file_id, path = part.file.link.file_id, part.file.path
         self._refused[file_id] += 1
-        if self._refused[file_id] > 2:
-            return
         if self._refused[file_id] == 1:
-            with contextlib.suppress(KleinkramError):  # without the right to ask, wait for the store as before
+            with contextlib.suppress(KleinkramError):  # without the right to verify, wait for the store as before
                 check(file_id)
-                path = fetching.link.path
                 self._watcher.notify(f"the store does not return {path} ({why}); the server is checking the file")
-            return
-        until = time.monotonic() + _CHECK_S
-        while time.monotonic() < until:
-            fetching.link = self._ask_links([file_id])[0]
-            self._stop.wait(_CHECK_POLL_S)
+        elif self._refused[file_id] == 2:
+            deadline = time.monotonic() + _CHECK_S
+            while time.monotonic() < deadline:
+                self._sign_again(part)
+                self.stop.wait(_CHECK_POLL_S)
+
+    def _moved(self, part: _FileRange) -> None:
+        part.file.arrived(part.number, part.size_bytes)
+        part.file.hash_ready(self.stop.check)
 
     # -- ends ---------------------------------------------------------------------------------------------------------
 
-    def _count_done(self, fetching: PartialFile) -> None:
-        """Count a range as done; the thread that brings the last one finishes the file."""
-        if not fetching.part_done():
+    def _part_done(self, part: _FileRange) -> None:
+        self._queued.release(part.cost)
+        self._count_done(part.file)
+
+    def _count_done(self, file: PartialFile) -> None:
+        """Count a range as done; the thread that moved the last one finishes the file."""
+        if not file.part_done():
             return
         try:
-            if not fetching.ended:
-                fetching.finish(self._stop.check)
-                fetching.end()
-                self._end(self._targets[fetching.link.file_id], Outcome.downloaded, moved_bytes=fetching.fetched_bytes)
-        except _OF_ONE_FILE as error:
-            self._fail(fetching, error)
-        self._open.pop(fetching.link.file_id, None)
-        fetching.close()
-        self._under_way.release(1)
+            if not file.ended:
+                file.finish(self.stop.check)
+                file.end()
+                self._end(self._targets[file.link.file_id], Outcome.downloaded, moved_bytes=file.fetched_bytes)
+        except (DestinationDiffers, DestinationRefused, VerifyFailed) as error:
+            self._fail(file, error)
+        self._close_file(file)
 
-    def _fail(self, fetching: PartialFile, error: KleinkramError) -> None:
-        self._stop.check()
-        if fetching.end():
-            self._end(self._targets[fetching.link.file_id], Outcome.refused, error=error)
+    def _part_failed(self, part: _FileRange, error: KleinkramError) -> None:
+        self._fail(part.file, error)
+
+    def _fail(self, file: PartialFile, error: KleinkramError) -> None:
+        self.stop.check()
+        if file.end():
+            self._end(self._targets[file.link.file_id], Outcome.refused, error=error)
 
     def _end(
         self, target: DownloadTarget, outcome: Outcome, *, moved_bytes: int = 0, error: KleinkramError | None = None

@@ -26,7 +26,7 @@ _slices = threading.local()
 
 
 class Checksum(Protocol):
-    """A checksum under way."""
+    """A checksum that bytes are added to."""
 
     def update(self, data: memoryview, /) -> None:
         """Add bytes."""
@@ -38,7 +38,7 @@ class Checksum(Protocol):
 
 @dataclass
 class Crc64Hash:
-    """A CRC-64/NVME under way: the full-object checksum of the S3 API."""
+    """A CRC-64/NVME, the full-object checksum of the S3 API."""
 
     value: int = 0
 
@@ -53,7 +53,7 @@ class Crc64Hash:
 
 @dataclass
 class FileHashes:
-    """Both checksums of a whole file, made in one pass."""
+    """Both checksums of a file, computed in one pass."""
 
     sha256: Checksum = field(default_factory=hashlib.sha256)
     crc64nvme: Checksum = field(default_factory=Crc64Hash)
@@ -137,7 +137,7 @@ class OpenFile:
             yield FileSlice(self.file.source, self._handle, start, min(SLICE_BYTES, end - start))
 
     def check_unchanged(self) -> None:
-        """Raise FileChanged unless this is still the file that was planned, and still the one at its place."""
+        """Raise FileChanged unless this is still the file that was planned, and still at its path."""
         self._compare(identity_of(os.fstat(self._handle)))
         try:
             self._compare(identity_of(self.file.source.stat()))
@@ -202,10 +202,10 @@ def verify_local(files: Files, mission_id: uuid.UUID, plan: UploadPlan) -> list[
 
 
 def verify_remote(files: Files, selected: Sequence[FileRead], *, timeout_s: float) -> list[FileVerdict]:
-    """Have the server read the bytes of these files again, wait until it has, and return the verdicts.
+    """Have the server verify the bytes of these files, wait for the results, and return the verdicts.
 
     Raises:
-        TimedOut: it took longer; the server goes on.
+        TimedOut: it took longer; the server continues.
     """
     deadline = time.monotonic() + timeout_s
     for file in selected:
@@ -231,7 +231,7 @@ def verify_remote(files: Files, selected: Sequence[FileRead], *, timeout_s: floa
 
 
 def is_same(file: FileRead | ArtifactRead, local: Path, check: Callable[[], None]) -> bool:
-    """Say whether a local file has the bytes of a stored one; `check` may end the reading."""
+    """Return whether a local file has the bytes of a stored one; `check` may raise an error between two slices."""
     try:
         if local.is_symlink() or not local.is_file() or local.stat().st_size != file.size_bytes:
             return False

@@ -2,7 +2,7 @@
 
 A file goes to the top of the mission under its own name. A folder keeps its tree, as with rsync: `day1`
 puts `day1/cam.mcap`, while `day1/` (or `.`) puts its contents, `cam.mcap`. Links to files are followed; links to
-folders only where they are named themselves. Everything left out is listed.
+folders only if they are among the paths. The plan lists what is left out, and why.
 """
 
 import os
@@ -136,7 +136,7 @@ def mission_folders(paths: Iterable[str | os.PathLike[str]], exclude: Sequence[s
 
 
 def is_excluded(path: str, globs: Iterable[str]) -> bool:
-    """Say whether a glob matches a file's path in the mission, its name, or a folder that it is in."""
+    """Return whether a glob matches a file's path in the mission, its name, or one of its folders."""
     parts = path.split("/")
     names = {*parts, *("/".join(parts[: end + 1]) for end in range(len(parts)))}
     return any(fnmatchcase(name, glob.rstrip("/")) for glob in globs for name in names)

@@ -1,11 +1,11 @@
-"""Requests to the object store: PUT and GET of signed URLs, and what each answer means.
+"""Requests to the object store: PUT and GET of signed URLs, and the meaning of each answer.
 
-A slice of a file goes from the page cache to the socket by `sendfile`, without entering this process. Over TLS, and
-where the file system or the kernel cannot do it, it is read and sent. urllib3 makes the connections and keeps them; the
-PUT itself is written here because it must be cheap: measured on one core, a small file costs 60 us of CPU time instead
-of 310 us through urllib3, and a part of 5 MiB 1.2 ms instead of 1.9 ms.
+`sendfile` sends a slice of a file from the page cache to the socket. Over TLS, and where the file system or the kernel
+lacks `sendfile`, the slice is read and sent. urllib3 makes and keeps the connections. The PUT is written here because
+urllib3's costs more CPU time: measured on one core, 310 us instead of 60 us for a small file, and 1.9 ms instead of
+1.2 ms for a part of 5 MiB.
 
-One pool of connections, shared by the threads of a transfer.
+The threads of a transfer share one pool of connections.
 """
 
 import contextlib
@@ -15,41 +15,41 @@ import http.client
 import io
 import os
 import re
+import socket
 import ssl
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import urllib3
-from urllib3.connection import HTTPSConnection
-from urllib3.connectionpool import HTTPConnectionPool, HTTPSConnectionPool
+from urllib3.connection import HTTPConnection
+from urllib3.connectionpool import HTTPConnectionPool
 from urllib3.util.wait import wait_for_write
 
 import kleinkram
 from kleinkram.client._http import reason_of
-from kleinkram.client._network import WatchedConnection, WatchedPools
+from kleinkram.client._network import WatchedPools
 from kleinkram.client.transfer.local_file import FileSlice
 
 CONNECT_TIMEOUT_S = 10.0
 READ_TIMEOUT_S = 120.0
-# The last two are the disk's: reading says so in words that are the file's.
+# Errors after which the slice is read instead; the last two are the disk's, which reading reports with the file's name.
 _CANNOT = frozenset({errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EIO, errno.ESTALE})
-# What is shorter is read and goes out in one piece with the request's head: one packet for the store to wake up for.
+# Shorter bodies are sent together with the request's head, so that the store receives one packet.
 _TOGETHER_BYTES = 64 * 1024
 
-# More than a client ever talks to: of more, urllib3 closes those of the longest unused.
+# More stores than a client uses: urllib3 closes the connections to the least recently used one.
 _STORES = 100
 _REQUEST = re.compile(r"PUT [!-~]+ HTTP/1\.1\r\n(?:[!-9;-~]+: [ -~]*\r\n)+\r\n")
-# An answer that is all there, and says that it has no body. Every other is read by `http.client`.
+# A complete answer without a body. `http.client` reads all others.
 _EMPTY_OK = re.compile(rb"HTTP/1\.1 200 [^\r\n]*\r\n(?:[!-9;-~]+:[^\r\n]*\r\n)+\r\n")
 _LENGTH_0 = re.compile(rb"\r\ncontent-length: *0\r\n", re.IGNORECASE)
 _OTHERWISE = re.compile(rb"\r\n(?:transfer-encoding:|connection: *close)", re.IGNORECASE)
 _ETAG = re.compile(rb"\r\netag: *([^\r\n]*?) *\r\n", re.IGNORECASE)
 
-PATIENCE_S = 240.0
-# After so many files in a row that the store refused for so long, the store itself is in trouble.
-MAX_FAILED_FILES = 3
+# How long a transfer retries a store or a server that is unavailable.
+TRANSFER_RETRY_S = 240.0
 
 _LEAST_SLICE_BYTES = 64 * 1024
 _QUICK_SLICE_S = 0.5
@@ -70,137 +70,64 @@ class Reply(NamedTuple):
     content: bytes
 
 
-class _PutConnection(WatchedConnection):
-    """A connection that PUTs slices of files, and gives sending as much time as receiving."""
-
-    _incoming: io.BufferedReader | None = None
-
-    def connect(self) -> None:
-        super().connect()
-        if self.sock:  # urllib3 would send the first request with the time that connecting has
-            self.sock.settimeout(READ_TIMEOUT_S)
-
-    def close(self) -> None:
-        if self._incoming is not None:
-            self._incoming.close()
-            self._incoming = None
-        super().close()
-
-    def put(self, target: str, headers: Mapping[str, str], body: Iterable[FileSlice | bytes]) -> Reply:
-        """PUT, and return the answer."""
-        if self.sock is None:
-            self.timeout = CONNECT_TIMEOUT_S
-            self.connect()
-        if self._incoming is None:
-            self._incoming = self.sock.makefile("rb")
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        fields = {
-            "Host": host if self.port == self.default_port else f"{host}:{self.port}",
-            "User-Agent": f"klein/{kleinkram.__version__}",
-            "Accept-Encoding": "identity",
-            **headers,
-        }
-        head = f"PUT {target} HTTP/1.1\r\n" + "".join(f"{name}: {value}\r\n" for name, value in fields.items()) + "\r\n"
-        if not _REQUEST.fullmatch(head) or head.count("\r\n") != len(fields) + 2:
-            raise ValueError("an address or a header holds what would be read as another")
-        unsent = head.encode()
-        # The store may answer, and close the connection, before it was sent all.
-        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
-            for piece in body:
-                if isinstance(piece, bytes):
-                    unsent += piece
-                elif piece.length <= _TOGETHER_BYTES:
-                    unsent += b"".join(piece.read())
-                else:
-                    self.sock.sendall(unsent)
-                    _send_slice(self.sock, piece)
-                    unsent = b""
-            if unsent:
-                self.sock.sendall(unsent)
-        return self._reply(self._incoming)
-
-    def _reply(self, incoming: io.BufferedReader) -> Reply:
-        head = incoming.peek()
-        if _EMPTY_OK.fullmatch(head) and _LENGTH_0.search(head) and not _OTHERWISE.search(head):
-            incoming.read(len(head))
-            etag = _ETAG.search(head)
+def _put(
+    connection: HTTPConnection, target: str, headers: Mapping[str, str], body: Iterable[FileSlice | bytes]
+) -> Reply:
+    """PUT over a connection, and return the answer."""
+    if connection.sock is None:
+        connection.timeout = CONNECT_TIMEOUT_S
+        connection.connect()
+    sock = connection.sock
+    sock.settimeout(READ_TIMEOUT_S)  # for sending, too
+    host = f"[{connection.host}]" if ":" in connection.host else connection.host
+    fields = {
+        "Host": host if connection.port == connection.default_port else f"{host}:{connection.port}",
+        "User-Agent": f"klein/{kleinkram.__version__}",
+        "Accept-Encoding": "identity",
+        **headers,
+    }
+    head = f"PUT {target} HTTP/1.1\r\n" + "".join(f"{name}: {value}\r\n" for name, value in fields.items()) + "\r\n"
+    if not _REQUEST.fullmatch(head) or head.count("\r\n") != len(fields) + 2:
+        raise ValueError("an address or a header holds what would be read as another")
+    unsent = head.encode()
+    # The store may answer, and close the connection, before all is sent.
+    with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+        for piece in body:
+            if isinstance(piece, bytes):
+                unsent += piece
+            elif piece.length <= _TOGETHER_BYTES:
+                unsent += b"".join(piece.read())
+            else:
+                sock.sendall(unsent)
+                _send_slice(sock, piece)
+                unsent = b""
+        if unsent:
+            sock.sendall(unsent)
+    with sock.makefile("rb") as incoming:
+        answer = incoming.peek()
+        if _EMPTY_OK.fullmatch(answer) and _LENGTH_0.search(answer) and not _OTHERWISE.search(answer):
+            etag = _ETAG.search(answer)
             return Reply(200, etag.group(1).decode("latin-1") if etag else "", b"")
-        answer = http.client.HTTPResponse(cast("Any", _BufferedSocket(incoming)), method="PUT")
-        answer.begin()
-        reply = Reply(answer.status, answer.headers.get("ETag", ""), answer.read())
-        self._incoming = None  # reading to the answer's end has closed it
-        if answer.will_close:
-            self.close()
-        return reply
+        response = http.client.HTTPResponse(cast("socket.socket", _BufferedSocket(incoming)), method="PUT")
+        response.begin()
+        reply = Reply(response.status, response.headers.get("ETag", ""), response.read())
+    if response.will_close:
+        connection.close()
+    return reply
 
 
-class _BufferedSocket:
-    """Stands for a socket of which something has been read already: that and what follows is in `stream`."""
+class _BufferedSocket(NamedTuple):
+    """Stands for a socket some of whose bytes are in the buffer of `stream`."""
 
-    def __init__(self, stream: io.BufferedReader) -> None:
-        self._stream = stream
+    stream: io.BufferedReader
 
     def makefile(self, _mode: str) -> io.BufferedReader:
-        """Return what is read next."""
-        return self._stream
+        """Return the stream."""
+        return self.stream
 
 
-class _PlainConnection(_PutConnection):
-    pass
-
-
-class _TlsConnection(_PutConnection, HTTPSConnection):
-    pass
-
-
-class _Pool(HTTPConnectionPool):
-    """The connections to one store."""
-
-    def put(self, target: str, headers: Mapping[str, str], body: Iterable[FileSlice | bytes]) -> Reply:
-        """PUT by a connection that is free, or a new one; where it fails, the connection is closed."""
-        connection = cast("_PutConnection", self._get_conn())
-        try:
-            return connection.put(target, headers, body)
-        except BaseException:
-            connection.close()
-            raise
-        finally:
-            self._put_conn(connection)
-
-
-class _PlainPutPool(_Pool):
-    ConnectionCls = _PlainConnection
-
-
-class _TlsPutPool(_Pool, HTTPSConnectionPool):
-    ConnectionCls = _TlsConnection
-
-
-class Connections(WatchedPools):
-    """Connections to stores, at most `most` of each; nothing is tried twice."""
-
-    def __init__(self, most: int) -> None:
-        timeout = urllib3.Timeout(connect=CONNECT_TIMEOUT_S, read=READ_TIMEOUT_S)
-        super().__init__(_STORES, maxsize=most, timeout=timeout)
-        self.pool_classes_by_scheme = {"http": _PlainPutPool, "https": _TlsPutPool}
-        self._stores: dict[str, _Pool] = {}
-
-    def put(self, url: str, headers: Mapping[str, str], body: Iterable[FileSlice | bytes]) -> Reply:
-        """PUT to a signed address, which needs no escaping; `headers` say the length. No redirect is followed.
-
-        Raises:
-            urllib3.exceptions.HTTPError, http.client.HTTPException, OSError: there was no answer.
-        """
-        scheme, _, rest = url.partition("://")
-        place, _, target = rest.partition("/")
-        store = f"{scheme}://{place}"
-        if store not in self._stores:
-            self._stores[store] = cast("_Pool", self.connection_from_url(store))
-        return self._stores[store].put(f"/{target}", headers, body)
-
-
-def _send_slice(sock: Any, piece: FileSlice) -> None:
-    """Send a slice by the kernel as far as it can; read and send the rest, and all of it over TLS."""
+def _send_slice(sock: socket.socket, piece: FileSlice) -> None:
+    """Send a slice with `sendfile` as far as possible; read and send the rest, and over TLS all of it."""
     sent = 0
     while sent < piece.length and not isinstance(sock, ssl.SSLSocket):
         try:
@@ -232,16 +159,20 @@ class StoreAnswer(enum.Enum):
 
 @dataclass
 class StoreResult:
-    """The result of a request: `reason` and `code` are the store's, `error` that of the connection."""
+    """The result of a request: `reason` and `code` are the store's, `error` that of the connection.
+
+    `sent_bytes`: how much of a PUT's body was given to the network.
+    """
 
     answer: StoreAnswer
     reason: str = ""
     code: str = ""
     error: BaseException | None = None
+    sent_bytes: int = 0
 
     @property
     def why(self) -> str:
-        """Why it failed, in words."""
+        """Why it failed, for people."""
         return reason_of(self.error) if self.error else self.reason or "it sends nothing"
 
     @property
@@ -252,10 +183,9 @@ class StoreResult:
 
 @dataclass
 class PutResult(StoreResult):
-    """The result of a PUT. `sent_bytes`: how much of the body was given to the network."""
+    """The result of a PUT."""
 
     etag: str = ""
-    sent_bytes: int = 0
 
 
 @dataclass
@@ -289,10 +219,12 @@ class GetResult(StoreResult):
 
 
 class StoreClient:
-    """Requests to the store."""
+    """Requests to object stores, over at most so many connections to each; nothing is tried twice."""
 
     def __init__(self, connections: int) -> None:
-        self._connections = Connections(connections)
+        timeout = urllib3.Timeout(connect=CONNECT_TIMEOUT_S, read=READ_TIMEOUT_S)
+        self._connections = WatchedPools(_STORES, maxsize=connections, timeout=timeout)
+        self._pools: dict[str, HTTPConnectionPool] = {}
 
     def close(self) -> None:
         """Close the connections."""
@@ -301,13 +233,26 @@ class StoreClient:
     def put(
         self, url: str, headers: Mapping[str, str], size_bytes: int, body: Iterable[FileSlice | bytes]
     ) -> PutResult:
-        """PUT so many bytes, sent as they come from `body`."""
+        """PUT so many bytes to a signed URL, sent as they come from `body`. No redirect is followed."""
+        scheme, _, rest = url.partition("://")
+        host, _, target = rest.partition("/")
+        store = f"{scheme}://{host}"
+        if store not in self._pools:
+            self._pools[store] = self._connections.connection_from_url(store)
+        pool = self._pools[store]
         headers = {**headers, "Content-Length": str(size_bytes)}
         try:
-            reply = self._connections.put(url, headers, body)
+            connection = cast("HTTPConnection", pool._get_conn())
+            try:
+                reply = _put(connection, f"/{target}", headers, body)
+            except BaseException:
+                connection.close()
+                raise
+            finally:
+                pool._put_conn(connection)
         except (urllib3.exceptions.HTTPError, http.client.HTTPException, OSError) as error:
             return PutResult(StoreAnswer.try_again, error=error)
-        # 412: written already, by an earlier try whose answer was lost; the address was signed for these bytes only.
+        # 412: an earlier try wrote it, and its answer was lost; the URL was signed for these bytes only.
         if reply.status < 300 or reply.status == 412:
             return PutResult(StoreAnswer.taken, etag=reply.etag.strip('"'))
         code = _code(reply.content)

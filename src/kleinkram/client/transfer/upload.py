@@ -1,7 +1,7 @@
-"""Uploading a plan. The same command, run again after any interruption, sends only what is missing.
+"""Uploads a plan: announces files to the server in batches and sends what it lacks.
 
-Files are announced to the server in batches, just before they are sent, so that no lease expires while others are
-sent. `UploadPipeline` sends the bytes.
+The same command, run again after any interruption, sends only what is missing. A batch is announced just before it is
+sent, so that no lease expires while other files are sent. `UploadPipeline` sends the bytes.
 """
 
 import contextlib
@@ -15,9 +15,9 @@ from kleinkram.client._client import Client
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed, UploadElsewhere
 from kleinkram.client.files import Uploads
 from kleinkram.client.transfer.journal import Journal, JournalHead, Journals
-from kleinkram.client.transfer.link import LinkMonitor
 from kleinkram.client.transfer.local_file import FileHashes, OpenFile
 from kleinkram.client.transfer.plan import LocalFile, UploadPlan
+from kleinkram.client.transfer.pool import RateLimit, check_limits
 from kleinkram.client.transfer.report import (
     CONNECTIONS,
     LinkReport,
@@ -27,8 +27,6 @@ from kleinkram.client.transfer.report import (
     TransferResult,
     Watcher,
 )
-from kleinkram.client.transfer.store import PATIENCE_S
-from kleinkram.client.transfer.threads import RateLimit, Stop, check_limits
 from kleinkram.client.transfer.upload_pipeline import FileUpload, UploadPipeline
 from kleinkram.contract.errors import KleinkramError, NameLeased, QuotaExceeded, UploadGone
 from kleinkram.contract.problems import from_problem
@@ -45,7 +43,7 @@ from kleinkram.contract.uploads import (
 _FIRST_BATCH_FILES = 16
 _BATCH_FILES = 100
 _BATCH_BYTES = 128 * 1024 * 1024
-_LEASE_PATIENCE_S = 90.0
+_LEASE_TIMEOUT_S = 90.0
 _LEASE_POLL_S = 2.0
 
 
@@ -60,8 +58,8 @@ def upload(
 ) -> TransferReport:
     """Upload the planned files into a mission and return the result for each.
 
-    One refused file does not stop the others. Memory does not grow with the size of files. A server or store that is
-    unavailable is retried for some minutes.
+    One refused file does not stop the others. Memory does not grow with the size of files. Requests are retried for
+    some minutes while the server or the store is unavailable.
 
     Raises:
         ServerUnreachable, StoreUnreachable: one of them stayed unavailable.
@@ -75,11 +73,12 @@ def upload(
         client.uploads,
         client.endpoint.url,
         mission_id,
+        connections=connections,
         pace=RateLimit(bytes_per_s),
         watcher=watcher,
         ended=lambda result: results.add(result.path, result),
     )
-    link = uploader.run(plan.files, connections)
+    link = uploader.run(plan.files)
     return TransferReport(results.in_order([file.path for file in plan.files]), plan.left_out, link)
 
 
@@ -103,7 +102,7 @@ class PendingFile:
         return UploadFile.model_validate(fields)
 
     def hash_whole(self, check: Callable[[], None]) -> None:
-        """Read all of the file for its checksums; `check` may end it between two slices."""
+        """Read all of the file for its checksums; `check` may raise an error between two slices."""
         whole = FileHashes()
         for view in self.source.slices(0, self.source.file.size_bytes):
             check()
@@ -129,29 +128,29 @@ class Uploader:
         server: str,
         mission_id: uuid.UUID,
         *,
+        connections: int,
         pace: RateLimit,
         watcher: Watcher,
         ended: Callable[[TransferResult], None],
         journals: Path | None = None,
     ) -> None:
-        self._stop = Stop()
-        self._link = LinkMonitor(watcher.notify)
-        self._uploads = uploads.with_patience(PATIENCE_S, self._wait_for_server)
         self._server = server
         self._mission_id = mission_id
         self._journals = Journals(journals)
         self._watcher = watcher
         self._ended = ended
         self._pipeline = UploadPipeline(
-            self._uploads, self._stop, pace=pace, link=self._link, watcher=watcher, ended=ended
+            uploads, server, connections=connections, pace=pace, watcher=watcher, ended=ended
         )
+        self._uploads = self._pipeline.uploads
+        self._stop = self._pipeline.stop
         self._leased: dict[LocalFile, NameLeased] = {}
 
     def end(self) -> None:
-        """End it, from another thread: `run` returns soon, and files that had not ended stay as they are."""
+        """End it, from another thread: `run` returns soon, and unfinished files can be resumed."""
         self._stop.now()
 
-    def run(self, files: Sequence[LocalFile], connections: int) -> LinkReport:
+    def run(self, files: Sequence[LocalFile]) -> LinkReport:
         """Upload the files; return when each has ended, with how the network was.
 
         Raises:
@@ -161,20 +160,12 @@ class Uploader:
         def send_all() -> None:
             for batch in batches(files):
                 self._announce(batch)
-            self._settle_leased()
-            self._pipeline.drain()
+            self._retry_leased()
 
-        self._pipeline.start(connections)
         try:
-            self._link.watch(self._stop, self._server, send_all)
+            return self._pipeline.run(send_all)
         finally:
-            self._pipeline.close()
             self._journals.close()
-        return self._link.report()
-
-    def _wait_for_server(self, seconds: float) -> None:
-        self._link.waits_for_server(self._server)
-        self._stop.wait(seconds)
 
     def _announce(self, batch: Sequence[LocalFile]) -> None:
         pending = [candidate for file in batch if (candidate := self._open(file)) is not None]
@@ -232,7 +223,7 @@ class Uploader:
             return self._refuse(candidate, from_problem(decision.problem))
         if isinstance(decision, HashRequired):
             if candidate.whole is not None:
-                reason = "the server asks for a checksum that it was given"
+                reason = "the server asks for a checksum that it has received"
                 return self._refuse(candidate, TransferFailed(path=file.path, reason=reason))
             try:
                 candidate.hash_whole(self._stop.check)
@@ -250,7 +241,7 @@ class Uploader:
         return False
 
     def _refuse(self, candidate: PendingFile, error: KleinkramError) -> bool:
-        """End a file; return True for one whose earlier upload is gone, which begins anew."""
+        """End a file; return True to announce it again, because its earlier upload is gone."""
         if isinstance(error, UploadGone) and candidate.journal.remembered is not None:
             candidate.journal.remembered = None
             return True
@@ -274,12 +265,12 @@ class Uploader:
         )
         candidate.journal.begin(head, durable=file.size_bytes > upload.part_size_bytes)
 
-    def _settle_leased(self) -> None:
-        """Wait for names that other clients hold: the lease of a dead client ends within a minute.
+    def _retry_leased(self) -> None:
+        """Announce files again whose names other clients have leased: the lease of a dead client ends within a minute.
 
-        A lease that is renewed meanwhile belongs to a client that lives: that file is refused at once.
+        A lease that is renewed belongs to a client that is alive: its file is refused at once.
         """
-        gives_up_at = time.monotonic() + _LEASE_PATIENCE_S
+        gives_up_at = time.monotonic() + _LEASE_TIMEOUT_S
         waiting, self._leased = self._leased, {}
         if waiting:
             first, more = next(iter(waiting)).path, len(waiting) - 1

@@ -1,67 +1,43 @@
-"""The threads of an upload: the caller's hashes, one signs, some send, one finishes.
+"""The threads of an upload: the caller's thread hashes, one signs parts, some send them, one finishes files.
 
-Each byte is read once for its checksums; senders send their part again, from the page cache, as the body of its PUT.
-Memory is one slice per thread. The store refuses a part whose bytes changed in between: it checks each part against the
-checksum that the server signed. At most `AHEAD_BYTES` are hashed and not yet sent.
+Each byte is read once for its checksums, and sent from the page cache as the body of a PUT. Memory: one slice per
+thread. The store refuses a part whose bytes changed after they were hashed, because the server signed its checksum.
 """
 
 import contextlib
-import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from kleinkram.client._http import Backoff
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed
 from kleinkram.client.files import Uploads
+from kleinkram.client.transfer import store
 from kleinkram.client.transfer.journal import Journal, JournalPart
-from kleinkram.client.transfer.link import CongestionWindow, Lane, LinkMonitor
 from kleinkram.client.transfer.local_file import FileHashes, FileSlice, OpenFile, new_checksum
 from kleinkram.client.transfer.plan import LocalFile
+from kleinkram.client.transfer.pool import FileTransfer, Part, RateLimit, TransferPool, WorkQueue
 from kleinkram.client.transfer.report import Outcome, TransferResult, Watcher
-from kleinkram.client.transfer.store import PATIENCE_S, PutResult, StoreAnswer, StoreClient
-from kleinkram.client.transfer.threads import Budget, RateLimit, Stop, WorkQueue
+from kleinkram.client.transfer.store import PutResult, StoreAnswer
 from kleinkram.contract.errors import KleinkramError, NotFound, UploadGone, UploadIncomplete
 from kleinkram.contract.problems import from_problem
 from kleinkram.contract.uploads import ChecksumKind, NotCompleted, PartToSign, SignedPart, UploadFinish, UploadRequired
 
+# At most so many bytes are hashed and not yet sent.
 AHEAD_BYTES = 128 * 1024 * 1024
-_PART_COST = 512 * 1024  # what the smallest part counts, so that open files are bounded too
-_FILES_UNDER_WAY = 256
+_MIN_COST_BYTES = 512 * 1024  # of a small part, so that open files are bounded too
+_MAX_FILES = 256
 _BATCH_SIZE = 100
 _RENEW_S = 20.0
 _SIGN_BATCH_DELAY_S = 0.02
 _COMPLETE_BATCH_DELAY_S = 0.5
-_REFUSALS = 4
-_JOIN_S = 2.0
-
-_OF_ONE_FILE = (FileChanged, FileUnreadable, TransferFailed, UploadGone, NotFound)
 
 
-@dataclass(frozen=True)
-class FilePart:
-    """A part to send."""
-
-    sending: "FileUpload"
-    number: int
-    offset: int
-    size_bytes: int
-    checksum: str
-    cost: int
-
-    def to_sign(self) -> PartToSign:
-        """Return the request to sign it."""
-        return PartToSign(upload_id=self.sending.upload.id, number=self.number, checksum=self.checksum)
-
-
-class FileUpload:
-    """One file's upload under way. Shared between threads; every change of the counts is under its lock.
-
-    `whole` are the checksums of the file where it has been read already.
-    """
+class FileUpload(FileTransfer):
+    """One file's upload. `whole`: the checksums of the file if it has been read already."""
 
     def __init__(self, source: OpenFile, journal: Journal, send: UploadRequired, whole: FileHashes | None) -> None:
+        super().__init__(source.file.path)
         self.source = source
         self.journal = journal
         self.upload = send.upload
@@ -71,10 +47,7 @@ class FileUpload:
         self.latest: PartToSign | None = None  # the part hashed last; signing it again renews the lease
         self.renewed_at = time.monotonic()
         self.sent_bytes = 0
-        self.ended = False
         self._stored_parts = {part.number: part for part in send.upload.parts}
-        self._left = 1  # the hashing itself; parts are added while it runs
-        self._lock = threading.Lock()
 
     @property
     def file(self) -> LocalFile:
@@ -87,8 +60,8 @@ class FileUpload:
         for number, offset in enumerate(range(0, max(size, 1), step), start=1):
             yield number, offset, min(step, size - offset)
 
-    def hash_part(self, number: int, offset: int, size_bytes: int) -> str:
-        """Read a part, adding it to the whole file's checksums, and return its own checksum."""
+    def hash_part(self, number: int, offset: int, size_bytes: int) -> PartToSign:
+        """Read a part, add it to the file's checksums, and return it with its own checksum."""
         checksum = None
         if self._is_hashed and size_bytes == self.file.size_bytes:
             known = {ChecksumKind.crc64nvme: self.whole.crc64nvme, ChecksumKind.sha256: self.whole.sha256}
@@ -99,43 +72,25 @@ class FileUpload:
                 if not self._is_hashed:
                     self.whole.update(view)
                 checksum.update(view)
-        digest = checksum.hexdigest()
-        self.latest = PartToSign(upload_id=self.upload.id, number=number, checksum=digest)
-        return digest
+        self.latest = PartToSign(upload_id=self.upload.id, number=number, checksum=checksum.hexdigest())
+        return self.latest
 
-    def is_stored(self, number: int, size_bytes: int, checksum: str) -> bool:
-        """Say whether the store holds these bytes: the journal's checksum and the store's ETag must both agree."""
-        stored = self._stored_parts.get(number)
+    def is_stored(self, part: PartToSign, size_bytes: int) -> bool:
+        """Return whether the store has a part: the journal's checksum and the store's ETag must both agree."""
+        stored = self._stored_parts.get(part.number)
         remembered = self.journal.remembered
-        written = remembered.parts.get(number) if remembered else None
+        written = remembered.parts.get(part.number) if remembered else None
         if stored is None or written is None:
             return False
         is_same_etag = stored.etag.strip('"') == written.etag.strip('"')
-        return is_same_etag and stored.size_bytes == size_bytes and written.checksum == checksum
+        return is_same_etag and stored.size_bytes == size_bytes and written.checksum == part.checksum
 
-    def add_part(self) -> None:
-        """Count one more part to send."""
-        with self._lock:
-            self._left += 1
-
-    def part_done(self) -> bool:
-        """Count one part (or the hashing) as done; return True for the last of all."""
-        with self._lock:
-            self._left -= 1
-            return self._left == 0
-
-    def record(self, part: FilePart, etag: str) -> None:
+    def record(self, part: JournalPart, size_bytes: int) -> None:
         """Record a part that the store has taken."""
         with self._lock:
             if not self.ended:
-                self.journal.record(JournalPart(number=part.number, checksum=part.checksum, etag=etag))
-            self.sent_bytes += part.size_bytes
-
-    def end(self) -> bool:
-        """End this upload; return False when it had ended already."""
-        with self._lock:
-            first, self.ended = not self.ended, True
-        return first
+                self.journal.record(part)
+            self.sent_bytes += size_bytes
 
     def result(
         self,
@@ -155,265 +110,220 @@ class FileUpload:
         self.journal.close()
 
 
-class UploadPipeline:
-    """Takes uploads that the server has agreed to, sends their parts and finishes them.
+@dataclass(kw_only=True)
+class FilePart(Part):
+    """A part to send. `shown_bytes` have been reported to the watcher."""
 
-    `ended` is called once per file, from any thread. A failure of one file ends that file; any other stops everything.
-    """
+    file: FileUpload
+    to_sign: PartToSign
+    signed: SignedPart | None
+    shown_bytes: int = 0
+    etag: str = ""
+
+
+class UploadPipeline(TransferPool[FilePart]):
+    """Sends the files that the server has agreed to, and finishes them. `ended` is called once per file."""
 
     def __init__(
         self,
         uploads: Uploads,
-        stop: Stop,
+        server_url: str,
         *,
+        connections: int,
         pace: RateLimit,
-        link: LinkMonitor,
         watcher: Watcher,
         ended: Callable[[TransferResult], None],
     ) -> None:
-        self._uploads = uploads
-        self._stop = stop
-        self._pace = pace
-        self._watcher = watcher
-        self._link = link
+        super().__init__(
+            server_url,
+            connections=connections,
+            spare_threads=0,
+            max_files=_MAX_FILES,
+            max_queued=AHEAD_BYTES,
+            pace=pace,
+            watcher=watcher,
+        )
+        self.uploads = uploads.with_retry(store.TRANSFER_RETRY_S, self.wait_for_server)
         self._ended = ended
-        self._ahead = Budget(stop, AHEAD_BYTES)
-        self._under_way = Budget(stop, _FILES_UNDER_WAY)
-        self._to_sign: WorkQueue[FilePart] = WorkQueue(stop)
-        self._to_send: WorkQueue[tuple[FilePart, SignedPart]] = WorkQueue(stop)
-        self._to_finish: WorkQueue[FileUpload] = WorkQueue(stop)
-        self._open: dict[uuid.UUID, FileUpload] = {}
+        self._to_sign: WorkQueue[FilePart] = WorkQueue(self.stop)
+        self._to_finish: WorkQueue[FileUpload] = WorkQueue(self.stop)
         self._leases: dict[uuid.UUID, FileUpload] = {}
-        self._threads: list[threading.Thread] = []
+        self._loops += [self._sign_parts, self._finish_files]
 
-    def start(self, connections: int) -> None:
-        """Start the threads, `connections` of which send."""
-        self._store = StoreClient(connections)
-        self._lane = Lane(self._stop, CongestionWindow(connections))
-        loops = [self._sign_loop, self._finish_loop, *[self._send_loop] * connections]
-        self._threads = [self._stop.start(loop) for loop in loops]
-
-    def submit(self, sending: FileUpload) -> None:
-        """Hash an upload's parts and queue those that the store lacks; waits while enough is under way."""
-        self._under_way.acquire(1)
-        self._open[sending.upload.id] = sending
-        self._leases[sending.upload.id] = sending
+    def submit(self, file: FileUpload) -> None:
+        """Hash a file's parts and queue those that the store lacks; waits while enough is queued."""
+        self._open_file(file)
+        self._leases[file.upload.id] = file
         try:
-            for number, offset, size_bytes in sending.ranges():
-                if sending.ended:
+            for number, offset, size_bytes in file.ranges():
+                if file.ended:
                     break
-                self._stop.check()
-                checksum = sending.hash_part(number, offset, size_bytes)
-                if sending.is_stored(number, size_bytes, checksum):
-                    self._watcher.skipped(sending.file.path, size_bytes, sending.file.size_bytes)
+                self.stop.check()
+                to_sign = file.hash_part(number, offset, size_bytes)
+                if file.is_stored(to_sign, size_bytes):
+                    self._watcher.skipped(file.path, size_bytes, file.file.size_bytes)
                     continue
-                cost = max(size_bytes, _PART_COST)
-                self._ahead.acquire(cost)
-                sending.add_part()
-                part = FilePart(sending, number, offset, size_bytes, checksum, cost)
-                if sending.signed is None:
-                    self._to_sign.put(part)
-                else:  # the server has signed it for what was announced, which is what was hashed
-                    self._to_send.put((part, sending.signed))
+                cost = max(size_bytes, _MIN_COST_BYTES)
+                part = FilePart(
+                    file=file,
+                    number=number,
+                    offset=offset,
+                    size_bytes=size_bytes,
+                    cost=cost,
+                    to_sign=to_sign,
+                    signed=file.signed,
+                )
+                self._add_part(part)
+                # The server signs the only part of a file for the checksum that was announced.
+                (self._parts if part.signed else self._to_sign).put(part)
         except (FileChanged, FileUnreadable) as error:
-            self._fail(sending, error)
-        self._count_done(sending)
-
-    def drain(self) -> None:
-        """Wait until every submitted upload has ended."""
-        self._under_way.wait_until_free()
-
-    def close(self) -> None:
-        """Stop the threads and close what is open; journals stay for the next run."""
-        self._stop.now()
-        gives_up_at = time.monotonic() + _JOIN_S  # for all together: on a dead link each would take it whole
-        for thread in self._threads:
-            thread.join(max(0.0, gives_up_at - time.monotonic()))
-        for sending in self._open.values():
-            sending.close()
-        self._store.close()
+            self._fail(file, error)
+        self._count_done(file)
 
     # -- signing ------------------------------------------------------------------------------------------------------
 
-    def _sign_loop(self) -> None:
+    def _sign_parts(self) -> None:
         while True:
             parts = self._to_sign.take(_BATCH_SIZE, _RENEW_S)
             if 0 < len(parts) < _BATCH_SIZE:  # more come within moments: one request for all of them
-                self._stop.wait(_SIGN_BATCH_DELAY_S)
+                self.stop.wait(_SIGN_BATCH_DELAY_S)
                 parts += self._to_sign.take(_BATCH_SIZE - len(parts), timeout_s=0)
             for part in parts:
-                if part.sending.ended:
-                    self._part_over(part)
-            self._sign([part for part in parts if not part.sending.ended])
+                if part.file.ended:
+                    self._part_done(part)
+            self._sign([part for part in parts if not part.file.ended])
             due = time.monotonic() - _RENEW_S
-            for sending in [*self._leases.values()]:
-                if sending.renewed_at < due and sending.latest is not None and not sending.ended:
-                    sending.renewed_at = time.monotonic()
+            for file in [*self._leases.values()]:
+                if file.renewed_at < due and file.latest is not None and not file.ended:
+                    file.renewed_at = time.monotonic()
                     try:
-                        self._uploads.sign([sending.latest])
+                        self.uploads.sign([file.latest])
                     except (UploadGone, NotFound) as error:
-                        self._fail(sending, error)
+                        self._fail(file, error)
 
     def _sign(self, parts: Sequence[FilePart]) -> None:
         if not parts:
             return
         try:
-            signed = self._uploads.sign([part.to_sign() for part in parts])
+            signed = self.uploads.sign([part.to_sign for part in parts]).items
         except (UploadGone, NotFound) as error:
-            uploads = {part.sending.upload.id: part.sending for part in parts}
-            if len(uploads) > 1:  # one of them has ended; the others go on
-                for sending in uploads.values():
-                    self._sign([part for part in parts if part.sending is sending])
+            files = {part.file.upload.id: part.file for part in parts}
+            if len(files) > 1:  # one of them has ended; the others go on
+                for file in files.values():
+                    self._sign([part for part in parts if part.file is file])
                 return
             for part in parts:
-                self._fail(part.sending, error)
-                self._part_over(part)
+                self._fail(part.file, error)
+                self._part_done(part)
             return
-        for part, one in zip(parts, signed.items, strict=True):
-            part.sending.renewed_at = time.monotonic()
-            self._to_send.put((part, one))
+        for part, one in zip(parts, signed, strict=True):
+            part.signed = one
+            part.file.renewed_at = time.monotonic()
+            self._parts.put(part)
+
+    def _sign_again(self, part: FilePart) -> None:
+        [part.signed] = self.uploads.sign([part.to_sign]).items
 
     # -- sending ------------------------------------------------------------------------------------------------------
 
-    def _send_loop(self) -> None:
-        while True:
-            for part, signed in self._to_send.take(1):
-                try:
-                    if not part.sending.ended:
-                        with self._lane.place() as place:
-                            self._send(part, signed, place)
-                except _OF_ONE_FILE as error:
-                    self._fail(part.sending, error)
-                self._part_over(part)
-
-    def _send(self, part: FilePart, signed: SignedPart, place: int) -> None:
-        backoff: Backoff | None = None  # begins at the first failure: a part may be on its way for long
-        began_at = time.monotonic()
-        shown = [0]
-        refusals = 0
-        while True:
-            with self._lane.turn(place, part.size_bytes) as waited_s:
-                if backoff is not None:
-                    backoff.excuse(waited_s)
-                if signed.expires_at <= self._uploads.now():  # spares sending it in vain
-                    signed = self._uploads.sign([part.to_sign()]).items[0]
-                result = self._put(part, signed, shown)
-            if result.answer is StoreAnswer.taken:
-                part.sending.record(part, result.etag)
-                return
-            if result.answer is StoreAnswer.gone:
-                raise UploadGone(upload_id=str(part.sending.upload.id))
-            if result.answer is StoreAnswer.try_again:
-                if backoff is None or self._lane.arrived_at > began_at:  # other parts arrive: the link works
-                    backoff, began_at = Backoff(PATIENCE_S, self._stop.wait), time.monotonic()
-                self._link.lost(signed.url, backoff, result.error, result.why, result.sent_bytes)
-                if result.error is None:
-                    self._lane.step_out(place)
-                if not self._link.pause(backoff, self._stop):
-                    raise self._link.give_up(signed.url, part.sending.file.path, result)
-                if result.error is not None:
-                    continue  # the signature is still good
-            else:
-                part.sending.source.check_unchanged()
-                refusals += 1
-                if refusals >= _REFUSALS:
-                    raise TransferFailed(path=part.sending.file.path, reason=result.reason)
-            signed = self._uploads.sign([part.to_sign()]).items[0]
-
-    def _put(self, part: FilePart, signed: SignedPart, shown: list[int]) -> PutResult:
-        """PUT a part. Bytes that were `shown` at an earlier try are not shown again: no bar goes back."""
-        sent = [0]
+    def _request(self, part: FilePart) -> PutResult | None:
+        signed = part.signed
+        if signed is None or signed.expires_at <= self.uploads.now():  # do not send the bytes in vain
+            [signed] = self.uploads.sign([part.to_sign]).items
+            part.signed = signed
+        part.file.url = signed.url
+        path, sent_bytes = part.file.path, 0
 
         def body() -> Iterator[FileSlice]:
-            for piece in part.sending.source.stretches(part.offset, part.size_bytes):
-                self._stop.check()
-                self._pace.spend(piece.length, self._stop.wait)
+            nonlocal sent_bytes
+            for piece in part.file.source.stretches(part.offset, part.size_bytes):
+                self.stop.check()
+                self._pace.spend(piece.length, self.stop.wait)
                 yield piece
-                sent[0] += piece.length
-                if sent[0] > shown[0]:
-                    self._watcher.moved(part.sending.file.path, sent[0] - shown[0], part.sending.file.size_bytes)
-                    shown[0] = sent[0]
+                sent_bytes += piece.length
+                if sent_bytes > part.shown_bytes:  # a progress bar never goes back
+                    self._watcher.moved(path, sent_bytes - part.shown_bytes, part.file.file.size_bytes)
+                    part.shown_bytes = sent_bytes
 
-        began_at = time.monotonic()
         result = self._store.put(signed.url, signed.headers, part.size_bytes, body())
-        took_s = time.monotonic() - began_at
         if result.answer is StoreAnswer.taken:
-            self._lane.arrived(part.size_bytes, took_s)
-            self._link.arrived(took_s)
-        elif result.answer is StoreAnswer.try_again:
-            self._lane.lost()
-        return replace(result, sent_bytes=sent[0])
+            part.etag = result.etag
+            return None
+        if result.answer is StoreAnswer.gone:
+            raise UploadGone(upload_id=str(part.file.upload.id))
+        result.sent_bytes = sent_bytes
+        return result
+
+    def _check_source(self, part: FilePart) -> None:
+        part.file.source.check_unchanged()
+
+    def _moved(self, part: FilePart) -> None:
+        entry = JournalPart(number=part.number, checksum=part.to_sign.checksum, etag=part.etag)
+        part.file.record(entry, part.size_bytes)
+
+    def _part_failed(self, part: FilePart, error: KleinkramError) -> None:
+        self._fail(part.file, error)
+
+    def _part_done(self, part: FilePart) -> None:
+        self._queued.release(part.cost)
+        self._count_done(part.file)
 
     # -- finishing ----------------------------------------------------------------------------------------------------
 
-    def _finish_loop(self) -> None:
+    def _count_done(self, file: FileUpload) -> None:
+        if not file.part_done():
+            return
+        self._leases.pop(file.upload.id, None)
+        if file.ended:
+            self._close_file(file)
+        else:
+            self._to_finish.put(file)
+
+    def _finish_files(self) -> None:
         while True:
             sent = self._to_finish.take(_BATCH_SIZE)
-            gathers_until = time.monotonic() + _COMPLETE_BATCH_DELAY_S
-            # While others are on their way, wait a little for a good number of them.
-            while (lacking := min(_BATCH_SIZE, self._under_way.used()) - len(sent)) > 0:
-                left_s = gathers_until - time.monotonic()
+            deadline = time.monotonic() + _COMPLETE_BATCH_DELAY_S
+            # While other files are under way, wait a little to finish several with one request.
+            while (lacking := min(_BATCH_SIZE, self._files.used()) - len(sent)) > 0:
+                left_s = deadline - time.monotonic()
                 if left_s <= 0:
                     break
                 sent += self._to_finish.take(_BATCH_SIZE - len(sent), left_s, at_least=lacking)
-            if ready := [sending for sending in sent if self._is_unchanged(sending)]:
+            if ready := [file for file in sent if self._is_unchanged(file)]:
                 self._finish(ready)
 
-    def _is_unchanged(self, sending: FileUpload) -> bool:
+    def _is_unchanged(self, file: FileUpload) -> bool:
         try:
-            sending.source.check_unchanged()
+            file.source.check_unchanged()
         except FileChanged as error:
-            self._fail(sending, error)
-            self._release(sending)
+            self._fail(file, error)
+            self._close_file(file)
             return False
         return True
 
     def _finish(self, ready: Sequence[FileUpload]) -> None:
         requests = []
-        for sending in ready:
-            sha256, crc64nvme = sending.whole.sha256.hexdigest(), sending.whole.crc64nvme.hexdigest()
-            requests.append(UploadFinish(upload_id=sending.upload.id, sha256=sha256, crc64nvme=crc64nvme))
-        outcomes = self._uploads.complete(requests).items
-        for sending, request, outcome in zip(ready, requests, outcomes, strict=True):
+        for file in ready:
+            sha256, crc64nvme = file.whole.sha256.hexdigest(), file.whole.crc64nvme.hexdigest()
+            requests.append(UploadFinish(upload_id=file.upload.id, sha256=sha256, crc64nvme=crc64nvme))
+        outcomes = self.uploads.complete(requests).items
+        for file, request, outcome in zip(ready, requests, outcomes, strict=True):
             if isinstance(outcome, NotCompleted):
-                self._fail(sending, from_problem(outcome.problem))
-            elif sending.end():
-                sending.journal.forget()
+                self._fail(file, from_problem(outcome.problem))
+            elif file.end():
+                file.journal.forget()
                 file_id = outcome.file.id if outcome.file else None
-                self._ended(sending.result(Outcome.uploaded, file_id=file_id, sha256=request.sha256))
-            self._release(sending)
+                self._ended(file.result(Outcome.uploaded, file_id=file_id, sha256=request.sha256))
+            self._close_file(file)
 
-    # -- ends ---------------------------------------------------------------------------------------------------------
-
-    def _fail(self, sending: FileUpload, error: KleinkramError) -> None:
+    def _fail(self, file: FileUpload, error: KleinkramError) -> None:
         """End one file's upload; the others go on. What can be resumed keeps its journal."""
-        self._stop.check()
-        if not sending.end():
+        self.stop.check()
+        if not file.end():
             return
         if isinstance(error, FileChanged | UploadGone):
-            # Frees its name at once; without this the upload expires.
-            with contextlib.suppress(KleinkramError):
-                self._uploads.abort(sending.upload.id)
+            with contextlib.suppress(KleinkramError):  # frees the name at once; otherwise the upload expires
+                self.uploads.abort(file.upload.id)
         if not isinstance(error, TransferFailed | UploadIncomplete | FileUnreadable):
-            sending.journal.forget()
-        self._ended(sending.result(Outcome.refused, error=error))
-
-    def _part_over(self, part: FilePart) -> None:
-        self._ahead.release(part.cost)
-        self._count_done(part.sending)
-
-    def _count_done(self, sending: FileUpload) -> None:
-        if not sending.part_done():
-            return
-        if sending.ended:
-            self._release(sending)
-        else:
-            self._leases.pop(sending.upload.id, None)
-            self._to_finish.put(sending)
-
-    def _release(self, sending: FileUpload) -> None:
-        """Close what a file's upload held open. Only once no thread reads it any more."""
-        self._leases.pop(sending.upload.id, None)
-        self._open.pop(sending.upload.id, None)
-        sending.close()
-        self._under_way.release(1)
+            file.journal.forget()
+        self._ended(file.result(Outcome.refused, error=error))

@@ -13,24 +13,17 @@ from typing import Literal, NoReturn
 from pydantic import BaseModel, ConfigDict
 
 from kleinkram.failures import code_of, failure_line
+from kleinkram.server.backup import operations
 from kleinkram.server.backup.errors import BackupDamaged, BackupError, BackupRequestInvalid
-from kleinkram.server.backup.operations import (
-    BackupOptions,
-    Messages,
-    amount,
-    create,
-    prune,
-    restore,
-    verify,
-)
+from kleinkram.server.backup.operations import Messages, amount
 from kleinkram.server.backup.rclone import Rclone
-from kleinkram.server.backup.repository import open_repository
+from kleinkram.server.backup.repository import Repository, Snapshot, make_repository, open_repository
 from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.settings import Settings
 
 _INTERRUPTED = 130
 _DAMAGED = BackupDamaged.exit_code
-_MOST_SHOWN = 20
+_MAX_SHOWN = 20
 
 
 class BackupRequest(BaseModel):
@@ -49,10 +42,18 @@ class BackupRequest(BaseModel):
     bytes_per_s: float | None = None
     connections: int = 8
 
-    def options(self) -> BackupOptions:
-        """Return the options of all commands."""
+    def repository(self) -> Repository:
+        """Open the backups in the location; `create` begins them there."""
         rclone = Rclone({}, self.connections, self.bytes_per_s)
-        return BackupOptions(self.place, self._passphrase(), rclone, quiet=self.as_json)
+        if self.command == "create":
+            return make_repository(self.place, self._passphrase(), rclone, encrypt=self.encrypt)
+        return open_repository(self.place, self._passphrase(), rclone)
+
+    def show_progress(self, line: str) -> None:
+        """Show progress on stderr, in one line on a terminal."""
+        if not self.as_json:
+            sys.stderr.write(f"\r\033[K{self.command}: {line}" if sys.stderr.isatty() else f"{self.command}: {line}\n")
+            sys.stderr.flush()
 
     def _passphrase(self) -> str | None:
         path = self.passphrase_file or os.environ.get("KLEINKRAM_BACKUP_PASSPHRASE_FILE")
@@ -80,40 +81,26 @@ def main() -> None:
 
 
 def _create(request: BackupRequest) -> int:
-    created = create(_settings(), request.options(), encrypt=request.encrypt)
-    snapshot = created.snapshot
-    result = {
-        "id": snapshot.id,
-        "created_at": snapshot.created_at.isoformat(),
-        "objects": snapshot.objects,
-        "object_bytes": snapshot.object_bytes,
-        "copied": created.copied,
-        "copied_bytes": created.copied_bytes,
-        "rows": snapshot.rows,
-        "lost": snapshot.lost,
-        "corrupt": snapshot.corrupt,
-        "elsewhere": snapshot.elsewhere,
-        "problems": created.problems.first,
-    }
+    settings = _settings()
+    created = operations.create(settings, request.repository(), request.show_progress)
+    snapshot, copied = created.snapshot, created.copied
     text = (
         f"Backup {snapshot.id}: {snapshot.objects} objects ({amount(snapshot.object_bytes)}), of which "
-        f"{created.copied} ({amount(created.copied_bytes)}) were copied; {snapshot.rows} rows in "
-        f"{len(snapshot.tables)} tables."
+        f"{copied.count} ({amount(copied.bytes)}) were copied; {snapshot.rows} rows."
     )
     if snapshot.elsewhere:
         text += f"\n{snapshot.elsewhere} objects are in other stores than {snapshot.store_id}, and in no backup."
-    _print(request, result, text)
-    _print_problems(
+    result = {**_facts(snapshot), "elsewhere": snapshot.elsewhere, "copied": copied.count, "copied_bytes": copied.bytes}
+    _print(request, {**result, "problems": created.problems.first}, text)
+    return _print_problems(
         f"{snapshot.lost} objects could not be read from the store, and {snapshot.corrupt} differ from what was "
         "uploaded; all others are in the backup",
         created.problems,
     )
-    return _DAMAGED if created.problems.count else 0
 
 
 def _list(request: BackupRequest) -> int:
-    options = request.options()
-    repository = open_repository(options.place, options.passphrase, options.rclone)
+    repository = request.repository()
     lines: list[str] = []
     results: list[dict[str, object]] = []
     is_damaged = False
@@ -125,17 +112,7 @@ def _list(request: BackupRequest) -> int:
             results.append({"id": snapshot_id, "problem": str(error)})
             lines.append(f"{snapshot_id}  cannot be read: {error}")
             continue
-        results.append(
-            {
-                "id": snapshot_id,
-                "created_at": snapshot.created_at.isoformat(),
-                "kleinkram": snapshot.kleinkram,
-                "objects": snapshot.objects,
-                "object_bytes": snapshot.object_bytes,
-                "lost": snapshot.lost,
-                "corrupt": snapshot.corrupt,
-            }
-        )
+        results.append(_facts(snapshot))
         bad = f", {snapshot.lost} lost, {snapshot.corrupt} corrupt" if snapshot.lost or snapshot.corrupt else ""
         lines.append(
             f"{snapshot_id}  {snapshot.created_at:%Y-%m-%d %H:%M} UTC  {snapshot.objects} objects, "
@@ -146,22 +123,24 @@ def _list(request: BackupRequest) -> int:
 
 
 def _verify(request: BackupRequest) -> int:
-    result = verify(request.options(), request.snapshot_id, read_all=request.read_all)
+    result = operations.verify(
+        request.repository(), request.snapshot_id, request.show_progress, read_all=request.read_all
+    )
     depth = f"{amount(result.read_bytes)} read" if request.read_all else "by name and size; --read-all reads every byte"
     text = f"{result.snapshots} backups, {result.objects} objects, {amount(result.object_bytes)} ({depth})."
     if result.unused:
         text += f"\n{result.unused} objects ({amount(result.unused_bytes)}) are in no complete backup."
     if result.lost_at_source:
         text += f"\n{result.lost_at_source} objects were lost before they were backed up."
-    text += "\nDamaged." if result.damage.count else "\nNo damage found."
-    values = {**vars(result), "damaged": result.damage.count, "damage": result.damage.first}
-    _print(request, {**values, "ok": not result.damage.count}, text)
-    _print_problems(f"{result.damage.count} items are damaged", result.damage)
-    return _DAMAGED if result.damage.count else 0
+    damage = result.damage
+    text += "\nDamaged." if damage.count else "\nNo damage found."
+    values = {**vars(result), "ok": not damage.count, "damaged": damage.count, "damage": damage.first}
+    _print(request, values, text)
+    return _print_problems(f"{damage.count} items are damaged", damage)
 
 
 def _prune(request: BackupRequest) -> int:
-    pruned = prune(request.options(), keep=request.keep)
+    pruned = operations.prune(request.repository(), keep=request.keep)
     text = (
         f"Removed {len(pruned.removed)} backups and {pruned.removed_objects} objects ({amount(pruned.removed_bytes)}); "
         f"{len(pruned.remaining)} backups are kept."
@@ -171,27 +150,23 @@ def _prune(request: BackupRequest) -> int:
 
 
 def _restore(request: BackupRequest) -> int:
-    restored = restore(_settings(), request.options(), request.snapshot_id)
-    problems = Messages()
+    restored = operations.restore(_settings(), request.repository(), request.snapshot_id, request.show_progress)
+    snapshot, problems = restored.snapshot, Messages()
     for lost in restored.unavailable:
         problems.add(f"{lost.key}: {lost.state}: {lost.reason}")
-    snapshot = restored.snapshot
-    result = {
-        "id": snapshot.id,
-        "created_at": snapshot.created_at.isoformat(),
-        "objects": restored.objects,
-        "object_bytes": restored.object_bytes,
-        "sent": restored.sent,
-        "rows": snapshot.rows,
-        "problems": problems.first,
-    }
     text = (
-        f"Restored {snapshot.id}, the instance at {snapshot.created_at:%Y-%m-%d %H:%M:%S} UTC: {restored.objects} "
-        f"objects, {amount(restored.object_bytes)}; {result['rows']} rows."
+        f"Restored {snapshot.id}, the instance at {snapshot.created_at:%Y-%m-%d %H:%M:%S} UTC: {snapshot.objects} "
+        f"objects, {amount(snapshot.object_bytes)}; {snapshot.rows} rows."
     )
-    _print(request, result, text)
-    _print_problems(f"{problems.count} objects are lost or corrupt, and shown so; all others are there", problems)
-    return _DAMAGED if problems.count else 0
+    _print(request, {**_facts(snapshot), "sent": restored.sent, "problems": problems.first}, text)
+    return _print_problems(
+        f"{problems.count} objects are lost or corrupt, and shown so; all others are there", problems
+    )
+
+
+def _facts(snapshot: Snapshot) -> dict[str, object]:
+    fields = {"id", "created_at", "kleinkram", "objects", "object_bytes", "rows", "lost", "corrupt"}
+    return snapshot.model_dump(mode="json", include=fields)
 
 
 def _settings() -> Settings:
@@ -205,15 +180,20 @@ def _settings() -> Settings:
 
 
 def _print(request: BackupRequest, result: object, text: str) -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write("\r\033[K")  # in the place of progress
     print(json.dumps(result, indent=2) if request.as_json else text)  # noqa: T201  (this program's output)
 
 
-def _print_problems(text: str, problems: Messages) -> None:
-    if problems.count:
-        lines = [f"  {message}" for message in problems.first[:_MOST_SHOWN]]
-        if problems.count > len(lines):
-            lines.append(f"  and {problems.count - len(lines)} more (--json names up to {len(problems.first)})")
-        print("\n".join([f"Error: {text}:", *lines]), file=sys.stderr)  # noqa: T201  (this program's output)
+def _print_problems(text: str, problems: Messages) -> int:
+    """Print problems, if there are any; return the exit code."""
+    if not problems.count:
+        return 0
+    lines = [f"  {message}" for message in problems.first[:_MAX_SHOWN]]
+    if problems.count > len(lines):
+        lines.append(f"  and {problems.count - len(lines)} more (--json names up to {len(problems.first)})")
+    print("\n".join([f"Error: {text}:", *lines]), file=sys.stderr)  # noqa: T201  (this program's output)
+    return _DAMAGED
 
 
 def _fail(request: BackupRequest, text: str, code: str, exit_code: int) -> NoReturn:

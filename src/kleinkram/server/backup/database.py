@@ -1,13 +1,13 @@
 """The database of a backup: dumped with COPY at one moment, and loaded into an empty database in one transaction.
 
 Every version of PostgreSQL reads the text that COPY writes. The database file is a sequence of pieces: a line of JSON
-with the table and the number of bytes, and these bytes.
+with the table, its columns and a number of bytes, then these bytes.
 """
 
 import contextlib
 import json
-from collections.abc import Callable, Iterable, Iterator
-from typing import IO, NamedTuple
+from collections.abc import Iterable, Iterator
+from typing import IO, NamedTuple, cast
 
 import psycopg
 from alembic import command
@@ -21,11 +21,9 @@ from kleinkram.server.backup.errors import (
     BackupError,
     BackupRequestInvalid,
     BackupUnreachable,
-    first_line,
 )
 from kleinkram.server.backup.lock import repeating
-from kleinkram.server.backup.objects import NamedObject
-from kleinkram.server.backup.repository import DumpedTable, PackedWriter, Snapshot
+from kleinkram.server.backup.repository import Snapshot
 from kleinkram.server.blobs.garbage_collection import DELETION_LOCK
 from kleinkram.server.migrations import alembic_config, development_schema_problem
 
@@ -69,9 +67,8 @@ WHERE c.relkind = 'S' AND c.relnamespace = 'public'::regnamespace
 
 
 class DatabaseFacts(NamedTuple):
-    """Identity of a database, and its tables with their columns."""
+    """The schema's revision, the tables with their columns, and how many blobs are in other stores."""
 
-    postgres: str
     revision: str
     tables: dict[str, tuple[str, ...]]
     elsewhere: int
@@ -159,40 +156,38 @@ def database_facts(connection: Connection, store_id: str) -> DatabaseFacts:
     connection.execute(sql.SQL("LOCK TABLE {} IN ACCESS SHARE MODE").format(listing))
     elsewhere = "SELECT count(*) FROM blob WHERE marked_for_deletion_at IS NULL AND store_id <> %s"
     return DatabaseFacts(
-        postgres=str(_value(connection, "SHOW server_version")),
         revision=str(_value(connection, "SELECT version_num FROM alembic_version")),
         tables=tables,
         elsewhere=int(str(_value(connection, elsewhere, store_id))),
     )
 
 
-def named_objects(connection: Connection, store_id: str) -> Iterator[NamedObject]:
-    """Yield the objects that the database names."""
+def named_objects(connection: Connection, store_id: str) -> Iterator[tuple[str, int, str | None]]:
+    """Yield key, size and SHA-256 of the objects that the database names; log chunks have no SHA-256."""
     with connection.cursor() as cursor, cursor.copy(sql.SQL(_NAMED).format(store=sql.Literal(store_id))) as copy:
         copy.set_types(["text", "int8", "text"])
-        for key, size_bytes, sha256 in copy.rows():
-            yield NamedObject(key, size_bytes, sha256)
+        yield from cast("Iterator[tuple[str, int, str | None]]", copy.rows())
 
 
-def dump_table(connection: Connection, name: str, columns: tuple[str, ...], file: PackedWriter) -> DumpedTable:
-    """Write all rows of one table."""
-    pending = bytearray()
+def dump_tables(connection: Connection, tables: dict[str, tuple[str, ...]], file: IO[bytes]) -> int:
+    """Write all rows of the tables; return their number."""
     rows = 0
+    for table, columns in tables.items():
+        piece = bytearray()
+        with connection.cursor() as cursor, cursor.copy(_copy(table, columns, "TO STDOUT")) as copy:
+            for row in copy:
+                piece += row
+                rows += 1
+                if len(piece) >= _PIECE_BYTES:
+                    _write_piece(file, table, columns, piece)
+                    piece.clear()
+        _write_piece(file, table, columns, piece)
+    return rows
 
-    def flush() -> None:
-        if pending:
-            file.write(json.dumps({"table": name, "bytes": len(pending)}).encode() + b"\n")
-            file.write(bytes(pending))
-            pending.clear()
 
-    with connection.cursor() as cursor, cursor.copy(_copy(name, columns, "TO STDOUT")) as copy:
-        for row in copy:
-            pending += row
-            rows += 1
-            if len(pending) >= _PIECE_BYTES:
-                flush()
-    flush()
-    return DumpedTable(name=name, columns=columns, rows=rows)
+def _write_piece(file: IO[bytes], table: str, columns: tuple[str, ...], piece: bytearray) -> None:
+    if piece:
+        file.write(json.dumps([table, columns, len(piece)]).encode() + b"\n" + piece)
 
 
 def dump_sequences(connection: Connection) -> dict[str, int]:
@@ -244,13 +239,13 @@ def restored_from(target: RestoreTarget) -> str | None:
 def load_database(
     target: RestoreTarget,
     snapshot: Snapshot,
-    open_file: Callable[[], contextlib.AbstractContextManager[IO[bytes]]],
+    file: IO[bytes],
     unavailable: Iterable[UnavailableObject],
 ) -> None:
     """Fill an empty database, all of it or nothing: schema as it was, rows, foreign keys, then the newest schema.
 
     Raises:
-        BackupDamaged: the file was changed, or a table has not all its rows.
+        BackupDamaged: rows are missing.
         psycopg.Error, sqlalchemy.exc.SQLAlchemyError: the database refused.
     """
     url = target.dsn.replace("postgresql://", "postgresql+psycopg://", 1)
@@ -260,8 +255,7 @@ def load_database(
         config.attributes["connection"] = connection
         command.upgrade(config, snapshot.revision)
         database: Connection = connection.connection.driver_connection  # type: ignore[assignment]  # psycopg's own
-        with open_file() as file:
-            _load_rows(database, snapshot, file)
+        _load_rows(database, snapshot, file)
         command.upgrade(config, "head")
         _adjust_rows(database, target, snapshot, unavailable)
         database.execute(
@@ -280,16 +274,18 @@ def _load_rows(database: Connection, snapshot: Snapshot, file: IO[bytes]) -> Non
     with_triggers = [str(row[0]) for row in database.execute(_TABLES_WITH_TRIGGERS).fetchall()]
     for table in with_triggers:
         _run(database, f"ALTER TABLE {table} DISABLE TRIGGER USER")
-    names = sql.SQL(", ").join(sql.Identifier("public", table.name) for table in snapshot.tables)
-    database.execute(sql.SQL("TRUNCATE {}").format(names))  # migrations insert rows, too
-    pieces = _Pieces(file)
-    for dumped in snapshot.tables:
+    tables = [str(row[0]) for row in database.execute(_TABLES).fetchall()]
+    # Migrations insert rows, too.
+    database.execute(sql.SQL("TRUNCATE {}").format(sql.SQL(", ").join(sql.Identifier("public", t) for t in tables)))
+    rows = 0
+    while line := file.readline():
+        table, columns, size_bytes = json.loads(line)
         with database.cursor() as cursor:
-            with cursor.copy(_copy(dumped.name, dumped.columns, "FROM STDIN")) as copy:
-                for piece in pieces.of_table(dumped.name):
-                    copy.write(piece)
-            if cursor.rowcount != dumped.rows:
-                raise BackupDamaged(f"The table {dumped.name} has {cursor.rowcount} rows instead of {dumped.rows}.")
+            with cursor.copy(_copy(table, columns, "FROM STDIN")) as copy:
+                copy.write(file.read(size_bytes))
+            rows += cursor.rowcount
+    if rows != snapshot.rows:
+        raise BackupDamaged(f"The backup's database file contains {rows} rows instead of {snapshot.rows}.")
     for table, name, definition in foreign_keys:
         _run(database, f"ALTER TABLE {table} ADD CONSTRAINT {name} {definition}")
     for table in with_triggers:
@@ -300,36 +296,6 @@ def _load_rows(database: Connection, snapshot: Snapshot, file: IO[bytes]) -> Non
         last = max(snapshot.sequences.get(str(sequence), 0), highest if isinstance(highest, int) else 0)
         if last:
             database.execute("SELECT setval(quote_ident(%s)::regclass, %s)", (sequence, last))
-
-
-class _Pieces:
-    """The pieces of a database file, in its order of tables."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self._header = self._next_header()
-
-    def of_table(self, name: str) -> Iterator[bytes]:
-        """Yield the pieces of the table that comes next; none where the file continues with another."""
-        while self._header is not None and self._header[0] == name:
-            left = self._header[1]
-            while left:
-                piece = self._file.read(min(left, 1024 * 1024))
-                if not piece:
-                    raise BackupDamaged(f"The backup's database file ends within the table {name}.")
-                left -= len(piece)
-                yield piece
-            self._header = self._next_header()
-
-    def _next_header(self) -> tuple[str, int] | None:
-        line = self._file.readline()
-        if not line:
-            return None
-        try:
-            values = json.loads(line)
-            return str(values["table"]), int(values["bytes"])
-        except (ValueError, KeyError, TypeError):
-            raise BackupDamaged("The backup's database file was changed.") from None
 
 
 def _adjust_rows(
@@ -371,3 +337,8 @@ def _run(database: Connection, statement: str, *values: str) -> None:
 def _value(database: Connection, query: str, *values: str) -> object:
     row = database.execute(query, values or None).fetchone()
     return row[0] if row else None
+
+
+def first_line(error: Exception) -> str:
+    """Return the first line of the message of a database error."""
+    return str(error).strip().partition("\n")[0]

@@ -47,8 +47,3 @@ class BackupLocationFull(BackupError):
     """The location accepts no more data."""
 
     exit_code = 11
-
-
-def first_line(error: Exception) -> str:
-    """Return the first line of the message of an error of a database."""
-    return str(error).strip().partition("\n")[0]

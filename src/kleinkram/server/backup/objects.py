@@ -1,153 +1,113 @@
-"""The objects of one backup, as sets: those the database names, those stored in the location, those verified before.
+"""The objects of a backup: what the database states, what the location has, and what reading them showed.
 
-Kept in a temporary SQLite database that has no name and goes with the process: millions of objects need little memory.
+Kept in a temporary SQLite database that has no name and ends with the process: millions of objects need little memory.
 """
 
+import itertools
 import sqlite3
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from kleinkram.server.backup.rclone import RemoteFile
-
 BATCH_OBJECTS = 10_000
 BATCH_BYTES = 50_000_000_000
 
-_SCHEMA = """
-CREATE TABLE named (key TEXT PRIMARY KEY, size_bytes INTEGER NOT NULL, sha256 TEXT) WITHOUT ROWID;
-CREATE TABLE stored (key TEXT PRIMARY KEY, size_bytes INTEGER NOT NULL) WITHOUT ROWID;
-CREATE TABLE verified (key TEXT PRIMARY KEY, sha256 TEXT, problem TEXT) WITHOUT ROWID;
-"""
+IS_NAMED = "size_bytes IS NOT NULL"
+IS_UNUSED = "size_bytes IS NULL"
+IS_NAMED_AND_STORED = f"{IS_NAMED} AND stored_bytes IS NOT NULL"
 # Of a corrupt object only the SHA-256 of what was found is known, not its size.
-_IS_COMPLETE = "stored.key IS NOT NULL AND (stored.size_bytes = named.size_bytes OR verified.problem = 'corrupt')"
-_PENDING = f"""
-SELECT named.key, named.size_bytes, named.sha256, coalesce({_IS_COMPLETE}, 0)
-FROM named LEFT JOIN stored USING (key) LEFT JOIN verified USING (key)
-WHERE NOT coalesce({_IS_COMPLETE} AND verified.sha256 IS NOT NULL, 0) ORDER BY named.key
-"""  # noqa: S608  (constants)
-_ENTRIES = """
-SELECT named.key, named.size_bytes, verified.sha256, named.sha256, verified.problem
-FROM named LEFT JOIN verified USING (key) ORDER BY named.key
-"""
+_IS_COMPLETE = "stored_bytes IS NOT NULL AND (stored_bytes IS size_bytes OR problem IS 'corrupt')"
+IS_PENDING = f"{IS_NAMED} AND NOT ({_IS_COMPLETE} AND sha256 IS NOT NULL)"
+"""To be copied or read: no earlier backup verified it, or the location no longer has it."""
 
 
-class NamedObject(NamedTuple):
-    """An object that the database names. `sha256` is None for a chunk of a log; `is_stored`: in the location."""
+class BackupObject(NamedTuple):
+    """An object of the store or of the backup location; columns are None where nothing is known.
 
-    key: str
-    size_bytes: int
-    sha256: str | None
-    is_stored: bool = False
-
-
-class ObjectEntry(NamedTuple):
-    """An object in a backup's list.
-
-    `sha256`: of the bytes in the location, None where there are none. `expected`: what the database states.
-    `problem`: what was wrong in the store when it was copied (lost, unreadable or corrupt).
+    `size_bytes`, `expected`: size and SHA-256 by the database, which has no SHA-256 of log chunks. `stored_bytes`: its
+    size in the location. `sha256`: of the bytes in the location. `problem`: what was wrong in the store when it was
+    copied (lost, unreadable or corrupt).
     """
 
     key: str
-    size_bytes: int
-    sha256: str | None
-    expected: str | None
-    problem: str | None
+    size_bytes: int | None = None
+    expected: str | None = None
+    stored_bytes: int | None = None
+    sha256: str | None = None
+    problem: str | None = None
 
+    @property
+    def bytes(self) -> int:
+        """The size, by the database if it names the object."""
+        return self.size_bytes if self.size_bytes is not None else self.stored_bytes or 0
 
-class UnnamedObject(NamedTuple):
-    """An object in the location."""
+    @property
+    def is_complete(self) -> bool:
+        """Whether the location has it completely."""
+        return self.stored_bytes is not None and (self.stored_bytes == self.size_bytes or self.problem == "corrupt")
 
-    key: str
-    size_bytes: int
+    def matches(self, sha256: str | None) -> bool:
+        """Whether bytes with this SHA-256 are the object's; None: there are no bytes."""
+        return sha256 is not None and self.expected in (None, sha256)
 
 
 class ObjectIndex:
-    """Sets of objects, in a temporary file."""
+    """A set of objects, by key."""
 
     def __init__(self) -> None:
         self._db = sqlite3.connect("", isolation_level=None, check_same_thread=False)
-        self._db.executescript(_SCHEMA)
+        self._db.execute(
+            "CREATE TABLE object (key TEXT PRIMARY KEY, size_bytes INTEGER, expected TEXT, stored_bytes INTEGER,"
+            " sha256 TEXT, problem TEXT) WITHOUT ROWID"
+        )
 
     def close(self) -> None:
-        """Delete the temporary file."""
+        """Delete the temporary database."""
         self._db.close()
 
-    def add_named(self, objects: Iterable[NamedObject]) -> None:
-        """Add objects that the database names."""
-        self._insert("INSERT OR REPLACE INTO named VALUES (?, ?, ?)", (named[:3] for named in objects))
+    def put(self, columns: str, rows: Iterable[tuple[object, ...]]) -> None:
+        """Set columns of objects; `columns` begins with the key. Objects that are new are added."""
+        names = columns.split(", ")
+        placeholders = ", ".join("?" * len(names))
+        values = ", ".join(f"{name} = excluded.{name}" for name in names[1:])
+        self._execute_many(
+            f"INSERT INTO object ({columns}) VALUES ({placeholders}) ON CONFLICT (key) DO UPDATE SET {values}",  # noqa: S608  (constants)
+            rows,
+        )
 
-    def add_stored(self, files: Iterable[RemoteFile]) -> None:
-        """Add objects that the location has."""
-        self._insert("INSERT OR REPLACE INTO stored VALUES (?, ?)", ((file.path, file.size_bytes) for file in files))
-
-    def add_verified(self, entries: Iterable[ObjectEntry]) -> None:
-        """Add what is known of objects: from an earlier backup, or because they were read."""
-        rows = ((entry.key, entry.sha256, entry.problem) for entry in entries)
-        self._insert("INSERT OR REPLACE INTO verified VALUES (?, ?, ?)", rows)
-
-    def remove_named(self, keys: Iterable[str]) -> None:
-        """Drop objects that the database no longer names."""
-        self._insert("DELETE FROM named WHERE key = ?", ((key,) for key in keys))
-
-    def totals(self) -> tuple[int, int]:
-        """Return how many objects the database names, and their bytes."""
-        return self._totals("named")
-
-    def stored_totals(self) -> tuple[int, int]:
-        """Return how many objects the location has, and their bytes."""
-        return self._totals("stored")
-
-    def pending_batches(self) -> Iterator[list[NamedObject]]:
-        """Yield the objects that are to be copied or read, in batches; others were verified by an earlier backup."""
-        self._db.executescript(f"DROP TABLE IF EXISTS pending; CREATE TABLE pending AS {_PENDING}")
-        rows = self._db.execute("SELECT * FROM pending")
-        return in_batches(NamedObject(key, size, sha256, bool(is_stored)) for key, size, sha256, is_stored in rows)
-
-    def entries(self) -> Iterator[ObjectEntry]:
-        """Yield all named objects with what is known of each."""
-        for key, size_bytes, sha256, expected, problem in self._db.execute(_ENTRIES):
-            yield ObjectEntry(key, size_bytes, sha256, expected, problem)
+    def remove(self, keys: Iterable[str]) -> None:
+        """Remove objects."""
+        self._execute_many("DELETE FROM object WHERE key = ?", ((key,) for key in keys))
 
     def stored_size(self, key: str) -> int | None:
         """Return the size of an object in the location, None where there is none."""
-        row = self._db.execute("SELECT size_bytes FROM stored WHERE key = ?", (key,)).fetchone()
-        return None if row is None else int(row[0])
+        row = self._db.execute("SELECT stored_bytes FROM object WHERE key = ?", (key,)).fetchone()
+        return None if row is None or row[0] is None else int(row[0])
 
-    def unnamed_stored(self) -> Iterator[UnnamedObject]:
-        """Yield objects in the location that nothing names."""
-        for row in self._db.execute(
-            "SELECT key, size_bytes FROM stored WHERE key NOT IN (SELECT key FROM named) ORDER BY key"
-        ):
-            yield UnnamedObject(*row)
+    def select(self, condition: str) -> Iterator[BackupObject]:
+        """Yield the objects that meet an SQL condition, ordered by key. The index must not change meanwhile."""
+        for row in self._db.execute(f"SELECT * FROM object WHERE {condition} ORDER BY key"):  # noqa: S608  (constants)
+            yield BackupObject(*row)
 
-    def stored_batches(self) -> Iterator[list[NamedObject]]:
-        """Yield the named objects that the location has, in batches."""
-        rows = self._db.execute(
-            "SELECT named.key, named.size_bytes, named.sha256 FROM named JOIN stored USING (key) ORDER BY 1"
-        )
-        return in_batches(NamedObject(*row) for row in rows)
+    def batches(self, condition: str) -> Iterator[list[BackupObject]]:
+        """Yield the objects that meet an SQL condition, in lists of bounded number and bytes, ordered by key."""
+        query = f"SELECT * FROM object WHERE key > ? AND {condition} ORDER BY key LIMIT {BATCH_OBJECTS}"  # noqa: S608  (constants)
+        last = ""
+        while rows := [BackupObject(*row) for row in self._db.execute(query, (last,))]:
+            sizes = itertools.accumulate(row.bytes for row in rows)
+            fitting = sum(size_bytes <= BATCH_BYTES for size_bytes in sizes)
+            batch = rows[: max(1, fitting)]
+            yield batch
+            last = batch[-1].key
 
-    def _totals(self, table: str) -> tuple[int, int]:
-        query = f"SELECT count(*), coalesce(sum(size_bytes), 0) FROM {table}"  # noqa: S608  (a constant)
+    def totals(self, column: str) -> tuple[int, int]:
+        """Return the number of objects with a size in this column, and the sum of the sizes."""
+        query = f"SELECT count({column}), coalesce(sum({column}), 0) FROM object"  # noqa: S608  (a constant)
         count, size_bytes = self._db.execute(query).fetchone()
         return int(count), int(size_bytes)
 
-    def _insert(self, statement: str, rows: Iterable[tuple[object, ...]]) -> None:
+    def _execute_many(self, statement: str, rows: Iterable[tuple[object, ...]]) -> None:
         self._db.execute("BEGIN")
         try:
             self._db.executemany(statement, rows)
         finally:
             self._db.execute("COMMIT")
-
-
-def in_batches(objects: Iterable[NamedObject]) -> Iterator[list[NamedObject]]:
-    """Yield objects in lists of bounded number and bytes."""
-    batch: list[NamedObject] = []
-    size_bytes = 0
-    for named in objects:
-        if batch and (len(batch) == BATCH_OBJECTS or size_bytes + named.size_bytes > BATCH_BYTES):
-            yield batch
-            batch, size_bytes = [], 0
-        batch.append(named)
-        size_bytes += named.size_bytes
-    if batch:
-        yield batch

@@ -17,7 +17,8 @@ import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import IO, NamedTuple, cast
+from pathlib import Path
+from typing import IO, NamedTuple
 
 from kleinkram.server.backup.errors import BackupError, BackupLocationFull, BackupRequestInvalid, BackupUnreachable
 
@@ -44,6 +45,17 @@ class RemoteFile(NamedTuple):
 
 
 @dataclass(frozen=True)
+class S3Access:
+    """An S3 store and the keys for it; `ca_file`: the authority that signed its certificate, if not a public one."""
+
+    url: str
+    region: str
+    access_key: str
+    secret_key: str = field(repr=False)
+    ca_file: Path | None = None
+
+
+@dataclass(frozen=True)
 class Rclone:
     """The rclone program: the variables that configure its remotes, files moved at a time, and a limit of speed."""
 
@@ -54,6 +66,17 @@ class Rclone:
     def with_remotes(self, remotes: Mapping[str, str]) -> "Rclone":
         """Return the same with more remotes."""
         return Rclone({**self.remotes, **remotes}, self.connections, self.bytes_per_s)
+
+    def with_s3(self, name: str, access: S3Access) -> "Rclone":
+        """Return the same with an S3 store as the remote `name`."""
+        values = {"TYPE": "s3", "PROVIDER": "Other", "ENDPOINT": access.url, "REGION": access.region}
+        values |= {"ACCESS_KEY_ID": access.access_key, "SECRET_ACCESS_KEY": access.secret_key}
+        remotes = {f"RCLONE_CONFIG_{name.upper()}_{key}": value for key, value in values.items()}
+        remotes[f"RCLONE_CONFIG_{name.upper()}_FORCE_PATH_STYLE"] = "true"
+        if access.ca_file is not None:
+            others = self.remotes.get("RCLONE_CA_CERT")
+            remotes["RCLONE_CA_CERT"] = ",".join(filter(None, [others, str(access.ca_file)]))
+        return self.with_remotes(remotes)
 
     def copy(self, source: str, target: str, paths: Collection[str]) -> dict[str, str]:
         """Copy files, replacing those that exist; return why single files could not be copied, by path.
@@ -121,29 +144,15 @@ class Rclone:
         with self.reader(remote) as file:
             return file.read()
 
-    @contextlib.contextmanager
-    def writer(self, remote: str) -> Iterator[IO[bytes]]:
-        """Open a new file for writing. It exists once the block ends; where the block raises, it does not."""
-        with tempfile.TemporaryFile() as log:
-            command = self._command("rcat", remote, "--s3-chunk-size", "16M")
-            process = self._start(command, subprocess.PIPE, subprocess.DEVNULL, log)
-            stdin = cast("IO[bytes]", process.stdin)
-            try:
-                with contextlib.suppress(BrokenPipeError):  # what ended rclone is said below
-                    yield stdin
-            except BaseException:
-                process.kill()  # before its input ends, which would complete the file
-                process.wait()
-                raise
-            finally:
-                with contextlib.suppress(BrokenPipeError):
-                    stdin.close()
-            _Done("rcat", process.wait(), log, log).check()
-
-    def write(self, remote: str, body: bytes) -> None:
-        """Write a small file whole."""
-        with self.writer(remote) as file:
-            file.write(body)
+    def write(self, remote: str, content: "IO[bytes] | bytes") -> None:
+        """Write a file: bytes, or all that a file of this machine holds."""
+        with contextlib.ExitStack() as stack:
+            file = stack.enter_context(tempfile.TemporaryFile()) if isinstance(content, bytes) else content
+            if isinstance(content, bytes):
+                file.write(content)
+            file.flush()
+            os.lseek(file.fileno(), 0, os.SEEK_SET)  # rclone reads the descriptor, which knows no buffer of Python's
+            stack.enter_context(self._run("rcat", remote, "--s3-chunk-size", "16M", stdin=file)).check()
 
     def obscure(self, secret: str) -> str:
         """Return a secret in the form that rclone's configuration takes."""
@@ -151,38 +160,32 @@ class Rclone:
         return subprocess.run(command, input=secret, capture_output=True, text=True, check=True).stdout.strip()
 
     @contextlib.contextmanager
-    def _run(self, *arguments: str, paths: Collection[str] | None = None) -> Iterator["_Done"]:
+    def _run(
+        self, *arguments: str, paths: Collection[str] | None = None, stdin: "IO[bytes] | None" = None
+    ) -> Iterator["_Done"]:
         with tempfile.TemporaryFile() as listed, tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as log:
-            extra = [] if paths is None else ["--files-from-raw", "-"]
             listed.writelines(f"{path}\n".encode() for path in paths or ())
             listed.seek(0)
-            command = self._command(*arguments, *extra)
-            process = self._start(command, listed, output, log)
+            number = str(self.connections)
+            command = [locate_rclone(), *arguments, *([] if paths is None else ["--files-from-raw", "-"])]
+            command += ["--use-json-log", "--transfers", number, "--checkers", number, "--retries-sleep", "2s"]
+            if self.bytes_per_s is not None:
+                command += ["--bwlimit", f"{max(1, round(self.bytes_per_s))}B"]
+            process = subprocess.Popen(
+                command,
+                stdin=stdin or listed,
+                stdout=output,
+                stderr=log,
+                env={**os.environ, **self.remotes, "RCLONE_S3_NO_CHECK_BUCKET": "true"},
+                umask=0o077,
+                preexec_fn=_end_with_parent(os.getpid()),
+            )
             try:
                 process.wait()
             finally:
                 process.kill()
             output.seek(0)
             yield _Done(arguments[0], process.returncode, output, log)
-
-    def _command(self, *arguments: str) -> list[str]:
-        number = str(self.connections)
-        command = [locate_rclone(), *arguments, "--use-json-log", "--transfers", number, "--checkers", number]
-        limit = [] if self.bytes_per_s is None else ["--bwlimit", f"{max(1, round(self.bytes_per_s))}B"]
-        return [*command, "--retries-sleep", "2s", *limit]
-
-    def _start(
-        self, command: list[str], stdin: "IO[bytes] | int", stdout: "IO[bytes] | int", stderr: IO[bytes]
-    ) -> "subprocess.Popen[bytes]":
-        return subprocess.Popen(
-            command,
-            stdin=stdin,
-            stdout=stdout,
-            stderr=stderr,
-            env={**os.environ, **self.remotes, "RCLONE_S3_NO_CHECK_BUCKET": "true"},
-            umask=0o077,
-            preexec_fn=_end_with_parent(os.getpid()),
-        )
 
 
 class _Done:
@@ -250,13 +253,6 @@ def locate_rclone() -> str:
         "rclone was not found, which copies backups: run `pip install 'open-kleinkram[backup]'`, or install rclone "
         "1.65 or later."
     )
-
-
-def s3_remote(name: str, url: str, region: str, access_key: str, secret_key: str) -> dict[str, str]:
-    """Return the variables that configure an S3 store as an rclone remote."""
-    values = {"TYPE": "s3", "PROVIDER": "Other", "ENDPOINT": url, "REGION": region}
-    values |= {"ACCESS_KEY_ID": access_key, "SECRET_ACCESS_KEY": secret_key, "FORCE_PATH_STYLE": "true"}
-    return {f"RCLONE_CONFIG_{name.upper()}_{key}": value for key, value in values.items()}
 
 
 def join_remote(remote: str, path: str) -> str:

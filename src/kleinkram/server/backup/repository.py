@@ -17,15 +17,16 @@ import json
 import os
 import re
 import secrets
-from collections.abc import Callable, Iterator
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import IO, Annotated, BinaryIO, Literal, cast
+from typing import IO, BinaryIO, Literal, TypeVar, cast
 
 import zstandard
-from pydantic import BaseModel, ConfigDict, Field, SecretStr, ValidationError
+from pydantic import BaseModel, ConfigDict, SecretStr, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from kleinkram.server.backup.errors import (
@@ -37,15 +38,18 @@ from kleinkram.server.backup.errors import (
     PassphraseWrong,
 )
 from kleinkram.server.backup.lock import lock_folder, lock_remote
-from kleinkram.server.backup.objects import ObjectEntry
-from kleinkram.server.backup.rclone import Rclone, join_remote, s3_remote
+from kleinkram.server.backup.objects import BackupObject
+from kleinkram.server.backup.rclone import Rclone, S3Access, join_remote
 from kleinkram.server.environment import SettingsInvalid, secret_from_file
 
-_FORMAT = 2
+T = TypeVar("T")
+_FORMAT = 3
+DATABASE, OBJECT_LIST = "database.zst", "objects.zst"
 _MARKER, _CHECK = "klein-backup.json", "passphrase-check"
 _CRYPT = "kleincrypt:"
 _REMOTE = re.compile(r"[\w.+@-]+:.*")
 _LEFT_BY_US = re.compile(rf"lock|locks/.*|{re.escape(_MARKER)}\..*")
+_READ_BYTES = 1024 * 1024
 
 
 class _Model(BaseModel):
@@ -55,16 +59,8 @@ class _Model(BaseModel):
 class StoredFile(_Model):
     """A file of a backup, as it is stored."""
 
-    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    sha256: str
     size_bytes: int
-
-
-class DumpedTable(_Model):
-    """One table in the database file."""
-
-    name: str
-    columns: tuple[str, ...]
-    rows: int
 
 
 class Snapshot(_Model):
@@ -73,37 +69,24 @@ class Snapshot(_Model):
     `elsewhere`: how many blobs the database names in other stores, which are in no backup of this one.
     """
 
-    format: Literal[2] = 2
+    format: Literal[3] = 3
     id: str
     created_at: datetime
-    ended_at: datetime
     kleinkram: str
-    postgres: str
     revision: str
     store_id: str
     elsewhere: int
-    tables: tuple[DumpedTable, ...]
+    rows: int
     sequences: dict[str, int]
-    database: StoredFile
-    object_list: StoredFile
+    files: dict[str, StoredFile]
     objects: int
     object_bytes: int
     lost: int
     corrupt: int
 
-    @property
-    def files(self) -> dict[str, StoredFile]:
-        """The files of this backup alone, by name."""
-        return {"database.zst": self.database, "objects.zst": self.object_list}
-
-    @property
-    def rows(self) -> int:
-        """The rows of all tables."""
-        return sum(table.rows for table in self.tables)
-
 
 class _Marker(_Model):
-    format: Literal[2] = 2
+    format: Literal[3] = 3
     salt: str | None
 
 
@@ -117,30 +100,6 @@ class _BucketSettings(BaseSettings):
     s3_access_key: str
     s3_secret_key: SecretStr
     s3_ca_file: Path | None = None
-
-
-class PackedWriter:
-    """Compresses what is written with zstd, and hashes the result."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self._compressor = zstandard.ZstdCompressor(level=3).compressobj()
-        self._digest = hashlib.sha256()
-        self._size_bytes = 0
-
-    def write(self, raw: bytes) -> None:
-        """Append bytes."""
-        self._put(self._compressor.compress(raw))
-
-    def end(self) -> StoredFile:
-        """Write the end; return what was written."""
-        self._put(self._compressor.flush())
-        return StoredFile(sha256=self._digest.hexdigest(), size_bytes=self._size_bytes)
-
-    def _put(self, packed: bytes) -> None:
-        self._file.write(packed)
-        self._digest.update(packed)
-        self._size_bytes += len(packed)
 
 
 @dataclass(frozen=True)
@@ -183,10 +142,13 @@ class Repository:
         if marker is None or marker.salt != self.salt:
             raise BackupConflict(f"Another process began the backups in {self.name}: run the command again.")
 
+    def file_sizes(self) -> dict[str, int]:
+        """Return the size of each file of all backups, by path: `ID.json`, `ID/NAME`."""
+        return {file.path: file.size_bytes for file in self.rclone.files(self.snapshots)}
+
     def snapshot_ids(self) -> list[str]:
         """Return the ids of all complete backups, oldest first."""
-        paths = [file.path for file in self.rclone.files(self.snapshots)]
-        return sorted(path.removesuffix(".json") for path in paths if "/" not in path)
+        return complete_ids(self.file_sizes())
 
     def snapshot(self, snapshot_id: str | None) -> Snapshot:
         """Return a backup, the latest if no id is given.
@@ -195,13 +157,14 @@ class Repository:
             BackupNotFound: there is none.
             BackupDamaged: its document was changed or cut off.
         """
-        ids = self.snapshot_ids()
-        if snapshot_id is None and not ids:
+        ids = [snapshot_id] if snapshot_id else self.snapshot_ids()
+        if not ids:
             raise BackupNotFound(f"{self.name} contains no complete backup yet.")
-        chosen = snapshot_id or ids[-1]
-        if chosen not in ids:
-            raise BackupNotFound(f"{self.name} contains no backup {chosen}: `klein backup list` shows all.")
-        stated, _, body = self.rclone.read(f"{self.snapshots}/{chosen}.json").partition(b"\n")
+        chosen = ids[-1]
+        try:
+            stated, _, body = self.rclone.read(f"{self.snapshots}/{chosen}.json").partition(b"\n")
+        except FileNotFoundError:
+            raise BackupNotFound(f"{self.name} contains no backup {chosen}: `klein backup list` shows all.") from None
         try:
             if hashlib.sha256(body).hexdigest().encode() == stated:
                 return Snapshot.model_validate_json(body)
@@ -222,68 +185,53 @@ class Repository:
 
     def remove_unfinished(self) -> None:
         """Delete the files of backups that have no document."""
-        paths = [file.path for file in self.rclone.files(self.snapshots)]
-        ids = {path.removesuffix(".json") for path in paths if "/" not in path}
-        unfinished = [path for path in paths if "/" in path and path.partition("/")[0] not in ids]
-        self.rclone.delete(self.snapshots, unfinished)
+        sizes = self.file_sizes()
+        ids = complete_ids(sizes)
+        self.rclone.delete(
+            self.snapshots, [path for path in sizes if "/" in path and path.partition("/")[0] not in ids]
+        )
 
-    @contextlib.contextmanager
-    def write_packed(self, snapshot_id: str, name: str) -> Iterator[PackedWriter]:
-        """Open a new file of a backup; call `end` on it within the block."""
-        with self.rclone.writer(f"{self.snapshots}/{snapshot_id}/{name}") as file:
-            yield PackedWriter(file)
-
-    def check_sizes(self, snapshot: Snapshot) -> None:
-        """Compare the sizes of a backup's files.
-
-        Raises:
-            BackupDamaged: one is missing or has another size.
-        """
-        sizes = {file.path: file.size_bytes for file in self.rclone.files(f"{self.snapshots}/{snapshot.id}")}
-        for name, stored in snapshot.files.items():
-            if sizes.get(name) != stored.size_bytes:
-                raise BackupDamaged(
-                    f"snapshots/{snapshot.id}/{name} has {sizes.get(name, 0)} bytes instead of {stored.size_bytes}."
-                )
-
-    def check_files(self, snapshot: Snapshot) -> None:
-        """Read the files of a backup.
-
-        Raises:
-            BackupDamaged: one is missing or was changed.
-        """
-        hashes = self.rclone.sha256(f"{self.snapshots}/{snapshot.id}", [*snapshot.files])
-        for name, stored in snapshot.files.items():
-            if hashes.get(name) != stored.sha256:
-                state = "was changed or cut off" if name in hashes else "is missing"
-                raise BackupDamaged(f"snapshots/{snapshot.id}/{name} {state}.")
-
-    @contextlib.contextmanager
-    def read_packed(self, snapshot_id: str, name: str) -> Iterator[IO[bytes]]:
-        """Open a file of a backup; `check_files` checks its content."""
+    def add_file(self, snapshot_id: str, name: str, write: Callable[[IO[bytes]], T]) -> tuple[StoredFile, T]:
+        """Write a file of a backup, compressed; return what was stored, and what `write` returned."""
         try:
-            with self.rclone.reader(f"{self.snapshots}/{snapshot_id}/{name}") as packed:
-                unpacked = zstandard.open(cast("BinaryIO", packed), "rb")
-                yield io.BufferedReader(cast("io.RawIOBase", unpacked), 1024 * 1024)
-        except FileNotFoundError:
-            raise BackupDamaged(f"snapshots/{snapshot_id}/{name} is missing.") from None
+            with tempfile.TemporaryFile() as packed:
+                with zstandard.open(packed, "wb", closefd=False) as file:
+                    result = write(cast("IO[bytes]", file))
+                stored = _hash(packed)
+                self.rclone.write(f"{self.snapshots}/{snapshot_id}/{name}", packed)
+        except OSError as error:
+            raise BackupLocationFull(
+                f"The temporary folder {tempfile.gettempdir()} cannot be written ({error.strerror or error}): make "
+                "room, or name another one in TMPDIR."
+            ) from error
+        return stored, result
 
-    def entries(self, snapshot: Snapshot) -> Iterator[ObjectEntry]:
+    @contextlib.contextmanager
+    def read_file(self, snapshot: Snapshot, name: str) -> Iterator[IO[bytes]]:
+        """Open a file of a backup, decompressed, once all of it was compared with its SHA-256.
+
+        Raises:
+            BackupDamaged: it is missing or was changed.
+        """
+        path = f"snapshots/{snapshot.id}/{name}"
+        try:
+            with self.rclone.reader(f"{self.snapshots}/{snapshot.id}/{name}") as packed:
+                if _hash(packed) != snapshot.files[name]:
+                    raise BackupDamaged(f"{path} was changed or cut off.")
+                file = zstandard.open(cast("BinaryIO", packed), "rb")
+                yield io.BufferedReader(cast("io.RawIOBase", file), _READ_BYTES)
+        except FileNotFoundError:
+            raise BackupDamaged(f"{path} is missing.") from None
+
+    def objects_of(self, snapshot: Snapshot) -> Iterator[BackupObject]:
         """Yield the objects of a backup.
 
         Raises:
             BackupDamaged: the list is missing or was changed.
         """
-        count = 0
-        try:
-            with self.read_packed(snapshot.id, "objects.zst") as file:
-                for line in file:
-                    count += 1
-                    yield ObjectEntry(*json.loads(line))
-        except (zstandard.ZstdError, ValueError, TypeError):
-            count = -1
-        if count != snapshot.objects:
-            raise BackupDamaged(f"snapshots/{snapshot.id}/objects.zst was changed or cut off.")
+        with self.read_file(snapshot, OBJECT_LIST) as file:
+            for line in file:
+                yield BackupObject(*json.loads(line))
 
     def _sync(self) -> None:
         if self.folder is not None:
@@ -297,11 +245,11 @@ def open_repository(place: str, passphrase: str | None, rclone: Rclone) -> Repos
         BackupNotFound: there are none.
         PassphraseWrong: they are encrypted, and this is not their passphrase.
     """
-    root, remotes = _resolve(place)
-    marker = _read_marker(place, root, rclone.with_remotes(remotes))
+    root, rclone = _resolve(place, rclone)
+    marker = _read_marker(place, root, rclone)
     if marker is None:
         raise BackupNotFound(f"There are no backups in {place}.")
-    return _open(place, root, marker, passphrase, rclone.with_remotes(remotes))
+    return _open(place, root, marker, passphrase, rclone)
 
 
 def make_repository(place: str, passphrase: str | None, rclone: Rclone, *, encrypt: bool) -> Repository:
@@ -311,14 +259,17 @@ def make_repository(place: str, passphrase: str | None, rclone: Rclone, *, encry
         BackupRequestInvalid: they are to be encrypted, and there is no passphrase, or they are not encrypted.
         BackupConflict: the location contains something else.
     """
-    root, remotes = _resolve(place)
-    plain = rclone.with_remotes(remotes)
-    marker = _read_marker(place, root, plain)
-    if marker is not None:
-        if encrypt and marker.salt is None:
-            raise BackupRequestInvalid(f"The backups in {place} were begun without --encrypt: name another location.")
-        return _open(place, root, marker, passphrase, plain, may_begin=True)
-    for file in plain.files(root):
+    root, rclone = _resolve(place, rclone)
+    marker = _read_marker(place, root, rclone)
+    if marker is None:
+        marker = _begin(place, root, passphrase, rclone, encrypt=encrypt)
+    elif encrypt and marker.salt is None:
+        raise BackupRequestInvalid(f"The backups in {place} were begun without --encrypt: name another location.")
+    return _open(place, root, marker, passphrase, rclone, may_begin=True)
+
+
+def _begin(place: str, root: str, passphrase: str | None, rclone: Rclone, *, encrypt: bool) -> _Marker:
+    for file in rclone.files(root):
         if not _LEFT_BY_US.fullmatch(file.path):
             raise BackupConflict(f"{place} is not empty and contains no backups ({file.path} is there): name another.")
     if encrypt and not passphrase:
@@ -331,8 +282,8 @@ def make_repository(place: str, passphrase: str | None, rclone: Rclone, *, encry
             Path(root).mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:
             raise BackupLocationFull(f"{place} cannot be made: {error.strerror or error}.") from error
-    plain.write(join_remote(root, _MARKER), marker.model_dump_json().encode())
-    return _open(place, root, marker, passphrase, plain, may_begin=True)
+    rclone.write(join_remote(root, _MARKER), marker.model_dump_json().encode())
+    return marker
 
 
 def _open(
@@ -344,8 +295,16 @@ def _open(
         raise PassphraseWrong(
             f"The backups in {place} are encrypted: give --passphrase-file, or set KLEINKRAM_BACKUP_PASSPHRASE."
         )
-    encrypted = rclone.with_remotes(_encryption(root, marker, passphrase, rclone))
-    if may_begin and not any(True for _ in rclone.files(join_remote(root, "encrypted"))):
+    folder = join_remote(root, "encrypted")
+    encrypted = rclone.with_remotes(
+        {
+            "RCLONE_CONFIG_KLEINCRYPT_TYPE": "crypt",
+            "RCLONE_CONFIG_KLEINCRYPT_REMOTE": folder,
+            "RCLONE_CONFIG_KLEINCRYPT_PASSWORD": rclone.obscure(passphrase),
+            "RCLONE_CONFIG_KLEINCRYPT_PASSWORD2": rclone.obscure(marker.salt),
+        }
+    )
+    if may_begin and not any(True for _ in rclone.files(folder)):
         encrypted.write(_CRYPT + _CHECK, b"This passphrase is the right one.\n")
     try:
         encrypted.read(_CRYPT + _CHECK)
@@ -354,19 +313,10 @@ def _open(
     return Repository(place, root, _CRYPT, encrypted, marker.salt)
 
 
-def _encryption(root: str, marker: _Marker, passphrase: str, rclone: Rclone) -> dict[str, str]:
-    return {
-        "RCLONE_CONFIG_KLEINCRYPT_TYPE": "crypt",
-        "RCLONE_CONFIG_KLEINCRYPT_REMOTE": join_remote(root, "encrypted"),
-        "RCLONE_CONFIG_KLEINCRYPT_PASSWORD": rclone.obscure(passphrase),
-        "RCLONE_CONFIG_KLEINCRYPT_PASSWORD2": rclone.obscure(marker.salt or ""),
-    }
-
-
-def _resolve(place: str) -> tuple[str, dict[str, str]]:
-    """Return a location's rclone remote, and the variables that configure it."""
+def _resolve(place: str, rclone: Rclone) -> tuple[str, Rclone]:
+    """Return a location as a folder or a path of rclone, and rclone with its remote."""
     if not place.startswith("s3://"):
-        return place if _REMOTE.fullmatch(place) else str(Path(place).absolute()), {}
+        return place if _REMOTE.fullmatch(place) else str(Path(place).absolute()), rclone
     names = ("s3_access_key", "s3_secret_key")
     try:
         secrets_in_files = {name: secret_from_file(f"KLEINKRAM_BACKUP_{name.upper()}") for name in names}
@@ -378,10 +328,30 @@ def _resolve(place: str) -> tuple[str, dict[str, str]]:
     except SettingsInvalid as error:
         raise BackupRequestInvalid(str(error)) from None
     secret = settings.s3_secret_key.get_secret_value()
-    remotes = s3_remote("kleinbackup", settings.s3_url, settings.s3_region, settings.s3_access_key, secret)
-    if settings.s3_ca_file is not None:
-        remotes["RCLONE_CA_CERT"] = str(settings.s3_ca_file)
-    return f"kleinbackup:{place.removeprefix('s3://').strip('/')}", remotes
+    access = S3Access(settings.s3_url, settings.s3_region, settings.s3_access_key, secret, settings.s3_ca_file)
+    return f"kleinbackup:{place.removeprefix('s3://').strip('/')}", rclone.with_s3("kleinbackup", access)
+
+
+def complete_ids(paths: Iterable[str]) -> list[str]:
+    """Return the ids of the complete backups among files of backups, oldest first."""
+    return sorted(path.removesuffix(".json") for path in paths if "/" not in path)
+
+
+def write_objects(objects: Iterable[BackupObject], file: IO[bytes]) -> None:
+    """Write the list of objects of a backup."""
+    for row in objects:
+        file.write(json.dumps(row._replace(stored_bytes=None)).encode() + b"\n")
+
+
+def _hash(file: IO[bytes]) -> StoredFile:
+    """Return the size and SHA-256 of a file; it is then at its start again."""
+    digest = hashlib.sha256()
+    file.seek(0)
+    while piece := file.read(_READ_BYTES):
+        digest.update(piece)
+    size_bytes = file.tell()
+    file.seek(0)
+    return StoredFile(sha256=digest.hexdigest(), size_bytes=size_bytes)
 
 
 def _read_marker(place: str, root: str, rclone: Rclone) -> _Marker | None:

@@ -1,7 +1,7 @@
-"""Jobs on blobs: read the summary by ranges, verify the bytes, compare the store's listing with the database.
+"""Jobs on blobs: read summaries, verify bytes, scrub the store, collect garbage.
 
-A small blob is read once, whole, for summary and verification; many are read in a row and recorded in one transaction,
-because a job each would cost a hundred times what reading one does.
+A large blob has two jobs: one reads its summary by ranges, one verifies all bytes. A small blob is read once for both;
+one job reads many and records them in one transaction, because a job costs a hundred times as much as reading one.
 """
 
 import logging
@@ -44,12 +44,12 @@ from kleinkram.server.jobs.execution import (
 from kleinkram.server.jobs.queue import Job, Priority, queue, raise_priority
 
 _log = logging.getLogger("kleinkram.blobs")
-# A recording without an index must be read whole: at once up to this size, else when the verification reads it.
+# A recording without an index must be read completely: up to this size by the summary, else by the verification.
 _SUMMARY_MOST_BYTES = 64 * 1024 * 1024
-# Slower than the slowest format is read on any known machine.
+# Below the speed of the slowest format on any known machine.
 _SCAN_BYTES_PER_S = 5_000_000
 _DATABASE_SUFFIX = ".db3"
-# One transaction records at most this many small blobs, read within this time; less while uploads are active.
+# Batch limits of one transaction: number of small blobs, and time to read them; less time during uploads.
 _BATCH_BLOBS, _BATCH_S, _BATCH_WITH_UPLOADS_S = 100, 2.0, 0.02
 
 
@@ -62,7 +62,7 @@ class _ReadResult(NamedTuple):
 
 @queue.task(name=Job.summarise_blob.value, retry=RETRY_STRATEGY, pass_context=True)
 async def summarise_blob(job_context: JobContext, ref: str) -> None:
-    """Read what is in a recording, in a child process without credentials, and keep it."""
+    """Read the summary of a recording in a child process without credentials, and record it."""
     context, blob_id = app_context(job_context), uuid.UUID(ref)
     row = await _find_in_own_store(context, blob_id)
     if row is None or row.path is None:
@@ -75,18 +75,18 @@ async def summarise_blob(job_context: JobContext, ref: str) -> None:
         summary = await _summary(context, worker_resource(job_context, "readers", ReaderProcesses), row, logs)
     except SummaryFailed as failure:
         if failure.kind is FailureKind.source and job_context.job.attempts < ATTEMPTS - 1:
-            raise  # the store, not the file: worth another try
+            raise  # the store failed, not the file: try again
         async with context.database.begin() as db:
             await record_read_failure(db, blob_id, str(failure))
         return
     await _record_summary(context, blob_id, summary)
-    if summary.content is Content.pending:  # only the verification reads it: somebody may wait for that
+    if summary.content is Content.pending:  # only the verification reads it, and a user may wait for that
         async with context.database.begin() as db:
             await raise_priority(db, Job.verify_blob, blob_id)
 
 
 async def _find_in_own_store(context: AppContext, blob_id: uuid.UUID) -> BlobRow | None:
-    """Return a blob that is still wanted, and whose bytes are in this server's own store."""
+    """Return a blob that is not marked for deletion and is in this server's own store."""
     async with context.database.begin() as db:
         row = await service.find_blob(db, blob_id)
     return row if row is not None and row.store_id == context.settings.store_id else None
@@ -96,10 +96,10 @@ async def _record_summary(context: AppContext, blob_id: uuid.UUID, summary: Reco
     try:
         async with context.database.begin() as db:
             await record_summaries(db, {blob_id: summary})
-    except (DataError, IntegrityError) as error:  # a file may say what no column holds
-        _log.error("summary not kept", extra={"fields": {"blob_id": str(blob_id), "reason": str(error.orig)}})
+    except (DataError, IntegrityError) as error:  # untrusted values may fit no column
+        _log.error("summary not recorded", extra={"fields": {"blob_id": str(blob_id), "reason": str(error.orig)}})
         async with context.database.begin() as db:
-            await record_read_failure(db, blob_id, "what it says of itself does not fit into the database")
+            await record_read_failure(db, blob_id, "its metadata does not fit into the database")
 
 
 async def _sqlite_logs(context: AppContext, row: BlobRow) -> Mapping[str, SqliteLog]:
@@ -133,22 +133,24 @@ async def _summary(
 
 @queue.task(name=Job.verify_blob.value, retry=RETRY_STRATEGY, pass_context=True)
 async def verify_blob(job_context: JobContext, ref: str) -> None:
-    """Read a blob once, at a limited rate, and compare it with what was stated of it when it came.
+    """Read a blob completely, at a limited rate, and compare its checksums with those of its upload.
 
-    A child process without credentials reads along, and says what the whole of a recording holds.
+    A child process without credentials receives the bytes, too, and returns the summary of a recording.
     """
     context, blob_id = app_context(job_context), uuid.UUID(ref)
     row = await _find_in_own_store(context, blob_id)
     if row is None:
         return
-    # What is only verified again gives way from now on, whenever it came.
-    anew = job_context.job.priority < Priority.normal
-    await back_pressure_of(job_context).wait_for_uploads(VERIFY_MAX_WAIT_S, since=None if anew else row.created_at)
+    # The wait of a routine re-verification begins now, not at the upload.
+    is_routine = job_context.job.priority < Priority.normal
+    await back_pressure_of(job_context).wait_for_uploads(
+        VERIFY_MAX_WAIT_S, since=None if is_routine else row.created_at
+    )
     read = await _read_or_damaged(job_context, context, row)
     if read is None:
         return
     checksums, scan = read
-    # Stored last: until then a recording that only this job reads counts as pending.
+    # Recorded before the verification: until then, a recording that only this job reads is pending.
     await _record_scan(context, blob_id, scan)
     async with context.database.begin() as db:
         await service.record_verified(db, {blob_id: checksums.md5})
@@ -156,7 +158,7 @@ async def verify_blob(job_context: JobContext, ref: str) -> None:
 
 @queue.task(name=Job.examine_blob.value, retry=RETRY_STRATEGY, pass_context=True)
 async def examine_blob(job_context: JobContext, ref: str) -> None:
-    """Read a small blob for all that is to be known of it, and with it others of the same person that wait."""
+    """Read the summary of a small blob and verify it, and with it queued ones of the same person."""
     context, blob_id = app_context(job_context), uuid.UUID(ref)
     row = await _find_in_own_store(context, blob_id)
     if row is None:
@@ -166,7 +168,7 @@ async def examine_blob(job_context: JobContext, ref: str) -> None:
     read = await _read_or_damaged(job_context, context, row)
     if read is None:
         async with context.database.begin() as db:
-            await record_read_failure(db, blob_id, "its bytes are damaged or gone")
+            await record_read_failure(db, blob_id, "its bytes are damaged or missing")
         return
     done = {blob_id: read}
     async with context.database.begin() as db:
@@ -177,7 +179,7 @@ async def examine_blob(job_context: JobContext, ref: str) -> None:
         try:
             read = await _read(context, worker_resource(job_context, "readers", ReaderProcesses), other)
         except (FileNotFoundError, Unreadable):
-            continue  # its own job will say so, as of those that were altered
+            continue  # its own job records the damage
         except StoreUnavailable:
             break
         if read.checksums.differs_from(other) is None:
@@ -193,7 +195,7 @@ async def _record_examined(context: AppContext, done: Mapping[uuid.UUID, _ReadRe
     try:
         async with context.database.begin() as db:
             await service.record_examined(db, summaries, md5s)
-    except (DataError, IntegrityError):  # one of them says what no column holds
+    except (DataError, IntegrityError):  # values of one of them fit no column
         summaries, md5s = {}, {}
     for blob_id, (checksums, scan) in done.items():
         if blob_id not in md5s:
@@ -203,10 +205,10 @@ async def _record_examined(context: AppContext, done: Mapping[uuid.UUID, _ReadRe
 
 
 async def _read_or_damaged(job_context: JobContext, context: AppContext, row: BlobRow) -> _ReadResult | None:
-    """Read a blob through, or keep that it is lost or corrupt and return None.
+    """Read a blob completely; return None if it is lost or corrupt, which is recorded.
 
     Raises:
-        StoreUnavailable: the store is away, or does not give it now: to be tried again.
+        StoreUnavailable: the store did not answer: try again.
     """
     try:
         checksums, scan = await _read(context, worker_resource(job_context, "readers", ReaderProcesses), row)
@@ -219,7 +221,7 @@ async def _read_or_damaged(job_context: JobContext, context: AppContext, row: Bl
             await service.verify_tomorrow(db, row.id)
         return None
     except StoreUnavailable as error:
-        await context.storage.check()  # raises when the store is away: then the blob is not to blame
+        await context.storage.check()  # raises if the store fails as a whole
         if job_context.job.attempts < ATTEMPTS - 1:
             raise
         await _record_damage(context, row.id, BlobState.corrupt, f"the store cannot read it back ({error.reason})")
@@ -240,7 +242,7 @@ async def _record_scan(context: AppContext, blob_id: uuid.UUID, scan: RecordingS
 
 
 async def _read(context: AppContext, readers: ReaderProcesses, row: BlobRow) -> _ReadResult:
-    """Read a blob through. What reading along failed at is no reason to doubt the bytes."""
+    """Read and parse a blob. A failure of the parser does not concern the checksums."""
     if logs := await _sqlite_logs(context, row):
         checksums = await read_through(context, row.key)
         try:
@@ -249,15 +251,15 @@ async def _read(context: AppContext, readers: ReaderProcesses, row: BlobRow) -> 
             return _ReadResult(checksums, failure)
     if row.path is None or row.content == ContentState.opaque or row.depth == ReadDepth.scan:
         return _ReadResult(await read_through(context, row.key), None)
-    patience_s = context.settings.summary_timeout_s
+    timeout_s = context.settings.summary_timeout_s
     request = stream_request_bytes(
         StreamRequest(row.size_bytes, file_name(row.path)),
         memory_bytes=context.settings.summary_memory_bytes,
-        timeout_s=round(patience_s) + row.size_bytes // _SCAN_BYTES_PER_S,
+        timeout_s=round(timeout_s) + row.size_bytes // _SCAN_BYTES_PER_S,
     )
-    async with readers.parse_stream(request, owner=row.uploaded_by_id, patience_s=patience_s) as child:
+    async with readers.parse_stream(request, owner=row.uploaded_by_id, timeout_s=timeout_s) as child:
         checksums = await read_through(context, row.key, child.feed)
-        if checksums.size_bytes != row.size_bytes:  # the child was given something else than was announced
+        if checksums.size_bytes != row.size_bytes:  # the child received another number of bytes than announced
             return _ReadResult(checksums, None)
         try:
             return _ReadResult(checksums, await child.summary())
@@ -273,7 +275,7 @@ async def _record_damage(context: AppContext, blob_id: uuid.UUID, state: BlobSta
 
 @queue.task(name=Job.scrub.value, retry=RETRY_STRATEGY, pass_context=True)
 async def scrub_blobs(job_context: JobContext, ref: str) -> None:
-    """Compare what the store lists with what the database knows."""
+    """Compare the store's listing with the database."""
     context, scrub_id = app_context(job_context), uuid.UUID(ref)
     try:
         await scrub.scrub_store(context, scrub_id)
@@ -281,5 +283,5 @@ async def scrub_blobs(job_context: JobContext, ref: str) -> None:
         if job_context.job.attempts < ATTEMPTS - 1:
             raise
         async with context.database.begin() as db:
-            stopped = f"The scrub came to no end: {error.sentence()}"
-            await scrub.end(db, scrub_id, scrub.ScrubCounts(), aborted_reason=stopped)
+            aborted_reason = f"The scrub could not be finished: {error.sentence()}"
+            await scrub.end(db, scrub_id, scrub.ScrubCounts(), aborted_reason=aborted_reason)

@@ -1,7 +1,7 @@
-"""The child processes that read untrusted recordings: started when needed, kept for a moment, ended on any doubt.
+"""Child processes that parse untrusted recordings: started on demand, reused for a second, killed after any failure.
 
-Starting one costs more than reading a small file, so a child takes several files, one after the other: of one person
-only, so that whoever sends a hostile file could at most falsify what is said of their own.
+Starting one costs more than reading a small file, so a child reads several files in succession. All of them belong to
+one person: a hostile file could at most falsify the summaries of its uploader's other files.
 """
 
 import asyncio
@@ -25,13 +25,13 @@ from kleinkram.recordings import (
 )
 
 T = TypeVar("T")
-# Of what a child left behind: its line, what it said on stderr, its exit code.
-_Understand = Callable[[bytes, bytes, int], T]
+# Takes a child's line, its stderr and its exit code.
+_ParseAnswer = Callable[[bytes, bytes, int], T]
 _FILES_EACH = 100
 _IDLE_S = 1.0
-# Where a database may be copied to be read; everything else of ours stays out of it.
+# Databases are copied to TMPDIR; children get no other variable of this process.
 _ENVIRONMENT = CHILD_ENVIRONMENT | {name: os.environ[name] for name in ("TMPDIR",) if name in os.environ}
-# The summary of a recording with some ten thousand topics is a few megabytes of JSON.
+# A summary with ten thousand topics is a few megabytes of JSON.
 _ANSWER_LIMIT_BYTES = 64 * 1024 * 1024
 
 
@@ -43,68 +43,68 @@ class _Reader:
     retirement: "asyncio.Task[None] | None" = None
 
     async def ask(self, request: bytes) -> bytes:
-        """Return the child's line, or b"" when it ended instead."""
+        """Return the child's line, or b"" if it ended."""
         if self.process.stdin is None or self.process.stdout is None:
             raise TypeError("the child was started without its pipes")
         self.files += 1
-        with contextlib.suppress(ConnectionError):  # it died: what it left on stderr tells why
+        with contextlib.suppress(ConnectionError):  # it ended: its stderr has the reason
             self.process.stdin.write(request + b"\n")
             await self.process.stdin.drain()
         return await self.process.stdout.readline()
 
     async def wait_for_end(self) -> tuple[bytes, int]:
-        """Wait for the end; return what it said on stderr, and its exit code."""
+        """Wait for the end; return stderr and exit code."""
         _, stderr = await self.process.communicate()
         return stderr, self.process.returncode or 0
 
     async def end(self) -> None:
-        """End it, whatever it is doing."""
+        """Kill it."""
         with contextlib.suppress(ProcessLookupError):
             self.process.kill()
         await self.process.communicate()
 
 
 class StreamParser:
-    """A child that is given the bytes of one recording by somebody who reads them anyway.
+    """A child that receives the bytes of one recording from a caller who reads them anyway.
 
-    A child that dies meanwhile is no concern of the feeder: only `summary` says so.
+    A child that ends early does not disturb `feed`; `summary` reports it.
     """
 
-    def __init__(self, reader: _Reader, patience_s: float) -> None:
+    def __init__(self, reader: _Reader, timeout_s: float) -> None:
         self._reader = reader
-        self._patience_s = patience_s
-        self._is_gone = self._is_late = False
+        self._timeout_s = timeout_s
+        self._has_ended = self._is_late = False
         self.answered = False
 
     async def feed(self, piece: bytes) -> None:
-        """Give it the next bytes; waits while it is busy with those before."""
+        """Pass it the next bytes; waits while it is busy."""
         stdin = self._reader.process.stdin
-        if self._is_gone or self._is_late or stdin is None:
+        if self._has_ended or self._is_late or stdin is None:
             return
         try:
             stdin.write(piece)
-            await asyncio.wait_for(stdin.drain(), self._patience_s)
+            await asyncio.wait_for(stdin.drain(), self._timeout_s)
         except ConnectionError:
-            self._is_gone = True
+            self._has_ended = True
         except asyncio.TimeoutError:
             self._is_late = True
 
     async def summary(self) -> RecordingSummary:
-        """Return what it found, once it was given all that was announced.
+        """Return the summary; call it after all announced bytes were fed.
 
         Raises:
-            SummaryFailed: it ran out of memory or time, crashed, or ended before it was given everything.
+            SummaryFailed: it ran out of memory or time, crashed, or ended early.
         """
         if self._is_late:
             raise timed_out()
         stdout = self._reader.process.stdout
         try:
-            # Whatever it says that has not taken all bytes is said of half a file.
+            # A child that ended early may have answered for a part of the file.
             line = b""
-            if stdout is not None and not self._is_gone:
-                line = await asyncio.wait_for(stdout.readline(), self._patience_s)
+            if stdout is not None and not self._has_ended:
+                line = await asyncio.wait_for(stdout.readline(), self._timeout_s)
             if not line:
-                stderr, code = await asyncio.wait_for(self._reader.wait_for_end(), self._patience_s)
+                stderr, code = await asyncio.wait_for(self._reader.wait_for_end(), self._timeout_s)
                 return read_answer(b"", stderr, code)
         except asyncio.TimeoutError:
             raise timed_out() from None
@@ -113,7 +113,7 @@ class StreamParser:
 
 
 class ReaderProcesses:
-    """Children that wait for the next file. One a worker; leaving its context ends them all."""
+    """The idle children of one worker; leaving the context ends them."""
 
     def __init__(self) -> None:
         self._idle: list[_Reader] = []
@@ -130,7 +130,7 @@ class ReaderProcesses:
         await asyncio.gather(*self._ending)
 
     async def summary(self, request: bytes, *, owner: uuid.UUID, timeout_s: float) -> RecordingSummary:
-        """Have one recording of `owner` read.
+        """Read one recording of `owner`.
 
         Raises:
             SummaryFailed: the child ran out of memory or time, crashed, or could not read the bytes.
@@ -138,21 +138,21 @@ class ReaderProcesses:
         return await self._ask(request, read_answer, owner, timeout_s)
 
     async def metadata(self, request: bytes, *, owner: uuid.UUID, timeout_s: float) -> Rosbag2Metadata | None:
-        """Have one metadata.yaml of `owner` read; None if it is damaged.
+        """Read one metadata.yaml of `owner`; None if it is damaged.
 
         Raises:
             SummaryFailed: the child ran out of memory or time, or crashed.
         """
         return await self._ask(request, read_metadata_answer, owner, timeout_s)
 
-    async def _ask(self, request: bytes, read: _Understand[T], owner: uuid.UUID, timeout_s: float) -> T:
-        reader = await self._waiting_for(owner) or await _start(owner)
+    async def _ask(self, request: bytes, parse: _ParseAnswer[T], owner: uuid.UUID, timeout_s: float) -> T:
+        reader = await self._take_idle(owner) or await _start(owner)
         try:
             line = await asyncio.wait_for(reader.ask(request), timeout_s)
             if not line:
                 stderr, code = await asyncio.wait_for(reader.wait_for_end(), timeout_s)
-                return read(b"", stderr, code)
-            answer = read(line, b"", 0)
+                return parse(b"", stderr, code)
+            answer = parse(line, b"", 0)
         except asyncio.TimeoutError:
             await reader.end()
             raise timed_out() from None
@@ -163,23 +163,23 @@ class ReaderProcesses:
         return answer
 
     @contextlib.asynccontextmanager
-    async def parse_stream(self, request: bytes, *, owner: uuid.UUID, patience_s: float) -> AsyncIterator[StreamParser]:
-        """Have a child read along with whoever feeds it the bytes that `request` announces."""
-        reader = await self._waiting_for(owner) or await _start(owner)
+    async def parse_stream(self, request: bytes, *, owner: uuid.UUID, timeout_s: float) -> AsyncIterator[StreamParser]:
+        """Start parsing in a child the bytes that `request` announces; the caller feeds them."""
+        reader = await self._take_idle(owner) or await _start(owner)
         reader.files += 1
-        along = StreamParser(reader, patience_s)
+        parser = StreamParser(reader, timeout_s)
         try:
-            await along.feed(request + b"\n")
-            yield along
+            await parser.feed(request + b"\n")
+            yield parser
         except BaseException:
             await reader.end()
             raise
-        if along.answered:
+        if parser.answered:
             await self._keep(reader)
         else:
             await reader.end()
 
-    async def _waiting_for(self, owner: uuid.UUID) -> _Reader | None:
+    async def _take_idle(self, owner: uuid.UUID) -> _Reader | None:
         for reader in self._idle:
             if reader.owner == owner:
                 self._idle.remove(reader)

@@ -1,7 +1,7 @@
-"""A scrub: compares the store's listing with the database, and finds objects that vanished or changed their size.
+"""Scrub: compares the store's listing with the database to find objects that are missing or have another size.
 
-Reads no object and deletes nothing. Holds one page of the listing and at most some thousand suspects, however many
-objects there are. Never runs inside a transaction.
+Reads no object and deletes nothing. Memory holds one page of the listing and at most 10,000 suspects, whatever the
+number of objects. Never runs inside a transaction.
 """
 
 import asyncio
@@ -26,7 +26,7 @@ from kleinkram.server.tables import scrub
 _log = logging.getLogger("kleinkram.blobs")
 _BATCH = 1000
 _CONCURRENT_REQUESTS = 16
-# If more objects than these are missing, or all: then the bucket is rather the wrong one.
+# If more objects than these are missing, or all, the bucket is probably the wrong one.
 _MAX_MISSING, _MAX_MISSING_SHARE = 10, 0.05
 _MAX_SUSPECTS = 10_000
 _PROBE_PREFIX = "probe/"
@@ -35,8 +35,8 @@ _HISTORY = 100  # three months of daily scrubs
 _ADVISORY_LOCK = 0x7363727562
 
 
-class ScrubStopped(Exception):
-    """A scrub stopped and marked nothing: its text says why."""
+class ScrubAborted(Exception):
+    """A scrub was aborted and marked nothing; the message is the reason."""
 
 
 @dataclass
@@ -80,7 +80,7 @@ class StateCount(NamedTuple):
     size_bytes: int
 
 
-# -- which scrubs there are -------------------------------------------------------------------------------------------
+# -- requests and results in the database -----------------------------------------------------------------------------
 
 
 async def request_scrub(db: Connection, store_id: str, *, by_id: uuid.UUID, accept_losses: bool) -> ScrubRow:
@@ -139,19 +139,19 @@ async def start(db: Connection, scrub_id: uuid.UUID) -> datetime.datetime | None
         return None
     last = await last_scrub(db, row.store_id)
     if last is not None and last.id != scrub_id:
-        await end(db, scrub_id, ScrubCounts(), aborted_reason="Another scrub was requested meanwhile, and replaced it.")
+        await end(db, scrub_id, ScrubCounts(), aborted_reason="A newer scrub request replaced this one.")
         return None
     started_at: datetime.datetime = row.started_at
     return started_at
 
 
 async def record_progress(db: Connection, scrub_id: uuid.UUID, counts: ScrubCounts) -> None:
-    """Record how far a scrub is."""
+    """Record the counts of a scrub that continues."""
     await db.execute(update(scrub).where(scrub.c.id == scrub_id).values(seen_at=func.now(), **asdict(counts)))
 
 
 async def end(db: Connection, scrub_id: uuid.UUID, counts: ScrubCounts, *, aborted_reason: str | None = None) -> None:
-    """Record that a scrub has ended; `aborted_reason` says why it did so early."""
+    """Record the end of a scrub; `aborted_reason`: why it did not finish."""
     values = {"seen_at": func.now(), "ended_at": func.now(), "aborted_reason": aborted_reason, **asdict(counts)}
     await db.execute(update(scrub).where(scrub.c.id == scrub_id).values(**values))
 
@@ -177,12 +177,12 @@ async def _delete_old(db: Connection, store_id: str) -> None:
     await db.execute(delete(scrub).where(scrub.c.store_id == store_id, scrub.c.id.not_in(recent)))
 
 
-# -- doing one --------------------------------------------------------------------------------------------------------
+# -- the comparison ---------------------------------------------------------------------------------------------------
 
 
 @dataclass
 class _Comparison:
-    """The state of one scrub. Suspects are blobs that the listing does not show as it should."""
+    """The state of one scrub. Suspects are blobs that the listing lacks or shows with another size."""
 
     context: AppContext
     started_at: datetime.datetime
@@ -193,10 +193,10 @@ class _Comparison:
 
 
 async def scrub_store(context: AppContext, scrub_id: uuid.UUID) -> None:
-    """Do a scrub from beginning to end and record the result. One that has ended is left as it is.
+    """Run a scrub from the beginning and record the result; does nothing if it has ended.
 
     Raises:
-        StoreUnavailable: the store did not answer, or not to the end; what was not compared yet was not judged.
+        StoreUnavailable: the store stopped answering; objects that were not compared keep their state.
     """
     async with context.database.begin() as db:
         last = await last_scrub(db, context.settings.store_id)
@@ -204,34 +204,34 @@ async def scrub_store(context: AppContext, scrub_id: uuid.UUID) -> None:
     if started_at is None or last is None or last.id != scrub_id:
         return
     comparison = _Comparison(context, started_at, last.accept_losses)
-    stopped = None
+    aborted_reason = None
     try:
         async for _ in _compare(comparison):
             if comparison.accept_losses:
-                await _judge_suspects(comparison)
+                await _check_suspects(comparison)
             else:
                 _check_plausible(comparison)
             async with context.database.begin() as db:
                 await record_progress(db, scrub_id, comparison.counts)
         if not comparison.accept_losses:
             _check_plausible(comparison, at_end=True)
-        await _judge_suspects(comparison)
-    except ScrubStopped as reason:
-        stopped = str(reason)
-        _log.error("scrub stopped", extra={"fields": {"scrub_id": str(scrub_id), "reason": stopped}})
+        await _check_suspects(comparison)
+    except ScrubAborted as error:
+        aborted_reason = str(error)
+        _log.error("scrub aborted", extra={"fields": {"scrub_id": str(scrub_id), "reason": aborted_reason}})
     async with context.database.begin() as db:
-        await end(db, scrub_id, comparison.counts, aborted_reason=stopped)
+        await end(db, scrub_id, comparison.counts, aborted_reason=aborted_reason)
     _log.info("store scrubbed", extra={"fields": {"scrub_id": str(scrub_id), **vars(comparison.counts)}})
 
 
 async def _compare(comparison: _Comparison) -> AsyncIterator[None]:
-    """Walk the listing and the blobs that it must show; yield after each batch of comparisons."""
+    """Compare the listing with the expected blobs, page by page; yield after each batch."""
     after = ""
     async for listed in comparison.context.storage.size_pages():
         if not listed:
             continue
         if min(listed) <= after:
-            raise ScrubStopped("The store does not list its objects by their keys, so they cannot be compared.")
+            raise ScrubAborted("The store does not list its objects by their keys, so they cannot be compared.")
         until = max(listed)
         async for _ in _compare_page(comparison, listed, after, until):
             yield
@@ -264,7 +264,7 @@ async def _compare_page(
 
 def _compare_blob(comparison: _Comparison, row: ExpectedBlob, listed_bytes: int | None) -> None:
     if listed_bytes is None and row.state == BlobState.lost.value:
-        return  # known already
+        return  # recorded already
     comparison.counts.compared += 1
     comparison.counts.compared_bytes += row.size_bytes
     if listed_bytes is None:
@@ -275,28 +275,24 @@ def _compare_blob(comparison: _Comparison, row: ExpectedBlob, listed_bytes: int 
 
 
 def _check_plausible(comparison: _Comparison, *, at_end: bool = False) -> None:
-    """Check that missing objects are the exception.
-
-    Raises:
-        ScrubStopped: they are not.
-    """
+    """Raise ScrubAborted if so many objects are missing that the bucket is probably the wrong one."""
     compared, missing = comparison.counts.compared, comparison.missing
     too_many = missing > max(_MAX_MISSING, _MAX_MISSING_SHARE * compared) or 0 < missing == compared
     if len(comparison.suspects) > _MAX_SUSPECTS or (at_end and too_many):
         settings = comparison.context.settings
-        raise ScrubStopped(
+        raise ScrubAborted(
             f"Of {compared} objects compared, {missing} are not in the list of bucket {settings.s3_bucket!r}. "
-            "It looks like another store, or like one that lists only a part, so nothing was marked. See that "
+            "This may be another store, or one that lists only a part, so nothing was marked. Check that "
             "KLEINKRAM_S3_BUCKET and KLEINKRAM_S3_INTERNAL_URL name the right one. If they do, and the objects are "
             "gone, `klein admin scrub --accept-losses` marks them as lost."
         )
 
 
-async def _judge_suspects(comparison: _Comparison) -> None:
-    """Ask the store for each suspect on its own, and record the answer."""
+async def _check_suspects(comparison: _Comparison) -> None:
+    """Request each suspect from the store, and record whether it is missing or has another size."""
     suspects, comparison.suspects = comparison.suspects, []
-    for start_ in range(0, len(suspects), _CONCURRENT_REQUESTS):
-        batch = suspects[start_ : start_ + _CONCURRENT_REQUESTS]
+    for first in range(0, len(suspects), _CONCURRENT_REQUESTS):
+        batch = suspects[first : first + _CONCURRENT_REQUESTS]
         objects = await asyncio.gather(*(comparison.context.storage.find(row.key) for row in batch))
         for row, stored in zip(batch, objects, strict=True):
             await _record(comparison, row, None if stored is None else stored.size_bytes)
@@ -309,9 +305,9 @@ async def _record(comparison: _Comparison, row: ExpectedBlob, stored_bytes: int 
             reason = "the store no longer has the object"
             counts.lost += await service.record_damage(db, row.id, state=BlobState.lost, reason=reason)
         elif stored_bytes != row.size_bytes:
-            reason = f"it has {stored_bytes} bytes, and came with {row.size_bytes}"
+            reason = f"it has {stored_bytes} bytes instead of {row.size_bytes}"
             counts.corrupt += await service.record_damage(db, row.id, state=BlobState.corrupt, reason=reason)
         elif row.state in _DAMAGED:
-            # Its size is right. Whether its bytes are is for the verification to find out.
+            # Only its size is known to be right: the verification compares its bytes.
             await service.verify_again(db, row.id)
             counts.recovered += row.state == BlobState.lost.value

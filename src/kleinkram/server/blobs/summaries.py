@@ -1,11 +1,9 @@
-"""Summaries of recordings in the database: what a blob contains, and text from untrusted files made to fit."""
+"""Records summaries of recordings: what a blob contains, made to fit into the database's columns."""
 
-import hashlib
 import math
 import uuid
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
-from typing import overload
 
 from sqlalchemy import bindparam, delete, func, insert, select, update
 
@@ -14,31 +12,12 @@ from kleinkram.contract.files import ContentState, ReadDepth
 from kleinkram.recordings import RecordingSummary, TopicSummary
 from kleinkram.recordings.density import pack
 from kleinkram.server.change_events import ChangeEvent, publish
-from kleinkram.server.db import Connection, among
+from kleinkram.server.db import Connection, among, fit_text
 from kleinkram.server.missions.service import lock_missions
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import blob, file, topic
 
 _MAX_BIGINT = 2**63 - 1
-# A row of an index holds 2704 bytes: a topic's name and type together stay well below.
-_LIMIT_BYTES = 1000
-
-
-@overload
-def fit_text(text: str) -> str: ...
-@overload
-def fit_text(text: None) -> None: ...
-def fit_text(text: str | None) -> str | None:
-    """Return `text` without what PostgreSQL cannot store (NUL, lone surrogates), at most 1000 bytes of UTF-8.
-
-    Longer text is cut and ends with a hash of all of it, so that two that differ still do.
-    """
-    if text is None:
-        return None
-    whole = text.encode("utf-8", "backslashreplace").replace(b"\0", b"\\0")
-    if len(whole) > _LIMIT_BYTES:
-        whole = whole[: _LIMIT_BYTES - 20] + b"..." + hashlib.sha256(whole).hexdigest()[:16].encode()
-    return whole.decode("utf-8", "ignore")
 
 
 async def record_summaries(db: Connection, summaries: Mapping[uuid.UUID, RecordingSummary]) -> None:

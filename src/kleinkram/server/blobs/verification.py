@@ -1,6 +1,6 @@
-"""Reading an object once, from its first byte to its last: its checksums, for us and for whoever reads along.
+"""Reads an object completely and computes its checksums; a parser may receive the same bytes.
 
-Holds one piece of the object at a time.
+Memory holds one piece of the object at a time.
 """
 
 import asyncio
@@ -21,10 +21,9 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.s3.client import S3Error
 from kleinkram.server.s3.storage import Storage, StoreRefused
 
-# Read once more where reading stopped.
-_RETRIED_BYTES = 64 * 1024
+_RETRY_BYTES = 64 * 1024  # read again where reading failed
 _CONTROL_BYTES = 1024
-Along = Callable[[bytes], Awaitable[None]]
+ByteReceiver = Callable[[bytes], Awaitable[None]]
 
 
 @dataclass(frozen=True)
@@ -37,27 +36,27 @@ class ObjectChecksums:
     crc64nvme: bytes
 
     def differs_from(self, row: BlobRow) -> str | None:
-        """Say how it differs from what was kept, or None."""
+        """Return how the object differs from its row; None if it does not."""
         if self.size_bytes != row.size_bytes:
-            return f"it has {self.size_bytes} bytes, and came with {row.size_bytes}"
+            return f"it has {self.size_bytes} bytes instead of {row.size_bytes}"
         if row.crc64nvme is not None and self.crc64nvme != row.crc64nvme:
-            return f"its CRC-64/NVME is {self.crc64nvme.hex()}, and was {row.crc64nvme.hex()} when it came"
+            return f"its CRC-64/NVME is {self.crc64nvme.hex()} instead of {row.crc64nvme.hex()} at its upload"
         if self.sha256 != row.sha256:
-            return f"its sha256 is {self.sha256.hex()}, and was {row.sha256.hex()} by the word of its uploader"
+            return f"its sha256 is {self.sha256.hex()} instead of {row.sha256.hex()} as stated by its uploader"
         return None
 
 
 class Unreadable(Exception):
-    """The store serves other objects, and fails to return the bytes of this one; says from which byte on."""
+    """The store serves other objects but not the bytes of this one; the message names the first byte that failed."""
 
 
-async def read_through(context: AppContext, key: str, along: Along | None = None) -> ObjectChecksums:
-    """Read an object at the rate that the settings allow, and give each piece to `along` too.
+async def read_through(context: AppContext, key: str, receive: ByteReceiver | None = None) -> ObjectChecksums:
+    """Read an object at the rate that the settings allow, and pass each piece to `receive`.
 
     Raises:
         FileNotFoundError: the store does not have it.
         Unreadable: the store fails at this object alone.
-        StoreUnavailable: the store is away, or was while the object was read.
+        StoreUnavailable: the store did not answer.
     """
     sha256, md5, crc, size_bytes = hashlib.sha256(), hashlib.md5(usedforsecurity=False), 0, 0
     started = time.monotonic()
@@ -66,8 +65,8 @@ async def read_through(context: AppContext, key: str, along: Along | None = None
             async for piece in pieces:
                 size_bytes += len(piece)
                 crc = await asyncio.to_thread(_digest, piece, sha256, md5, crc)
-                if along is not None:
-                    await along(piece)
+                if receive is not None:
+                    await receive(piece)
                 ahead_s = size_bytes / context.settings.verify_bytes_per_s - (time.monotonic() - started)
                 if ahead_s > 0:
                     await asyncio.sleep(ahead_s)
@@ -84,38 +83,33 @@ def _digest(piece: bytes, sha256: "hashlib._Hash", md5: "hashlib._Hash", crc: in
 
 
 async def _raise_if_unreadable(storage: Storage, key: str, offset: int, error: StoreUnavailable) -> None:
-    """Find out whether the store fails at one object: reading it stopped at `offset`, for the reason in `error`.
+    """Check whether the store fails only at this object, which it returned up to `offset` before `error`.
 
-    A damaged object costs a store long: SeaweedFS 4.48 tries for 13 s before it answers 500. So it is read once more,
-    from where reading stopped.
+    Reads again from there only: with a damaged object, SeaweedFS 4.48 tries for 13 s before it answers 500.
 
     Raises:
         Unreadable: it does.
-        StoreUnavailable: the store is away.
+        StoreUnavailable: the store fails at other objects, too.
     """
     if not isinstance(error.__cause__, ClientPayloadError) and not _is_failure(error):
         return
     try:
-        await storage.read_range(key, offset=offset, size_bytes=_RETRIED_BYTES, attempts=1)
+        await storage.read_range(key, offset=offset, size_bytes=_RETRY_BYTES, attempts=1)
     except StoreUnavailable as again:
         if not _is_failure(again):
             return
         await _read_control(storage)
-        why = f"the store does not return its bytes from {offset:,} on, and serves others ({again.reason})"
-        raise Unreadable(why) from again
+        message = f"the store does not return its bytes from {offset:,} on, but serves others ({again.reason})"
+        raise Unreadable(message) from again
 
 
 def _is_failure(error: StoreUnavailable) -> bool:
-    """Say whether the store itself answered that it failed: a connection that breaks off may be the network's fault."""
+    """Whether the store itself answered with a failure; a broken connection may be the network's fault."""
     return isinstance(error.__cause__, S3Error) and error.__cause__.status == 500
 
 
 async def _read_control(storage: Storage) -> None:
-    """Write, read and remove an object: a store that cannot do that is in trouble as a whole.
-
-    Raises:
-        StoreUnavailable: it cannot.
-    """
+    """Write, read and remove a probe; raise StoreUnavailable if that fails: the store fails as a whole."""
     key, body = f"probe/{uuid.uuid4()}", os.urandom(_CONTROL_BYTES)
     try:
         await storage.put_object(key, body)

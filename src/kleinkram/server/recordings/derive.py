@@ -26,9 +26,8 @@ from kleinkram.recordings import (
     group,
 )
 from kleinkram.recordings.combine_summaries import combine_folder
-from kleinkram.server.blobs.summaries import fit_text
 from kleinkram.server.change_events import ChangeEvent, publish
-from kleinkram.server.db import Connection
+from kleinkram.server.db import Connection, fit_text
 from kleinkram.server.missions import amounts
 from kleinkram.server.tables import blob, file, mission, recording, topic
 

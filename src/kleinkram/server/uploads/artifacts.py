@@ -1,4 +1,4 @@
-"""Artifacts of runs, uploaded by the same protocol: into the run, under paths of its own, by its runner alone."""
+"""The upload protocol for artifacts of a run, which only its runner may upload."""
 
 import uuid
 from collections.abc import Mapping, Sequence
@@ -7,12 +7,7 @@ from dataclasses import dataclass
 from sqlalchemy import func, insert, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.errors import (
-    FileExists,
-    RunGone,
-    StoreUnavailable,
-    UploadGone,
-)
+from kleinkram.contract.errors import FileExists, RunGone, StoreUnavailable, UploadGone
 from kleinkram.contract.files import ContentState
 from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runners import LOG_PATH
@@ -51,9 +46,9 @@ class ArtifactOwner:
 async def begin_artifacts(
     context: AppContext, actor: Actor, *, owner: ArtifactOwner, requested: Sequence[UploadFile]
 ) -> list[UploadDecision]:
-    """Open uploads of a run's artifacts; one that the run has already, with the same hash, is not sent again.
+    """Open uploads of a run's artifacts; one that the run already has, with the same hash, is not sent again.
 
-    Idempotent: asked again, an upload continues where it was.
+    Idempotent: repeated, an upload continues where it was.
 
     Raises:
         RunGone: the run is not active.
@@ -135,23 +130,20 @@ def _to_wire(
     if requested.sha256 in {None, existing_sha256}:
         return AlreadyPresent(file=None)
     error = FileExists(
-        path=requested.path,
-        existing_sha256=existing_sha256,
-        sent_sha256=requested.sha256 or "",
-        existing_file_id=None,
+        path=requested.path, existing_sha256=existing_sha256, sent_sha256=requested.sha256 or "", existing_file_id=None
     )
     return UploadRefused(path=requested.path, problem=to_problem(error, actor.request_id))
 
 
 async def make_artifacts(db: Connection, run_id: uuid.UUID, uploads: Sequence[UploadRow]) -> Failures:
-    """Make the blob and artifact of each upload that the store has whole; all are gone if the run is not active."""
+    """Make the blob and artifact of each complete upload; all are UploadGone if the run is not active."""
     if not await _lock_active_run(db, run_id):
         return {row.id: UploadGone(upload_id=str(row.id)) for row in uploads}
     unfinished = await queries.lock_unfinished(db, uploads)
     if not unfinished:
         return {}
     blob_ids = {row.id: uuid.uuid4() for row in unfinished}
-    # Not read as recordings, unless one becomes a file of the mission.
+    # Read as a recording only if it becomes a file of the mission.
     unread = {"content": ContentState.opaque.value, "summarised_at": func.now()}
     blobs = [blob_columns(row, blob_ids[row.id]) for row in unfinished]
     await db.execute(insert(blob).values(**unread), blobs)

@@ -1,6 +1,7 @@
 """The end of an upload, in three steps: mark the rows, let the store join the parts, make the files.
 
-Every step can be repeated, by the client that lost the answer or by the job that finds what a crash left.
+Every step can be repeated: by a client that lost the response, or after a crash by the periodic job, which also expires
+abandoned uploads and deletes their bytes.
 """
 
 import datetime
@@ -8,7 +9,8 @@ import logging
 import uuid
 from collections.abc import Mapping, Sequence
 
-from sqlalchemy import ColumnElement, case, func, select, update
+from procrastinate import JobContext
+from sqlalchemy import ColumnElement, case, delete, func, select, update
 
 from kleinkram.contract.access import Scope
 from kleinkram.contract.audit import ChangeKind
@@ -38,6 +40,8 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among, insert_rows, unnest_rows
 from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
+from kleinkram.server.jobs.execution import app_context
+from kleinkram.server.jobs.queue import Job, queue
 from kleinkram.server.missions import service as missions
 from kleinkram.server.quotas import project_of
 from kleinkram.server.recordings.service import regroup
@@ -49,7 +53,10 @@ from kleinkram.server.uploads.queries import UploadRow
 from kleinkram.server.uploads.rules import Placement, blob_columns, conflicts_among, place, visible_conflicts
 
 _log = logging.getLogger("kleinkram.uploads")
-_STALE_BATCH = 500
+_STALE_AFTER_S = 30
+_BATCH = 500
+_RETENTION = datetime.timedelta(days=30)
+_ENDED_STATES = (UploadState.aborted.value, UploadState.expired.value, UploadState.done.value)
 
 
 async def complete_uploads(
@@ -72,7 +79,7 @@ async def complete_uploads(
     for finish in finishes:
         row, error = by_id.get(finish.upload_id), failures.get(finish.upload_id)
         read = visible.get(row.file_id) if row is not None and row.file_id else None
-        # The file exists but is not visible: to a token that may not read, or since it was deleted a moment ago.
+        # The file exists but is not visible: the token may not read, or the file was just deleted.
         is_hidden = row is not None and row.file_id is not None
         is_hidden = is_hidden and (Scope.read not in actor.scopes or finish.upload_id in just_finished)
         is_artifact = row is not None and row.run_id is not None and row.state == UploadState.done.value
@@ -85,7 +92,7 @@ async def complete_uploads(
 
 
 async def finish_uploads(context: AppContext, actor: Actor, uploads: Sequence[UploadRow]) -> Failures:
-    """Take marked uploads to their end at the store and in the database; return those that failed."""
+    """Finish marked uploads at the store and in the database; return those that failed."""
     failures = await join_parts(context.storage, uploads)
     destinations: dict[tuple[uuid.UUID, uuid.UUID | None], list[UploadRow]] = {}
     for row in uploads:
@@ -109,7 +116,7 @@ async def finish_uploads(context: AppContext, actor: Actor, uploads: Sequence[Up
 async def _mark_completing(
     db: Connection, actor: Actor, finishes: Sequence[UploadFinish]
 ) -> tuple[list[UploadRow], Failures]:
-    """Mark uploads as being completed, with the hashes that the client states.
+    """Mark uploads as completing, with the hashes that the client sends.
 
     Returns the uploads as they are now, in the order asked (of two that conflict, the first wins), and the failures.
     """
@@ -230,7 +237,7 @@ async def _create_or_repair(
 async def _mark_done(db: Connection, mission_id: uuid.UUID, file_ids: Mapping[uuid.UUID, uuid.UUID]) -> None:
     if not file_ids:
         return
-    # An object that no blob uses (the same bytes arrived by another way) stays to be cleaned up.
+    # An object that no blob uses, because the same bytes arrived otherwise, is cleaned up later.
     is_used = select(blob.c.id).where(blob.c.store_id == upload.c.store_id, blob.c.key == upload.c.key).exists()
     rows = [{"id": upload_id, "file_id": file_id} for upload_id, file_id in file_ids.items()]
     values = unnest_rows([upload.c.id, upload.c.file_id], rows)
@@ -241,7 +248,7 @@ async def _mark_done(db: Connection, mission_id: uuid.UUID, file_ids: Mapping[uu
 
 
 async def _record_failures(db: Connection, actor: Actor, failures: Failures) -> None:
-    """Reopen incomplete uploads, so that the rest can be sent; end all others, and keep why."""
+    """Reopen incomplete uploads, so that the rest can be sent; end all others and store the reason."""
     is_completing = upload.c.state == UploadState.completing.value
     incomplete = [upload_id for upload_id, error in failures.items() if isinstance(error, UploadIncomplete)]
     if incomplete:
@@ -250,10 +257,7 @@ async def _record_failures(db: Connection, actor: Actor, failures: Failures) -> 
     for upload_id, error in failures.items():
         if upload_id in incomplete:
             continue
-        values = {
-            "state": UploadState.aborted.value,
-            "failure": to_problem(error, actor.request_id).model_dump_json(),
-        }
+        values = {"state": UploadState.aborted.value, "failure": to_problem(error, actor.request_id).model_dump_json()}
         end = update(upload).where(upload.c.id == upload_id, is_completing).values(**values)
         for row in await db.execute(end.returning(upload.c.id, upload.c.mission_id)):
             await publish(db, [_removed(row.id, row.mission_id)])
@@ -269,10 +273,10 @@ def _removed(upload_id: uuid.UUID, mission_id: uuid.UUID) -> ChangeEvent:
 async def finish_interrupted(
     context: AppContext, actor: Actor, *, mission_id: uuid.UUID, requested: Sequence[UploadFile]
 ) -> None:
-    """Finish the actor's uploads that were being completed when their client died, and that now continue.
+    """Finish the actor's uploads that were being completed when their client died, and that it announces again.
 
     Raises:
-        StoreUnavailable: the store cannot be asked what came of them.
+        StoreUnavailable: the store does not answer.
     """
     is_continued = among(upload.c.id, [file.upload_id for file in requested if file.upload_id])
     await _finish_own(context, actor, (upload.c.mission_id == mission_id) & is_continued)
@@ -284,7 +288,7 @@ async def finish_interrupted_artifacts(
     """Finish a run's artifacts that were being completed when its runner died.
 
     Raises:
-        StoreUnavailable: the store cannot be asked what came of them.
+        StoreUnavailable: the store does not answer.
     """
     await _finish_own(context, actor, (upload.c.run_id == run_id) & among(upload.c.path, paths))
 
@@ -293,26 +297,43 @@ async def _finish_own(context: AppContext, actor: Actor, condition: ColumnElemen
     is_completing = upload.c.state == UploadState.completing.value
     async with context.database.autocommit() as db:
         ids = (await db.execute(select(upload.c.id).where(condition, is_completing))).scalars().all()
-        if not ids:  # nearly always: the slower question whose they are is spared
+        if not ids:  # nearly always; saves the slower query for their owner
             return
         uploads = await queries.read_rows(db, queries.own_uploads(actor).where(among(upload.c.id, ids)))
     await finish_uploads(context, actor, uploads)
 
 
-async def finish_stale(context: AppContext, *, older_than_s: float) -> int:
-    """Finish uploads that a crash left between mark and finish; return how many were tried."""
-    before = func.now() - datetime.timedelta(seconds=older_than_s)
+@queue.periodic(cron="* * * * *")
+@queue.task(name=Job.finish_uploads.value, pass_context=True, queueing_lock="finish_uploads", lock="finish_uploads")
+async def run_upload_maintenance(job_context: JobContext, timestamp: int = 0) -> None:
+    """Finish, expire and clean up uploads."""
+    await maintain_uploads(app_context(job_context), stale_after_s=_STALE_AFTER_S)
+
+
+async def maintain_uploads(context: AppContext, *, stale_after_s: float) -> None:
+    """Do one round: finish what a crash left, expire abandoned uploads, delete the bytes of ended ones."""
+    before = func.now() - datetime.timedelta(seconds=stale_after_s)
     is_stale = (upload.c.state == UploadState.completing.value) & (upload.c.completing_since < before)
-    statement = queries.select_uploads().where(is_stale).order_by(upload.c.completing_since).limit(_STALE_BATCH)
+    statement = queries.select_uploads().where(is_stale).order_by(upload.c.completing_since).limit(_BATCH)
     async with context.database.begin() as db:
-        uploads = await queries.read_rows(db, statement)
-    for row in uploads:
-        await _finish_stale_upload(context, row)
-    return len(uploads)
+        stale = await queries.read_rows(db, statement)
+    for row in stale:
+        await _finish_stale(context, row)
+    async with context.database.begin() as db:
+        is_abandoned = (upload.c.state == UploadState.open.value) & (upload.c.expires_at < func.now())
+        expire = update(upload).where(is_abandoned).values(state=UploadState.expired.value)
+        expired = await db.execute(expire.returning(upload.c.id, upload.c.mission_id))
+        await publish(db, [_removed(row.id, row.mission_id) for row in expired])
+    is_used = select(blob.c.id).where(blob.c.store_id == upload.c.store_id, blob.c.key == upload.c.key).exists()
+    is_unclean = upload.c.cleaned_at.is_(None) & upload.c.state.in_(_ENDED_STATES) & ~is_used
+    async with context.database.begin() as db:
+        ended = await queries.read_rows(db, queries.select_uploads().where(is_unclean).limit(_BATCH))
+    for row in ended:
+        await _clean_up(context, row)
 
 
-async def _finish_stale_upload(context: AppContext, row: UploadRow) -> None:
-    """Finish an upload in the name of the person who began it, with the rights that they have now."""
+async def _finish_stale(context: AppContext, row: UploadRow) -> None:
+    """Finish an upload on behalf of the person who began it, with their current rights."""
     async with context.database.begin() as db:
         actor = await find_person(db, row.person_id)
         if actor is None:
@@ -324,3 +345,19 @@ async def _finish_stale_upload(context: AppContext, row: UploadRow) -> None:
         await finish_uploads(context, actor.for_request("complete_uploads", request_id=None, address=None), [row])
     except KleinkramError as error:  # the other uploads must not wait for it
         _log.warning("upload not finished", extra={"fields": {"upload_id": str(row.id), "reason": str(error)}})
+
+
+async def _clean_up(context: AppContext, row: UploadRow) -> None:
+    # Also multipart uploads whose id was never recorded: the process died between the store's answer and the row.
+    for multipart in await context.storage.list_multiparts(row.key):
+        await context.storage.abort_multipart(multipart.key, multipart.multipart_id)
+    await context.storage.delete(row.key)
+    async with context.database.begin() as db:
+        # A part that was being sent when the upload ended can still arrive until its URL expires.
+        urls_expired = upload.c.lease_ends_at < func.now() - datetime.timedelta(seconds=context.settings.part_url_s)
+        await db.execute(update(upload).where(upload.c.id == row.id, urls_expired).values(cleaned_at=func.now()))
+
+
+async def delete_cleaned_uploads(db: Connection) -> None:
+    """Delete ended uploads a month after their objects."""
+    await db.execute(delete(upload).where(upload.c.cleaned_at < func.now() - _RETENTION))

@@ -1,6 +1,6 @@
-"""The parts of an upload: URLs to send them to, what the store has of them, and joining them.
+"""The parts of an upload: signs their URLs, lists those that the store has, and joins them.
 
-A URL is signed for one checksum: what arrives there is what was announced, or nothing.
+A URL is signed for one checksum, so the store accepts only the bytes that were announced.
 """
 
 import asyncio
@@ -12,25 +12,10 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Update, func, update
 
+from kleinkram.contract import errors
+from kleinkram.contract import uploads as protocol
 from kleinkram.contract.audit import ChangeKind
-from kleinkram.contract.errors import (
-    ChecksumMismatch,
-    FieldProblem,
-    InvalidRequest,
-    KleinkramError,
-    UploadGone,
-    UploadIncomplete,
-)
-from kleinkram.contract.uploads import (
-    CHECKSUM_HEX_DIGITS,
-    ChecksumKind,
-    PartToSign,
-    SignedPart,
-    StoredPart,
-    UploadFile,
-    UploadState,
-    part_size_bytes,
-)
+from kleinkram.contract.uploads import ChecksumKind, UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
@@ -42,16 +27,16 @@ from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.queries import UploadRow
 
 _CONCURRENT_REQUESTS = 16
-# From so many objects with one prefix, one listing is cheaper than asking for each.
+# From this number of objects with one prefix, one listing is cheaper than a request for each.
 _MIN_FOR_LISTING = 4
 _PROGRESS_EVERY_S = 2
 
-Failures = dict[uuid.UUID, KleinkramError]
+Failures = dict[uuid.UUID, errors.KleinkramError]
 """Uploads that could not be finished, by id. After `UploadIncomplete` an upload may go on; any other error ends it."""
 
 
 def lease_columns(settings: Settings, now: datetime.datetime | ColumnElement[Any]) -> dict[str, Any]:
-    """Return the columns that reserve a name and keep an upload from now on, for an insert or update."""
+    """Return the columns that renew the lease and expiry of an upload, for an insert or update."""
     return {
         "lease_ends_at": now + datetime.timedelta(seconds=settings.upload_lease_s),
         "expires_at": now + datetime.timedelta(seconds=settings.upload_expires_s),
@@ -61,8 +46,10 @@ def lease_columns(settings: Settings, now: datetime.datetime | ColumnElement[Any
 # -- signing ----------------------------------------------------------------------------------------------------------
 
 
-async def sign_parts(context: AppContext, actor: Actor, *, parts: Sequence[PartToSign]) -> list[SignedPart]:
-    """Return where to send parts, in the order asked, and renew the leases of their uploads.
+async def sign_parts(
+    context: AppContext, actor: Actor, *, parts: Sequence[protocol.PartToSign]
+) -> list[protocol.SignedPart]:
+    """Return the URLs of parts, in the order of the request, and renew the leases of their uploads.
 
     Raises:
         UploadGone: an upload has ended, or its only part was signed with another checksum before.
@@ -82,24 +69,24 @@ async def sign_parts(context: AppContext, actor: Actor, *, parts: Sequence[PartT
     return [_sign(context, uploads[part.upload_id], part, expires_at) for part in parts]
 
 
-def _check_signable(row: UploadRow | None, part: PartToSign) -> None:
+def _check_signable(row: UploadRow | None, part: protocol.PartToSign) -> None:
     if row is None or row.state != UploadState.open.value or row.is_expired:
-        raise UploadGone(upload_id=str(part.upload_id))
+        raise errors.UploadGone(upload_id=str(part.upload_id))
     if row.is_multipart and row.multipart_id is None:  # the server died before it recorded the store's answer
-        raise UploadGone(upload_id=str(part.upload_id))
-    digits = CHECKSUM_HEX_DIGITS[ChecksumKind(row.checksum)]
+        raise errors.UploadGone(upload_id=str(part.upload_id))
+    digits = protocol.CHECKSUM_HEX_DIGITS[ChecksumKind(row.checksum)]
     if len(part.checksum) != digits:
         message = f"{row.path!r} is verified by {row.checksum}, which has {digits} hex digits, not {len(part.checksum)}"
-        raise InvalidRequest(problems=[FieldProblem(field="parts.checksum", message=message)])
+        raise errors.InvalidRequest(problems=[errors.FieldProblem(field="parts.checksum", message=message)])
     if not row.is_multipart and row.signed_checksum not in {None, part.checksum}:
-        raise UploadGone(upload_id=str(part.upload_id))
+        raise errors.UploadGone(upload_id=str(part.upload_id))
     if part.number > row.part_count:
         message = f"{row.path!r} has {row.part_count} parts of {row.part_size_bytes} bytes, and no part {part.number}"
-        raise InvalidRequest(problems=[FieldProblem(field="parts.number", message=message)])
+        raise errors.InvalidRequest(problems=[errors.FieldProblem(field="parts.number", message=message)])
 
 
 def _renew_leases(settings: Settings, checksums: Mapping[uuid.UUID, str | None]) -> Update:
-    """Return the statement that renews leases and records the checksum that an only part was signed for."""
+    """Return the statement that renews leases and records the signed checksum of only parts."""
     rows = [{"id": upload_id, "signed_checksum": checksum} for upload_id, checksum in checksums.items()]
     values = unnest_rows([upload.c.id, upload.c.signed_checksum], rows)
     signed_checksum = func.coalesce(upload.c.signed_checksum, values.c.signed_checksum)
@@ -108,25 +95,25 @@ def _renew_leases(settings: Settings, checksums: Mapping[uuid.UUID, str | None])
 
 
 def _is_progress_due(row: UploadRow, settings: Settings) -> bool:
-    """Return whether subscribers should hear of progress: not for each request, and not for small files."""
+    """Return whether to publish progress: not for each request, and not for small files."""
     since_renewal_s = (row.now - row.lease_ends_at).total_seconds() + settings.upload_lease_s
     return row.is_multipart and since_renewal_s > _PROGRESS_EVERY_S
 
 
-def announced_checksum(storage: Storage, requested: UploadFile) -> str | None:
-    """Return what the only part of a file is signed for; None for several parts, or if no hash was announced."""
-    if requested.size_bytes > part_size_bytes(requested.size_bytes):
+def announced_checksum(storage: Storage, requested: protocol.UploadFile) -> str | None:
+    """Return the checksum of a file's only part; None if it has several, or if no hash was announced."""
+    if requested.size_bytes > protocol.part_size_bytes(requested.size_bytes):
         return None
     announced = {ChecksumKind.crc64nvme: requested.crc64nvme, ChecksumKind.sha256: requested.sha256}
     return announced.get(storage.checksum)
 
 
-def sign_only_part(context: AppContext, row: UploadRow, requested: UploadFile) -> SignedPart | None:
-    """Return where the only part of a file goes, if the row was signed for the checksum that is announced."""
+def sign_only_part(context: AppContext, row: UploadRow, requested: protocol.UploadFile) -> protocol.SignedPart | None:
+    """Return the URL of a file's only part, if the row was signed for the announced checksum."""
     checksum = announced_checksum(context.storage.with_checksum(ChecksumKind(row.checksum)), requested)
     if checksum is None or row.signed_checksum != checksum:
         return None
-    part = PartToSign(upload_id=row.id, number=1, checksum=checksum)
+    part = protocol.PartToSign(upload_id=row.id, number=1, checksum=checksum)
     return _sign(context, row, part, _url_expiry(context.settings))
 
 
@@ -134,11 +121,13 @@ def _url_expiry(settings: Settings) -> datetime.datetime:
     return datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=settings.part_url_s)
 
 
-def _sign(context: AppContext, row: UploadRow, part: PartToSign, expires_at: datetime.datetime) -> SignedPart:
+def _sign(
+    context: AppContext, row: UploadRow, part: protocol.PartToSign, expires_at: datetime.datetime
+) -> protocol.SignedPart:
     target = PartTarget(row.key, row.multipart_id, part.number, row.part_bytes(part.number), part.checksum)
     storage = context.storage.with_checksum(ChecksumKind(row.checksum))
     signed = storage.sign_part(target, expires_s=context.settings.part_url_s)
-    return SignedPart(
+    return protocol.SignedPart(
         upload_id=row.id, number=part.number, url=signed.url, headers=signed.headers, expires_at=expires_at
     )
 
@@ -148,14 +137,14 @@ def _sign(context: AppContext, row: UploadRow, part: PartToSign, expires_at: dat
 
 async def list_multiparts(
     context: AppContext, uploads: Sequence[UploadRow], *, resumed: Collection[uuid.UUID] = ()
-) -> dict[uuid.UUID, list[StoredPart]]:
+) -> dict[uuid.UUID, list[protocol.StoredPart]]:
     """Open the multipart uploads that the store does not have yet, and return the parts that it has of each.
 
     A `resumed` upload may be open at the store although its id was never recorded: the process died between.
     """
     limit = asyncio.Semaphore(_CONCURRENT_REQUESTS)
 
-    async def open_one(row: UploadRow) -> tuple[UploadRow, str, list[StoredPart]]:
+    async def open_one(row: UploadRow) -> tuple[UploadRow, str, list[protocol.StoredPart]]:
         async with limit:
             return row, *await _find_or_create(context.storage, row, is_resumed=row.id in resumed)
 
@@ -171,7 +160,9 @@ async def list_multiparts(
     return {row.id: parts for row, _, parts in opened}
 
 
-async def _find_or_create(storage: Storage, row: UploadRow, *, is_resumed: bool) -> tuple[str, list[StoredPart]]:
+async def _find_or_create(
+    storage: Storage, row: UploadRow, *, is_resumed: bool
+) -> tuple[str, list[protocol.StoredPart]]:
     if row.multipart_id is not None:
         parts = await storage.list_parts(row.key, row.multipart_id)
         if parts is not None:
@@ -182,10 +173,12 @@ async def _find_or_create(storage: Storage, row: UploadRow, *, is_resumed: bool)
     return await storage.create_multipart(row.key), []
 
 
-async def stored_small_files(storage: Storage, uploads: Sequence[UploadRow]) -> dict[uuid.UUID, list[StoredPart]]:
-    """Return the only part of each one-part upload whose file the store has, whole."""
+async def stored_small_files(
+    storage: Storage, uploads: Sequence[UploadRow]
+) -> dict[uuid.UUID, list[protocol.StoredPart]]:
+    """Return the only part of each one-part upload whose complete file the store has."""
     signed = [row for row in uploads if not row.is_multipart and row.signed_checksum is not None]
-    objects: dict[str, StoredPart] = {}
+    objects: dict[str, protocol.StoredPart] = {}
     for prefix, group in _by_prefix(signed).items():
         for listed_prefix in [prefix] if len(group) >= _MIN_FOR_LISTING else [row.key for row in group]:
             objects |= await storage.list_objects(listed_prefix)
@@ -203,10 +196,10 @@ def _by_prefix(uploads: Sequence[UploadRow]) -> dict[str, list[UploadRow]]:
 
 
 async def join_parts(storage: Storage, uploads: Sequence[UploadRow]) -> Failures:
-    """Have the store join the parts of each upload, check what it has, and return the uploads that failed."""
+    """Have the store join the parts of each upload, check the result, and return the uploads that failed."""
     limit = asyncio.Semaphore(_CONCURRENT_REQUESTS)
 
-    async def join(row: UploadRow) -> tuple[uuid.UUID, KleinkramError | None]:
+    async def join(row: UploadRow) -> tuple[uuid.UUID, errors.KleinkramError | None]:
         async with limit:
             return row.id, await _join(storage.with_checksum(ChecksumKind(row.checksum)), row)
 
@@ -228,28 +221,28 @@ async def _check_small_files(storage: Storage, uploads: Sequence[UploadRow]) -> 
                 stored = await storage.find(row.key)
                 sizes |= {row.key: stored.size_bytes} if stored else {}
     return {
-        row.id: UploadIncomplete(path=row.path, reason="the file has not arrived")
+        row.id: errors.UploadIncomplete(path=row.path, reason="the file has not arrived")
         for row in uploads
         if sizes.get(row.key) != row.size_bytes
     }
 
 
-async def _join(storage: Storage, row: UploadRow) -> KleinkramError | None:
+async def _join(storage: Storage, row: UploadRow) -> errors.KleinkramError | None:
     error = await _request_join(storage, row)
     stored = await storage.find(row.key)
     if stored is None:
         return error
-    # Several requests may join the same parts at once. The object counts, not the answer that one of them got.
+    # Several requests may join the same parts at once, so the object counts, not the response to this one.
     if stored.size_bytes != row.size_bytes or stored.crc64nvme not in {None, row.crc64nvme}:
-        return ChecksumMismatch(path=row.path, reason="the store's own checksum of the whole differs")
+        return errors.ChecksumMismatch(path=row.path, reason="the store's own checksum of the whole differs")
     return None
 
 
-async def _request_join(storage: Storage, row: UploadRow) -> KleinkramError:
-    """Ask the store to join the parts; return the error that holds if there is no object afterwards."""
-    gone = UploadGone(upload_id=str(row.id))
+async def _request_join(storage: Storage, row: UploadRow) -> errors.KleinkramError:
+    """Have the store join the parts; return the error to report if there is no object afterwards."""
+    gone = errors.UploadGone(upload_id=str(row.id))
     if row.multipart_id is None:
-        parts: list[StoredPart] | None = []
+        parts: list[protocol.StoredPart] | None = []
     else:
         parts = await storage.list_parts(row.key, row.multipart_id)
     if parts is None:
@@ -258,13 +251,13 @@ async def _request_join(storage: Storage, row: UploadRow) -> KleinkramError:
     missing = sorted(set(range(1, row.part_count + 1)) - complete)
     if missing or row.multipart_id is None:
         reason = f"{len(missing)} of {row.part_count} parts, the first is {missing[0]}"
-        return UploadIncomplete(path=row.path, reason=reason)
+        return errors.UploadIncomplete(path=row.path, reason=reason)
     try:
         await storage.complete_multipart(row.key, row.multipart_id, count=row.part_count, crc64nvme=row.crc64nvme)
     except StoreMissing:
         return gone
     except StoreRefused as error:
         if error.is_wrong_checksum:
-            return ChecksumMismatch(path=row.path, reason=str(error))
-        return UploadIncomplete(path=row.path, reason=str(error))
+            return errors.ChecksumMismatch(path=row.path, reason=str(error))
+        return errors.UploadIncomplete(path=row.path, reason=str(error))
     return gone

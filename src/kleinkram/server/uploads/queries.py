@@ -2,10 +2,10 @@
 
 import datetime
 import uuid
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
-from sqlalchemy import ColumnElement, Row, Select, false, func, select
+from sqlalchemy import ColumnElement, Select, false, func, select
 
 from kleinkram.contract.access import Right, Scope
 from kleinkram.contract.files import BlobState
@@ -57,7 +57,7 @@ class UploadRow(NamedTuple):
 
     @property
     def has_lease(self) -> bool:
-        """Whether nobody else may take the name yet."""
+        """Whether the name is still reserved."""
         return self.lease_ends_at > self.now
 
     @property
@@ -111,7 +111,7 @@ def select_uploads() -> Select[Any]:
     return select(*_COLUMNS)
 
 
-def to_upload(row: Row[Any]) -> UploadRow:
+def to_upload(row: Sequence[object]) -> UploadRow:
     """Return a row of a statement that began with `select_uploads`; columns that were added are left out."""
     return UploadRow._make(row[: len(UploadRow._fields)])
 
@@ -148,10 +148,10 @@ async def lock_uploads_at(db: Connection, mission_id: uuid.UUID, path_keys: Coll
 
 
 async def lock_unfinished(db: Connection, uploads: Collection[UploadRow]) -> list[UploadRow]:
-    """Lock these uploads and return those that nobody has finished meanwhile.
+    """Lock these uploads and return those that no other request has finished.
 
-    An open one counts: another request that came while the store was joining may have seen too few parts, and taken
-    back the mark.
+    Open ones count: while the store joined the parts, another request may have seen too few of them and reopened the
+    upload.
     """
     ids = [row.id for row in uploads]
     statement = select(upload.c.id).where(among(upload.c.id, ids), upload.c.state.in_(UNFINISHED_STATES))
@@ -201,7 +201,7 @@ async def lock_duplicates(
 
 
 def _is_trusted(actor: Actor) -> ColumnElement[bool]:
-    # A hash that somebody else merely claims must not give access to their bytes, nor put ours under their name.
+    # A hash that another person merely claims must not give access to their bytes, nor to ours under their name.
     verified = blob.c.state == BlobState.verified.value
     own = (blob.c.state == BlobState.stored.value) & (blob.c.uploaded_by_id == actor.person_id)
     return blob.c.marked_for_deletion_at.is_(None) & (verified | own)

@@ -1,4 +1,4 @@
-"""What happens with each file: at the begin of its upload, and at its completion. Pure: no database, no store."""
+"""Decisions about each file at the begin and at the completion of its upload. Pure: no database, no store."""
 
 import enum
 import uuid
@@ -12,16 +12,16 @@ from kleinkram.server.files.paths import folder_keys
 from kleinkram.server.uploads.queries import ExistingFile, FileContent, UploadRow
 
 HIDDEN_FILE = "a file that you may not see"
-"""What a conflict names to an actor who may not read the mission."""
+"""The text of a conflict for an actor who may not read the mission."""
 
 
 class Action(enum.Enum):
     """Decision about an announced file."""
 
     present = enum.auto()
-    """Nothing: the mission has this very file."""
+    """Send nothing: the mission has this file."""
     link = enum.auto()
-    """Make the file from a blob that is stored already."""
+    """Make the file from a stored blob."""
     hash_required = enum.auto()
     """Ask the client for the hash, then decide."""
     begin = enum.auto()
@@ -115,7 +115,7 @@ def _decide_new(requested: UploadFile, facts: RequestFacts) -> Decision:
 
 
 def content_of(requested: UploadFile) -> FileContent | None:
-    """Return what an announced file is, if its hash is known."""
+    """Return the content of an announced file, if its hash is known."""
     return FileContent(requested.size_bytes, bytes.fromhex(requested.sha256)) if requested.sha256 else None
 
 
@@ -123,7 +123,7 @@ def content_of(requested: UploadFile) -> FileContent | None:
 class Placement:
     """Where a completed upload goes: into a new file, or into the existing file `file_id`; or why nowhere.
 
-    `needs_blob`: the uploaded bytes are used. Otherwise the file has the same bytes by another way.
+    `needs_blob`: the uploaded bytes are used. Otherwise, the file has the same bytes already.
     """
 
     upload: UploadRow
@@ -140,13 +140,13 @@ def place(upload: UploadRow, existing: ExistingFile | None, conflict: str | None
         return Placement(upload)
     if existing.content != upload.content:
         return Placement(upload, error=_file_exists(upload.path, existing, upload.content, may_read=may_read))
-    # The same bytes: they repair a damaged file; a sound one was linked or moved here meanwhile.
+    # The same bytes repair a damaged file; an undamaged one was linked or moved here since.
     return Placement(upload, file_id=existing.id, needs_blob=existing.is_damaged)
 
 
 def blob_columns(row: UploadRow, blob_id: uuid.UUID) -> dict[str, object]:
     """Return the columns of the blob that an upload becomes, for an insert."""
-    # Kept as the store's word only if the store compared it.
+    # The client's value, so it is stored only if the store compared it.
     has_store_compared = row.checksum == ChecksumKind.crc64nvme.value
     return {
         "id": blob_id,

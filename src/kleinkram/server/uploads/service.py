@@ -1,6 +1,6 @@
-"""The upload protocol until the last part is sent. Each step marks the row, asks the store, then records the answer.
+"""The begin of uploads: decides about each announced file, reserves names, links duplicates, opens uploads.
 
-The store is never asked inside a transaction, and a name is never reserved without a row that says until when.
+Never calls the store inside a transaction. A row with a lease reserves each name.
 """
 
 import datetime
@@ -11,32 +11,15 @@ from typing import Any
 
 from sqlalchemy import func, select, update
 
+from kleinkram.contract import uploads as protocol
 from kleinkram.contract.access import Scope
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.base import Page
-from kleinkram.contract.errors import (
-    NameLeased,
-    NotFound,
-    PathConflict,
-    StoreUnavailable,
-)
+from kleinkram.contract.errors import NameLeased, NotFound, PathConflict, StoreUnavailable
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import name_key
 from kleinkram.contract.problems import to_problem
-from kleinkram.contract.uploads import (
-    AlreadyPresent,
-    ChecksumKind,
-    Deduplicated,
-    HashRequired,
-    StoredPart,
-    UploadDecision,
-    UploadFile,
-    UploadRead,
-    UploadRefused,
-    UploadRequired,
-    UploadState,
-    part_size_bytes,
-)
+from kleinkram.contract.uploads import ChecksumKind, UploadRead, UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.log import Event, audit
@@ -74,8 +57,8 @@ _VIEWER_SUFFIXES = (".mcap", ".bag")
 
 
 async def begin_uploads(
-    context: AppContext, actor: Actor, *, mission_id: uuid.UUID, requested: Sequence[UploadFile]
-) -> list[UploadDecision]:
+    context: AppContext, actor: Actor, *, mission_id: uuid.UUID, requested: Sequence[protocol.UploadFile]
+) -> list[protocol.UploadDecision]:
     """Decide about each file, reserve the names of those to be sent, and open them at the store.
 
     Idempotent: with the id of an upload, the upload continues where it was.
@@ -110,7 +93,7 @@ async def begin_uploads(
 
 
 async def _collect_facts(
-    db: Connection, actor: Actor, mission_id: uuid.UUID, requested: Sequence[UploadFile]
+    db: Connection, actor: Actor, mission_id: uuid.UUID, requested: Sequence[protocol.UploadFile]
 ) -> RequestFacts:
     keys = [name_key(file.path) for file in requested]
     sizes_without_hash = [file.size_bytes for file in requested if not file.sha256]
@@ -128,7 +111,7 @@ async def _collect_facts(
     )
 
 
-def _decide_all(requested: Sequence[UploadFile], facts: RequestFacts) -> list[Decision]:
+def _decide_all(requested: Sequence[protocol.UploadFile], facts: RequestFacts) -> list[Decision]:
     conflicts = conflicts_among([file.path for file in requested])
     return [
         Decision(file, Action.refuse, error=PathConflict(path=file.path, other=conflicts[position]))
@@ -139,7 +122,7 @@ def _decide_all(requested: Sequence[UploadFile], facts: RequestFacts) -> list[De
 
 
 def _new_amount(decisions: Sequence[Decision], facts: RequestFacts) -> Amount:
-    """Return how much room the request needs. A repaired file takes the room that it has already."""
+    """Return how much quota the request needs. A repaired file needs no more than it has."""
     new = [d.requested for d in decisions if d.action in {Action.begin, Action.link}]
     new = [file for file in new if name_key(file.path) not in facts.files]
     return Amount(len(new), sum(file.size_bytes for file in new))
@@ -169,7 +152,7 @@ async def _reserve_names(
     new = [decision.requested for decision in decisions if decision.action is Action.begin]
     if not new:
         return decisions
-    # The database's clock, read once: leases are compared with it, and machines' clocks differ.
+    # The database's clock, because leases are compared with it and the clocks of machines differ.
     now = (await db.execute(select(func.now()))).scalar_one()
     proposed = [file.upload_id for file in new if file.upload_id]
     used = await queries.used_ids(db, proposed) if proposed else frozenset()
@@ -184,8 +167,8 @@ async def _reserve_names(
     return [_with_upload(decision, ids) if decision.action is Action.begin else decision for decision in decisions]
 
 
-def _free_id(requested: UploadFile, used: Collection[uuid.UUID]) -> uuid.UUID:
-    """Return the id that the client proposes, unless an upload has it: then a new one."""
+def _free_id(requested: protocol.UploadFile, used: Collection[uuid.UUID]) -> uuid.UUID:
+    """Return the id that the client proposes, or a new one if an upload has it."""
     if requested.upload_id is None or requested.upload_id in used:
         return uuid.uuid4()
     return requested.upload_id
@@ -204,14 +187,14 @@ def new_upload(
     person_id: uuid.UUID | None,
     mission_id: uuid.UUID,
     batch_id: uuid.UUID,
-    requested: UploadFile,
+    requested: protocol.UploadFile,
     now: datetime.datetime,
     *,
     id_: uuid.UUID | None = None,
 ) -> dict[str, Any]:
     """Return the columns of a new upload, for an insert."""
     upload_id = id_ or uuid.uuid4()
-    # Viewers choose a reader by how a URL ends.
+    # Viewers choose a reader by the suffix of a URL.
     suffix = next((suffix for suffix in _VIEWER_SUFFIXES if requested.path.lower().endswith(suffix)), "")
     return {
         "id": upload_id,
@@ -220,11 +203,11 @@ def new_upload(
         "path": requested.path,
         "path_key": name_key(requested.path),
         "size_bytes": requested.size_bytes,
-        "part_size_bytes": part_size_bytes(requested.size_bytes),
+        "part_size_bytes": protocol.part_size_bytes(requested.size_bytes),
         "checksum": context.storage.checksum.value,
         "signed_checksum": announced_checksum(context.storage, requested),
         "store_id": context.settings.store_id,
-        # One prefix for each request, so that one listing finds its small files.
+        # One prefix per request, so that one listing finds its small files.
         "key": f"{batch_id}/{upload_id}{suffix}",
         **lease_columns(context.settings, now),
     }
@@ -236,7 +219,7 @@ def new_upload(
 async def _link_duplicates(
     db: Connection, actor: Actor, mission_id: uuid.UUID, decisions: list[Decision]
 ) -> list[Decision]:
-    """Make files from blobs that are stored already; a file whose own blob is damaged gets the sound one."""
+    """Make files from stored blobs; a file whose blob is damaged gets the undamaged one."""
     linked = [decision for decision in decisions if decision.action is Action.link]
     if not linked:
         return decisions
@@ -277,7 +260,7 @@ async def _link_duplicates(
     ]
     await audit(db, actor, *events)
     await regroup(db, mission_id)
-    # A file that was damaged a moment ago may have been verified since: then it is as good as its duplicate.
+    # A file that was damaged may have been verified since; then it has the same bytes as its duplicate.
     healed = [name_key(d.requested.path) for d in linked if d.requested.path not in file_ids]
     existing = await queries.existing_files(db, mission_id, healed) if healed else {}
     return [_with_file(d, file_ids, existing) if d.action is Action.link else d for d in decisions]
@@ -300,19 +283,19 @@ class _BegunUploads:
     """Rows for the response to one request, by id."""
 
     uploads: Mapping[uuid.UUID, UploadRow]
-    parts: Mapping[uuid.UUID, list[StoredPart]]
+    parts: Mapping[uuid.UUID, list[protocol.StoredPart]]
     files: Mapping[uuid.UUID, FileRead]
 
 
 async def _open_at_store(
     context: AppContext, decisions: Sequence[Decision], uploads: Mapping[uuid.UUID, UploadRow]
-) -> dict[uuid.UUID, list[StoredPart]]:
-    """Open the uploads at the store and return the parts that it has; free the new names if the store is away."""
+) -> dict[uuid.UUID, list[protocol.StoredPart]]:
+    """Open the uploads at the store and return the parts that it has; free the names if the store is away."""
     resumed = {d.upload_id for d in decisions if d.action is Action.resume and d.upload_id}
     multipart = [row for row in uploads.values() if row.is_multipart]
     try:
         parts = await list_multiparts(context, multipart, resumed=resumed) if multipart else {}
-        # A resumed upload may have so many small files at the store that sending them again would take long.
+        # A resumed upload may have many small files at the store; sending them again would take long.
         return parts | await stored_small_files(context.storage, [uploads[id_] for id_ in resumed])
     except StoreUnavailable:
         await free_names(context, [d.upload_id for d in decisions if d.action is Action.begin and d.upload_id])
@@ -320,29 +303,29 @@ async def _open_at_store(
 
 
 async def free_names(context: AppContext, upload_ids: Sequence[uuid.UUID]) -> None:
-    """End new uploads that their client never learned of."""
+    """End new uploads whose client received no response about them."""
     async with context.database.begin() as db:
         is_open = among(upload.c.id, upload_ids) & (upload.c.state == UploadState.open.value)
         await db.execute(update(upload).where(is_open).values(state=UploadState.aborted.value))
 
 
-def _to_wire(context: AppContext, actor: Actor, decision: Decision, begun: _BegunUploads) -> UploadDecision:
+def _to_wire(context: AppContext, actor: Actor, decision: Decision, begun: _BegunUploads) -> protocol.UploadDecision:
     requested = decision.requested
     if decision.error is not None:
-        return UploadRefused(path=requested.path, problem=to_problem(decision.error, actor.request_id))
+        return protocol.UploadRefused(path=requested.path, problem=to_problem(decision.error, actor.request_id))
     if decision.upload_id is not None:
         row = begun.uploads[decision.upload_id]
         parts = begun.parts.get(row.id, [])
-        return UploadRequired(upload=to_upload_read(row, parts), part=sign_only_part(context, row, requested))
+        return protocol.UploadRequired(upload=to_upload_read(row, parts), part=sign_only_part(context, row, requested))
     read = begun.files.get(decision.file_id) if decision.file_id else None
     if decision.action is Action.present and Scope.read not in actor.scopes:
-        return AlreadyPresent(file=read)
-    if read is None:  # also if the file was deleted since: asking again leads to another answer
-        return HashRequired(path=requested.path)
-    return AlreadyPresent(file=read) if decision.action is Action.present else Deduplicated(file=read)
+        return protocol.AlreadyPresent(file=read)
+    if read is None:  # also if the file was deleted since: the next request gets another decision
+        return protocol.HashRequired(path=requested.path)
+    return protocol.AlreadyPresent(file=read) if decision.action is Action.present else protocol.Deduplicated(file=read)
 
 
-def to_upload_read(row: UploadRow, parts: Sequence[StoredPart]) -> UploadRead:
+def to_upload_read(row: UploadRow, parts: Sequence[protocol.StoredPart]) -> UploadRead:
     """Return an upload as its client sees it."""
     return UploadRead(
         id=row.id,
@@ -390,7 +373,7 @@ async def get_upload(context: AppContext, actor: Actor, *, upload_id: uuid.UUID)
     if not rows:
         raise NotFound(noun="upload", ref=str(upload_id))
     [row] = rows
-    parts: list[StoredPart] | None = None
+    parts: list[protocol.StoredPart] | None = None
     if row.state == UploadState.open.value and row.multipart_id is not None:
         parts = await context.storage.list_parts(row.key, row.multipart_id)
     elif row.state == UploadState.open.value:
