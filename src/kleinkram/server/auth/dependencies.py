@@ -4,6 +4,8 @@ With TLS, cookies have the prefix `__Host-`, so that neither other hosts nor con
 """
 
 import asyncio
+import re
+import secrets
 import uuid
 from dataclasses import dataclass
 from typing import Annotated
@@ -16,7 +18,7 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.auth.local_accounts import PasswordHasher
 from kleinkram.server.auth.one_time_codes import describe_code
-from kleinkram.server.auth.provider_accounts import Providers, set_cookie
+from kleinkram.server.auth.provider_accounts import REQUEST_LIFETIME_S, Providers
 from kleinkram.server.auth.sessions import Browser, start_session
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, session_cookie
@@ -25,6 +27,8 @@ from kleinkram.server.settings import Settings
 
 # An account may be tried this many times as often as one address may try, before attempts must wait for slots.
 _ADDRESSES_PER_ACCOUNT = 3
+# 32 random bytes.
+_BROWSER_SECRET = re.compile(r"[A-Za-z0-9_-]{43}")
 
 
 @dataclass(frozen=True)
@@ -84,7 +88,7 @@ class SignInContext:
         session = await start_session(
             db, self.actor, person_id=person_id, method=method, browser=browser, lifetime_s=self.settings.session_s
         )
-        set_cookie(response, self.settings, cookie, session.secret, lifetime_s=self.settings.session_s)
+        _set_cookie(response, self.settings, cookie, session.secret, lifetime_s=self.settings.session_s)
         return BrowserSignedIn(person=PersonRef(id=person_id, name=session.actor.name))
 
     def require_local_accounts(self) -> None:
@@ -104,4 +108,35 @@ CurrentSignIn = Annotated[SignInContext, Depends(_sign_in_context)]
 
 def delete_session_cookie(response: Response, settings: Settings) -> None:
     """Delete the session cookie of a browser."""
-    set_cookie(response, settings, session_cookie(settings), "", lifetime_s=0)
+    _set_cookie(response, settings, session_cookie(settings), "", lifetime_s=0)
+
+
+def bind_browser(request: Request, response: Response, settings: Settings) -> str:
+    """Return a secret that only this browser sends back; an existing one is kept for the browser's other tabs."""
+    secret = bound_browser(request, settings)
+    if not _BROWSER_SECRET.fullmatch(secret):
+        secret = secrets.token_urlsafe(32)
+    _set_cookie(response, settings, _cookie_name(settings), secret, lifetime_s=REQUEST_LIFETIME_S)
+    return secret
+
+
+def bound_browser(request: Request, settings: Settings) -> str:
+    """Return the secret from `bind_browser`; empty if the browser does not send it."""
+    return request.cookies.get(_cookie_name(settings), "")
+
+
+def _cookie_name(settings: Settings) -> str:
+    return f"{session_cookie(settings)}-authorization"
+
+
+def _set_cookie(response: Response, settings: Settings, name: str, value: str, *, lifetime_s: float) -> None:
+    """Set a cookie that no script can read, over TLS only if the server uses TLS."""
+    response.set_cookie(
+        name,
+        value,
+        max_age=int(lifetime_s),
+        path="/",
+        secure=settings.public_url.startswith("https://"),
+        httponly=True,
+        samesite="lax",
+    )

@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kleinkram.contract.errors import KleinkramError, NotFound, SignInRefused
 from kleinkram.server.auth import provider_accounts
-from kleinkram.server.auth.dependencies import CurrentSignIn, SignInContext
-from kleinkram.server.auth.provider_accounts import bound_browser, take_request
+from kleinkram.server.auth.dependencies import CurrentSignIn, SignInContext, bound_browser
+from kleinkram.server.auth.provider_accounts import take_request
 from kleinkram.server.http.dependencies import CurrentSettings
 from kleinkram.server.http.errors import audit_refusal
 from kleinkram.server.http.headers import PAGE_POLICY

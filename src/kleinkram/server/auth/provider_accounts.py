@@ -11,7 +11,6 @@ it has an account.
 
 import asyncio
 import datetime
-import re
 import secrets
 import time
 import uuid
@@ -20,7 +19,6 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from fastapi import Request, Response
 from sqlalchemy import ColumnElement, delete, exists, func, insert, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
@@ -34,7 +32,6 @@ from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.auth.one_time_codes import is_valid
 from kleinkram.server.auth.sessions import renew_session
 from kleinkram.server.db import Connection
-from kleinkram.server.http.dependencies import session_cookie
 from kleinkram.server.settings import OidcProvider, OpenTo, Settings
 from kleinkram.server.tables import identity, oidc_login, one_time_code, person, person_email
 from kleinkram.server.tables.sign_in import CodePurpose
@@ -42,9 +39,8 @@ from kleinkram.server.tables.sign_in import CodePurpose
 if TYPE_CHECKING:
     from kleinkram.server.auth.oidc import OpenIdProvider
 
-_LIFETIME_S = 600
+REQUEST_LIFETIME_S = 600
 _SECRET_BYTES = 32
-_SECRET = re.compile(r"[A-Za-z0-9_-]{43}")
 
 
 @dataclass(frozen=True)
@@ -128,7 +124,7 @@ async def store_request(db: Connection, request: AuthorizationRequest, *, provid
             session_id=request.session_id,
             reauthenticates=request.reauthenticates,
             return_to=request.return_to,
-            expires_at=func.now() + datetime.timedelta(seconds=_LIFETIME_S),
+            expires_at=func.now() + datetime.timedelta(seconds=REQUEST_LIFETIME_S),
         )
     )
 
@@ -148,37 +144,6 @@ async def take_request(db: Connection, *, provider: str, state: str, browser_sec
         )
     return AuthorizationRequest(
         row.return_to, row.session_id, row.reauthenticates, state, nonce=row.nonce, code_verifier=row.code_verifier
-    )
-
-
-def bind_browser(request: Request, response: Response, settings: Settings) -> str:
-    """Return a secret that only this browser sends back; an existing one is kept for the browser's other tabs."""
-    secret = bound_browser(request, settings)
-    if not _SECRET.fullmatch(secret):
-        secret = secrets.token_urlsafe(_SECRET_BYTES)
-    set_cookie(response, settings, _cookie_name(settings), secret, lifetime_s=_LIFETIME_S)
-    return secret
-
-
-def bound_browser(request: Request, settings: Settings) -> str:
-    """Return the secret from `bind_browser`; empty if the browser does not send it."""
-    return request.cookies.get(_cookie_name(settings), "")
-
-
-def _cookie_name(settings: Settings) -> str:
-    return f"{session_cookie(settings)}-authorization"
-
-
-def set_cookie(response: Response, settings: Settings, name: str, value: str, *, lifetime_s: float) -> None:
-    """Set a cookie that no script can read, over TLS only if the server uses TLS."""
-    response.set_cookie(
-        name,
-        value,
-        max_age=int(lifetime_s),
-        path="/",
-        secure=settings.public_url.startswith("https://"),
-        httponly=True,
-        samesite="lax",
     )
 
 

@@ -19,8 +19,8 @@ from kleinkram.server.auth import (
     second_factor,
     sessions,
 )
-from kleinkram.server.auth.dependencies import CurrentSignIn, SignInContext, delete_session_cookie
-from kleinkram.server.auth.provider_accounts import AuthorizationRequest, bind_browser, store_request
+from kleinkram.server.auth.dependencies import CurrentSignIn, SignInContext, bind_browser, delete_session_cookie
+from kleinkram.server.auth.provider_accounts import AuthorizationRequest, store_request
 from kleinkram.server.http.dependencies import (
     CurrentActor,
     CurrentDatabase,
