@@ -5,8 +5,8 @@ from collections import Counter
 from pathlib import Path
 
 from benchmarks.side import Facts, main
-from kleinkram.recordings import CountingSource, summarise
-from kleinkram.recordings.sources import FileReader
+from kleinkram.recordings import summarise
+from kleinkram.recordings.sources import CountingSource, FileSource, SourceReader
 from kleinkram.recordings.summary import scan
 
 _CHUNK_BYTES = 4 * 2**20
@@ -15,8 +15,8 @@ _CHUNK_BYTES = 4 * 2**20
 def scan_ours(path: str) -> Facts:
     """Read everything, check everything."""
     started = time.perf_counter()
-    with FileReader(path) as forward:
-        summary = scan(forward)
+    with FileSource(path) as source:
+        summary = scan(SourceReader(source))
     return {"seconds": time.perf_counter() - started, "messages": summary.message_count or 0}
 
 

@@ -25,9 +25,10 @@ from kleinkram.client.transfer import download, plan_download, plan_upload, uplo
 from kleinkram.client.transfer.report import CONNECTIONS
 from kleinkram.contract.files import DownloadLink, FileFilter
 from kleinkram.contract.uploads import ChecksumKind, crc64nvme, part_size_bytes
-from kleinkram.recordings import CountingSource, summarise
+from kleinkram.recordings import summarise
 from kleinkram.recordings.http_source import HttpSource
 from kleinkram.recordings.limits import PARALLEL_READS
+from kleinkram.recordings.sources import CountingSource
 from kleinkram.server.s3.storage import PartTarget, SignedRequest, Storage, open_storage
 from kleinkram.server.settings import Settings
 

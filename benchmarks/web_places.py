@@ -9,7 +9,7 @@ import uuid
 import psycopg
 
 from kleinkram.client import Client
-from kleinkram.recordings.density import count_stamps, pack
+from kleinkram.recordings.message_density import count_stamps, pack
 
 PROJECT = "field tests"
 MANY_TOPICS, MANY_FILES = "many topics", "many files"

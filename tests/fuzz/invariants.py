@@ -14,13 +14,12 @@ from kleinkram.recordings import (
     Recording,
     RecordingSummary,
     TooDisordered,
-    from_dict,
     summarise,
-    to_dict,
 )
 from kleinkram.recordings.decoding import image, points
 from kleinkram.recordings.decoding.types import DecodeError
-from kleinkram.recordings.sources import FileReader
+from kleinkram.recordings.isolation import from_dict, to_dict
+from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.fuzz.seeds import Seed
 
@@ -42,8 +41,8 @@ def check(file: Seed, folder: Path) -> None:
     try:
         with FileSource(path) as source:
             _check_summary(summarise(source), len(file.data))
-        with FileReader(path) as forward:
-            _check_summary(scan(forward), len(file.data))
+        with FileSource(path) as source:
+            _check_summary(scan(SourceReader(source)), len(file.data))
         _check_messages(path)
     finally:
         path.unlink()  # a metadata.yaml would find the files of other cases beside itself

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import zstandard
 
-from kleinkram.recordings.sample.writers import BagCompression, BagWriter, Compression, Db3Writer, McapWriter
+from kleinkram.recordings.sample.writers import Db3Writer
 from tests.conftest import RECORDINGS
+from tests.recording_files.writers import BagCompression, BagWriter, Compression, McapWriter
 
 _T0 = 1_700_000_000_000_000_000
 _STEP = 100_000_000

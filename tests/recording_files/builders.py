@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from io import BytesIO
 
-from kleinkram.recordings.sample.writers import BagCompression, BagWriter, Compression, McapWriter
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import BagCompression, BagWriter, Compression, McapWriter
 
 T0 = 1_700_000_000_000_000_000
 

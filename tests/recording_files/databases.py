@@ -71,5 +71,5 @@ def steady(count: int, *, size: int = 200, topics: int = 2) -> list[tuple[object
 
 
 def faults(problems: Iterable[Problem]) -> list[Problem]:
-    """Return problems of files, without what is odd about the behaviour of topics (`oddities`)."""
+    """Return the problems of files, without the quality warnings about topics."""
     return [one for one in problems if one.code not in ("silent-topic", "starts-late", "stops-early", "long-gap")]

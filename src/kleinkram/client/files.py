@@ -275,7 +275,7 @@ class Recordings(ApiResource):
         *,
         mission: Ref | None = None,
         project: Ref | None = None,
-        most_bytes: int | None = None,
+        max_bytes: int | None = None,
     ) -> "Recording":
         """Open a recording on the server for reading, as `recordings.Recording.open` does a local one.
 
@@ -286,7 +286,7 @@ class Recordings(ApiResource):
             what: a recording, a file, the id of either; or the name of a recording in a mission, or a file's path.
             mission: the mission of a name or path.
             project: the project of the mission.
-            most_bytes: a file without index is not read whole if it is larger than this; None: 1 GiB.
+            max_bytes: a file without index is not read whole if it is larger than this; None: 1 GiB.
 
         Raises:
             TooCostly: a file would have to be read whole, and is larger than allowed.
@@ -301,7 +301,7 @@ class Recordings(ApiResource):
             ids = [source.id, *self._logs_of(source.mission.id, [source.path])]
         else:
             ids = [*self._metadata_of(source), *source.file_ids, *self._logs_of(source.mission.id, source.paths)]
-        return Recording.open(RemoteFiles(Files(self._api), ids), most_bytes=most_bytes)
+        return Recording.open(RemoteFiles(Files(self._api), ids), max_bytes=max_bytes)
 
     def _find(
         self, what: RecordingRead | FileRead | str | uuid.UUID, mission: Ref | None, project: Ref | None

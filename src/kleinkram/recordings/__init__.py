@@ -1,7 +1,7 @@
-"""Recordings (MCAP, ROS 1 bag, rosbag2, ULog): what is in them (`summarise`, `scan`), and their messages (`Recording`).
+"""Reads recordings (MCAP, ROS 1 bag, rosbag2, ULog): summaries (`summarise`, `scan`) and messages (`Recording`).
 
 Independent of the rest of Kleinkram: it reads bytes from a source, in bounded memory, without a database. Files are
-untrusted: whatever their bytes, the answer is a summary. A server reads them in a child process (`isolation`).
+untrusted: any bytes give a summary. A server reads them in a child process (`isolation`).
 
 Names are imported when they are first used, so that `klein --help` does not pay for reading recordings.
 """
@@ -25,30 +25,6 @@ if TYPE_CHECKING:
         TooCostly,
         TooDisordered,
     )
-    from kleinkram.recordings.formats.registry import sniff
-    from kleinkram.recordings.formats.rosbag2.metadata import (
-        MemberFacts,
-        Rosbag2Metadata,
-        TopicFacts,
-        compare_metadata,
-        parse_rosbag2_metadata,
-    )
-    from kleinkram.recordings.isolation import (
-        CHILD_COMMAND,
-        CHILD_ENVIRONMENT,
-        FileRequest,
-        StreamRequest,
-        UrlRequest,
-        from_dict,
-        metadata_request_bytes,
-        read_answer,
-        read_metadata_answer,
-        request_bytes,
-        stream_request_bytes,
-        summarise_isolated,
-        timed_out,
-        to_dict,
-    )
     from kleinkram.recordings.messages import Channel, Message, RawMessage, Schema, Topic
     from kleinkram.recordings.model import (
         Content,
@@ -62,31 +38,18 @@ if TYPE_CHECKING:
     )
     from kleinkram.recordings.recording import Recording
     from kleinkram.recordings.recording_groups import RecordingGroup, RecordingGroupKind, group, is_recording_name
-    from kleinkram.recordings.sources import (
-        CountingSource,
-        FileReader,
-        FileSource,
-        PipeReader,
-        SequentialReader,
-        Source,
-        source_reader,
-    )
+    from kleinkram.recordings.sources import FileSource, Source
     from kleinkram.recordings.summary import scan, summarise
 
 _HOMES = {
     "combine_summaries": "combine",
     "errors": "FailureKind NoSuchTopic NotARecording RecordingError SeveralRecordings SourceError SummaryFailed "
     "TooCostly TooDisordered",
-    "formats.registry": "sniff",
-    "formats.rosbag2.metadata": "MemberFacts Rosbag2Metadata TopicFacts compare_metadata parse_rosbag2_metadata",
-    "isolation": "CHILD_COMMAND CHILD_ENVIRONMENT FileRequest StreamRequest UrlRequest from_dict to_dict "
-    "metadata_request_bytes read_answer read_metadata_answer request_bytes stream_request_bytes summarise_isolated "
-    "timed_out",
     "messages": "Channel Message RawMessage Schema Topic",
     "model": "Content Depth Fact Lost Problem RecordingFormat RecordingSummary TopicSummary",
     "recording": "Recording",
     "recording_groups": "RecordingGroup RecordingGroupKind group is_recording_name",
-    "sources": "CountingSource FileSource SequentialReader Source FileReader PipeReader source_reader",
+    "sources": "FileSource Source",
     "summary": "scan summarise",
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}

@@ -1,6 +1,6 @@
-"""Reads the messages of one file made of chunks (MCAP, ROS 1 bag), by its table of chunks, in the order of time.
+"""Reads the selected messages of a file made of chunks (MCAP, ROS 1 bag), in the order of time, by its chunk table.
 
-Only chunks that may hold selected messages are read. The next ones are fetched, decompressed and checked meanwhile.
+Only chunks that may hold selected messages are read. Threads fetch, decompress and check the next ones.
 Of a chunk that fails its checksum or cannot be decompressed, what a scan finds in it is read; one larger than
 `MAX_CHUNK_BYTES` is left out.
 """
@@ -12,7 +12,7 @@ import zlib
 from array import array
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
@@ -22,12 +22,14 @@ from kleinkram.recordings.chunk_table import ChunkHead, ChunkTable, Int64Table, 
 from kleinkram.recordings.compression import Buffer, decompress, decompress_beginning, unreadable_chunk
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.index_check import IndexCheck, ReadMessageIndex
-from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_CHUNKS, MAX_READ, WINDOW
-from kleinkram.recordings.merge import OVERHEAD_BYTES, MessagePiece, MessageRun, ReadAheadTask, merge, read_ahead
-from kleinkram.recordings.message_counts import ROW, Batch, MessagePlace, PlaceKind
+from kleinkram.recordings.formats.base import MemberContents
+from kleinkram.recordings.index_check import IndexCheck, ReadMessageIndex, contradicts_itself
+from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_READ
+from kleinkram.recordings.merge_messages import OVERHEAD_BYTES, MessagePiece, MessageRun, merge
 from kleinkram.recordings.messages import Block, Channel, Selection
-from kleinkram.recordings.sources import Source
+from kleinkram.recordings.model import RecordingSummary
+from kleinkram.recordings.scanned_messages import PlaceKind
+from kleinkram.recordings.sources import ReadAheadTask, Source, read_ahead
 from kleinkram.recordings.streams import ByteStream, open_bytes, open_range
 
 MAX_MESSAGE = 64 * 2**20  # bytes of one message; a larger one is left out
@@ -35,12 +37,9 @@ MAX_AHEAD = 32 * 2**20  # bytes of chunks that are fetched and decompressed ahea
 MAX_SALVAGED = 256 * 2**20  # bytes of damaged chunks, in one iteration, that are searched for what can be saved
 
 _AHEAD_ON_DISK = 8 * 2**20
-_LEAST_WORKERS = 2
+_MIN_WORKERS = 2
 _GROUP_BYTES = 4 * 2**20
 _HEAD_BYTES = 4096
-_MOST_OF_RUN = 8192
-_MAX_RANGES = 200_000
-_NO_TIME = (2**64 - 1, 0)
 _log_time = itemgetter(1)
 
 
@@ -58,37 +57,55 @@ class ChunkFormat:
     read_message_index: ReadMessageIndex
 
 
-@dataclass(frozen=True)
-class ChunkedFile:
-    """A file made of chunks. `is_part`: of a damaged chunk. `check`: of the table; None: a scan made it."""
-
-    source: Source
-    format: ChunkFormat
-    table: ChunkTable
-    channels: Mapping[int, Channel]
-    problem_log: ProblemLog
-    is_part: bool = False
-    check: IndexCheck | None = None
+Loaded = Buffer | Malformed  # the content of a chunk, or why it cannot be read
 
 
-Loaded = Buffer | Malformed  # the content of a chunk, or why there is none
+class ChunkedMember:
+    """A file made of chunks.
 
+    `summary`: if it was scanned to be opened. `is_part`: of a damaged chunk. `with_index_check`: the table comes from
+    the file's own index, which may be wrong. `claimed_span`: by the statistics.
+    """
 
-def pieces_of(file: ChunkedFile, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
-    """Yield the chunks that may hold selected messages, by their first time. Open them in this order."""
-    channels = {
-        number: channel
-        for number, channel in file.channels.items()
-        if selection.topics is None or channel.topic in selection.topics
-    }
-    reader = _ChunkReader(file, channels, selection)
-    yield from reader.pieces(reader.select(), order)
+    def __init__(
+        self,
+        source: Source,
+        chunk_format: ChunkFormat,
+        table: ChunkTable,
+        contents: MemberContents,
+        problem_log: ProblemLog,
+        *,
+        summary: RecordingSummary | None = None,
+        is_part: bool = False,
+        with_index_check: bool = False,
+        claimed_span: tuple[int | None, int | None] = (None, None),
+    ) -> None:
+        self.source, self.format, self.table, self.problem_log = source, chunk_format, table, problem_log
+        self.summary, self.is_part, self._contents = summary, is_part, contents
+        self.check: IndexCheck | None = None
+        if with_index_check:
+            self.check = IndexCheck(source, table, problem_log, chunk_format.read_message_index)
+            if contradicts_itself(table, claimed_span):
+                self.check.mark_wrong()
+                self.check.complete()
+
+    @property
+    def contents(self) -> MemberContents:
+        """The content by the index; if that is wrong, with the span by its message indexes."""
+        if self.check is None or self.check.span is None:
+            return self._contents
+        return replace(self._contents, start_ns=self.check.span[0], end_ns=self.check.span[1])
+
+    def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
+        """Yield the chunks that may hold selected messages, by first time. Open them in this order."""
+        reader = _ChunkReader(self, selection)
+        yield from reader.pieces(reader.select(), order)
 
 
 class _ChunkReader:
-    def __init__(self, file: ChunkedFile, channels: Mapping[int, Channel], selection: Selection) -> None:
+    def __init__(self, file: ChunkedMember, selection: Selection) -> None:
         self._file = file
-        self._channels = channels
+        self._channels = file.contents.select(selection)
         self._selection = selection
         self._salvage_left = MAX_SALVAGED
         self._searched = False
@@ -99,10 +116,10 @@ class _ChunkReader:
         """Return the numbers of the chunks that may hold selected messages, by their first time."""
         file, channels, check = self._file, frozenset(self._channels), self._file.check
         if check is not None:
-            check.before_selecting()
+            check.check_before_selection()
         self._numbers = file.table.select(self._selection, channels)
         if check is not None and channels and not self._numbers:
-            check.when_nothing_fits()
+            check.check_after_empty_selection()
             self._numbers = file.table.select(self._selection, channels)
         self._is_selection_sure = check is None or check.is_done
         return self._numbers
@@ -114,7 +131,7 @@ class _ChunkReader:
             row = self._file.table.rows[number]
 
             def open_next(row: Row = row) -> MessageRun:
-                return self._with_missed(row, self.open(row, next(loaded)))
+                return self._with_missed_chunks(row, self.open(row, next(loaded)))
 
             def read_again(row: Row = row) -> Block:
                 return self.read_again(row)
@@ -124,12 +141,12 @@ class _ChunkReader:
                 first_ns, (*order, number), open_next, read_again if row.kind == PlaceKind.chunk else None
             )
 
-    def _with_missed(self, row: Row, run: MessageRun) -> MessageRun:
+    def _with_missed_chunks(self, row: Row, run: MessageRun) -> MessageRun:
         """Return the messages of a chunk, with those of chunks that a wrong index had left unselected."""
         check = self._file.check
         if check is None or self._is_selection_sure:
             return run
-        check.settle()
+        check.complete()
         if not check.is_done:
             return run
         self._is_selection_sure = True
@@ -144,8 +161,8 @@ class _ChunkReader:
     def load_ahead(self, numbers: Iterable[int]) -> Iterator[Loaded]:
         parallel: int = getattr(self._file.source, "parallel_reads", 1)
         tasks = self._tasks(numbers, together=parallel > 1)
-        most_bytes = MAX_AHEAD if parallel > 1 else _AHEAD_ON_DISK
-        for group in read_ahead(tasks, workers=max(_LEAST_WORKERS, parallel), most_bytes=most_bytes):
+        max_bytes = MAX_AHEAD if parallel > 1 else _AHEAD_ON_DISK
+        for group in read_ahead(tasks, workers=max(_MIN_WORKERS, parallel), max_bytes=max_bytes):
             yield from group
 
     def _tasks(self, numbers: Iterable[int], *, together: bool) -> Iterator[ReadAheadTask[list[Loaded]]]:
@@ -171,7 +188,7 @@ class _ChunkReader:
         if len(group) == 1 or span > MAX_READ:
             return [self._load(row) for row in group]
         data = memoryview(self._file.source.read(first.start, span))
-        return [self._take(row, data[row.start - first.start :][: row.length]) for row in group]
+        return [self._content_of(row, data[row.start - first.start :][: row.length]) for row in group]
 
     def _load(self, row: Row) -> Loaded:
         start, end = row.start, row.start + row.length
@@ -181,10 +198,10 @@ class _ChunkReader:
             return unreadable_chunk("", stored=row.length, uncompressed=0) or b""
         read = self._file.source.read
         if row.length <= MAX_READ:
-            return self._take(row, read(start, row.length))
-        return self._take(row, b"".join(read(at, min(MAX_READ, end - at)) for at in range(start, end, MAX_READ)))
+            return self._content_of(row, read(start, row.length))
+        return self._content_of(row, b"".join(read(at, min(MAX_READ, end - at)) for at in range(start, end, MAX_READ)))
 
-    def _take(self, row: Row, data: Buffer) -> Loaded:
+    def _content_of(self, row: Row, data: Buffer) -> Loaded:
         """Return the content of a row: records as they are, a chunk decompressed."""
         if row.kind == PlaceKind.records:
             return data
@@ -192,8 +209,8 @@ class _ChunkReader:
             head = self._file.format.open_chunk(open_bytes(bytes(data[:_HEAD_BYTES]), row.start))
             stored = memoryview(data)[head.data_start : head.record_bytes]
             if row.kind == PlaceKind.cut:
-                most_bytes = min(head.uncompressed_bytes, MAX_CHUNK_BYTES)
-                return decompress_beginning(head.compression, bytes(stored), most_bytes)
+                max_bytes = min(head.uncompressed_bytes, MAX_CHUNK_BYTES)
+                return decompress_beginning(head.compression, bytes(stored), max_bytes)
             if why := unreadable_chunk(head.compression, stored=row.length, uncompressed=head.uncompressed_bytes):
                 return why
             content = decompress(head.compression, stored, head.uncompressed_bytes)
@@ -219,7 +236,7 @@ class _ChunkReader:
         try:
             return self._parse(row, loaded)
         except Malformed:
-            return []  # it was whole when it was read before: the file changes meanwhile
+            return []  # it was complete when it was read before: the file has changed
 
     def _salvaged(self, row: Row, damage: Malformed) -> MessageRun:
         """Scan a damaged chunk, or the file where the index lists a chunk that is not there."""
@@ -227,19 +244,20 @@ class _ChunkReader:
         gaps: Iterable[FileGap] = []
         if not file.is_part and row.kind != PlaceKind.records:
             is_there = row.kind == PlaceKind.cut or end_of_chunk(file.source, row, file.format.open_chunk) is not None
-            gaps = [FileGap(row.start, row.end)] if is_there else self._unlisted()
+            gaps = [FileGap(row.start, row.end)] if is_there else self._search_unlisted_ranges()
         size = sum(gap.end - gap.start for gap in gaps)
-        saved = file.format.salvage(file.source, gaps, file.channels) if 0 < size <= self._salvage_left else None
+        contents = file.contents
+        saved = file.format.salvage(file.source, gaps, contents.channels) if 0 < size <= self._salvage_left else None
         where = f"{'messages' if row.kind == PlaceKind.records else 'chunk'} at byte {row.start}"
         if saved is None or not saved.table.rows:
             file.problem_log.add("damaged", where, f"left out: {damage.message}")
             return MessageRun([], 0)
         self._salvage_left -= size
         file.problem_log.add("damaged", where, f"only what could be saved of it is read: {damage.message}")
-        inside = ChunkedFile(saved.part, file.format, saved.table, file.channels, file.problem_log, is_part=True)
-        return MessageRun([], 0, self._compared(row, merge(pieces_of(inside, self._selection, ()))))
+        inside = ChunkedMember(saved.part, file.format, saved.table, contents, file.problem_log, is_part=True)
+        return MessageRun([], 0, self._check_blocks(row, merge(inside.pieces(self._selection, ()))))
 
-    def _unlisted(self) -> Iterable[FileGap]:
+    def _search_unlisted_ranges(self) -> Iterable[FileGap]:
         """Return the ranges in which unlisted chunks may be; nothing at the second call."""
         if self._searched:
             return []
@@ -247,9 +265,9 @@ class _ChunkReader:
         file = self._file
         message = "its index lists chunks that are not there; the space between the others is read instead"
         file.problem_log.add("index-damaged", file.source.name, message)
-        return unlisted(file.source, file.table.rows, file.format.open_chunk)
+        return unlisted_ranges(file.source, file.table.rows, file.format.open_chunk)
 
-    def _compared(self, row: Row, blocks: Iterator[Block]) -> Iterator[Block]:
+    def _check_blocks(self, row: Row, blocks: Iterator[Block]) -> Iterator[Block]:
         for block in blocks:
             self._compare_times(row, block)
             yield block
@@ -276,78 +294,7 @@ class _ChunkReader:
         for message in wrong:
             self._file.problem_log.add("index-damaged", f"chunk at byte {row.start}", message)
         if wrong and self._file.check is not None:
-            self._file.check.doubt()
-
-
-class ChunkTableBuilder:
-    """Makes a table of chunks from the places of messages that a scan finds, and counts messages by channel."""
-
-    def __init__(self, table: ChunkTable, problem_log: ProblemLog) -> None:
-        self.counts: dict[int, int] = {}
-        self.problem_log = problem_log
-        self.table = table
-        self._place: MessagePlace | None = None
-        self._channels: set[int] = set()
-        self._first_ns, self._last_ns = _NO_TIME
-        self._messages = 0
-        self._counts_here: dict[int, int] = {}
-        self._range_count = 0
-
-    def on_messages(self, place: MessagePlace, batch: Batch) -> None:
-        """Note messages at a place. May be called several times for one place."""
-        if not any(batch.values()):
-            return
-        if self._place is None or not self._joins(place):
-            self.close()
-            self._place = place
-        elif place.kind == PlaceKind.records:
-            length = self._place.length + place.length
-            self._place = self._place._replace(length=length, uncompressed=length)
-        seen: set[int] = set()
-        for number, rows in batch.items():
-            stamps = rows[0::ROW]
-            if not stamps:
-                continue
-            self._channels.add(number)
-            if id(rows) in seen:  # channels of one topic share it
-                continue
-            seen.add(id(rows))
-            self._counts_here[number] = self._counts_here.get(number, 0) + len(stamps)
-            self._messages += len(stamps)
-            self._first_ns, self._last_ns = min(self._first_ns, min(stamps)), max(self._last_ns, max(stamps))
-
-    def close(self) -> None:
-        """End the current row, if there is one."""
-        place = self._place
-        if place is not None and self._remembers(place):
-            kind, start, length, uncompressed, readable_ranges = place
-            members = self.table.sets.number(self._channels)
-            times = self._first_ns, self._last_ns
-            self.table.rows.append(Row(start, length, start + length, *times, kind, members, uncompressed))
-            if readable_ranges is not None:
-                self.table.readable_ranges[start] = readable_ranges
-        for number, count in self._counts_here.items():
-            self.counts[number] = self.counts.get(number, 0) + count
-        self._place, self._messages = None, 0
-        self._channels, self._counts_here = set(), {}
-        self._first_ns, self._last_ns = _NO_TIME
-
-    def _joins(self, place: MessagePlace) -> bool:
-        known = self._place
-        if known is None or known.kind != place.kind:
-            return False
-        if place.kind != PlaceKind.records:
-            return known.start == place.start
-        fits = known.length + place.length <= WINDOW and self._messages < _MOST_OF_RUN
-        return fits and known.start + known.length == place.start
-
-    def _remembers(self, place: MessagePlace) -> bool:
-        """Return whether there is room for another place. Bounds the memory for files full of damage."""
-        self._range_count += len(place.readable_ranges or ())
-        if self._range_count <= _MAX_RANGES and len(self.table.rows) < MAX_CHUNKS:
-            return True
-        self.problem_log.add("too-damaged", f"byte {place.start}", "left out: the file has too many places to remember")
-        return False
+            self._file.check.mark_wrong()
 
 
 class FileGap(NamedTuple):
@@ -409,9 +356,9 @@ def end_of_chunk(source: Source, row: Row, open_chunk: OpenChunk) -> int | None:
     return end if end <= row.end else None
 
 
-def unlisted(source: Source, rows: Int64Table[Row], open_chunk: OpenChunk) -> Int64Table[FileGap]:
+def unlisted_ranges(source: Source, rows: Int64Table[Row], open_chunk: OpenChunk) -> Int64Table[FileGap]:
     """Return the ranges of a file outside of the chunks that are where the index lists them; reads the head of each."""
-    gaps, at = Int64Table(FileGap, len(FileGap._fields)), 0
+    gaps, at = Int64Table(FileGap), 0
     for row in rows:
         end = end_of_chunk(source, row, open_chunk) if row.start >= at else None
         if end is not None:

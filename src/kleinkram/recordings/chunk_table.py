@@ -1,20 +1,24 @@
-"""Compact tables of chunks: 8 bytes a cell, for millions of chunks."""
+"""Tables of the chunks of a file, by its index or by a scan: 8 bytes a cell, for millions of chunks."""
 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Container, Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from operator import le
 from typing import Generic, NamedTuple, TypeVar
 
+from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_CHUNKS
-from kleinkram.recordings.message_counts import ReadableRanges
+from kleinkram.recordings.limits import MAX_CHUNKS, WINDOW
 from kleinkram.recordings.messages import Selection
+from kleinkram.recordings.scanned_messages import BATCH_STRIDE, Batch, MessagePlace, PlaceKind, ReadableRanges
 
 MAX_SET_BYTES = 16 * 2**20
+_MAX_MESSAGES_OF_ROW = 8192
+_MAX_RANGES = 200_000
+_NO_TIME = (2**64 - 1, 0)
 
 ANY_CHANNEL = 0  # the set of a chunk of which is not known who is in it
 UNKNOWN = 2**64 - 1  # a number that the index of this format does not state
@@ -45,15 +49,15 @@ class ChannelSets:
         return None if number == ANY_CHANNEL else self.members[number]
 
 
-RowT = TypeVar("RowT", bound=tuple[int, ...])
+RowT = TypeVar("RowT", bound=NamedTuple)
 
 
 class Int64Table(Generic[RowT]):
-    """Rows of unsigned 64-bit numbers. `make` builds a row, a NamedTuple of `columns` numbers."""
+    """Rows of unsigned 64-bit numbers; `row_type`: a NamedTuple of integers."""
 
-    def __init__(self, make: Callable[..., RowT], columns: int) -> None:
-        self._make = make
-        self._columns = columns
+    def __init__(self, row_type: type[RowT]) -> None:
+        self._row_type = row_type
+        self._columns = len(row_type._fields)
         self._cells = array("Q")
 
     def __len__(self) -> int:
@@ -61,7 +65,7 @@ class Int64Table(Generic[RowT]):
 
     def __getitem__(self, number: int) -> RowT:
         at = number * self._columns
-        return self._make(*self._cells[at : at + self._columns])
+        return self._row_type._make(self._cells[at : at + self._columns])
 
     def __iter__(self) -> Iterator[RowT]:
         return (self[number] for number in range(len(self)))
@@ -86,13 +90,13 @@ class Int64Table(Generic[RowT]):
         """Remove the last row, if there is one."""
         del self._cells[-self._columns :]
 
-    def column(self, number: int) -> array[int]:
+    def column(self, name: str) -> array[int]:
         """Return one column."""
-        return self._cells[number :: self._columns]
+        return self._cells[self._row_type._fields.index(name) :: self._columns]
 
     def sort(self) -> None:
         """Sort the rows by their first column."""
-        keys = self.column(0)
+        keys = self._cells[0 :: self._columns]
         if all(map(le, keys, keys[1:])):
             return
         ordered = array("Q")
@@ -156,7 +160,7 @@ class Row(NamedTuple):
 class ChunkTable:
     """The chunks of one file, in file order. `readable_ranges`: of the content of damaged chunks, by their start."""
 
-    rows: Int64Table[Row] = field(default_factory=lambda: Int64Table(Row, len(Row._fields)))
+    rows: Int64Table[Row] = field(default_factory=lambda: Int64Table(Row))
     readable_ranges: dict[int, ReadableRanges] = field(default_factory=dict)
     sets: ChannelSets = field(default_factory=ChannelSets)
 
@@ -175,9 +179,8 @@ class ChunkTable:
         hits = [
             number == ANY_CHANNEL or bool(members & channel_ids) for number, members in enumerate(self.sets.members)
         ]
-        columns = (self.rows.column(Row._fields.index(name)) for name in ("first_ns", "last_ns", "channels"))
         start_ns, end_ns = selection.start_ns, selection.end_ns
-        firsts, lasts, sets = columns
+        firsts, lasts, sets = map(self.rows.column, ("first_ns", "last_ns", "channels"))
         numbers = array(
             "Q",
             (
@@ -189,3 +192,74 @@ class ChunkTable:
         if any(firsts[after] < firsts[before] for before, after in pairwise(numbers)):
             numbers = array("Q", sorted(numbers, key=firsts.__getitem__))
         return numbers
+
+
+class ChunkTableBuilder:
+    """Makes a table of chunks from the places of messages that a scan finds, and counts messages by channel."""
+
+    def __init__(self, problem_log: ProblemLog) -> None:
+        self.counts: dict[int, int] = {}
+        self.problem_log = problem_log
+        self.table = ChunkTable()
+        self._place: MessagePlace | None = None
+        self._channels: set[int] = set()
+        self._first_ns, self._last_ns = _NO_TIME
+        self._messages = 0
+        self._counts_here: dict[int, int] = {}
+        self._range_count = 0
+
+    def add(self, place: MessagePlace, batch: Batch) -> None:
+        """Note messages at a place. May be called several times for one place."""
+        if not any(batch.values()):
+            return
+        if self._place is None or not self._joins(place):
+            self.close()
+            self._place = place
+        elif place.kind == PlaceKind.records:
+            length = self._place.length + place.length
+            self._place = self._place._replace(length=length, uncompressed=length)
+        seen: set[int] = set()
+        for number, rows in batch.items():
+            stamps = rows[0::BATCH_STRIDE]
+            if not stamps:
+                continue
+            self._channels.add(number)
+            if id(rows) in seen:  # channels of one topic share it
+                continue
+            seen.add(id(rows))
+            self._counts_here[number] = self._counts_here.get(number, 0) + len(stamps)
+            self._messages += len(stamps)
+            self._first_ns, self._last_ns = min(self._first_ns, min(stamps)), max(self._last_ns, max(stamps))
+
+    def close(self) -> None:
+        """End the current row, if there is one."""
+        place = self._place
+        if place is not None and self._remembers(place):
+            kind, start, length, uncompressed, readable_ranges = place
+            members = self.table.sets.number(self._channels)
+            times = self._first_ns, self._last_ns
+            self.table.rows.append(Row(start, length, start + length, *times, kind, members, uncompressed))
+            if readable_ranges is not None:
+                self.table.readable_ranges[start] = readable_ranges
+        for number, count in self._counts_here.items():
+            self.counts[number] = self.counts.get(number, 0) + count
+        self._place, self._messages = None, 0
+        self._channels, self._counts_here = set(), {}
+        self._first_ns, self._last_ns = _NO_TIME
+
+    def _joins(self, place: MessagePlace) -> bool:
+        known = self._place
+        if known is None or known.kind != place.kind:
+            return False
+        if place.kind != PlaceKind.records:
+            return known.start == place.start
+        fits = known.length + place.length <= WINDOW and self._messages < _MAX_MESSAGES_OF_ROW
+        return fits and known.start + known.length == place.start
+
+    def _remembers(self, place: MessagePlace) -> bool:
+        """Return whether there is room for another place. Bounds the memory for files full of damage."""
+        self._range_count += len(place.readable_ranges or ())
+        if self._range_count <= _MAX_RANGES and len(self.table.rows) < MAX_CHUNKS:
+            return True
+        self.problem_log.add("too-damaged", f"byte {place.start}", "left out: the file has too many places to remember")
+        return False

@@ -6,27 +6,12 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from kleinkram.recordings.formats.rosbag2.metadata import (
-    METADATA_NAME,
-    STORAGE_FORMATS,
-    MemberFacts,
-    Rosbag2Metadata,
-    TopicFacts,
-    compare_metadata,
-    lost_messages,
-)
-from kleinkram.recordings.model import (
-    Content,
-    Depth,
-    Lost,
-    Problem,
-    RecordingFormat,
-    RecordingSummary,
-    TopicSummary,
-    counted,
-)
-from kleinkram.recordings.timeline import LEAST_JUMP_NS, StampRun, bulk, join, within
-from kleinkram.recordings.topic_statistics import bounded, find_quality_warnings, with_times
+from kleinkram.recordings import model
+from kleinkram.recordings.file_summary import bounded, find_quality_warnings, with_times
+from kleinkram.recordings.formats.rosbag2 import metadata as rosbag2
+from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME, Rosbag2Metadata
+from kleinkram.recordings.model import Content, Problem, RecordingSummary, TopicSummary, counted
+from kleinkram.recordings.timeline import MIN_JUMP_NS, StampRun, join_runs, main_cluster, run_in_cluster
 
 _WORST_FIRST = (
     Content.error,
@@ -37,17 +22,17 @@ _WORST_FIRST = (
     Content.indexed,
 )
 _READABLE = (Content.indexed, Content.recovered)
-_MOST_FACTS = 100
+_MAX_FACTS = 100
 _CLOCK_JUMP = "clock-jump"
-_OF_THE_WHOLE = frozenset(("silent-topic", "starts-late", "stops-early", "long-gap"))
-"""Problems that a member has by being one of several; looked for again in the whole."""
+_RECOMPUTED = frozenset(("silent-topic", "starts-late", "stops-early", "long-gap"))
+"""Problems that a file may have only because it is one of several; searched again in all of them together."""
 
 
 def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) -> RecordingSummary:
     """Merge the summaries of the members of one recording, given in the order of recording.
 
-    Counts are added; a count that is unknown of one member is unknown of the whole. Silences between members count
-    as gaps. Where members overlap in time, the longest gap of a topic is an upper bound.
+    Counts are added; the sum is unknown if one of them is. Silences between members count as gaps. Where members
+    overlap in time, the longest gap of a topic is an upper bound.
 
     `content` is `error` or `pending` if a member is; else `recovered` where something can be read and something not;
     else that of the members. `reason` is that of the worst, after its name, if there are `names`. `format` is that of
@@ -57,11 +42,11 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
         raise ValueError("a recording has at least one member")
     if len(summaries) == 1:
         return summaries[0]
-    island = bulk(run for summary in summaries if (run := _span(summary)) is not None)
+    cluster = main_cluster(run for summary in summaries if (run := _span(summary)) is not None)
     by_name: dict[str, list[TopicSummary]] = defaultdict(list)
     for topic in (topic for summary in summaries for topic in summary.topics):
         by_name[topic.name].append(topic)
-    topics = tuple(_combine_topic(by_name[name], island) for name in sorted(by_name))
+    topics = tuple(_combine_topic(by_name[name], cluster) for name in sorted(by_name))
     jumps = _jumps_between(summaries, names)
     first = next((summary for summary in summaries if summary.content in _READABLE), summaries[0])
     return RecordingSummary(
@@ -73,18 +58,18 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
             summary.message_count or 0 if summary.content in (Content.broken, Content.opaque) else summary.message_count
             for summary in summaries
         ),
-        start_ns=island.first_ns if island else None,
-        end_ns=island.last_ns if island else None,
+        start_ns=cluster.first_ns if cluster else None,
+        end_ns=cluster.last_ns if cluster else None,
         compression=tuple(sorted({name for summary in summaries for name in summary.compression})),
         topics=topics,
         problems=bounded(
             [
-                *(problem for one in summaries for problem in one.problems if problem.code not in _OF_THE_WHOLE),
+                *(problem for one in summaries for problem in one.problems if problem.code not in _RECOMPUTED),
                 *_changed_types(summaries),
                 *jumps,
                 *find_quality_warnings(
                     topics,
-                    island.last_ns - island.first_ns if island else None,
+                    cluster.last_ns - cluster.first_ns if cluster else None,
                     longest_silence_ns=0
                     if jumps or any(one.code == _CLOCK_JUMP for summary in summaries for one in summary.problems)
                     else None,
@@ -96,9 +81,11 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
         attachments=sum(summary.attachments for summary in summaries),
         metadata_records=sum(summary.metadata_records for summary in summaries),
         bytes_read=sum(summary.bytes_read for summary in summaries),
-        depth=Depth.scan if all(summary.depth is Depth.scan for summary in summaries) else Depth.summary,
+        depth=model.Depth.scan
+        if all(summary.depth is model.Depth.scan for summary in summaries)
+        else model.Depth.summary,
         lost=_lost(summaries),
-        facts=tuple(dict.fromkeys(fact for summary in summaries for fact in summary.facts))[:_MOST_FACTS],
+        facts=tuple(dict.fromkeys(fact for summary in summaries for fact in summary.facts))[:_MAX_FACTS],
     )
 
 
@@ -123,7 +110,7 @@ def _jumps_between(summaries: Sequence[RecordingSummary], names: Sequence[str]) 
         spans = [(one.name, one.first_ns, one.last_ns) for one in summary.topics]
         known = [(name, first_ns, last_ns) for name, first_ns, last_ns in spans if first_ns is not None and last_ns]
         shared = [ended[name] - first_ns for name, first_ns, _ in known if name in ended]
-        back = sorted(back_ns for back_ns in shared if back_ns > LEAST_JUMP_NS)
+        back = sorted(back_ns for back_ns in shared if back_ns > MIN_JUMP_NS)
         if 2 * len(back) > len(shared):
             where = names[number] if names else f"file {number + 1}"
             message = f"it begins {back[-1] / 1e9:.1f} s before the file before it ends: the clock was set in between, "
@@ -133,9 +120,9 @@ def _jumps_between(summaries: Sequence[RecordingSummary], names: Sequence[str]) 
 
 
 def _content(contents: set[Content]) -> Content:
-    for unsettled in (Content.error, Content.pending):
-        if unsettled in contents:
-            return unsettled
+    for unknown in (Content.error, Content.pending):
+        if unknown in contents:
+            return unknown
     if len(contents) == 1:
         return next(iter(contents))
     return Content.recovered if contents & set(_READABLE) else Content.broken
@@ -148,17 +135,17 @@ def _reason(summaries: Sequence[RecordingSummary], names: Sequence[str]) -> str 
         return None
     worst = min(numbers_with_reason, key=lambda number: _WORST_FIRST.index(summaries[number].content))
     name = f"{names[worst]}: " if names else ""
-    others = f" (and {len(numbers_with_reason) - 1} more files are not whole)" if len(numbers_with_reason) > 1 else ""
+    others = f" (and {len(numbers_with_reason) - 1} more files are incomplete)" if len(numbers_with_reason) > 1 else ""
     return f"{name}{summaries[worst].reason}{others}"
 
 
-def _lost(summaries: Sequence[RecordingSummary]) -> Lost | None:
+def _lost(summaries: Sequence[RecordingSummary]) -> model.Lost | None:
     losses = [summary.lost for summary in summaries if summary.lost is not None]
     if not losses and _content({summary.content for summary in summaries}) is not Content.recovered:
         return None
-    untold = any(summary.lost is None and summary.content in (Content.broken, Content.opaque) for summary in summaries)
-    messages = None if untold else _total(lost.messages for lost in losses)
-    return Lost(sum(lost.bytes for lost in losses), sum(lost.chunks for lost in losses), messages)
+    has_unknown = any(one.lost is None and one.content in (Content.broken, Content.opaque) for one in summaries)
+    messages = None if has_unknown else _total(lost.messages for lost in losses)
+    return model.Lost(sum(lost.bytes for lost in losses), sum(lost.chunks for lost in losses), messages)
 
 
 def _total(counts: Iterable[int | None]) -> int | None:
@@ -177,13 +164,13 @@ def _span(summary: RecordingSummary) -> StampRun | None:
     return StampRun(summary.start_ns, summary.end_ns, counted, 0)
 
 
-def _combine_topic(parts: list[TopicSummary], island: StampRun | None) -> TopicSummary:
+def _combine_topic(parts: list[TopicSummary], cluster: StampRun | None) -> TopicSummary:
     runs = [
         StampRun(part.first_ns, part.last_ns, part.count - part.suspect_count, part.longest_gap_ns or 0, part.density)
         for part in parts
         if part.first_ns is not None and part.last_ns is not None and part.count is not None
     ]
-    run = within(join(runs), island)
+    run = run_in_cluster(join_runs(runs), cluster)
     count = _total(part.count for part in parts)
     first = parts[0]
     topic = TopicSummary(
@@ -198,10 +185,10 @@ def _combine_topic(parts: list[TopicSummary], island: StampRun | None) -> TopicS
         suspect_count=0 if count is None else count - (run.count if run else 0),
         density=run.density if run else None,
     )
-    return with_times(topic, run, island)
+    return with_times(topic, run, cluster)
 
 
-MESSAGE_ZSTD = "message-zstd"  # what `compression` says where the data of each message is compressed by itself
+MESSAGE_ZSTD = "message-zstd"  # the `compression` of a recording whose messages are compressed separately
 
 
 def combine_folder(
@@ -216,15 +203,11 @@ def combine_folder(
         problem = Problem("metadata-damaged", METADATA_NAME, "it is not the metadata of a rosbag2 recording")
         summary = combine(summaries, names)
         return replace(summary, problems=bounded([problem, *summary.problems]))
-    members = [
-        MemberFacts(name, one.message_count, one.start_ns, one.end_ns, one.format)
-        for name, one in zip(names, summaries, strict=True)
-    ]
+    members = list(zip(names, summaries, strict=True))
     if not summaries:
         return _without_data(metadata)
     summary = combine(summaries, names)
-    topics = [TopicFacts(one.name, one.message_type, one.message_encoding, one.count) for one in summary.topics]
-    problems = compare_metadata(metadata, members, topics)
+    problems = rosbag2.compare_metadata(metadata, members, summary.topics)
     if metadata.compression_mode == "message":
         name = f"message-{metadata.compression}" if metadata.compression else MESSAGE_ZSTD
         summary = replace(summary, compression=tuple(sorted({name, *summary.compression} - {"none"})))
@@ -237,16 +220,16 @@ def _without_data(metadata: Rosbag2Metadata) -> RecordingSummary:
     what = "a data file" if count == 1 else f"{count} data files"
     claimed = f" with {counted(metadata.message_count, 'message')}" if metadata.message_count is not None else ""
     return RecordingSummary(
-        format=STORAGE_FORMATS.get(metadata.storage or "", RecordingFormat.rosbag2_metadata),
+        format=rosbag2.STORAGE_FORMATS.get(metadata.storage or "", model.RecordingFormat.rosbag2_metadata),
         content=Content.broken,
         reason=f"metadata.yaml names {what}{claimed}, but none is there",
-        problems=bounded(compare_metadata(metadata, ())),
-        lost=Lost(0, 0, metadata.message_count),
+        problems=bounded(rosbag2.compare_metadata(metadata, ())),
+        lost=model.Lost(0, 0, metadata.message_count),
     )
 
 
 def _with_loss(
-    metadata: Rosbag2Metadata, members: Sequence[MemberFacts], summary: RecordingSummary, problems: Sequence[Problem]
+    metadata: Rosbag2Metadata, members: Sequence[rosbag2.Member], summary: RecordingSummary, problems: Sequence[Problem]
 ) -> RecordingSummary:
     missing = [problem.where for problem in problems if problem.code == "member-missing"]
     if summary.content not in (Content.indexed, Content.recovered, Content.broken):
@@ -256,8 +239,8 @@ def _with_loss(
     reasons = [summary.reason] if summary.reason else []
     if missing:
         reasons.append(f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing")
-    lost = summary.lost or Lost(0, 0, None)
-    messages = lost_messages(metadata, members)
+    lost = summary.lost or model.Lost(0, 0, None)
+    messages = rosbag2.lost_messages(metadata, members)
     if messages is not None and summary.message_count is not None:
         reasons.append(f"{summary.message_count} of {counted(metadata.message_count or 0, 'message')} can be read")
     return replace(

@@ -1,4 +1,4 @@
-"""Decompression of chunks and messages: bounded by the size that they claim."""
+"""Decompresses chunks and messages (zstd, lz4, bz2), up to the size that the file states."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_ZSTD_WINDOW, WINDOW
 from kleinkram.recordings.streams import ByteStream, Refill
 
-_LEAST_ZEROS = 64
+_MIN_ZEROS = 64
 Buffer = bytes | memoryview
 ReadUpTo = Callable[[int], bytes]
 
 
 def is_known_compression(name: str) -> bool:
     """Return whether chunks with this compression can be read; `name` as in MCAP or a bag."""
-    return name in ("", "none", "zstd") or name in _AT_ONCE
+    return name in ("", "none", "zstd", "lz4", "bz2")
 
 
 def unknown_compression(name: str) -> Malformed:
@@ -72,13 +72,11 @@ def decompress(name: str, stored: Buffer, uncompressed_bytes: int) -> bytes:
     if name in ("", "none"):
         raw = bytes(stored)
     elif name == "zstd":
-        raw = _zstd_at_once(stored, uncompressed_bytes)
-    elif name in _AT_ONCE:
-        raw, whole = _AT_ONCE[name](stored, uncompressed_bytes)
-        if not whole:
-            raise Malformed("chunk", f"its {name} data do not end where it ends")
+        raw = _decompress_zstd(stored, uncompressed_bytes)
+    elif name == "lz4":
+        raw = _decompress_lz4(stored, uncompressed_bytes)
     else:
-        raise unknown_compression(name)
+        raw = _decompress_stream(name, stored, uncompressed_bytes)
     if len(raw) != uncompressed_bytes:
         raise Malformed("chunk", f"{uncompressed_bytes} bytes are claimed, {len(raw)} came out")
     return raw
@@ -96,20 +94,24 @@ def decompress_beginning(name: str, stored: bytes, uncompressed_bytes: int) -> b
 
 
 def without_zero_tail(name: str, stored: bytes) -> bytes | None:
-    """Return compressed data without trailing zeros; None unless there are so many that sectors must be lost."""
+    """Return compressed data without trailing zeros; None if there are too few for lost sectors of a disk."""
     without_zeros = stored.rstrip(b"\0")
-    return without_zeros if name not in ("", "none") and len(stored) - len(without_zeros) >= _LEAST_ZEROS else None
+    return without_zeros if name not in ("", "none") and len(stored) - len(without_zeros) >= _MIN_ZEROS else None
 
 
-def _zstd_at_once(stored: Buffer, uncompressed_bytes: int) -> bytes:
+def _decompress_zstd(stored: Buffer, uncompressed_bytes: int) -> bytes:
     try:
         claimed = zstandard.frame_content_size(stored)
         if claimed == uncompressed_bytes:
             return zstandard.ZstdDecompressor().decompress(stored, allow_extra_data=False)
     except zstandard.ZstdError:
         pass  # the stream below raises, unless only a frame without content follows
-    # Of unknown size, or of several frames: piece by piece, whatever the claimed size.
-    stream = open_decompressed("zstd", _read_once(bytes(stored)), uncompressed_bytes)
+    # Of unknown size, or of several frames.
+    return _decompress_stream("zstd", stored, uncompressed_bytes)
+
+
+def _decompress_stream(name: str, stored: Buffer, uncompressed_bytes: int) -> bytes:
+    stream = open_decompressed(name, _read_once(bytes(stored)), uncompressed_bytes)
     return b"".join(iter(stream.take_some, b""))
 
 
@@ -118,27 +120,17 @@ def _read_once(data: bytes) -> ReadUpTo:
     return lambda _: pieces.pop() if pieces else b""
 
 
-def _lz4_at_once(stored: Buffer, uncompressed_bytes: int) -> tuple[bytes, bool]:
+def _decompress_lz4(stored: Buffer, uncompressed_bytes: int) -> bytes:
     context = lz4.frame.create_decompression_context()
     try:
         # One byte more than claimed, so that the end mark and its checksum are read, too. By way of a context, because
         # LZ4FrameDecompressor copies what it is given.
-        raw, used, is_whole = lz4.frame.decompress_chunk(context, stored, max_length=uncompressed_bytes + 1)
+        raw, used, is_complete = lz4.frame.decompress_chunk(context, stored, max_length=uncompressed_bytes + 1)
     except (RuntimeError, EOFError) as error:
         raise Malformed("chunk", f"its lz4 data is damaged ({error})") from error
-    return raw, is_whole and used == len(stored)
-
-
-def _bz2_at_once(stored: Buffer, uncompressed_bytes: int) -> tuple[bytes, bool]:
-    decompressor = bz2.BZ2Decompressor()
-    try:
-        raw = decompressor.decompress(stored, max_length=uncompressed_bytes + 1)
-    except (OSError, EOFError) as error:
-        raise Malformed("chunk", f"its bz2 data is damaged ({error})") from error
-    return raw, decompressor.eof and not decompressor.unused_data
-
-
-_AT_ONCE = {"lz4": _lz4_at_once, "bz2": _bz2_at_once}
+    if not is_complete or used != len(stored):
+        raise Malformed("chunk", "its lz4 data do not end where it ends")
+    return bytes(raw)
 
 
 class _ZstdInput:
@@ -273,14 +265,14 @@ class ZstdFrames:
 _of_thread = threading.local()
 
 
-def unpack_message(stored: bytes, most_bytes: int) -> bytes:
-    """Decompress a message that rosbag2 compressed by itself (zstd)."""
+def unpack_message(stored: bytes, max_bytes: int) -> bytes:
+    """Decompress a message that rosbag2 compressed separately (zstd)."""
     try:
         claimed = zstandard.get_frame_parameters(stored).content_size
         if claimed in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR):
             raise Malformed("message", "its zstd frame does not say how large it is", certain=False)
-        if claimed > most_bytes:
-            raise Malformed("message", f"{claimed} bytes are claimed; at most {most_bytes} are read", certain=False)
+        if claimed > max_bytes:
+            raise Malformed("message", f"{claimed} bytes are claimed; at most {max_bytes} are read", certain=False)
         known: zstandard.ZstdDecompressor | None = getattr(_of_thread, "decompressor", None)
         if known is None:
             known = _of_thread.decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)

@@ -1,13 +1,13 @@
-"""What is damaged in a file, what is lost of it, and the problems found while it is read."""
+"""Damage of a file: where it is, how much is lost, and the problems found while the file is read."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import FREE_UNPACKED, MAX_DAMAGE, MAX_EXPANSION, MAX_PROBLEMS
-from kleinkram.recordings.model import Content, Lost, Problem, counted
+from kleinkram.recordings.model import Content, Lost, Problem, RecordingSummary, counted
 
 _FREE_WASTED_BYTES = 256 * 2**20
 _WASTED_SHARE = 4
@@ -22,7 +22,7 @@ class DamageReport:
         messages: lost ones, as far as the indexes behind damaged chunks say; all of them if `messages_are_known`.
         unverified: messages saved from a chunk whose checksum is missing with its end.
         unpacked_bytes: that came out of compressed chunks.
-        wasted_bytes: of records that were read, led nowhere, and were searched through.
+        wasted_bytes: of records that were read, turned out to be invalid, and were searched for others.
     """
 
     damage: list[Malformed] = field(default_factory=list)
@@ -38,7 +38,7 @@ class DamageReport:
     def unpack(self, uncompressed: int, *, end: int) -> None:
         """Count the uncompressed size of a chunk that ends at a place in the file."""
         if not self.may_unpack(uncompressed, end=end):
-            most = _most_unpacked(end)
+            most = _max_unpacked(end)
             message = (
                 f"not decompressed: with its {uncompressed} bytes, the file would expand to more than {most} (limit)"
             )
@@ -46,7 +46,7 @@ class DamageReport:
 
     def may_unpack(self, uncompressed: int, *, end: int) -> bool:
         """Count as `unpack` does and return True; return False, uncounted, above the limit."""
-        if self.unpacked_bytes + uncompressed > _most_unpacked(end):
+        if self.unpacked_bytes + uncompressed > _max_unpacked(end):
             return False
         self.unpacked_bytes += uncompressed
         return True
@@ -54,12 +54,12 @@ class DamageReport:
     def is_search_budget_spent(self, position: int) -> bool:
         """Return whether more bytes before `position` were searched without result than real damage explains.
 
-        The search behind a chunk that is none begins inside it: a file of heads of chunks would be read once for each.
+        The search behind an invalid chunk begins inside it, so a file of chunk heads would be read once for each head.
         """
         return self.wasted_bytes > _FREE_WASTED_BYTES + _WASTED_SHARE * position
 
     def skip_chunk(self, start: int, size_bytes: int, messages: int, why: Malformed) -> None:
-        """Count a chunk that cannot be read, and whose index lists so many messages."""
+        """Count a chunk that cannot be read, and the messages that its index lists."""
         self.note(Malformed(f"chunk at byte {start}", why.message, certain=why.certain))
         self.chunks += 1
         self.bytes += size_bytes
@@ -82,11 +82,29 @@ class DamageReport:
             Problem("index-damaged", fault.where, fault.message) for fault in self.index_faults[: MAX_PROBLEMS + 1]
         ]
 
-    def content(self, *, holds_anything: bool) -> Content:
-        """Return the content of a file that is not whole."""
-        if holds_anything:
-            return Content.recovered
-        return Content.broken if not self.damage or any(fault.certain for fault in self.damage) else Content.opaque
+    def describe(
+        self, summary: RecordingSummary, *, claimed: int | None, reasons: Sequence[str] = (), checksum_note: str = ""
+    ) -> RecordingSummary:
+        """Return the summary of a damaged file with its content, its loss, and the reason, which begins with `reasons`.
+
+        `claimed`: as of `total`. `checksum_note`: follows the number of messages that were read without a checksum.
+        """
+        messages, parts = summary.message_count or 0, [*reasons]
+        content = Content.recovered
+        if not (messages or summary.attachments or summary.metadata_records):
+            is_broken = not self.damage or any(fault.certain for fault in self.damage)
+            content = Content.broken if is_broken else Content.opaque
+        if self.damage:
+            first, others = self.damage[0], len(self.damage) - 1
+            place = f"at {first.where}" if first.where.startswith("byte ") else f"in the {first.where}"
+            more = f" (and {counted(others, 'more damaged place')})" if others else ""
+            parts.append(f"it is damaged {place}: {first.message}{more}")
+        if self.unverified:
+            saved = counted(self.unverified, "message was", "messages were")
+            parts.append(f"{saved} saved from the beginning of a cut chunk{checksum_note}")
+        lost = self.total(claimed=claimed, readable=messages)
+        parts.append(describe_readable(messages, lost))
+        return replace(summary, content=content, reason="; ".join(parts), lost=lost)
 
     def total(self, *, claimed: int | None, readable: int) -> Lost:
         """Return the loss, which may be zero. `claimed`: messages that the file should hold; None: unknown."""
@@ -96,7 +114,23 @@ class DamageReport:
         return Lost(self.bytes, self.chunks, messages)
 
 
-def _most_unpacked(end: int) -> int:
+def describe_readable(messages: int, lost: Lost | None) -> str:
+    """Describe what can be read of a damaged file, and what is lost."""
+    readable = f"{counted(messages, 'message')} can be read"
+    if lost is None:
+        return readable
+    if lost == Lost(0, 0, 0):
+        return f"{readable}; nothing is lost"
+    if lost == Lost(0, 0, None):
+        return f"{readable}; whether more was recorded is unknown"
+    parts = [f"{lost.bytes} bytes"]
+    if lost.chunks:
+        parts.insert(0, counted(lost.chunks, "chunk"))
+    parts.append("an unknown number of messages" if lost.messages is None else counted(lost.messages, "message"))
+    return f"{readable}; lost: {', '.join(parts)}"
+
+
+def _max_unpacked(end: int) -> int:
     return FREE_UNPACKED + MAX_EXPANSION * end
 
 
@@ -115,7 +149,7 @@ class IndexedChunk:
     records: int = 0
     messages: int = 0
 
-    def settle(self, losses: DamageReport) -> None:
+    def compare(self, losses: DamageReport) -> None:
         """Compare both, after all index records of the chunk."""
         if not self.damaged:
             if self.records and self.messages != self.readable:

@@ -1,7 +1,7 @@
-"""Errors about recordings.
+"""Errors of reading recordings.
 
-The content of a file never raises to a caller: it becomes `content` and `reason` of a summary. These errors are about
-reading at all, or about the child process that reads.
+The content of a file never raises an error to a caller: it becomes `content` and `reason` of a summary. These errors
+mean that the bytes could not be read, that an argument was wrong, or that the child process failed.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class SummaryFailed(RecordingError):
 class Malformed(RecordingError):
     """The bytes contradict their format at a known place. Whatever parses bytes may raise it, internally.
 
-    `where`: in words, such as "byte 4117". `certain`: the file is damaged, rather than of a kind that is not read.
+    `where`: such as "byte 4117". `certain`: the file is damaged, rather than of a kind that is not read.
     """
 
     def __init__(self, where: str, message: str, *, certain: bool = True) -> None:
@@ -61,7 +61,8 @@ class NotIndexed(RecordingError):
         self.is_problem = is_problem
 
 
-_SHOWN = 20
+def _shown(names: list[str]) -> str:
+    return ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
 
 
 class NotARecording(RecordingError):
@@ -76,8 +77,7 @@ class SeveralRecordings(RecordingError):
     """A folder holds several recordings, `names`; open one of them."""
 
     def __init__(self, folder: str, names: list[str]) -> None:
-        shown = ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
-        super().__init__(f"{folder} holds {len(names)} recordings; open one of them: {shown}")
+        super().__init__(f"{folder} holds {len(names)} recordings; open one of them: {_shown(names)}")
         self.names = names
 
 
@@ -87,7 +87,7 @@ class TooCostly(RecordingError):
     def __init__(self, name: str, size_bytes: int, why: str) -> None:
         super().__init__(
             f"{name}: {why}; to open it, all its {size_bytes} bytes must be read first: "
-            f"allow that with most_bytes={size_bytes}, or download the file and open it from there"
+            f"allow that with max_bytes={size_bytes}, or download the file and open it from there"
         )
         self.name = name
         self.size_bytes = size_bytes
@@ -97,8 +97,7 @@ class NoSuchTopic(RecordingError):
     """The recording, which has `topics`, has no topic of that name."""
 
     def __init__(self, topic: str, topics: list[str]) -> None:
-        shown = ", ".join(topics[:_SHOWN]) + (", ..." if len(topics) > _SHOWN else "")
-        super().__init__(f"there is no topic {topic}; the recording has {shown or 'none'}")
+        super().__init__(f"there is no topic {topic}; the recording has {_shown(topics) or 'none'}")
         self.topic = topic
         self.topics = topics
 

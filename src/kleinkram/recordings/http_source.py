@@ -30,10 +30,10 @@ _Place = tuple[str, str, "int | None"]
 
 
 class HttpConnections:
-    """At most `most` idle connections. Safe to share between threads."""
+    """At most `max_idle` idle connections. Safe to share between threads."""
 
-    def __init__(self, most: int) -> None:
-        self._most = most
+    def __init__(self, max_idle: int) -> None:
+        self._max_idle = max_idle
         self._idle: list[tuple[_Place, http.client.HTTPConnection]] = []
         self._lock = threading.Lock()
         self._tls: ssl.SSLContext | None = None
@@ -83,7 +83,7 @@ class HttpConnections:
 
     def _keep(self, place: _Place, connection: http.client.HTTPConnection) -> None:
         with self._lock:
-            if len(self._idle) < self._most:
+            if len(self._idle) < self._max_idle:
                 self._idle.append((place, connection))
                 return
         connection.close()
@@ -194,9 +194,9 @@ class HttpSource:
         raise AssertionError("the last attempt returns or raises")
 
     def read_short(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
-        """Yield the bytes of each (offset, length), in order; the next requests are sent meanwhile.
+        """Yield the bytes of each (offset, length), in order; the next requests are sent in advance.
 
-        All in the calling thread: what has come waits in the connections, so each range had better be short.
+        All in the calling thread: responses wait in the connections, so use it for short ranges only.
         """
         under_way: deque[tuple[int, int, Exchange | None]] = deque()
         try:

@@ -1,7 +1,7 @@
-"""Compares the index of chunks with the messages in them.
+"""Compares the chunk index of a file with its messages, and corrects it for reading.
 
-A reader that selects chunks by the times and channels of an index leaves out messages where these are wrong. A summary
-compares the index of chunks with the message indexes behind them, a scan with the messages themselves.
+A reader selects chunks by the times and channels in the index; where these are wrong, it would miss messages. A summary
+compares the chunk index with the message indexes behind the chunks, a scan with the messages themselves.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from typing import NamedTuple
 
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, ChannelSets, ChunkTable, Int64Table, Row
 from kleinkram.recordings.damage_report import ProblemLog
-from kleinkram.recordings.merge import ReadAheadTask, read_ahead
-from kleinkram.recordings.message_counts import ROW, Batch, PlaceKind
+from kleinkram.recordings.file_summary import merge_similar
 from kleinkram.recordings.model import Problem, counted
-from kleinkram.recordings.sources import FileSource, Source
-from kleinkram.recordings.topic_statistics import merge_similar
+from kleinkram.recordings.scanned_messages import BATCH_STRIDE, Batch, PlaceKind
+from kleinkram.recordings.sources import FileSource, ReadAheadTask, Source, read_ahead
 
 _MAX_FAULTS = 10_000
 
@@ -50,7 +49,7 @@ class ChunkMessages:
     def add(self, batch: Batch) -> None:
         """Add the messages of a batch."""
         for rows in batch.arrays.values():
-            self._add_stamps(rows[0::ROW])
+            self._add_stamps(rows[0::BATCH_STRIDE])
         self.channels.update(batch)
 
     def add_index(self, channel_id: int, stamps: Sequence[int]) -> None:
@@ -169,29 +168,24 @@ def compare_with_scan(
         faults.note(start, "the index is wrong: it does not list this chunk")
 
 
-def new_table() -> Int64Table[ChunkClaim]:
-    """Return an empty table of chunks."""
-    return Int64Table(ChunkClaim, len(ChunkClaim._fields))
+MAX_COMPARED_LOCAL = 4096
+"""Maximum number of chunks that are compared in a local file, at even distances, before an index is wrong."""
 
-
-MAX_COMPARED_NEAR = 4096
-"""Chunks of a local file that are all compared; of a file with more, so many at even distances are compared first."""
-
-MAX_COMPARED_FAR = 16  # likewise over a network, where nothing seems to fit a selection
+MAX_COMPARED_REMOTE = 16  # chunks that are compared over a network, if none seems to match a selection
 
 _JOB_BYTES = 64 * 2**10
-_MOST_BYTES_AHEAD = 2**20
+_MAX_BYTES_AHEAD = 2**20
 
 ReadMessageIndex = Callable[[Source, Row], ChunkMessages | None]
-"""Returns what the message index behind a chunk lists; None where there is none that can be read."""
+"""Returns the messages in the message index behind a chunk; None if there is no readable index."""
 
 
 @dataclass
 class IndexCheck:
     """The comparison of a file's chunk index with its message indexes.
 
-    `is_done`: all of it was compared. `is_doubted`: something in it is wrong. `span`: earliest and latest log time of
-    all chunks, once all of a doubted index was compared.
+    `is_done`: all of it was compared. `is_wrong`: something in it is wrong. `span`: earliest and latest log time of
+    all chunks, once all of a wrong index was compared.
     """
 
     source: Source
@@ -199,35 +193,35 @@ class IndexCheck:
     problem_log: ProblemLog
     read_message_index: ReadMessageIndex
     is_done: bool = False
-    is_doubted: bool = False
+    is_wrong: bool = False
     span: tuple[int, int] | None = None
     _is_sampled: bool = False
 
-    def doubt(self) -> None:
+    def mark_wrong(self) -> None:
         """Note that the index is wrong somewhere."""
-        self.is_doubted = True
+        self.is_wrong = True
 
-    def before_selecting(self) -> None:
+    def check_before_selection(self) -> None:
         """Compare what is cheap to compare, before chunks are selected."""
         if isinstance(self.source, FileSource) and self.source.parallel_reads == 1:
-            self._compare_some(MAX_COMPARED_NEAR)
-        self.settle()
+            self._compare_some(MAX_COMPARED_LOCAL)
+        self.complete()
 
-    def when_nothing_fits(self) -> None:
+    def check_after_empty_selection(self) -> None:
         """Compare some chunks, because none seems to fit a selection."""
-        self._compare_some(MAX_COMPARED_FAR)
-        self.settle()
+        self._compare_some(MAX_COMPARED_REMOTE)
+        self.complete()
 
-    def settle(self) -> None:
-        """Compare all chunks, if the index is in doubt and was not compared yet."""
-        if self.is_doubted and not self.is_done:
+    def complete(self) -> None:
+        """Compare all chunks, if the index is wrong and was not compared yet."""
+        if self.is_wrong and not self.is_done:
             self._compare(range(len(self.table.rows)), is_all=True)
 
-    def _compare_some(self, most: int) -> None:
+    def _compare_some(self, max_chunks: int) -> None:
         count = len(self.table.rows)
-        if self.is_done or self.is_doubted or self._is_sampled or not count:
+        if self.is_done or self.is_wrong or self._is_sampled or not count:
             return
-        step = max(1, count // most)
+        step = max(1, count // max_chunks)
         self._compare([*range(0, count, step), count - 1] if step > 1 else range(count), is_all=step == 1)
         self._is_sampled = True
 
@@ -238,14 +232,14 @@ class IndexCheck:
             corrected = self._corrected(row, messages)
             if corrected != row:
                 rows.replace(number, corrected)
-                self.is_doubted = True
+                self.is_wrong = True
             is_listed = messages is not None and messages.messages
             times = (messages.first_ns, messages.last_ns) if messages and is_listed else (row.first_ns, row.last_ns)
             if row.uncompressed_bytes and times[0] <= times[1]:
                 first_ns, last_ns = min(first_ns, times[0]), max(last_ns, times[1])
         if is_all:
             self.is_done = True
-            self.span = (first_ns, last_ns) if self.is_doubted and first_ns <= last_ns else None
+            self.span = (first_ns, last_ns) if self.is_wrong and first_ns <= last_ns else None
 
     def _read_message_indexes(self, numbers: Iterable[int]) -> Iterator[tuple[int, ChunkMessages | None]]:
         def task_of(number: int) -> ReadAheadTask[tuple[int, ChunkMessages | None]]:
@@ -256,7 +250,7 @@ class IndexCheck:
         workers: int = getattr(self.source, "parallel_reads", 1)
         if workers == 1:
             return (task.run() for task in tasks)
-        return read_ahead(tasks, workers=workers, most_bytes=_MOST_BYTES_AHEAD)
+        return read_ahead(tasks, workers=workers, max_bytes=_MAX_BYTES_AHEAD)
 
     def _corrected(self, row: Row, messages: ChunkMessages | None) -> Row:
         """Return a row extended by the times and channels of its message index; report a difference."""
@@ -281,11 +275,11 @@ class IndexCheck:
 
 def contradicts_itself(table: ChunkTable, span: tuple[int | None, int | None]) -> bool:
     """Return whether the times of chunks cannot be true. `span`: of all messages, by the statistics."""
-    firsts, lasts = (table.rows.column(Row._fields.index(name)) for name in ("first_ns", "last_ns"))
+    firsts, lasts = map(table.rows.column, ("first_ns", "last_ns"))
     if any(map(gt, firsts, lasts)):
         return True
     if None in span or not firsts:
         return False
-    sizes = table.rows.column(Row._fields.index("uncompressed_bytes"))
+    sizes = table.rows.column("uncompressed_bytes")
     filled = [first for first, size in zip(firsts, sizes, strict=True) if size]
     return span != (min(filled, default=span[0]), max(lasts))

@@ -1,4 +1,4 @@
-"""Summaries of local files and folders: the content of `klein inspect`."""
+"""Summarises local files and folders, for `klein inspect`."""
 
 from __future__ import annotations
 
@@ -10,18 +10,13 @@ from enum import Enum
 from pathlib import Path
 from typing import Protocol
 
+from kleinkram.recordings import recording_groups
 from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME
 from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
-from kleinkram.recordings.recording_groups import (
-    FolderRecordings,
-    RecordingGroup,
-    RecordingGroupKind,
-    read_folder,
-    recording_of_metadata,
-)
-from kleinkram.recordings.sources import FileReader, FileSource
+from kleinkram.recordings.recording_groups import FolderRecordings, RecordingGroup, RecordingGroupKind
+from kleinkram.recordings.sources import FileSource, SourceReader
 from kleinkram.recordings.summary import scan, summarise
 
 _TOPIC_FIELDS = (
@@ -139,12 +134,12 @@ class _FileInspector:
             if self.depth is Depth.summary:
                 with FileSource(path) as source:
                     return summarise(source)
-            with FileReader(path) as reader:
+            with FileSource(path) as source:
                 if self.progress is None:
-                    return scan(reader)
-                self.progress.began(str(path), reader.size_bytes)
+                    return scan(SourceReader(source))
+                self.progress.began(str(path), source.size_bytes)
                 try:
-                    return scan(_ProgressReader(reader, self.progress))
+                    return scan(_ProgressReader(source, self.progress))
                 finally:
                     self.progress.ended()
         except SourceError as error:
@@ -152,13 +147,13 @@ class _FileInspector:
 
     def metadata(self, path: Path) -> Inspection:
         try:
-            own = recording_of_metadata(path)
+            own = recording_groups.recording_of_metadata(path)
         except SourceError as error:
             return Inspection(str(path), InspectionKind.file, (str(path),), _unreadable(str(error)))
         return self.file(path) if own is None else self.group(path.parent, own[1], own[0])
 
     def folder(self, folder: Path) -> Iterator[Inspection]:
-        recordings = read_folder(folder)
+        recordings = recording_groups.read_folder(folder)
         for item in recordings.unreadable_folders:
             summary = _unreadable(f"{item.path}: cannot be read: {item.reason}")
             yield Inspection(str(item.path), InspectionKind.folder, (), summary)
@@ -181,14 +176,13 @@ class _FileInspector:
         return Inspection(str(folder / group.name), InspectionKind.recording, members, summary)
 
 
-class _ProgressReader:
-    def __init__(self, reader: FileReader, progress: ScanProgress) -> None:
-        self.name, self.size_bytes, self.path = reader.name, reader.size_bytes, reader.path
-        self._reader = reader
+class _ProgressReader(SourceReader):
+    def __init__(self, source: FileSource, progress: ScanProgress) -> None:
+        super().__init__(source)
         self._progress = progress
 
     def read(self, length: int) -> bytes:
-        data = self._reader.read(length)
+        data = super().read(length)
         self._progress.moved(len(data))
         return data
 

@@ -1,9 +1,9 @@
 """Reads untrusted files in a child process without credentials, bounded in memory and time.
 
 `summarise_isolated` waits for it. A server that must not wait starts `CHILD_COMMAND` with `CHILD_ENVIRONMENT` itself,
-writes `request_bytes(...)` and a newline to its stdin, and hands the line that comes back to `read_answer` (after a
-`metadata_request_bytes(...)` to `read_metadata_answer`); then the child takes the next request. Its end, rather than a
-line, is an answer too.
+writes `request_bytes(...)` and a newline to its stdin, and passes the line that comes back to `read_answer` (for a
+`MetadataRequest` to `read_metadata_answer`); then the child takes the next request. If the child ends instead, its exit
+code and stderr are the answer.
 
 The child is this module run as a program: a line of JSON on stdin for each request, a line on stdout, nothing else.
 Behind the line of a `StreamRequest` follow its bytes; all of them are taken before the answer. The child bounds itself
@@ -24,26 +24,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, TypeVar
 
+from kleinkram.recordings import model
 from kleinkram.recordings.errors import FailureKind, SourceError, SummaryFailed
-from kleinkram.recordings.formats.rosbag2.metadata import (
-    Rosbag2Metadata,
-    StatedFile,
-    StatedTopic,
-    parse_rosbag2_metadata,
-)
+from kleinkram.recordings.formats.rosbag2 import metadata as rosbag2
+from kleinkram.recordings.formats.rosbag2.metadata import Rosbag2Metadata
 from kleinkram.recordings.limits import MAX_SCAN_BYTES, WINDOW
-from kleinkram.recordings.model import (
-    Content,
-    Depth,
-    Fact,
-    Lost,
-    MessageDensity,
-    Problem,
-    RecordingFormat,
-    RecordingSummary,
-    TopicSummary,
-)
-from kleinkram.recordings.sources import FileSource, PipeReader, Source, source_reader
+from kleinkram.recordings.model import Depth, RecordingSummary
+from kleinkram.recordings.sources import FileSource, PipeReader, Source, SourceReader
 
 CHILD_COMMAND: tuple[str, ...] = (sys.executable, "-I", "-m", "kleinkram.recordings.isolation")
 """`-I`: the child takes no module from the working directory, and nothing from the environment."""
@@ -92,43 +79,39 @@ class StreamRequest:
     name: str
 
 
+@dataclass(frozen=True)
+class MetadataRequest:
+    """Parse the text of a metadata.yaml."""
+
+    metadata: str
+
+
 SummaryRequest = FileRequest | UrlRequest
 
 
 def request_bytes(
-    request: SummaryRequest,
+    request: SummaryRequest | StreamRequest | MetadataRequest,
     *,
     depth: Depth = Depth.summary,
-    most_bytes: int = MAX_SCAN_BYTES,
+    max_bytes: int = MAX_SCAN_BYTES,
     memory_bytes: int = DEFAULT_MEMORY_BYTES,
     timeout_s: int = DEFAULT_TIMEOUT_S,
 ) -> bytes:
-    """Return the line that the child reads from stdin, without its newline. `most_bytes`: as `summarise`."""
-    options = {"depth": depth.value, "most_bytes": most_bytes, "memory_bytes": memory_bytes, "cpu_s": timeout_s}
+    """Return the line that the child reads from stdin, without its newline.
+
+    `max_bytes`: as of `summarise`. `depth` and `max_bytes` apply to files and URLs.
+    """
+    options = {"depth": depth.value, "max_bytes": max_bytes, "memory_bytes": memory_bytes, "cpu_s": timeout_s}
     return json.dumps({**vars(request), **options}).encode()
 
 
-def stream_request_bytes(
-    request: StreamRequest, *, memory_bytes: int = DEFAULT_MEMORY_BYTES, timeout_s: int = DEFAULT_TIMEOUT_S
-) -> bytes:
-    """Return the line that the child reads from stdin, without its newline, ahead of the bytes themselves."""
-    return json.dumps({**vars(request), "memory_bytes": memory_bytes, "cpu_s": timeout_s}).encode()
-
-
-def metadata_request_bytes(
-    text: str, *, memory_bytes: int = DEFAULT_MEMORY_BYTES, timeout_s: int = DEFAULT_TIMEOUT_S
-) -> bytes:
-    """Return the line by which the child reads the text of a metadata.yaml, without its newline."""
-    return json.dumps({"metadata": text, "memory_bytes": memory_bytes, "cpu_s": timeout_s}).encode()
-
-
 def read_answer(stdout: bytes, stderr: bytes, returncode: int) -> RecordingSummary:
-    """Return the summary in the child's answer; `SummaryFailed` if there is none."""
+    """Return the summary in the child's answer; `SummaryFailed` if it has none."""
     return _read_answer("summary", from_dict, stdout, stderr, returncode)
 
 
 def read_metadata_answer(stdout: bytes, stderr: bytes, returncode: int) -> Rosbag2Metadata | None:
-    """Return the metadata in the child's answer; `SummaryFailed` if there is none."""
+    """Return the metadata in the child's answer; `SummaryFailed` if it has none."""
     return _read_answer("metadata", lambda plain: plain and metadata_from_dict(plain), stdout, stderr, returncode)
 
 
@@ -198,32 +181,32 @@ def to_dict(summary: RecordingSummary) -> dict[str, Any]:
 
 
 def from_dict(plain: Mapping[str, Any]) -> RecordingSummary:
-    """Return the summary that `to_dict` was given; `KeyError`, `TypeError` or `ValueError` if it is none."""
+    """Return the summary that `to_dict` was given; `KeyError`, `TypeError` or `ValueError` if it is invalid."""
     topics = []
     for topic in plain["topics"]:
         density = topic["density"]
         if density is not None:
-            density = MessageDensity(**{**density, "counts": tuple(density["counts"])})
-        topics.append(TopicSummary(**{**topic, "density": density}))
+            density = model.MessageDensity(**{**density, "counts": tuple(density["counts"])})
+        topics.append(model.TopicSummary(**{**topic, "density": density}))
     parsed = {
-        "format": RecordingFormat(plain["format"]),
-        "content": Content(plain["content"]),
+        "format": model.RecordingFormat(plain["format"]),
+        "content": model.Content(plain["content"]),
         "compression": tuple(plain["compression"]),
         "topics": tuple(topics),
-        "problems": tuple(Problem(**problem) for problem in plain["problems"]),
+        "problems": tuple(model.Problem(**problem) for problem in plain["problems"]),
         "depth": Depth(plain["depth"]),
-        "lost": Lost(**plain["lost"]) if plain["lost"] is not None else None,
-        "facts": tuple(Fact(**fact) for fact in plain["facts"]),
+        "lost": model.Lost(**plain["lost"]) if plain["lost"] is not None else None,
+        "facts": tuple(model.Fact(**fact) for fact in plain["facts"]),
     }
     return RecordingSummary(**{**plain, **parsed})
 
 
 def metadata_from_dict(plain: Mapping[str, Any]) -> Rosbag2Metadata:
-    """Return what `dataclasses.asdict` was given, after JSON; `KeyError` or `TypeError` if it is none."""
+    """Return what `dataclasses.asdict` was given, after JSON; `KeyError` or `TypeError` if it is invalid."""
     values = dict(plain)
     values["files"] = tuple(values["files"])
-    values["topics"] = tuple(StatedTopic(**topic) for topic in values["topics"])
-    values["file_entries"] = tuple(StatedFile(**entry) for entry in values["file_entries"])
+    values["topics"] = tuple(rosbag2.StatedTopic(**topic) for topic in values["topics"])
+    values["file_entries"] = tuple(rosbag2.StatedFile(**entry) for entry in values["file_entries"])
     return Rosbag2Metadata(**values)
 
 
@@ -235,8 +218,8 @@ def main() -> int:
         request = json.loads(line)
         memory_bytes = request["memory_bytes"]
         resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
-        _, most_s = resource.getrlimit(resource.RLIMIT_CPU)
-        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(time.process_time()) + request["cpu_s"], most_s))
+        _, max_s = resource.getrlimit(resource.RLIMIT_CPU)
+        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(time.process_time()) + request["cpu_s"], max_s))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         # The stack of a thread counts as address space from its start.
         threading.stack_size(STACK_BYTES)
@@ -248,7 +231,7 @@ def main() -> int:
 def _answer(request: dict[str, Any]) -> dict[str, object]:
     try:
         if "metadata" in request:
-            metadata = parse_rosbag2_metadata(request["metadata"])
+            metadata = rosbag2.parse_rosbag2_metadata(request["metadata"])
             return {"metadata": metadata and asdict(metadata)}
         return {"summary": to_dict(_summarise(request))}
     except SourceError as error:
@@ -281,8 +264,8 @@ def _summarise(request: dict[str, Any]) -> RecordingSummary:
         if logs:
             return scan_with_logs(source, logs)
     if request["depth"] == Depth.scan.value:
-        return scan(source_reader(source))
-    return summarise(source, most_bytes=request["most_bytes"])
+        return scan(SourceReader(source))
+    return summarise(source, max_bytes=request["max_bytes"])
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
-"""Every bound on what a file may claim, in one place.
+"""Limits on the contents of untrusted files, and on the memory that reading them takes.
 
-A length in a file is only a claim: nothing is allocated, read or looped over on its word beyond these. All of them
-together keep a summary by index below about 64 MB plus 60 bytes a chunk of the index; a scan also holds one chunk,
-stored and uncompressed.
+Lengths in a file are untrusted: no allocation, read or loop exceeds these bounds. A summary by index takes at most
+about 64 MB plus 60 bytes for each chunk of the index; a scan also holds one chunk, stored and uncompressed.
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ MAX_NAMES = 8 * 2**20  # bytes of all names of one file together
 MAX_DEFINITIONS = 32 * 2**20  # bytes of all message definitions of one file; later ones are left out
 MAX_TOPICS = 20_000  # topics of one file. MCAP can count to 65535 channels, a bag to 2^32 connections.
 MAX_CHUNKS = 16_000_000  # chunks of one file: 16 TB in chunks of 1 MB
-MAX_PENDING_STAMPS = 1_000_000  # log times held until it is sure that no earlier one follows (8 bytes each)
+MAX_PENDING_STAMPS = 1_000_000  # log times that wait until no earlier one can follow (8 bytes each)
 MAX_CHUNK_INDEX = 8 * 2**20  # bytes of the index of one chunk: half a million messages
 MAX_SCAN_BYTES = 16 * 2**30  # bytes of a file without index that a summary reads; a larger one stays pending for a scan
 MAX_DESCRIBED_BYTES = 64 * 2**20  # bytes of a file that holds no messages, up to which a summary reads it for its facts
 MAX_ZSTD_WINDOW = 2**26  # memory that a zstd frame may demand of its reader
-FREE_UNPACKED = 4 * 2**30  # bytes that the chunks of a file may unpack to whatever its size
+FREE_UNPACKED = 4 * 2**30  # bytes that the chunks of any file may unpack to
 MAX_EXPANSION = 200  # and, in addition, for each byte of the file so far: ten times what real recordings have
 
 MAX_PROBLEMS = 50  # problems that a summary lists; the last one is then the number of the others

@@ -30,7 +30,7 @@ class Channel:
 
     Attributes:
         message_encoding: how messages are written: "ros1", "cdr", "json", "protobuf".
-        message_compression: "zstd" where rosbag2 compressed each message by itself; already undone in what is read.
+        message_compression: "zstd" where rosbag2 compressed each message separately; messages are read decompressed.
     """
 
     topic: str
@@ -133,8 +133,8 @@ def to_ns(time: Time) -> int:
     """Return nanoseconds since 1970.
 
     Raises:
-        ValueError: a datetime without time zone, or a text that is no time.
-        TypeError: it is none of the kinds of `Time`.
+        ValueError: a datetime without time zone, or a text that is not a time.
+        TypeError: it is not a `Time`.
     """
     if isinstance(time, str):
         return _read(time)

@@ -1,4 +1,4 @@
-"""Summaries of recordings: values only."""
+"""Types of summaries: formats, topics, problems, losses and facts of a recording."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class RecordingFormat(str, Enum):
 class Content(str, Enum):
     """Completeness of the known content of a file.
 
-    pending: a recording, not read yet. indexed: known. recovered: known as far as it could be saved. broken: the
-    file's fault, and the reason says where. opaque: not a recording that we read. error: ours; will be tried again.
+    pending: a recording that was not read yet. indexed: known. recovered: known as far as it can be read. broken:
+    damaged, at the place in the reason. opaque: not a supported recording. error: reading failed, and is retried.
     """
 
     pending = "pending"
@@ -140,7 +140,7 @@ class RecordingSummary:
     """The content of one file, or of all files of a recording (`combine`).
 
     Attributes:
-        reason: why `content` is not `indexed`, in words for people.
+        reason: why `content` is not `indexed`, as a sentence.
         message_count: None where it is not known; for a broken file, the messages found before the damage.
         start_ns: earliest log time, inclusive, suspect ones left out.
         end_ns: latest log time, inclusive, suspect ones left out.
@@ -152,8 +152,8 @@ class RecordingSummary:
         depth: whether every byte was read.
         lost: what of a damaged file could not be read: always there if `content` is `recovered`, and three zeros where
             something is wrong and nothing is lost; None for a whole file, or where it was not measured.
-        facts: what else the file states; names of attachments and metadata, and what is cheap to tell of
-            formats that are no recordings.
+        facts: other contents, such as names of attachments and metadata, and key figures of files that are not
+            recordings.
     """
 
     format: RecordingFormat
@@ -176,7 +176,7 @@ class RecordingSummary:
 
 
 def span_text(span_ns: int, sign: str = "") -> str:
-    """Return a span for people: seconds, from 100 hours on days, then years; `sign` "+" shows both signs."""
+    """Return a span as text: in seconds, from 100 hours on in days, then in years; `sign` "+" shows both signs."""
     seconds = span_ns / 1e9
     if abs(seconds) >= 365.25 * 86_400:
         return f"{seconds / (365.25 * 86_400):{sign}.1f} years"

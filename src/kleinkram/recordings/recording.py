@@ -1,36 +1,28 @@
 """`Recording`: the messages of one recording, by log time, wherever its files are.
 
-Memory stays below about 200 MB whatever the size of the files. A recording may be read as often as one likes; each
-iteration is by itself. Not to be shared between threads.
+Memory stays below about 200 MB whatever the size of the files. A recording can be read several times; iterations are
+independent. Do not share it between threads.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from fnmatch import fnmatchcase
 from html import escape
 from os import PathLike
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING
 
+from kleinkram.recordings import decoding
 from kleinkram.recordings.chunk_reader import MAX_MESSAGE
 from kleinkram.recordings.compression import unpack_message
 from kleinkram.recordings.damage_report import ProblemLog
-from kleinkram.recordings.decoding import (
-    DecodeError,
-    Decoder,
-    Undecodable,
-    arrow_batches,
-    decoder_for,
-    to_arrow,
-    to_pandas,
-)
+from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable
 from kleinkram.recordings.errors import Malformed, NoSuchTopic, SourceError
 from kleinkram.recordings.formats.base import MemberContents
 from kleinkram.recordings.formats.ulog import as_ros1_definition
-from kleinkram.recordings.merge import merge
+from kleinkram.recordings.merge_messages import merge
 from kleinkram.recordings.messages import (
     END_OF_TIME_NS,
     Block,
@@ -44,7 +36,7 @@ from kleinkram.recordings.messages import (
     to_ns,
 )
 from kleinkram.recordings.model import Problem
-from kleinkram.recordings.opener import Openable, Opened, open_members
+from kleinkram.recordings.recording_files import Openable, open_members
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,7 +46,7 @@ Topics = str | Sequence[str]  # names of topics, or globs of them (`*`, `?`)
 
 
 class Recording:
-    """The files of one recording, opened for reading. Close it, or use it in a `with`.
+    """The files of one recording, opened for reading by `open`. Close it, or use it in a `with`.
 
     Attributes:
         name: of the file or folder.
@@ -63,31 +55,32 @@ class Recording:
         message_count: None where they would have to be read to be counted.
     """
 
-    def __init__(self, opened: Opened, problem_log: ProblemLog) -> None:
+    def __init__(self, what: Openable, max_bytes: int | None) -> None:
+        self._problem_log = ProblemLog()
+        opened = open_members(what, self._problem_log, max_bytes=max_bytes)
         self.name, self.files = opened.name, opened.files
         self._members = opened.members
         self._stack = opened.stack
         self._summarise = opened.summarise
-        self._of_summary: tuple[Problem, ...] | None = None
+        self._summary_problems: tuple[Problem, ...] | None = None
         self._is_closed = False
-        self._opened_from: tuple[Openable, int | None] | None = None
-        self._problem_log = problem_log
+        self._opened_from = Path(what).absolute() if isinstance(what, str | PathLike) else what, max_bytes
         contents = [member.contents for member in opened.members]
         counts = [content.message_count for content in contents]
         self.topics: tuple[Topic, ...] = _list_topics(contents)
         self.message_count = None if None in counts else sum(count for count in counts if count is not None)
 
     @classmethod
-    def open(cls, what: Openable, *, most_bytes: int | None = None) -> Recording:
+    def open(cls, what: Openable, *, max_bytes: int | None = None) -> Recording:
         """Open a file, a rosbag2 folder or its metadata.yaml, one or several sources, or an object with `sources()`.
 
         Reads the index only. A file without index, or with one that cannot be true, is read once from end to end;
-        what is broken in it is left out and named in `problems`. A db3, and a file that is compressed as a whole, is
+        its damaged parts are left out and listed in `problems`. A db3, and a file that is compressed as a whole, is
         copied to this machine if it is not a plain local file.
 
         Args:
             what: the recording.
-            most_bytes: a file with more bytes than this is not read whole; None: a local file is, whatever its size,
+            max_bytes: a file with more bytes than this is not read whole; None: a local file is, whatever its size,
                 and any other up to `MAX_REMOTE_SCAN_BYTES` (1 GiB).
 
         Raises:
@@ -97,17 +90,11 @@ class Recording:
             SeveralRecordings: the folder holds several.
             SourceError: the bytes cannot be read.
         """
-        problem_log = ProblemLog()
-        opened = open_members(what, problem_log, most_bytes=most_bytes)
-        recording = cls(opened, problem_log)
-        recording._opened_from = (Path(what).absolute() if isinstance(what, str | PathLike) else what, most_bytes)
-        return recording
+        return cls(what, max_bytes)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle the path or sources; unpickling opens them again."""
-        if self._opened_from is None:
-            raise TypeError("a recording that was not made by Recording.open cannot be pickled")
-        return _open_again, self._opened_from
+        return Recording, self._opened_from
 
     def _repr_html_(self) -> str:
         """Return its topics as a table, for notebooks."""
@@ -136,13 +123,13 @@ class Recording:
         data of a bag, all rows of a database. Once closed, a recording that was not opened by path has only the
         problems known then.
         """
-        if self._of_summary is None:
+        if self._summary_problems is None:
             try:
-                self._of_summary = self._summarise().problems
+                self._summary_problems = self._summarise().problems
             except SourceError:
                 if not self._is_closed:
                     raise
-        return self._problem_log.all(self._of_summary or ())
+        return self._problem_log.all(self._summary_problems or ())
 
     def raw_messages(
         self, topics: Topics | None = None, *, start: Time | None = None, end: Time | None = None
@@ -198,8 +185,8 @@ class Recording:
             ReadingExtraMissing: the extra `reading` is not installed.
             SourceError: the bytes cannot be read.
         """
-        decoder, messages = self._of_topic(topic, start, end)
-        return to_arrow(decoder, messages, fields=fields, notice=_DecodeProblemLogger(topic, self._problem_log))
+        decoder, messages, notice = self._of_topic(topic, start, end)
+        return decoding.to_arrow(decoder, messages, fields=fields, notice=notice)
 
     def to_pandas(
         self,
@@ -210,9 +197,9 @@ class Recording:
         end: Time | None = None,
     ) -> pd.DataFrame:
         """Return what `to_arrow` returns, as a pandas frame with the log times (UTC, to the ns) as its index."""
-        decoder, messages = self._of_topic(topic, start, end)
-        frame = to_pandas(decoder, messages, fields=fields, notice=_DecodeProblemLogger(topic, self._problem_log))
-        import pandas  # is there: `to_pandas` has just used it
+        decoder, messages, notice = self._of_topic(topic, start, end)
+        frame = decoding.to_pandas(decoder, messages, fields=fields, notice=notice)
+        import pandas  # available, because `to_pandas` has used it
 
         frame.index = pandas.DatetimeIndex(
             pandas.to_datetime(frame["log_time_ns"], unit="ns", utc=True), name="log_time"
@@ -228,8 +215,8 @@ class Recording:
         end: Time | None = None,
     ) -> Iterator[pa.RecordBatch]:
         """Yield the rows of `to_arrow` in batches, for topics that are larger than the memory."""
-        decoder, messages = self._of_topic(topic, start, end)
-        return arrow_batches(decoder, messages, fields=fields, notice=_DecodeProblemLogger(topic, self._problem_log))
+        decoder, messages, notice = self._of_topic(topic, start, end)
+        return decoding.arrow_batches(decoder, messages, fields=fields, notice=notice)
 
     def topic(self, name: str) -> Topic:
         """Return the topic of this name; `NoSuchTopic` if there is none."""
@@ -246,19 +233,22 @@ class Recording:
     def __enter__(self) -> Recording:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _of_topic(
         self, name: str, start: Time | None, end: Time | None
-    ) -> tuple[Decoder | Undecodable, Iterator[tuple[int, int, bytes]]]:
+    ) -> tuple[Decoder | Undecodable, Iterator[tuple[int, int, bytes]], Callable[[int, DecodeError], None]]:
+        """Return the decoder of a topic, its messages, and what reports a message that cannot be decoded."""
         topic = self.topic(name)
-        schema = topic.schema
-        selection = Selection(frozenset((name,)), *_span(start, end))
-        decoder = _decoder_of(topic.message_encoding, schema)
-        return decoder, _timed(self._blocks(selection), schema, topic.message_encoding, self._problem_log)
+        blocks = self._blocks(Selection(frozenset((name,)), *_span(start, end)))
+
+        def notice(log_time_ns: int, error: DecodeError) -> None:
+            message = f"at {log_time_ns} ns: {error}; what could not be decoded is null"
+            self._problem_log.add("message-undecodable", name, message)
+
+        messages = _timed(blocks, topic.schema, topic.message_encoding, self._problem_log)
+        return _decoder_of(topic.message_encoding, topic.schema), messages, notice
 
     def _select(self, topics: Topics | None, start: Time | None, end: Time | None) -> Selection:
         if topics is None:
@@ -279,14 +269,11 @@ class Recording:
         blocks = merge(heapq.merge(*pieces, key=lambda piece: piece.first_ns), self._problem_log.note_late)
         channels = (channel for member in self._members for channel in member.contents.channels.values())
         if any(channel.message_compression for channel in channels):
-            return (self._uncompressed(block) for block in blocks)
+            return ([one for one in map(self._decompressed, block) if one is not None] for block in blocks)
         return blocks
 
-    def _uncompressed(self, block: Block) -> Block:
-        """Decompress single messages; a damaged one is left out and reported."""
-        return [unpacked for message in block if (unpacked := self._unpack(message)) is not None]
-
-    def _unpack(self, message: RawMessage) -> RawMessage | None:
+    def _decompressed(self, message: RawMessage) -> RawMessage | None:
+        """Decompress a single message; report a damaged one and return None."""
         if not message.channel.message_compression:
             return message
         try:
@@ -294,10 +281,6 @@ class Recording:
         except Malformed as error:
             self._problem_log.add("damaged-message", message.topic, f"left out: {error.message}")
             return None
-
-
-def _open_again(what: Openable, most_bytes: int | None) -> Recording:
-    return Recording.open(what, most_bytes=most_bytes)
 
 
 def _span(start: Time | None, end: Time | None) -> tuple[int, int]:
@@ -325,8 +308,8 @@ def _decode_blocks(blocks: Iterable[Block], problem_log: ProblemLog) -> Iterator
 
 def _decoder_of(message_encoding: str, schema: Schema) -> Decoder | Undecodable:
     if (message_encoding, schema.encoding) == ("ulog", "ulog"):
-        return decoder_for("ros1", schema.name, "ros1msg", as_ros1_definition(schema.name, schema.data))
-    return decoder_for(message_encoding, schema.name, schema.encoding, schema.data)
+        return decoding.decoder_for("ros1", schema.name, "ros1msg", as_ros1_definition(schema.name, schema.data))
+    return decoding.decoder_for(message_encoding, schema.name, schema.encoding, schema.data)
 
 
 def _timed(
@@ -356,17 +339,6 @@ def _have_one_layout(one: Schema, other: Schema, one_encoding: str, other_encodi
     decoders = [_decoder_of(one_encoding, schema) for schema in (one, other)]
     layouts = [decoder.layout for decoder in decoders if isinstance(decoder, Decoder)]
     return len(layouts) == 2 and layouts[0] == layouts[1]
-
-
-class _DecodeProblemLogger:
-    def __init__(self, topic: str, problem_log: ProblemLog) -> None:
-        self._topic = topic
-        self._problem_log = problem_log
-
-    def __call__(self, log_time_ns: int, error: DecodeError) -> None:
-        self._problem_log.add(
-            "message-undecodable", self._topic, f"at {log_time_ns} ns: {error}; what could not be decoded is null"
-        )
 
 
 def _list_topics(contents: Iterable[MemberContents]) -> tuple[Topic, ...]:

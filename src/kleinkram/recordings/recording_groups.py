@@ -4,7 +4,7 @@
   `run_1.mcap`. With several stems, those of the folder's own name; if there are none, metadata.yaml is something else.
   A metadata.yaml that is known to be something else counts as none.
 * split: `name_0.mcap`, `name_1.mcap` ... without metadata.yaml, if number 0 is there (else they are numbered
-  recordings). A time at the end of a name is no such number: `run_2026_01_17-10_00_00.mcap` is by itself.
+  recordings). A time at the end of a name is not such a number: `run_2026_01_17-10_00_00.mcap` is single.
 * split, with the time of each file in its name: `0_name_2026_01_17-10_00_30.mcap`, `1_name_2026_01_17-10_01_30.mcap`
   ... of rosbag2 since Kilted, and for bags what `rosbag record --split` makes, `prefix_2024-05-01-10-00-00_0.bag`,
   `prefix_2024-05-01-10-05-00_1.bag` ...; a smaller number begins the next recording.
@@ -124,7 +124,7 @@ class _DataFile(NamedTuple):
 
 
 def _parse_name(path: str) -> _DataFile | None:
-    """Parse the name of a rosbag2 data file; None if it is none."""
+    """Parse the name of a rosbag2 data file; None for other names."""
     if timed := _TIMED_ROSBAG2.fullmatch(path):
         return _DataFile(path, timed["folder"] + timed["name"], int(timed["number"]), timed["time"], timed["suffix"])
     plain = _ROSBAG2.fullmatch(path)

@@ -10,8 +10,9 @@ import stat
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import BinaryIO, Generic, NamedTuple, Protocol, TypeVar
 
 from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.limits import MAX_READ, READ_AHEAD
@@ -119,7 +120,7 @@ class CountingSource:
 
 
 def read_short_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
-    """Yield the bytes of each (offset, length), in order; over a network, the next ranges are requested meanwhile.
+    """Yield the bytes of each (offset, length), in order; over a network, the next ranges are requested in advance.
 
     A source that gains from it has a method `read_short`. For ranges of some kB.
     """
@@ -131,25 +132,60 @@ def read_short_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iter
         yield source.read(offset, length)
 
 
-def read_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
-    """Yield the bytes of each (offset, length), in order; over a network, the next ranges are read meanwhile.
+T = TypeVar("T")
 
-    A source that gains from it has an attribute `parallel_reads`; at most that many ranges are held.
+
+class ReadAheadTask(NamedTuple, Generic[T]):
+    """A task, and the memory that its result takes."""
+
+    size_bytes: int
+    run: Callable[[], T]
+
+
+def read_ahead(tasks: Iterator[ReadAheadTask[T]], *, workers: int, max_bytes: int) -> Iterator[T]:
+    """Yield the results of tasks, in order, while threads run the next ones; an exception is raised at its place.
+
+    Closed early, it returns at once: tasks that have begun run to their end, without effect.
     """
-    from concurrent.futures import Future, ThreadPoolExecutor  # slow to import, and only for a network
+    from concurrent.futures import Future, ThreadPoolExecutor  # slow to import
 
-    workers: int = getattr(source, "parallel_reads", 1)
-    pool = ThreadPoolExecutor(workers, thread_name_prefix="ranges")
+    first = next(tasks, None)
+    if first is None:
+        return
+    keep_freed_memory()
+    yield first.run()
+    pool = ThreadPoolExecutor(workers, thread_name_prefix="read-ahead")
     try:
-        under_way: deque[Future[bytes]] = deque()
-        for offset, length in ranges:
-            under_way.append(pool.submit(source.read, offset, length))
-            if len(under_way) >= workers:
-                yield under_way.popleft().result()
-        while under_way:
-            yield under_way.popleft().result()
+        running: deque[tuple[int, Future[T]]] = deque()
+        allowance, buffered_bytes = max(1, first.size_bytes), 0
+        upcoming = next(tasks, None)
+        while upcoming is not None or running:
+            allowance = min(max_bytes, 2 * allowance)
+            while upcoming is not None and (not running or buffered_bytes + upcoming.size_bytes <= allowance):
+                running.append((upcoming.size_bytes, pool.submit(upcoming.run)))
+                buffered_bytes += upcoming.size_bytes
+                upcoming = next(tasks, None)
+            size, future = running.popleft()
+            result = future.result()
+            buffered_bytes -= size
+            yield result
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)  # not waited for: as in `merge.read_ahead`
+        # The threads are not awaited here: the garbage collector may close this, in a thread that is being started,
+        # and no thread could end then.
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+_LARGE_ALLOCATION = 24 * 2**20
+
+
+def keep_freed_memory() -> None:
+    """Make malloc keep up to 48 MB of freed memory for reuse, because fresh pages cost as much as decompression.
+
+    glibc raises its threshold when a large allocation is freed, even an untouched one; other libraries ignore it.
+
+    Source: mallopt(3), M_MMAP_THRESHOLD, "dynamic mmap threshold".
+    """
+    bytearray(_LARGE_ALLOCATION)
 
 
 class SequentialReader(Protocol):
@@ -165,7 +201,7 @@ class SequentialReader(Protocol):
 
     @property
     def path(self) -> Path | None:
-        """Where the same bytes are on this machine, for formats that need more than one pass; None: nowhere."""
+        """The local file with the same bytes, for formats that need more than one pass; None: there is no such file."""
 
     def read(self, length: int) -> bytes:
         """Return the next bytes, at least one and at most `length`; b"" behind the last of `size_bytes`.
@@ -176,50 +212,39 @@ class SequentialReader(Protocol):
 
 
 class SourceReader:
-    """Reads a source from its start; over a network, the next blocks are read meanwhile."""
+    """Reads a source from its start; over a network, threads read the next blocks."""
 
-    def __init__(self, source: Source, *, path: Path | None = None) -> None:
+    def __init__(self, source: Source) -> None:
         self.name = source.name
         self.size_bytes = source.size_bytes
-        self.path = path
+        self.path: Path | None = getattr(source, "path", None)
         self._source = source
-        self._is_near = getattr(source, "parallel_reads", 1) == 1
-        starts = range(0, source.size_bytes, READ_AHEAD)
-        self._blocks = read_ranges(source, ((start, min(READ_AHEAD, self.size_bytes - start)) for start in starts))
+        self._is_local = getattr(source, "parallel_reads", 1) == 1
+        self._blocks = self._read_blocks()
         self._block = b""
         self._at = 0
 
     def read(self, length: int) -> bytes:
         """Return the next bytes; b"" at the end."""
-        if self._is_near:  # no more than requested, so that it is still in the processor's cache when it is used
+        if self._is_local:  # no more than requested, so that it is still in the processor's cache when it is used
             length = min(length, MAX_READ, self.size_bytes - self._at)
             piece = self._source.read(self._at, length) if length else b""
             self._at += length
             return piece
         if self._at == len(self._block):
             self._block, self._at = next(self._blocks, b""), 0
-        whole = self._at == 0 and length >= len(self._block)
-        piece = self._block if whole else self._block[self._at : self._at + length]
+        piece = (
+            self._block if self._at == 0 and length >= len(self._block) else self._block[self._at : self._at + length]
+        )
         self._at += len(piece)
         return piece
 
-
-class FileReader(SourceReader):
-    """Reads a local file. Close it, or use it in a `with`. `SourceError` if it cannot be opened."""
-
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self._file = FileSource(path)
-        super().__init__(self._file, path=Path(path))
-
-    def close(self) -> None:
-        """Close the file; a second call does nothing."""
-        self._file.close()
-
-    def __enter__(self) -> FileReader:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def _read_blocks(self) -> Iterator[bytes]:
+        workers: int = getattr(self._source, "parallel_reads", 1)
+        starts = range(0, self.size_bytes, READ_AHEAD)
+        ranges = ((start, min(READ_AHEAD, self.size_bytes - start)) for start in starts)
+        tasks = (ReadAheadTask(length, partial(self._source.read, start, length)) for start, length in ranges)
+        return read_ahead(tasks, workers=workers, max_bytes=workers * READ_AHEAD)
 
 
 class PipeReader:
@@ -271,8 +296,3 @@ def peek(reader: SequentialReader, length: int) -> tuple[bytes, SequentialReader
     while len(head) < length and (piece := reader.read(length - len(head))):
         head += piece
     return head, _Rewound(head, reader)
-
-
-def source_reader(source: Source) -> SequentialReader:
-    """Read a source sequentially."""
-    return SourceReader(source, path=source.path if isinstance(source, FileSource) else None)

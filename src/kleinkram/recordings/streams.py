@@ -1,7 +1,7 @@
 """Buffered sequential reading, with an optional running CRC-32.
 
-Holds one window, and what `take` returns. Never trusts a length further than the end of the range. `LookaheadStream`
-does the same for a scan: it looks at bytes before it skips them, but never goes back.
+Holds one window, and what `take` returns; no length is trusted beyond the end of the range. `LookaheadStream` is for
+scans: it shows the next bytes before it skips them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from kleinkram.recordings.errors import Cut, Malformed, SourceError
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_TAKE, WINDOW
-from kleinkram.recordings.sources import SequentialReader, Source
+from kleinkram.recordings.sources import SequentialReader, Source, keep_freed_memory
 
 _STEP = 256 * 2**10
 _FIRST_BUFFER = 2 * 2**20
@@ -53,11 +53,11 @@ class ByteStream:
         self._move(length, data)
         return data
 
-    def take_some(self, most: int = MAX_TAKE) -> bytes:
-        """Return at least one and at most `most` of the next bytes; b"" at the end."""
+    def take_some(self, max_bytes: int = MAX_TAKE) -> bytes:
+        """Return at least one and at most `max_bytes` of the next bytes; b"" at the end."""
         if self.at_end():
             return b""
-        return self.take(min(most, len(self._window) - self._at))
+        return self.take(min(max_bytes, len(self._window) - self._at))
 
     def skip(self, length: int) -> None:
         """Skip the next `length` bytes, by a seek where possible."""
@@ -138,8 +138,8 @@ def open_bytes(data: bytes, start: int) -> ByteStream:
 class LookaheadStream:
     """Looks at the next bytes of a file before it skips them; keeps a CRC-32 of skipped bytes on request.
 
-    The next byte is at `at` of `window`. The buffer is used again and again: what stays in the processor's cache is
-    read about twice as fast as what comes from memory.
+    The next byte is at `at` of `window`. The buffer is reused, because data in the processor's cache is read about
+    twice as fast.
     """
 
     def __init__(self, reader: SequentialReader, *, with_crc: bool = True) -> None:
@@ -167,7 +167,7 @@ class LookaheadStream:
     def ahead(self, length: int) -> int:
         """Bring up to `length` of the next bytes into the window, `MAX_CHUNK_BYTES` at most; return how many there are.
 
-        What was taken of the window before is overwritten: take it anew.
+        This overwrites the window: slices of the previous window are invalid afterwards.
         """
         length = min(length, MAX_CHUNK_BYTES + WINDOW, self.left)
         if len(self.window) - self.at < length:
@@ -228,17 +228,3 @@ class LookaheadStream:
             self._window_start += self.at
             self.window = self._buffer[:have]
             self.at = self._hashed = 0
-
-
-_LARGE = 24 * 2**20
-
-
-def keep_freed_memory() -> None:
-    """Make malloc keep up to 48 MB of freed memory for reuse.
-
-    Pages that come fresh from the system for each chunk cost as much as decompressing into them. glibc learns from an
-    allocation by itself, made and freed without a byte of it being touched; other libraries learn nothing, and no harm.
-
-    Source: mallopt(3), M_MMAP_THRESHOLD, "dynamic mmap threshold".
-    """
-    bytearray(_LARGE)

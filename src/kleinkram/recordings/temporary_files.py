@@ -1,7 +1,7 @@
 """Temporary copies of remote or decompressed files: bounded in size, and always removed.
 
 SQLite reads any page at any time, so a database that comes over a network or out of a decompressor is written to a
-temporary file first. The file is locked while it is used; whatever a killed reader left behind is removed by the next.
+temporary file first. The file is locked while it is used; the next reader removes the files of a killed one.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ class TooLarge(RecordingError):
 
 @contextmanager
 def temporary_database(
-    read: Callable[[int], bytes], logs: Mapping[str, Callable[[int], bytes]], *, most_bytes: int = MAX_SPOOL_BYTES
+    read: Callable[[int], bytes], logs: Mapping[str, Callable[[int], bytes]], *, max_bytes: int = MAX_SPOOL_BYTES
 ) -> Iterator[Path]:
     """Write a database and, by their suffixes, its log and journal to temporary files; yield the database's path."""
     with ExitStack() as stack:
-        path = stack.enter_context(temporary_copy(read, most_bytes=most_bytes))
+        path = stack.enter_context(temporary_copy(read, max_bytes=max_bytes))
         for suffix, read_log in logs.items():
-            stack.enter_context(temporary_copy(read_log, most_bytes=most_bytes, beside=(path, suffix)))
+            stack.enter_context(temporary_copy(read_log, max_bytes=max_bytes, beside=(path, suffix)))
         yield path
 
 
 @contextmanager
 def temporary_copy(
-    read: Callable[[int], bytes], *, most_bytes: int = MAX_SPOOL_BYTES, beside: tuple[Path, str] | None = None
+    read: Callable[[int], bytes], *, max_bytes: int = MAX_SPOOL_BYTES, beside: tuple[Path, str] | None = None
 ) -> Iterator[Path]:
     """Write what `read` returns to a temporary file, which is removed afterwards; `beside`: at this path and suffix."""
     folder = Path(tempfile.gettempdir())
@@ -59,11 +59,11 @@ def temporary_copy(
         # SQLite writes what is in a log into the database as well.
         copies = 1 if beside is None else 2
         free = (shutil.disk_usage(folder).free - MIN_FREE_DISK_BYTES) // copies
-        left = min(most_bytes, free)
+        left = min(max_bytes, free)
         while data := read(WINDOW):
             left -= len(data)
             if left < 0:
-                raise too_large(most_bytes, free)
+                raise too_large(max_bytes, free)
             _write(descriptor, data, folder)
         yield path
     finally:
@@ -81,14 +81,14 @@ def _write(descriptor: int, data: bytes, folder: Path) -> None:
         raise SourceError(f"{folder}: a temporary copy cannot be written: {error.strerror}") from error
 
 
-def too_large(most_bytes: int, free: int) -> TooLarge:
+def too_large(max_bytes: int, free: int) -> TooLarge:
     """Return the error for a copy that is larger than allowed, or than the disk has room for."""
-    if free < most_bytes:
+    if free < max_bytes:
         return TooLarge(
             f"it must be copied to {tempfile.gettempdir()} to be read, where {max(0, free)} bytes may be used; "
             "free some space, or set TMPDIR to a larger disk"
         )
-    return TooLarge(f"a copy of it would have more than {most_bytes} bytes; fetch the file and inspect it locally")
+    return TooLarge(f"a copy of it would have more than {max_bytes} bytes; fetch the file and inspect it locally")
 
 
 def _remove_abandoned(folder: Path) -> None:

@@ -1,17 +1,17 @@
-"""Log times of topics: counts, spans and gaps, exact and in bounded memory, whatever the order of the messages.
+"""Log times of topics: counts, spans and gaps, exact and in bounded memory, for messages in any order.
 
-Chunks are added in the order in which they are in the file. That order decides what is out of order; gaps need the
-order of time. So stamps wait (8 bytes each) until no earlier one can follow: `settle(before)` states up to where that
-is sure (the smallest start of all chunks still to come), and after it only a few numbers a topic are left. Should
-more than `MAX_PENDING_STAMPS` wait, the older half is settled by force; if an earlier stamp still comes, the longest
-gap of that topic is an upper bound, and the summary reports it.
+Stamps are added in the order of the file, which decides what is out of order; gaps need the order of time. So stamps
+wait (8 bytes each) until no earlier one can follow: `finish(before_ns)` states up to where that is certain (the
+smallest start of all chunks still to come), and then only a summary of each topic is left. If more than
+`MAX_PENDING_STAMPS` wait, the older half is finished early; if an earlier stamp follows after all, the longest gap of
+that topic is an upper bound, and the summary reports it.
 
-**Suspect stamps.** Sorted by time, the messages of a recording fall into islands with more than a year of silence
-between them. The island with the most messages is the recording; stamps in all others (1970, or a clock that jumped)
-are suspect: counted, reported, and left out of spans, rates and gaps.
+**Suspect stamps.** Sorted by time, the messages of a recording form clusters with more than a year of silence between
+them. The cluster with the most messages is the recording; stamps in all others (1970, or a clock that jumped) are
+suspect: counted, reported, and left out of spans, rates and gaps.
 
-**Jumps of the clock.** A stamp more than `LEAST_JUMP_NS` below the one before it on its topic, in the order of the
-file, is no buffer that was written late, but a clock that was set back; the largest of a topic is kept.
+**Clock jumps.** A stamp more than `MIN_JUMP_NS` below the previous one of its topic, in the order of the file, is not a
+buffer that was written late, but a clock that was set back; the largest jump of a topic is stored.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from functools import reduce
 from itertools import accumulate, pairwise
 from operator import itemgetter, lt, sub
 
-from kleinkram.recordings.density import MAX_BINS, add_up, count_stamps, most_bins
 from kleinkram.recordings.limits import MAX_PENDING_STAMPS
+from kleinkram.recordings.message_density import MAX_BINS, add_up, bins_per_topic, count_stamps
 from kleinkram.recordings.model import MessageDensity
 
 YEAR_NS = 366 * 24 * 3600 * 1_000_000_000
-LEAST_JUMP_NS = 10 * 1_000_000_000
-SETTLE_AT = 65_536
-"""Stamps that wait before any are settled: settling costs by the topic, so it is worth while for many stamps only."""
+MIN_JUMP_NS = 10 * 1_000_000_000
+FINISH_AT = 65_536
+"""Stamps that wait before any are finished, because each call has a cost for each topic."""
 
 _KEY_BITS = 20
 
@@ -94,7 +94,7 @@ class TopicTimes:
         before = [self.previous_ns if self.previous_ns >= 0 else stamps[0], *stamps[:-1]]
         steps = list(map(sub, stamps, before))
         back_ns = -min(steps)
-        known_ns = self.jump.before_ns - self.jump.after_ns if self.jump is not None else LEAST_JUMP_NS
+        known_ns = self.jump.before_ns - self.jump.after_ns if self.jump is not None else MIN_JUMP_NS
         if known_ns < back_ns < YEAR_NS:
             at = steps.index(-back_ns)
             self.jump, known_ns = Jump(before[at], stamps[at]), back_ns
@@ -103,8 +103,8 @@ class TopicTimes:
         if self.jump is not None and self.jump.return_ns is None and 2 * forward_ns > known_ns:
             self.jump = replace(self.jump, return_ns=stamps[steps.index(forward_ns)])
 
-    def settle(self, before_ns: int | None, most: int) -> None:
-        """Turn pending stamps below `before_ns` (None: all) into runs, whose density has at most so many bins."""
+    def finish(self, before_ns: int | None, max_bins: int) -> None:
+        """Turn pending stamps below `before_ns` (None: all) into runs, whose density has at most `max_bins`."""
         if not self.pending or (before_ns is not None and self.earliest_pending_ns >= before_ns):
             return
         stamps = sorted(self.pending)
@@ -112,8 +112,8 @@ class TopicTimes:
         if cut:
             # Whichever run these join, its bins are at least as wide, and theirs need not be narrower.
             bin_ns = min((run.density.bin_ns for run in self.runs if run.density), default=1)
-            for run in _split(stamps[:cut], bin_ns, most):
-                self._absorb(run, most)
+            for run in _split(stamps[:cut], bin_ns, max_bins):
+                self._absorb(run, max_bins)
             self.pending = array("Q", stamps[cut:])
             self.earliest_pending_ns = self.pending[0] if self.pending else 0
 
@@ -129,29 +129,35 @@ class TopicTimes:
         for run in later.runs:
             self._absorb(run, MAX_BINS)
 
-    def _absorb(self, run: StampRun, most: int) -> None:
+    def _absorb(self, run: StampRun, max_bins: int) -> None:
         if self.runs and run.first_ns < self.runs[-1].last_ns:
             late = any(run.first_ns < known.last_ns and known.first_ns < run.last_ns for known in self.runs)
             self.gaps_are_upper_bounds = self.gaps_are_upper_bounds or late
-        self.runs = join([*self.runs, run], most)
+        self.runs = join_runs([*self.runs, run], max_bins)
 
 
-def _split(stamps: Sequence[int], bin_ns: int, most: int) -> list[StampRun]:
+def _split(stamps: Sequence[int], bin_ns: int, max_bins: int) -> list[StampRun]:
     """Split sorted stamps at gaps of more than a year."""
     gaps = list(map(sub, stamps[1:], stamps))
     longest = max(gaps, default=0)
     if longest <= YEAR_NS:
-        density = count_stamps(stamps, least_bin_ns=bin_ns, most=most)
+        density = count_stamps(stamps, min_bin_ns=bin_ns, max_bins=max_bins)
         return [StampRun(stamps[0], stamps[-1], len(stamps), longest, density)]
     cuts = [0, *(i + 1 for i, gap in enumerate(gaps) if gap > YEAR_NS), len(stamps)]
     return [
-        StampRun(stamps[a], stamps[b - 1], b - a, max(gaps[a : b - 1], default=0), count_stamps(stamps[a:b], most=most))
+        StampRun(
+            stamps[a],
+            stamps[b - 1],
+            b - a,
+            max(gaps[a : b - 1], default=0),
+            count_stamps(stamps[a:b], max_bins=max_bins),
+        )
         for a, b in pairwise(cuts)
     ]
 
 
-def join(runs: Iterable[StampRun], most: int = MAX_BINS) -> list[StampRun]:
-    """Join runs that overlap or are within a year of each other; sorted by time, each density with at most `most` bins.
+def join_runs(runs: Iterable[StampRun], max_bins: int = MAX_BINS) -> list[StampRun]:
+    """Join runs that overlap or are within a year of each other; sorted by time, each density with at most `max_bins`.
 
     The gap between two runs that do not overlap counts as a gap of the joined one.
     """
@@ -167,26 +173,26 @@ def join(runs: Iterable[StampRun], most: int = MAX_BINS) -> list[StampRun]:
             max(previous.last_ns, run.last_ns),
             previous.count + run.count,
             max(previous.longest_gap_ns, run.longest_gap_ns, between),
-            _both(previous.density, run.density, most),
+            _both(previous.density, run.density, max_bins),
         )
     return joined
 
 
-def _both(one: MessageDensity | None, other: MessageDensity | None, most: int = MAX_BINS) -> MessageDensity | None:
-    return add_up((one, other), most=most) if one is not None and other is not None else None
+def _both(one: MessageDensity | None, other: MessageDensity | None, max_bins: int = MAX_BINS) -> MessageDensity | None:
+    return add_up((one, other), max_bins=max_bins) if one is not None and other is not None else None
 
 
-def bulk(runs: Iterable[StampRun]) -> StampRun | None:
-    """Return the island with the most messages over all topics, the latest of equals; None without messages."""
+def main_cluster(runs: Iterable[StampRun]) -> StampRun | None:
+    """Return the cluster with the most messages over all topics, the latest of equals; None without messages."""
     bare = [StampRun(run.first_ns, run.last_ns, run.count, run.longest_gap_ns) for run in runs]
-    return max(join(bare), key=lambda run: (run.count, run.first_ns), default=None)
+    return max(join_runs(bare), key=lambda run: (run.count, run.first_ns), default=None)
 
 
-def within(runs: Iterable[StampRun], island: StampRun | None) -> StampRun | None:
-    """Return the runs of a topic inside the island as one run; None if there are none."""
-    if island is None:
+def run_in_cluster(runs: Iterable[StampRun], cluster: StampRun | None) -> StampRun | None:
+    """Return the runs of a topic inside the cluster as one run; None if there are none."""
+    if cluster is None:
         return None
-    inside = [run for run in runs if island.first_ns <= run.first_ns <= island.last_ns]
+    inside = [run for run in runs if cluster.first_ns <= run.first_ns <= cluster.last_ns]
     if not inside:
         return None
     gaps = [run.longest_gap_ns for run in inside]
@@ -210,7 +216,7 @@ class Timeline:
     def __init__(self) -> None:
         self.topics: dict[str, TopicTimes] = {}
         self._pending = 0
-        self._settle_at = SETTLE_AT
+        self._finish_at = FINISH_AT
 
     def topic(self, name: str) -> TopicTimes:
         """Return the times of a topic, empty ones if it is new."""
@@ -241,39 +247,36 @@ class Timeline:
         shares = _message_bytes(entries, uncompressed_bytes)
         for entry, share in zip(entries, shares, strict=True):
             stored = share * stored_bytes // uncompressed_bytes if uncompressed_bytes else 0
-            self.add(entry.topic, _in_file_order(entry), stored)
+            stamps = entry.stamps
+            if any(map(lt, entry.offsets[1:], entry.offsets)):  # not in file order
+                stamps = [stamp for _, stamp in sorted(zip(entry.offsets, stamps, strict=True), key=itemgetter(0))]
+            self.add(entry.topic, stamps, stored)
 
-    def settle(self, before_ns: int | None) -> None:
+    def finish(self, before_ns: int | None) -> None:
         """State that no stamp below `before_ns` will follow; None: none at all."""
-        if before_ns is not None and self._pending < self._settle_at:
+        if before_ns is not None and self._pending < self._finish_at:
             self.bound()
             return
-        most = most_bins(len(self.topics))
+        max_bins = bins_per_topic(len(self.topics))
         for times in self.topics.values():
             if times.pending:
-                times.settle(before_ns, most)
+                times.finish(before_ns, max_bins)
         self._pending = sum(len(times.pending) for times in self.topics.values())
-        # Not again for the few that come between where many must wait for long.
-        self._settle_at = max(SETTLE_AT, 2 * self._pending)
+        # Where many stamps wait for long, the next call waits for as many more.
+        self._finish_at = max(FINISH_AT, 2 * self._pending)
         self.bound()
 
     def bound(self) -> None:
-        """Keep at most `MAX_PENDING_STAMPS` stamps pending: settle the older half of more."""
+        """Keep at most `MAX_PENDING_STAMPS` stamps pending: finish the older half of more."""
         if self._pending <= MAX_PENDING_STAMPS:
             return
-        most = most_bins(len(self.topics))
+        max_bins = bins_per_topic(len(self.topics))
         for times in self.topics.values():
             if times.pending:
                 stamps = sorted(times.pending)
                 # Including the one in the middle: all of them may be equal.
-                times.settle(stamps[len(stamps) // 2] + 1, most)
+                times.finish(stamps[len(stamps) // 2] + 1, max_bins)
         self._pending = sum(len(times.pending) for times in self.topics.values())
-
-
-def _in_file_order(entry: ChunkEntries) -> Sequence[int]:
-    if not any(map(lt, entry.offsets[1:], entry.offsets)):
-        return entry.stamps
-    return [stamp for _, stamp in sorted(zip(entry.offsets, entry.stamps, strict=True), key=itemgetter(0))]
 
 
 def _message_bytes(entries: Sequence[ChunkEntries], uncompressed_bytes: int) -> list[int]:

@@ -1,7 +1,7 @@
 """A YAML reader that refuses deep nesting.
 
-The usual scanner looks up to 1,024 characters ahead for a key, at every open bracket: the time grows with the square of
-the depth, before any event is seen. This one stops at the bracket, or the indent, that goes too deep.
+At every open bracket, the usual scanner looks up to 1,024 characters ahead for a key, so its time grows with the square
+of the depth. This scanner stops at the bracket or indent that exceeds the limit.
 
 Slow to import (ruamel.yaml): import it where it is needed.
 """

@@ -36,6 +36,8 @@ from kleinkram.server.uploads import completion as _upload_jobs
 _log = logging.getLogger("kleinkram.worker")
 _AT_ONCE = 3
 _STALLED_CHECK_S = 20
+# A worker that stops while the database is down waits for this time twice.
+_POOL_TIMEOUT_S = 4.0
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 10.0
 # After running for this long, the pauses start again with the shortest.
 _STEADY_S = 30.0
@@ -65,8 +67,9 @@ async def run_worker(settings: Settings) -> None:
 async def _open_and_run(settings: Settings, stopping: asyncio.Event) -> None:
     pauses = _Pauses()
     while not stopping.is_set():
-        # Without the timeout, a stopping worker would wait half a minute for an absent database.
-        connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=8, timeout=10)
+        connector = PsycopgConnector(
+            conninfo=plain_dsn(settings.database_url), min_size=1, max_size=8, timeout=_POOL_TIMEOUT_S
+        )
         # Periodic jobs belong to the app they were declared on, so that one is resources the worker's connector.
         with queue.replace_connector(connector) as app:
             try:

@@ -88,7 +88,7 @@ def spawn_in_terminal(arguments: Sequence[str], environment: Mapping[str, str]) 
 
 
 def release(child: "subprocess.Popen[bytes]") -> None:
-    """Let a child begin that waits; does nothing where it does not, or has begun or ended."""
+    """Let a waiting child begin; does nothing if the child does not wait, or has ended."""
     if child.stdin is not None and not child.stdin.closed:
         with contextlib.suppress(BrokenPipeError):
             child.stdin.write(b"begin\n")

@@ -78,9 +78,10 @@ def test_damage_is_reported(populated: Api, tmp_path: Path) -> None:
     for name in ("database.zst", "objects.zst"):
         path = tmp_path / "snapshots" / made.snapshot.id / name
         body = path.read_bytes()
-        for damaged in (body[:-10], body[:20] + bytes([body[20] ^ 1]) + body[21:]):
+        flipped_body = body[:20] + bytes([body[20] ^ 1]) + body[21:]
+        for damaged, read_all in ((body[:-10], False), (flipped_body, True)):
             path.write_bytes(damaged)
-            [sentence] = verify_place(tmp_path).damage.first
+            [sentence] = verify_place(tmp_path, read_all=read_all).damage.first
             assert name in sentence
         path.write_bytes(body)
     assert verify_place(tmp_path).damage.first == []
@@ -291,10 +292,10 @@ def test_no_garbage_is_collected_while_a_backup_copies(start_api: StartApi) -> N
     before = contents(settings_of(api))
     api.delete(f"/files/{file['id']}").ok()
 
-    with deletion_lock(plain_dsn(settings_of(api).database_url)) as lock:
+    with deletion_lock(plain_dsn(settings_of(api).database_url)) as confirm:
         for _ in range(3):
             on_site(api, collect_garbage)
-        lock.confirm()
+        confirm()
     assert contents(settings_of(api)) == before
     on_site(api, collect_garbage)
     assert contents(settings_of(api)) == {}
@@ -321,8 +322,8 @@ def test_a_deletion_lock_that_the_database_ended_makes_no_backup(
 
 def test_a_process_that_hangs_loses_its_deletion_lock(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
     api = start_api()
-    monkeypatch.setattr(backup_database, "_SILENT_MS", 200)
-    with deletion_lock(plain_dsn(settings_of(api).database_url)) as lock:
+    monkeypatch.setattr(backup_database, "_MAX_IDLE_MS", 200)
+    with deletion_lock(plain_dsn(settings_of(api).database_url)) as confirm:
         time.sleep(1)
         with pytest.raises(BackupUnreachable):
-            lock.confirm()
+            confirm()

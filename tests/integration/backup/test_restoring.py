@@ -104,12 +104,15 @@ def test_lost_and_corrupt_objects_are_reported_and_others_backed_up(
 def test_an_unavailable_store_fails_the_backup(populated: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RCLONE_RETRIES", "1")  # else it waits for the store
     monkeypatch.setenv("RCLONE_LOW_LEVEL_RETRIES", "1")
+    monkeypatch.setenv("RCLONE_RETRIES_SLEEP", "0")
     source = settings_of(populated)
+    back_up(source, tmp_path)
+    content_files(tmp_path)[0].unlink()  # only one is missing: rclone pauses for up to 2 s after each failed request
     with pytest.raises(BackupUnreachable, match="does not answer"):
         back_up(source.model_copy(update={"s3_internal_url": "http://127.0.0.1:9"}), tmp_path)
-    assert not any(tmp_path.glob("snapshots/*.json"))
+    assert len([*tmp_path.glob("snapshots/*.json")]) == 1
     made = back_up(source, tmp_path)
-    assert (made.problems.first, made.copied.count) == ([], 7)
+    assert (made.problems.first, made.copied.count) == ([], 1)
     assert verify_place(tmp_path).damage.first == []
 
 

@@ -57,12 +57,12 @@ def test_background_jobs_wait_during_uploads(api: Api, upload_id: str) -> None:
     _with_back_pressure(api, _goes)
 
 
-def test_an_upload_that_nobody_continues_holds_up_nothing(api: Api, upload_id: str) -> None:
+def test_an_abandoned_upload_delays_no_job(api: Api, upload_id: str) -> None:
     api.sql("UPDATE upload SET expires_at = expires_at - interval '1 h 3 s' WHERE id = %s", upload_id)
     _with_back_pressure(api, _goes)
 
 
-def test_a_stream_of_uploads_delays_by_so_much_and_no_more(api: Api, upload_id: str) -> None:
+def test_continuous_uploads_delay_a_job_by_its_maximum_wait(api: Api, upload_id: str) -> None:
     async def twice(back_pressure: BackPressure) -> None:
         started = time.monotonic()
         await back_pressure.wait_for_uploads(0.7)
@@ -73,7 +73,7 @@ def test_a_stream_of_uploads_delays_by_so_much_and_no_more(api: Api, upload_id: 
     _with_back_pressure(api, twice)
 
 
-def test_those_that_waited_long_enough_take_turns_with_what_still_comes(api: Api, upload_id: str) -> None:
+def test_jobs_past_their_maximum_wait_run_one_at_a_time_during_uploads(api: Api, upload_id: str) -> None:
     async def several(back_pressure: BackPressure) -> None:
         started = time.monotonic()
         await asyncio.wait_for(asyncio.gather(*(back_pressure.wait_for_uploads(0) for _ in range(4))), 10)

@@ -23,9 +23,7 @@ def _marked(api: Api) -> set[str]:
     return {str(row[0]) for row in api.sql("SELECT id FROM blob WHERE marked_for_deletion_at IS NOT NULL")}
 
 
-def test_all_blobs_are_checked_in_turn_when_there_are_many(
-    start_api: StartApi, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_garbage_collection_checks_many_blobs_in_shares(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
     api = start_api()
     sample = Sample(api)
     mission_id = api.mission(api.project()["id"])["id"]

@@ -145,7 +145,7 @@ def test_a_vanished_object_is_lost(api: Api, mission_id: str) -> None:
     assert begin(api, mission_id, {"copy.bin": body})[0]["decision"] == "upload", "what is lost is nobody's twin"
 
 
-def test_deleted_files_leave_the_store_only_when_nothing_refers_to_their_bytes(api: Api, mission_id: str) -> None:
+def test_objects_are_deleted_only_when_nothing_refers_to_them(api: Api, mission_id: str) -> None:
     body = os.urandom(700)
     first = upload(api, mission_id, "first.bin", body)
     run_jobs(api)

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.recordings import FailureKind, FileRequest, SummaryFailed, request_bytes
+from kleinkram.recordings import FailureKind, SummaryFailed
+from kleinkram.recordings.isolation import FileRequest, request_bytes
 from kleinkram.recordings.sample import generate_mcap
 from kleinkram.server.blobs import reader_processes
 from kleinkram.server.blobs.reader_processes import ReaderProcesses

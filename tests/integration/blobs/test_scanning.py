@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 import zstandard
 
-from kleinkram.recordings import CountingSource, FileSource, Lost
-from kleinkram.recordings.formats.mcap.index import read_index
+from kleinkram.recordings import FileSource, Lost
+from kleinkram.recordings.formats.mcap.format import read_index
 from kleinkram.recordings.sample import generate_mcap
-from kleinkram.recordings.sources import FileReader
+from kleinkram.recordings.sources import CountingSource, SourceReader
 from kleinkram.recordings.summary import scan
 from kleinkram.server.blobs import reader_processes
 from kleinkram.server.settings import Settings
@@ -167,7 +167,7 @@ def test_bytes_of_another_number_are_no_recording_to_read(
 
 
 @pytest.mark.slow
-def test_every_real_recording_says_the_same_on_the_server(corpus: Corpus) -> None:
+def test_every_real_recording_has_the_same_summary_on_the_server(corpus: Corpus) -> None:
     api = corpus.api
     listed = {item["path"]: item for item in api.all("/files", {"mission_id": corpus.mission_id})}
     topics: dict[str, set[tuple[str, str, int]]] = {}
@@ -175,8 +175,8 @@ def test_every_real_recording_says_the_same_on_the_server(corpus: Corpus) -> Non
         topics.setdefault(topic["file_id"], set()).add((topic["name"], topic["message_type"], topic["count"]))
     assert listed.keys() == corpus.files.keys()
     for name, read in listed.items():
-        with FileReader(corpus.folder / name) as forward:
-            here = scan(forward)
+        with FileSource(corpus.folder / name) as source:
+            here = scan(SourceReader(source))
         assert read["state"] == "verified", name
         assert (read["content"], read["message_count"]) == (here.content.value, here.message_count), name
         assert (read["start_ns"], read["end_ns"]) == (here.start_ns, here.end_ns), name

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from kleinkram import connect
-from kleinkram.recordings.density import count_stamps, pack
+from kleinkram.recordings.message_density import count_stamps, pack
 from tests.integration.api_server import Api
 from tests.integration.jobs import run_jobs
 from tests.integration.sample import Sample

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from kleinkram import connect
-from kleinkram.recordings.density import count_stamps, pack
+from kleinkram.recordings.message_density import count_stamps, pack
 from kleinkram.recordings.sample import generate_mcap
 from kleinkram.server.context import AppContext
 from kleinkram.server.recordings.service import regroup_forgotten

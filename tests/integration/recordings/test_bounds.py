@@ -7,10 +7,11 @@ from io import BytesIO
 
 import pytest
 
-from kleinkram.recordings import Content, CountingSource, summarise
-from kleinkram.recordings.sample.writers import BagCompression, BagWriter, Compression, McapWriter
+from kleinkram.recordings import Content, summarise
+from kleinkram.recordings.sources import CountingSource
 from tests.recording_files.memory_source import MemorySource, SparseFile
 from tests.recording_files.synthetic import MESSAGES_PER_CHUNK, SyntheticMcap
+from tests.recording_files.writers import BagCompression, BagWriter, Compression, McapWriter
 
 MESSAGES = 400
 PAYLOAD = bytes(1_000_000)

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from kleinkram.recordings import Content, RecordingSummary
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
-from kleinkram.recordings.sample.writers import BagCompression, BagWriter, Compression, McapWriter
-from kleinkram.recordings.sources import source_reader
+from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import BagCompression, BagWriter, Compression, McapWriter
 
 T0 = 1_700_000_000_000_000_000
 MESSAGES = 120
@@ -129,7 +129,7 @@ def place_of(name: str, at: int) -> float:
 
 
 def scanned(data: bytes, name: str) -> RecordingSummary:
-    return scan(source_reader(MemorySource(data, name)))
+    return scan(SourceReader(MemorySource(data, name)))
 
 
 def untouched(whole: Whole, start: int, end: int) -> int:

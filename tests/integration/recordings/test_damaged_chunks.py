@@ -17,12 +17,12 @@ from kleinkram.recordings import Content, Lost, Recording, RecordingSummary
 from kleinkram.recordings import damage_report as damage_report_module
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
-from kleinkram.recordings.sample.writers import BagCompression, BagWriter, Compression, McapWriter
-from kleinkram.recordings.sources import source_reader
+from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files import builders
 from tests.recording_files.agreement import accounts_of, disagreements
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import BagCompression, BagWriter, Compression, McapWriter
 from tests.unit.recordings.test_hostile import chunk, mcap_of, record
 
 T0 = 1_700_000_000_000_000_000
@@ -49,7 +49,7 @@ def packed(compression: bytes, content: bytes, *, crc: int | None = None) -> byt
 
 
 def scan_bytes(data: bytes, name: str = "a.mcap") -> RecordingSummary:
-    return scan(source_reader(MemorySource(data, name)))
+    return scan(SourceReader(MemorySource(data, name)))
 
 
 @pytest.mark.parametrize("compression", PACK)
@@ -110,7 +110,7 @@ def test_a_large_message_that_is_cut_is_not_counted() -> None:
     body = struct.pack("<HIQQ", 0, 0, T0, T0) + bytes(20 * 2**20)
     content = channel_record(0, b"/a") + messages(1) + record(Opcode.MESSAGE, body)
     data = mcap_of(chunk(b"", content, len(content)))[: 5 * 2**20]
-    summary = scan(source_reader(MemorySource(data)))
+    summary = scan(SourceReader(MemorySource(data)))
     assert summary.message_count == 1
     assert summary.lost is not None
     assert summary.lost.bytes > 4 * 2**20
@@ -135,7 +135,7 @@ def test_the_beginning_of_a_chunk_with_a_tail_of_zeros(compression: Compression,
     end = whole.index(INDEX_OF_1000)
     at = end * 6 // 10
     data = whole[:at] + bytes(len(whole) - at if to_the_end else end - at) + (b"" if to_the_end else whole[end:])
-    summary = scan(source_reader(MemorySource(data, "a.mcap")))
+    summary = scan(SourceReader(MemorySource(data, "a.mcap")))
     assert summary.message_count is not None
     assert summary.lost is not None
     assert 400 < summary.message_count < 600
@@ -156,7 +156,7 @@ def test_the_beginning_of_a_chunk_of_a_bag_with_a_tail_of_zeros(
     data = whole[:at] + bytes(len(whole) - at if to_the_end else end - at) + (b"" if to_the_end else whole[end:])
     path = tmp_path / "a.bag"
     path.write_bytes(data)
-    summary = scan(source_reader(MemorySource(data, "a.bag")))
+    summary = scan(SourceReader(MemorySource(data, "a.bag")))
     assert summary.content is Content.recovered
     assert summary.message_count is not None
     assert summary.lost is not None
@@ -228,7 +228,7 @@ def test_a_file_of_bombs_is_unpacked_up_to_a_bound(
     assert (summary.lost.chunks, summary.lost.messages) == (30, 30)
     assert "would expand to more than" in (summary.reason or "")
     monkeypatch.undo()
-    assert scan(source_reader(MemorySource(data, name))).content is Content.indexed
+    assert scan(SourceReader(MemorySource(data, name))).content is Content.indexed
 
 
 @pytest.mark.parametrize("kind", ["mcap", "bag"])

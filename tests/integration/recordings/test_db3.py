@@ -11,14 +11,14 @@ import zstandard
 
 from kleinkram.recordings import Content, Depth, Fact, Recording, RecordingFormat, RecordingSummary
 from kleinkram.recordings.formats.rosbag2.db3 import scan_db3
-from kleinkram.recordings.sources import FileReader
+from kleinkram.recordings.sources import FileSource, SourceReader
 from tests.recording_files.corpus import Entry, params
 from tests.recording_files.databases import SCHEMAS, T0, faults, make_database, steady
 
 
 def scan_file(path: Path, depth: Depth = Depth.scan) -> RecordingSummary:
-    with FileReader(path) as reader:
-        return scan_db3(reader, depth=depth)
+    with FileSource(path) as source:
+        return scan_db3(SourceReader(source), depth=depth)
 
 
 def change(path: Path, *statements: str) -> Path:
@@ -191,8 +191,8 @@ def test_the_origin_of_a_database_is_reported(tmp_path: Path) -> None:
         database.execute("INSERT INTO metadata VALUES (2, 9, ?)", (stated,))
         database.execute("INSERT INTO message_definitions VALUES (1, 'a/msg/B', 'ros2msg', 'int8 x', '')")
         database.commit()
-    with FileReader(path) as reader:
-        summary = scan_db3(reader)
+    with FileSource(path) as source:
+        summary = scan_db3(SourceReader(source))
     assert summary.compression == ("message-zstd",)
     assert summary.facts == (Fact("ros_distro", "jazzy"), Fact("schema_version", 4), Fact("message_definitions", 1))
     with Recording.open(path) as recording:

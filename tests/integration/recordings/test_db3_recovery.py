@@ -76,8 +76,8 @@ def test_cut_anywhere(tenths: int, sound: bytes, tmp_path: Path) -> None:
     assert summary.lost is not None
     assert summary.lost.messages is None
     assert summary.lost.bytes < len(data)
-    least = re.search(r"at least (\d+) are lost", summary.reason or "")
-    assert least is None or int(least[1]) <= COUNT - expected
+    minimum = re.search(r"at least (\d+) are lost", summary.reason or "")
+    assert minimum is None or int(minimum[1]) <= COUNT - expected
 
 
 @pytest.mark.parametrize("seed", range(12))

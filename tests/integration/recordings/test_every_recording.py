@@ -11,19 +11,9 @@ from typing import Any
 
 import pytest
 
-from kleinkram.recordings import (
-    Content,
-    CountingSource,
-    Depth,
-    FileSource,
-    RecordingFormat,
-    RecordingSummary,
-    TopicSummary,
-    from_dict,
-    summarise,
-    to_dict,
-)
-from kleinkram.recordings.sources import FileReader
+from kleinkram.recordings import Content, Depth, FileSource, RecordingFormat, RecordingSummary, TopicSummary, summarise
+from kleinkram.recordings.isolation import from_dict, to_dict
+from kleinkram.recordings.sources import CountingSource, SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.corpus import Entry, entries, params
 
@@ -50,8 +40,8 @@ def by_summary(path: Path) -> RecordingSummary:
 
 @cache
 def by_scan(path: Path) -> RecordingSummary:
-    with FileReader(path) as reader:
-        return scan(reader)
+    with FileSource(path) as source:
+        return scan(SourceReader(source))
 
 
 @pytest.mark.parametrize("read", [by_summary, by_scan])

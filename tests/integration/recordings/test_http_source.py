@@ -12,17 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.recordings import (
-    FailureKind,
-    FileSource,
-    SourceError,
-    SummaryFailed,
-    UrlRequest,
-    http_source,
-    summarise,
-    summarise_isolated,
-)
+from kleinkram.recordings import FailureKind, FileSource, SourceError, SummaryFailed, http_source, summarise
 from kleinkram.recordings.http_source import ATTEMPTS, HttpSource
+from kleinkram.recordings.isolation import UrlRequest, summarise_isolated
 from kleinkram.recordings.limits import PARALLEL_READS
 from kleinkram.recordings.sample import generate_bag, generate_mcap
 from tests.http_server import Server

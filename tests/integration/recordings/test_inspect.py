@@ -81,7 +81,7 @@ def test_a_member_that_was_not_read_leaves_the_whole_unknown() -> None:
     broken = RecordingSummary(RecordingFormat.mcap, Content.broken, "cut")
     whole = combine([member(T0, T0 + 10), broken, pending])
     assert (whole.content, whole.message_count) == (Content.pending, None)
-    assert whole.reason == "not read (and 1 more files are not whole)"
+    assert whole.reason == "not read (and 1 more files are incomplete)"
 
 
 def test_a_clock_that_was_set_between_the_files_is_named() -> None:

@@ -11,28 +11,22 @@ from pathlib import Path
 import pytest
 import zstandard
 
-from kleinkram.recordings import (
+from kleinkram.recordings import Content, Depth, FailureKind, FileSource, SummaryFailed, isolation, summarise
+from kleinkram.recordings.formats.rosbag2.metadata import parse_rosbag2_metadata
+from kleinkram.recordings.isolation import (
     CHILD_COMMAND,
     CHILD_ENVIRONMENT,
-    Content,
-    Depth,
-    FailureKind,
     FileRequest,
-    FileSource,
+    MetadataRequest,
     StreamRequest,
-    SummaryFailed,
-    isolation,
-    metadata_request_bytes,
-    parse_rosbag2_metadata,
     read_answer,
     read_metadata_answer,
-    stream_request_bytes,
-    summarise,
+    request_bytes,
     summarise_isolated,
     timed_out,
 )
 from kleinkram.recordings.sample import generate_mcap
-from kleinkram.recordings.sources import FileReader
+from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.unit.recordings.test_hostile import chunk, mcap_of
 
@@ -47,8 +41,8 @@ def test_same_summary_as_in_this_process(tmp_path: Path) -> None:
 
 def test_same_scan_as_in_this_process(tmp_path: Path) -> None:
     truth = generate_mcap(tmp_path / "drive.mcap", duration_s=1)
-    with FileReader(truth.path) as reader:
-        assert summarise_isolated(FileRequest(str(truth.path)), depth=Depth.scan) == scan(reader)
+    with FileSource(truth.path) as source:
+        assert summarise_isolated(FileRequest(str(truth.path)), depth=Depth.scan) == scan(SourceReader(source))
 
 
 def test_bytes_that_follow_the_request(tmp_path: Path) -> None:
@@ -56,14 +50,14 @@ def test_bytes_that_follow_the_request(tmp_path: Path) -> None:
     truth = generate_mcap(tmp_path / "drive.mcap", duration_s=1)
     data = truth.path.read_bytes()
     lines = b"".join(
-        stream_request_bytes(StreamRequest(len(body), name)) + b"\n" + body
+        request_bytes(StreamRequest(len(body), name)) + b"\n" + body
         for name, body in (("notes.bin", b"\x01" * 3_000_000), ("drive.mcap", data))
     )
     done = subprocess.run(CHILD_COMMAND, input=lines, env=CHILD_ENVIRONMENT, capture_output=True, check=True)
     first, second = (read_answer(line, b"", 0) for line in done.stdout.splitlines())
     assert first.content is Content.opaque
-    with FileReader(truth.path) as reader:
-        assert second == scan(reader)
+    with FileSource(truth.path) as source:
+        assert second == scan(SourceReader(source))
 
 
 def test_metadata_of_a_folder() -> None:
@@ -74,7 +68,7 @@ def test_metadata_of_a_folder() -> None:
         "other: 1",
         "{",
     )
-    lines = b"".join(metadata_request_bytes(text) + b"\n" for text in texts)
+    lines = b"".join(request_bytes(MetadataRequest(text)) + b"\n" for text in texts)
     done = subprocess.run(CHILD_COMMAND, input=lines, env=CHILD_ENVIRONMENT, capture_output=True, check=True)
     answers = [read_metadata_answer(line, b"", 0) for line in done.stdout.splitlines()]
     assert answers == [parse_rosbag2_metadata(text) for text in texts]
@@ -84,7 +78,7 @@ def test_metadata_of_a_folder() -> None:
 
 
 def test_bytes_that_break_off(tmp_path: Path) -> None:
-    line = stream_request_bytes(StreamRequest(1_000, "drive.mcap")) + b"\n" + bytes(10)
+    line = request_bytes(StreamRequest(1_000, "drive.mcap")) + b"\n" + bytes(10)
     done = subprocess.run(CHILD_COMMAND, input=line, env=CHILD_ENVIRONMENT, capture_output=True, check=True)
     with pytest.raises(SummaryFailed, match="before the 1000 announced"):
         read_answer(done.stdout, done.stderr, 0)
@@ -95,7 +89,7 @@ def test_a_pending_summary_states_the_cost_of_a_scan(tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(truth.path.read_bytes()[:-100])
     with FileSource(cut) as source:
-        summary = summarise(source, most_bytes=1000)
+        summary = summarise(source, max_bytes=1000)
     assert summary.content is Content.pending
     assert summary.reason is not None
     assert str(cut.stat().st_size) in summary.reason

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kleinkram.recordings import Content, summarise
-from kleinkram.recordings.sample.writers import Compression
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import Compression
 from tests.unit.recordings.test_hostile import small_bag, small_mcap
 
 MCAPS = [small_mcap(compression) for compression in Compression]

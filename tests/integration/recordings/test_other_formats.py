@@ -11,28 +11,20 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.recordings import (
-    Content,
-    Depth,
-    FileSource,
-    Recording,
-    RecordingFormat,
-    RecordingSummary,
-    parse_rosbag2_metadata,
-    summarise,
-)
+from kleinkram.recordings import Content, Depth, FileSource, Recording, RecordingFormat, RecordingSummary, summarise
 from kleinkram.recordings.errors import NotARecording
+from kleinkram.recordings.formats.rosbag2.metadata import parse_rosbag2_metadata
 from kleinkram.recordings.formats.text_files import MAX_LINE_BYTES, parse_stamp, read_lines
-from kleinkram.recordings.sample.writers import McapWriter
-from kleinkram.recordings.sources import source_reader
+from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import McapWriter
 
 
 def summarise_text(text: str | bytes, name: str = "file") -> RecordingSummary:
     data = text.encode() if isinstance(text, str) else text
     summary = summarise(MemorySource(data, name))
-    scanned = scan(source_reader(MemorySource(data, name)))
+    scanned = scan(SourceReader(MemorySource(data, name)))
     assert (scanned.format, scanned.content, scanned.facts, scanned.problems) == (
         summary.format,
         summary.content,
@@ -76,7 +68,7 @@ def test_mutations_never_raise(seed: int, recordings_dir: Path) -> None:
         data = bytearray((recordings_dir / name).read_bytes()[:30_000])
         for _ in range(chosen.choice((1, 5, 50))):
             data[chosen.randrange(len(data))] = chosen.randrange(256)
-        summary = scan(source_reader(MemorySource(bytes(data), name)))
+        summary = scan(SourceReader(MemorySource(bytes(data), name)))
         assert summary.depth is Depth.scan
         assert summary.content is not Content.error
         parse_rosbag2_metadata(bytes(data).decode("utf-8", "replace"))
@@ -197,14 +189,14 @@ def test_a_recording_of_a_camera(tmp_path: Path) -> None:
 
 def test_large_files_are_only_recognised() -> None:
     text = MemorySource(b"1 0 0 0 0 0 0 1\n" * 100, "a.tum")
-    summary = summarise(text, most_bytes=1000)
+    summary = summarise(text, max_bytes=1000)
     assert (summary.content, summary.facts, summary.depth) == (Content.opaque, (), Depth.summary)
     assert "1600 bytes" in (summary.reason or "")
 
 
 def test_lines_are_bounded() -> None:
     long = b"x" * (3 * MAX_LINE_BYTES)
-    lines = [*read_lines(source_reader(MemorySource(b"a\r\n" + long + b"\n\nb")))]
+    lines = [*read_lines(SourceReader(MemorySource(b"a\r\n" + long + b"\n\nb")))]
     assert [len(line) for line in lines] == [1, MAX_LINE_BYTES, 0, 1]
 
 

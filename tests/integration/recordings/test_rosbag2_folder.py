@@ -9,20 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.recordings import (
-    Content,
-    Lost,
-    MemberFacts,
-    Problem,
-    Recording,
-    RecordingFormat,
-    RecordingSummary,
+from kleinkram.recordings import Content, Lost, Problem, Recording, RecordingFormat, RecordingSummary, TopicSummary
+from kleinkram.recordings.formats.rosbag2.metadata import (
+    Member,
     Rosbag2Metadata,
-    TopicFacts,
+    StatedFile,
+    StatedTopic,
     compare_metadata,
     parse_rosbag2_metadata,
 )
-from kleinkram.recordings.formats.rosbag2.metadata import StatedFile, StatedTopic
 from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
 from kleinkram.recordings.sample.writers import Db3Writer
 from tests.recording_files.databases import T0, faults
@@ -37,11 +32,19 @@ STATED = Rosbag2Metadata(
     topics=(StatedTopic("/imu", "sensor_msgs/msg/Imu", "cdr", 30), StatedTopic("/never", "a/msg/B", "cdr", 0)),
     file_entries=(StatedFile("run/a_0.db3", 20, T0, 1_000_000_000), StatedFile("run/a_1.db3", 10, T0, 1)),
 )
+
+
+def member(name: str, count: int | None = None, start_ns: int | None = None, end_ns: int | None = None) -> Member:
+    return name, RecordingSummary(
+        RecordingFormat.rosbag2_db3, Content.indexed, message_count=count, start_ns=start_ns, end_ns=end_ns
+    )
+
+
 MEMBERS = [
-    MemberFacts("a_0.db3", 20, T0, T0 + 1_000_000_000, RecordingFormat.rosbag2_db3),
-    MemberFacts("a_1.db3", 10, T0 + 1_500_000_000, T0 + 2_000_000_000, RecordingFormat.rosbag2_db3),
+    member("a_0.db3", 20, T0, T0 + 1_000_000_000),
+    member("a_1.db3", 10, T0 + 1_500_000_000, T0 + 2_000_000_000),
 ]
-TOPICS = [TopicFacts("/imu", "sensor_msgs/msg/Imu", "cdr", 30)]
+TOPICS = [TopicSummary("/imu", "sensor_msgs/msg/Imu", "sensor_msgs/msg/Imu", "ros2msg", "cdr", 30)]
 
 
 def codes(problems: list[Problem] | tuple[Problem, ...]) -> list[tuple[str, str]]:
@@ -94,7 +97,7 @@ def test_disagreements_with_the_metadata_are_named(stated: Rosbag2Metadata, expe
 
 def test_unknown_values_are_not_compared() -> None:
     assert compare_metadata(Rosbag2Metadata(files=("a_0.db3", "a_1.db3")), MEMBERS, TOPICS) == []
-    unknown = [MemberFacts("a_0.db3"), MemberFacts("a_1.db3")]
+    unknown = [member("a_0.db3"), member("a_1.db3")]
     assert compare_metadata(replace(STATED, message_count=31), unknown) == []
 
 
@@ -293,12 +296,10 @@ def test_metadata_of_every_version(version: int) -> None:
     )
 
 
-def test_facts_of_a_summary_can_be_compared() -> None:
-    """What a server keeps of a blob is enough: names, counts and times."""
+def test_a_summary_without_topics_can_be_compared() -> None:
     summary = RecordingSummary(RecordingFormat.mcap, Content.indexed, message_count=20, start_ns=T0, end_ns=T0 + 5)
-    facts = MemberFacts("a_0.db3", summary.message_count, summary.start_ns, summary.end_ns, summary.format)
     stated = replace(STATED, files=("a_0.db3",), message_count=20, duration_ns=5)
-    assert codes(compare_metadata(stated, [facts])) == [("metadata-storage", "a_0.db3")]
+    assert codes(compare_metadata(stated, [("a_0.db3", summary)])) == [("metadata-storage", "a_0.db3")]
 
 
 def test_merge_keys_do_not_unfold() -> None:

@@ -15,8 +15,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from kleinkram.recordings import Content, FileSource, RecordingSummary, summarise
 from kleinkram.recordings.sample import (
-    BlackCamera,
-    ClockJump,
     Faults,
     FileTruth,
     MissionTruth,
@@ -174,16 +172,6 @@ def test_gap(tmp_path: Path) -> None:
     assert max(gaps.values()) < 0.3 * SECOND
 
 
-def test_clock_jump(tmp_path: Path) -> None:
-    faults = Faults(clock_jump=ClockJump(at_s=1, by_s=-3600))
-    truth = generate_mcap(tmp_path / "a.mcap", duration_s=2, faults=faults)
-    summary = summarise_file(truth.path)
-    assert_true(summary, truth)
-    imu = next(topic for topic in summary.topics if topic.name == "/imu/data")
-    assert imu.out_of_order_count == 200
-    assert imu.longest_gap_ns == pytest.approx(3598 * SECOND, rel=1e-3)
-
-
 def test_truncated_end(tmp_path: Path) -> None:
     mission = generate_mission(tmp_path, duration_s=2, faults=Faults(truncate_to=0.6))
     contents = [summarise_file(file.path).content for file in mission.files]
@@ -191,9 +179,8 @@ def test_truncated_end(tmp_path: Path) -> None:
     assert all(file.truncated for file in mission.files)
 
 
-def test_pictures_can_be_decoded_and_a_black_camera_is_black(tmp_path: Path) -> None:
-    faults = Faults(black_camera=BlackCamera(start_s=1, duration_s=5))
-    truth = generate_mcap(tmp_path / "a.mcap", duration_s=2, faults=faults)
+def test_pictures_can_be_decoded(tmp_path: Path) -> None:
+    truth = generate_mcap(tmp_path / "a.mcap", duration_s=1)
     store = get_typestore(Stores.ROS2_HUMBLE)
     with truth.path.open("rb") as file:
         pictures = [
@@ -201,10 +188,8 @@ def test_pictures_can_be_decoded_and_a_black_camera_is_black(tmp_path: Path) -> 
             for _, _, message in make_reader(file).iter_messages(topics=["/camera/image/compressed"])
         ]
     bright = [tiles_of(picture) for picture in pictures]
-    assert len(bright) == 20
-    assert all(len(tiles) == 80 * 60 for tiles in bright)
-    assert all(max(tiles) == 235 for tiles in bright[:10])
-    assert all(max(tiles) == 0 for tiles in bright[10:])
+    assert len(bright) == 10
+    assert all(len(tiles) == 80 * 60 and max(tiles) == 235 for tiles in bright)
     assert len(pictures[0]) == pytest.approx(80_000, rel=0.01)
 
 

@@ -217,9 +217,9 @@ def test_a_log_of_a_later_version_is_refused() -> None:
 
 def test_a_log_over_a_network_is_read_only_up_to_a_limit() -> None:
     source = MemorySource(attitude_log(100), "a.ulg")
-    assert summarise(source, most_bytes=10).content is Content.pending
+    assert summarise(source, max_bytes=10).content is Content.pending
     with pytest.raises(TooCostly):
-        Recording.open(source, most_bytes=10)
+        Recording.open(source, max_bytes=10)
 
 
 @pytest.mark.parametrize(

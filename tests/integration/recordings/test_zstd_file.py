@@ -10,7 +10,7 @@ import zstandard
 
 from kleinkram.recordings import Content, Depth, FileSource, RecordingFormat, RecordingSummary, summarise
 from kleinkram.recordings.formats.zstd_file import scan_zstd_file
-from kleinkram.recordings.sources import FileReader, PipeReader
+from kleinkram.recordings.sources import PipeReader, SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.corpus import Entry, params
 from tests.recording_files.databases import make_database, steady
@@ -37,8 +37,8 @@ def database(tmp_path: Path) -> bytes:
 @pytest.mark.parametrize("entry", params("file-zstd of ROS2 sqlite3 db3", "file-zstd of MCAP"))
 def test_real_files(entry: Entry, recordings_dir: Path, temporary: Path) -> None:
     path = recordings_dir / entry.name
-    with FileReader(path) as reader, FileSource(path) as source:
-        scanned, summarised = scan(reader), summarise(source)
+    with FileSource(path) as source:
+        scanned, summarised = scan(SourceReader(source)), summarise(source)
     assert scanned == summarised
     expected = entry.expected
     assert (scanned.content, scanned.reason, scanned.depth) == (Content.indexed, None, Depth.scan)
@@ -117,7 +117,7 @@ def test_a_bomb_ends_at_the_bound(database: bytes, temporary: Path) -> None:
     bomb = zstandard.compress(database + bytes(200_000_000))
     assert len(bomb) < len(database)
     reader = PipeReader(io.BytesIO(bomb), len(bomb), "a.db3.zstd")
-    summary = scan_zstd_file(reader, scan, most_bytes=5_000_000)
+    summary = scan_zstd_file(reader, max_bytes=5_000_000)
     assert summary.content is Content.pending
     assert "more than 5000000 bytes" in (summary.reason or "")
     assert [*temporary.iterdir()] == []

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate_mcap
-from kleinkram.recordings.sample.writers import McapWriter
 from tests.acceptance.conftest import Terminal, wait_until
+from tests.recording_files.writers import McapWriter
 
 # What would be asked for if any of it were an element.
 ELSEWHERE = "http://evil.invalid"

@@ -7,10 +7,10 @@ from io import BytesIO
 import pytest
 
 from kleinkram.recordings import Content, RecordingSummary, summarise
-from kleinkram.recordings.sample.writers import BagCompression, BagWriter
-from kleinkram.recordings.sources import source_reader
+from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import BagCompression, BagWriter
 
 T0 = 1_700_000_000_000_000_000
 STEP = 100_000_000
@@ -32,7 +32,7 @@ def bag(numbers: list[int], compression: BagCompression, *, connections: int = 1
 
 def both(data: bytes) -> list[RecordingSummary]:
     """What the summary says, and what the scan says."""
-    return [summarise(MemorySource(data, "a.bag")), scan(source_reader(MemorySource(data, "a.bag")))]
+    return [summarise(MemorySource(data, "a.bag")), scan(SourceReader(MemorySource(data, "a.bag")))]
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)

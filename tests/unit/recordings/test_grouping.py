@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings import (
-    MemberFacts,
+    Content,
+    RecordingFormat,
     RecordingGroup,
     RecordingGroupKind,
-    Rosbag2Metadata,
-    compare_metadata,
+    RecordingSummary,
     group,
-    parse_rosbag2_metadata,
 )
+from kleinkram.recordings.formats.rosbag2.metadata import Rosbag2Metadata, compare_metadata, parse_rosbag2_metadata
 from tests.recording_files.corpus import Entry, params
 
 SINGLE, SPLIT, ROSBAG2 = RecordingGroupKind.single, RecordingGroupKind.split_set, RecordingGroupKind.rosbag2
@@ -204,7 +204,7 @@ def test_paths_that_windows_wrote_name_the_same_files() -> None:
     assert stated is not None
     (actual,) = group(["bag/bag_0.mcap", "bag/metadata.yaml"], {"bag/metadata.yaml": stated})
     assert actual.members == ("bag/bag_0.mcap",)
-    assert compare_metadata(stated, [MemberFacts("bag_0.mcap")]) == []
+    assert compare_metadata(stated, [("bag_0.mcap", RecordingSummary(RecordingFormat.mcap, Content.indexed))]) == []
 
 
 def test_bags_still_being_written_are_recordings() -> None:

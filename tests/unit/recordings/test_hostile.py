@@ -13,10 +13,10 @@ from kleinkram.recordings import Content, Fact, Lost, RecordingFormat, Recording
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.rosbag1.records import MAGIC as BAG_MAGIC
-from kleinkram.recordings.sample.writers import BagWriter, Compression, McapWriter
-from kleinkram.recordings.sources import source_reader
+from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import BagWriter, Compression, McapWriter
 
 T0 = 1_700_000_000_000_000_000
 HUGE = 2**63
@@ -320,7 +320,7 @@ def test_a_flipped_byte_outside_of_chunks_is_found_by_the_checksum_of_the_data_s
         (flipped, crc, Content.recovered),
     ):
         end = record(Opcode.DATA_END, struct.pack("<I", claimed)) + footer
-        summary = scan(source_reader(MemorySource(data + end)))
+        summary = scan(SourceReader(MemorySource(data + end)))
         assert (summary.content, summary.message_count) == (content, 1)
         assert summary.lost == (None if content is Content.indexed else Lost(0, 0, None))
     assert "data section" in (summary.reason or "")

@@ -17,10 +17,10 @@ from kleinkram.recordings.formats.mcap import scan as scan_module
 from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.mcap.scan import scan_records
 from kleinkram.recordings.formats.rosbag1 import records as bag_records
-from kleinkram.recordings.sample.writers import Compression, McapWriter
-from kleinkram.recordings.sources import source_reader
+from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import Compression, McapWriter
 from tests.unit.recordings.test_hostile import record, small_mcap
 
 REACH = 128 * 1024
@@ -60,9 +60,9 @@ def test_heads_of_chunks_are_not_read_as_often_as_they_stand_there(name: str, mo
         return decompress(kind, stored, uncompressed_bytes)
 
     monkeypatch.setattr(damage_report_module, "_FREE_WASTED_BYTES", 2**20)
-    monkeypatch.setattr("kleinkram.recordings.formats.chunked.decompress", counted)
+    monkeypatch.setattr("kleinkram.recordings.chunk_scanner.decompress", counted)
     data = FILES[name]
-    summary = scan(source_reader(MemorySource(data, name)))
+    summary = scan(SourceReader(MemorySource(data, name)))
     assert summary.content is Content.broken
     assert 0 < read <= 2**20 + 6 * len(data)
 
@@ -72,7 +72,7 @@ def test_faults_that_are_remembered_keep_no_bytes() -> None:
     data = bag_of(connection)[: len(bag_records.MAGIC) + 800 * len(connection)] + bytes(REACH)
     tracemalloc.start()
     try:
-        scan(source_reader(MemorySource(data, "a.bag")))
+        scan(SourceReader(MemorySource(data, "a.bag")))
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -107,7 +107,7 @@ def test_the_messages_of_a_file_inside_of_this_one_are_not_its_own(inner: str, l
     """The length around the inner file is damaged, so that the search comes upon its records."""
     front, rest = front_and_rest(small_mcap())
     damaged = struct.pack("<BQ", opcode, length) + attachment_of(INNER[inner])
-    summary = scan(source_reader(MemorySource(front + damaged + rest, "a.mcap")))
+    summary = scan(SourceReader(MemorySource(front + damaged + rest, "a.mcap")))
     assert summary.content is Content.recovered
     assert summary.message_count == 40 + (opcode == Opcode.MESSAGE and length < len(damaged))
     assert summary.lost is not None
@@ -120,13 +120,13 @@ def test_a_file_inside_of_this_one_that_has_no_end_takes_the_rest_with_it() -> N
     front, rest = front_and_rest(small_mcap())
     cut = small_mcap()[:-60]
     damaged = struct.pack("<BQ", Opcode.ATTACHMENT, 2**60) + attachment_of(cut)
-    summary = scan(source_reader(MemorySource(front + damaged + rest, "a.mcap")))
+    summary = scan(SourceReader(MemorySource(front + damaged + rest, "a.mcap")))
     assert (summary.content, summary.message_count) == (Content.broken, 0)
 
 
 def test_a_file_behind_this_one_is_not_counted() -> None:
     first, second = small_mcap(), small_mcap()
-    summary = scan(source_reader(MemorySource(first + second, "a.mcap")))
+    summary = scan(SourceReader(MemorySource(first + second, "a.mcap")))
     assert (summary.content, summary.message_count) == (Content.recovered, 40)
     assert summary.lost is not None
     assert summary.lost.bytes == len(second)
@@ -143,7 +143,7 @@ def test_a_damaged_chunk_that_holds_a_file_is_left_out_whole() -> None:
     writer.finish()
     data = bytearray(out.getvalue())
     data[data.index(records.MAGIC, 8) + 12] ^= 1
-    summary = scan(source_reader(MemorySource(bytes(data), "a.mcap")))
+    summary = scan(SourceReader(MemorySource(bytes(data), "a.mcap")))
     assert (summary.message_count, [topic.name for topic in summary.topics]) == (2, ["/files"])
     assert summary.lost is not None
     assert (summary.lost.chunks, summary.lost.messages) == (1, 1)
@@ -156,7 +156,7 @@ def test_a_topic_may_have_any_name() -> None:
     message = struct.pack("<HIQQ", 5, 0, 7, 7)
     pieces = [records.RECORD_HEAD.pack(Opcode.CHANNEL, len(definition)) + definition]
     pieces += 3 * [records.RECORD_HEAD.pack(Opcode.MESSAGE, len(message)) + message]
-    summary = scan(source_reader(MemorySource(records.MAGIC + b"".join(pieces), "a.mcap")))
+    summary = scan(SourceReader(MemorySource(records.MAGIC + b"".join(pieces), "a.mcap")))
     assert [(actual.name, actual.count) for actual in summary.topics] == [(topic.decode(), 3)]
 
 
@@ -174,5 +174,5 @@ def test_heads_of_definitions_are_not_read_as_often_as_they_stand_there(monkeypa
     length = 2**20
     head = records.RECORD_HEAD.pack(Opcode.SCHEMA, length) + struct.pack("<HIII", 1, 0, 0, length - 14)
     data = records.MAGIC + head * HEADS + bytes(length)
-    scan_records(source_reader(MemorySource(data, "a.mcap")))
+    scan_records(SourceReader(MemorySource(data, "a.mcap")))
     assert 0 < bytes_parsed <= 2**20 + 6 * len(data)

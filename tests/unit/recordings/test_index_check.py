@@ -11,7 +11,7 @@ import pytest
 from kleinkram.recordings import FileSource, Recording, RecordingSummary, summarise
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
-from kleinkram.recordings.sources import FileReader
+from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.agreement import ParallelSource, accounts_of, disagreements
 from tests.recording_files.builders import T0, bag_of, mcap_of
@@ -121,8 +121,8 @@ def written(name: str, folder: Path) -> Path:
 
 
 def by_scan(path: Path) -> RecordingSummary:
-    with FileReader(path) as reader:
-        return scan(reader)
+    with FileSource(path) as source:
+        return scan(SourceReader(source))
 
 
 def by_index(path: Path) -> RecordingSummary:

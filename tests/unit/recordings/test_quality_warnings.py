@@ -13,10 +13,10 @@ from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.rosbag1 import records as bag_records
 from kleinkram.recordings.model import span_text
-from kleinkram.recordings.sample.writers import McapWriter
-from kleinkram.recordings.sources import source_reader
+from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import McapWriter
 
 T0 = 1_700_000_000_000_000_000
 SECOND = 1_000_000_000
@@ -25,7 +25,7 @@ SECOND = 1_000_000_000
 def problems(topics: dict[str, list[int]], *, published: int = 0) -> list[tuple[str, str]]:
     """Return code and place of the problems of a recording with these stamps (seconds); scan and summary agree."""
     data = recording(topics, published=published)
-    actual = scan(source_reader(MemorySource(data))).problems
+    actual = scan(SourceReader(MemorySource(data))).problems
     if not published:
         assert summarise(MemorySource(data)).problems == actual
     return [(problem.code, problem.where) for problem in actual]
@@ -83,7 +83,7 @@ def stamped(stamps: list[int]) -> MemorySource:
 def test_a_clock_that_was_set_back(stamps: list[int], named: str) -> None:
     source = stamped(stamps)
     actual = summarise(source).problems
-    assert scan(source_reader(source)).problems == actual
+    assert scan(SourceReader(source)).problems == actual
     (problem,) = actual
     assert (problem.code, problem.where) == ("clock-jump", "2 topics")
     assert named in problem.message
@@ -122,7 +122,7 @@ def test_log_times_far_from_publish_times() -> None:
     topics = {"/imu": list(range(20))}
     assert problems(topics, published=SECOND // 2) == []
     assert problems(topics, published=3 * SECOND) == [("publish-time-differs", "/imu")]
-    (problem,) = scan(source_reader(MemorySource(recording(topics, published=-3 * SECOND)))).problems
+    (problem,) = scan(SourceReader(MemorySource(recording(topics, published=-3 * SECOND)))).problems
     assert problem == Problem(
         "publish-time-differs",
         "/imu",
@@ -179,7 +179,7 @@ def mcap_of(*publishers: tuple[bytes, bytes]) -> bytes:
 @pytest.mark.parametrize(("make", "name"), [(bag_of, "a.bag"), (mcap_of, "a.mcap")])
 def test_doubled_channels(make: Callable[..., bytes], name: str) -> None:
     def doubled(*publishers: tuple[bytes, bytes]) -> list[str]:
-        summary = scan(source_reader(MemorySource(make(*publishers), name)))
+        summary = scan(SourceReader(MemorySource(make(*publishers), name)))
         assert summary.message_count == len(publishers)
         return [one.where + ": " + one.message for one in summary.problems if one.code == "doubled-channel"]
 

@@ -11,26 +11,26 @@ from hypothesis import strategies as st
 
 from kleinkram.recordings import timeline as timeline_module
 from kleinkram.recordings.chunk_table import smallest_to_come
+from kleinkram.recordings.file_summary import TopicType, build_summary
 from kleinkram.recordings.model import RecordingFormat, RecordingSummary
 from kleinkram.recordings.timeline import YEAR_NS, ChunkEntries, Timeline
-from kleinkram.recordings.topic_statistics import TopicType, measure
 
 NO_TYPE = [TopicType("", "", "")]
 T0 = 1_700_000_000_000_000_000
 
 
 def measured(chunks: list[list[int]], *, watermarks: bool = True) -> RecordingSummary:
-    """Feed chunks of one topic as a reader of an index does, and settle as soon as may be."""
+    """Feed chunks of one topic as a reader of an index does, and finish as early as possible."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(timeline_module, "SETTLE_AT", 1)
+        patch.setattr(timeline_module, "FINISH_AT", 1)
         timeline = Timeline()
     starts = array("Q", [min(chunk) for chunk in chunks])
     for chunk, before_ns in zip(chunks, smallest_to_come(starts), strict=True):
         offsets = [number * 100 for number in range(len(chunk))]
         timeline.add_chunk([ChunkEntries("/t", chunk, offsets)], uncompressed_bytes=len(chunk) * 100, stored_bytes=10)
-        timeline.settle(before_ns if watermarks else 0)
-    timeline.settle(None)
-    return measure(RecordingFormat.mcap, timeline, {"/t": NO_TYPE})
+        timeline.finish(before_ns if watermarks else 0)
+    timeline.finish(None)
+    return build_summary(RecordingFormat.mcap, timeline, {"/t": NO_TYPE})
 
 
 def plain_gap(stamps: list[int]) -> int:
@@ -81,10 +81,10 @@ def test_memory_stays_small_for_a_long_recording() -> None:
     for chunk in range(2_000):
         start = T0 + chunk * 1_000
         timeline.add("/t", range(start, start + 1_000), 0)
-        timeline.settle(start + 1_000)
+        timeline.finish(start + 1_000)
     times = timeline.topics["/t"]
     assert times.count == 2_000_000
-    assert len(times.pending) <= timeline_module.SETTLE_AT
+    assert len(times.pending) <= timeline_module.FINISH_AT
     assert len(times.runs) == 1
 
 
@@ -95,8 +95,8 @@ def test_memory_stays_small_where_a_clock_stood_still(monkeypatch: pytest.Monkey
         timeline.add("/t", [T0] * 100, 0)
         timeline.bound()
         assert len(timeline.topics["/t"].pending) <= 1_000
-    timeline.settle(None)
-    (topic,) = measure(RecordingFormat.mcap, timeline, {"/t": NO_TYPE}).topics
+    timeline.finish(None)
+    (topic,) = build_summary(RecordingFormat.mcap, timeline, {"/t": NO_TYPE}).topics
     assert (topic.count, topic.longest_gap_ns, topic.out_of_order_count) == (5_000, 0, 0)
 
 
@@ -126,8 +126,8 @@ def test_two_topics_share_a_recordings_span() -> None:
     timeline = Timeline()
     timeline.add("/a", [T0, T0 + 100], 0)
     timeline.add("/b", [T0 + 30, T0 + 60], 0)
-    timeline.settle(None)
-    actual = measure(RecordingFormat.mcap, timeline, {"/a": NO_TYPE, "/b": NO_TYPE})
+    timeline.finish(None)
+    actual = build_summary(RecordingFormat.mcap, timeline, {"/a": NO_TYPE, "/b": NO_TYPE})
     b = actual.topics[1]
     assert (b.head_gap_ns, b.tail_gap_ns, b.longest_gap_ns) == (30, 40, 30)
 
@@ -135,7 +135,7 @@ def test_two_topics_share_a_recordings_span() -> None:
 def test_offsets_give_the_order_of_the_file() -> None:
     timeline = Timeline()
     timeline.add_chunk([ChunkEntries("/t", [1, 2, 3], [200, 100, 0])], uncompressed_bytes=300, stored_bytes=300)
-    timeline.settle(None)
+    timeline.finish(None)
     assert timeline.topics["/t"].out_of_order == 2
 
 

@@ -14,7 +14,7 @@ import zstandard
 from kleinkram.recordings import Content, FileSource, Recording, RecordingSummary, summarise
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
-from kleinkram.recordings.sources import FileReader
+from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.agreement import ParallelSource, accounts_of, disagreements
 from tests.recording_files.builders import T0, bag_of, mcap_of
@@ -24,8 +24,8 @@ _MESSAGES = 1000
 
 
 def by_scan(path: Path) -> RecordingSummary:
-    with FileReader(path) as reader:
-        return scan(reader)
+    with FileSource(path) as source:
+        return scan(SourceReader(source))
 
 
 def by_index(path: Path) -> RecordingSummary:
@@ -135,8 +135,8 @@ def test_a_chunk_that_was_never_finished_is_saved_as_far_as_it_goes(
     assert summary.content is Content.recovered
     assert "was begun here and never finished" in str(summary.reason)
     assert summary.message_count is not None
-    least = _MESSAGES if share == 1 else _MESSAGES * share * 0.6
-    assert least <= summary.message_count <= _MESSAGES
+    minimum = _MESSAGES if share == 1 else _MESSAGES * share * 0.6
+    assert minimum <= summary.message_count <= _MESSAGES
     assert (summary.topics[0].stored_bytes or 0) <= path.stat().st_size
     (accounts,) = accounts_of(tmp_path)
     assert disagreements(accounts) == []

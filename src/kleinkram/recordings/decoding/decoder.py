@@ -1,4 +1,4 @@
-"""Choosing and building the decoder of a channel: ROS 1, CDR, JSON or protobuf."""
+"""Builds the decoder of a channel: ROS 1, CDR, JSON or protobuf."""
 
 from __future__ import annotations
 
@@ -9,33 +9,29 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+from kleinkram.recordings.decoding import types
 from kleinkram.recordings.decoding.generate import Decode, generate
 from kleinkram.recordings.decoding.idl_definitions import parse_idl
 from kleinkram.recordings.decoding.msg_definitions import Ros, parse_msg, well_known_definitions
 from kleinkram.recordings.decoding.types import (
-    MAX_JSON_DEPTH,
-    MAX_JSON_VALUES,
-    MAX_SCHEMA_BYTES,
-    MAX_TYPES,
     DecodeError,
     Layout,
     ReadingExtraMissing,
     SchemaError,
     Struct,
     Undecodable,
-    layout_of,
 )
 from kleinkram.recordings.decoding.values import Value
 from kleinkram.recordings.decoding.wire import CDR_LE, ENCAPSULATIONS, OTHER_ENCAPSULATIONS, ROS1
 
 
 def json_decode(name: str) -> Callable[[bytes], Any]:
-    """Return a function that decodes JSON messages, whatever their schema."""
+    """Return a function that decodes JSON messages with any schema."""
 
     def decode(data: bytes) -> Any:
         raw = bytes(data)
-        if sum(map(raw.count, (b",", b"[", b"{"))) > MAX_JSON_VALUES:
-            raise DecodeError(name, f"more than {MAX_JSON_VALUES} values in one JSON message")
+        if sum(map(raw.count, (b",", b"[", b"{"))) > types.MAX_JSON_VALUES:
+            raise DecodeError(name, f"more than {types.MAX_JSON_VALUES} values in one JSON message")
         try:
             value = json.loads(raw)
         except json.JSONDecodeError as error:
@@ -44,8 +40,8 @@ def json_decode(name: str) -> Callable[[bytes], Any]:
             raise DecodeError(name, "its JSON nests too deeply") from None
         except ValueError:  # no text, or a number of thousands of digits
             raise DecodeError(name, "its JSON cannot be read") from None
-        if raw.count(b"[") + raw.count(b"{") > MAX_JSON_DEPTH and _is_deep(value):
-            raise DecodeError(name, f"its JSON nests more than {MAX_JSON_DEPTH} deep")
+        if raw.count(b"[") + raw.count(b"{") > types.MAX_JSON_DEPTH and _is_deep(value):
+            raise DecodeError(name, f"its JSON nests more than {types.MAX_JSON_DEPTH} deep")
         return value
 
     return decode
@@ -53,7 +49,7 @@ def json_decode(name: str) -> Callable[[bytes], Any]:
 
 def _is_deep(value: Any) -> bool:
     level = [value] if isinstance(value, (dict, list)) else []
-    for _ in range(MAX_JSON_DEPTH):
+    for _ in range(types.MAX_JSON_DEPTH):
         parts = [part for whole in level for part in (whole.values() if isinstance(whole, dict) else whole)]
         level = [part for part in parts if isinstance(part, (dict, list))]
         if not level:
@@ -93,7 +89,7 @@ def protobuf_decode(name: str, schema: bytes) -> tuple[Callable[[bytes], Any], L
 
 def _layout_of(root: Any) -> Layout:
     """Return names, numbers and types of all fields that a message can have, type by type in the order of use."""
-    types = {root.full_name: root}
+    known_types = {root.full_name: root}
     layout: list[object] = []
     waiting = [root]
     while waiting:
@@ -102,8 +98,8 @@ def _layout_of(root: Any) -> Layout:
             part = field.message_type
             has_many = isinstance(field.default_value, list)
             layout.append((kind.full_name, field.name, field.number, field.type, has_many, part and part.full_name))
-            if part is not None and part.full_name not in types:
-                types[part.full_name] = part
+            if part is not None and part.full_name not in known_types:
+                known_types[part.full_name] = part
                 waiting.append(part)
     return tuple(layout)
 
@@ -121,8 +117,8 @@ def _in_order(files: dict[str, Any]) -> list[Any]:
         if name in seen:
             continue
         seen.add(name)
-        if len(seen) > MAX_TYPES:
-            raise SchemaError(f"more than {MAX_TYPES} files")
+        if len(seen) > types.MAX_TYPES:
+            raise SchemaError(f"more than {types.MAX_TYPES} files")
         if name not in files:
             files[name] = _known_file(name)
         waiting.append((name, True))
@@ -175,13 +171,15 @@ class Decoder:
 def decoder_for(
     message_encoding: str, schema_name: str, schema_encoding: str, schema_data: bytes
 ) -> Decoder | Undecodable:
-    """Return the decoder of a channel's messages, or why there is none. Cached.
+    """Return the decoder of a channel's messages, or why they cannot be decoded. Cached.
 
     CDR messages without a definition use that of `well_known.txt`, if there is one. The encodings are spelled as in
     MCAP.
     """
-    if len(schema_data) > MAX_SCHEMA_BYTES:
-        return Undecodable(schema_name, f"its schema has {len(schema_data)} bytes; at most {MAX_SCHEMA_BYTES} are read")
+    if len(schema_data) > types.MAX_SCHEMA_BYTES:
+        return Undecodable(
+            schema_name, f"its schema has {len(schema_data)} bytes; at most {types.MAX_SCHEMA_BYTES} are read"
+        )
     try:
         return _decoder(message_encoding, schema_name, schema_encoding, schema_data)
     except SchemaError as error:
@@ -210,7 +208,7 @@ def _decoder(message_encoding: str, name: str, schema_encoding: str, data: bytes
         return Undecodable(name, "its definition is missing: the recording has an empty one")
     struct = parse(name, data.decode("utf-8", "replace"))
     decode = generate(struct, ROS1) if message_encoding == "ros1" else _cdr(struct)
-    return Decoder(name, message_encoding, decode, struct, layout_of(struct))
+    return Decoder(name, message_encoding, decode, struct, types.layout_of(struct))
 
 
 # Types without fields are called so in every package; should one hold bytes all the same, these are left over.
@@ -235,7 +233,7 @@ def _well_known(name: str, structs: list[Struct]) -> Decoder:
                 raise
             return fitting[0]
 
-    return Decoder(name, "cdr", decode if others else first, structs[0], layout_of(structs[0]))
+    return Decoder(name, "cdr", decode if others else first, structs[0], types.layout_of(structs[0]))
 
 
 _PARSERS: dict[tuple[str, str], Callable[[str, str], Struct]] = {

@@ -1,4 +1,4 @@
-"""Generates one Python function per type, which is what makes decoding fast.
+"""Generates a Python function for each message type that decodes its messages fast.
 
 The generated function reads runs of numbers with one `struct` call each, computes alignment in advance wherever the
 position is known, and inlines nested types. A schema is untrusted text, and this is `exec`: nothing of it enters the
@@ -21,7 +21,7 @@ from kleinkram.recordings.decoding.wire import (
     NumberReader,
     Wire,
     is_numbers,
-    least_size,
+    min_size,
     number_reader,
     object_count,
     read_wide,
@@ -138,7 +138,7 @@ class _CodeWriter:
         self._run, self._format = [], ""
 
     def check_end(self) -> None:
-        """Refuse a message that goes on behind its last field: its definition is another one."""
+        """Refuse a message with bytes behind its last field: it has another definition."""
         end = self._position(self._ahead)
         self.line(f"if size > {self._position(self._ahead + self._wire.padding)}: left_over(size, {end})")
 
@@ -168,12 +168,12 @@ class _CodeWriter:
             self._residue += step
             return
         self.flush()
-        self._settle(1)
+        self._advance_to(1)
         origin = self._wire.start % size
         self.line(f"o = (o + {size - 1 - origin} & -{size}) + {origin}" if origin else f"o = o + {size - 1} & -{size}")
         self._modulus, self._residue = size, 0
 
-    def _settle(self, modulus: int) -> None:
+    def _advance_to(self, modulus: int) -> None:
         """Bring `o` to the position; `modulus` is what is known of it from now on."""
         self.flush()
         if self._ahead:
@@ -193,10 +193,10 @@ class _CodeWriter:
         self._residue += kind.size
 
     def _count(self) -> str:
-        """Read a length of 4 bytes, and settle behind it; returns its name."""
+        """Read a length of 4 bytes, and continue behind it; returns its name."""
         name = self._name("n")
         self._number(_COUNT, name)
-        self._settle(min(4, self._wire.alignment))
+        self._advance_to(min(4, self._wire.alignment))
         return name
 
     def _text(self, kind: Primitive, target: str) -> None:
@@ -221,11 +221,11 @@ class _CodeWriter:
         if kind.length is None:
             count = self._count()
         else:
-            self._settle(1)
+            self._advance_to(1)
             count = str(kind.length)
-        least, objects = least_size(kind.element, self._wire), 1 + object_count(kind.element)
+        minimum, objects = min_size(kind.element, self._wire), 1 + object_count(kind.element)
         self.line(f"left -= {count} * {objects}")
-        self.line(f"if left < 0 or {count} * {least} > size - o: short({count}, size, o)")
+        self.line(f"if left < 0 or {count} * {minimum} > size - o: short({count}, size, o)")
         elements, part = self._name("a"), self._name("p")
         self.line(f"{elements} = []")
         self.line(f"for {self._name('i')} in range({count}):")
@@ -235,7 +235,7 @@ class _CodeWriter:
             part = self.struct(kind.element)
         else:
             self._read(kind.element, part)
-        self._settle(1)
+        self._advance_to(1)
         self.line(f"{elements}.append({part})")
         self._indent -= 1
         self.line(f"{target} = {elements}")

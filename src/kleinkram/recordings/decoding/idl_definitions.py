@@ -1,4 +1,4 @@
-"""Parser of IDL as rosbag2 and others store it ("ros2idl", "omgidl"): modules, structs, typedefs, enums, constants.
+"""Parses IDL as rosbag2 and others store it ("ros2idl", "omgidl"): modules, structs, typedefs, enums, constants.
 
 The text is untrusted: tokens and nesting are bounded, and only checked names and numbers leave the parser. Unions,
 maps, bit sets, optional members and inheritance, which rosidl never writes, are rejected by name.
@@ -11,21 +11,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
+from kleinkram.recordings.decoding import types
 from kleinkram.recordings.decoding.msg_definitions import split_blocks
-from kleinkram.recordings.decoding.types import (
-    MAX_DEPTH,
-    MAX_LOOPS,
-    MAX_TYPES,
-    PRIMITIVES,
-    ConstantValue,
-    Definition,
-    FieldText,
-    Primitive,
-    SchemaError,
-    Struct,
-    constants_of,
-    resolve,
-)
+from kleinkram.recordings.decoding.types import PRIMITIVES, Definition, FieldText, Primitive, SchemaError
 
 _MAX_TOKENS = 400_000
 _TOKEN = re.compile(
@@ -58,13 +46,13 @@ class _Scope:
     structs: dict[str, list[FieldText]] = field(default_factory=dict)
     typedefs: dict[str, tuple[str, str, tuple[int | None, ...]]] = field(default_factory=dict)
     enums: dict[str, Primitive] = field(default_factory=dict)
-    constants: dict[str, ConstantValue] = field(default_factory=dict)
+    constants: dict[str, types.ConstantValue] = field(default_factory=dict)
 
     def declares(self, path: str) -> bool:
         return path in self.typedefs or path in self.structs or path in self.enums
 
 
-def parse_idl(name: str, text: str) -> Struct:
+def parse_idl(name: str, text: str) -> types.Struct:
     """Return the type `name` ("std_msgs/msg/Header" or "std_msgs::msg::Header") that IDL text describes."""
     scope = _Scope()
     for _, block in split_blocks(text, "IDL:"):
@@ -75,7 +63,7 @@ def parse_idl(name: str, text: str) -> Struct:
         raise SchemaError(f"the schema's text does not define {name}")
 
     definitions = _Definitions(scope)
-    return resolve(definitions.get(declared), definitions.find)
+    return types.resolve(definitions.get(declared), definitions.find)
 
 
 def _candidates(type_name: str, owner: str) -> list[str]:
@@ -93,7 +81,7 @@ class _Definitions:
     def __init__(self, scope: _Scope) -> None:
         self._scope = scope
         self._built: dict[str, Definition] = {}
-        self._constants: dict[str, dict[str, ConstantValue]] = {}
+        self._constants: dict[str, dict[str, types.ConstantValue]] = {}
         for key, value in scope.constants.items():
             module, _, name = key.rpartition("/")
             self._constants.setdefault(module, {})[name] = value
@@ -112,14 +100,16 @@ class _Definitions:
     def get(self, path: str) -> Definition:
         if path not in self._built:
             fields = tuple(self._unalias(text, path) for text in self._scope.structs[path])
-            self._built[path] = Definition(path, fields, constants_of(self._constants.get(f"{path}_Constants", {})))
+            self._built[path] = Definition(
+                path, fields, types.constants_of(self._constants.get(f"{path}_Constants", {}))
+            )
         return self._built[path]
 
     def _unalias(self, text: FieldText, path: str) -> FieldText:
         """Return a field of the struct `path` with what its typedefs stand for."""
         scope = self._scope
         type_name, owner, lengths = text.type_name, path, text.lengths
-        for _ in range(MAX_DEPTH):
+        for _ in range(types.MAX_DEPTH):
             # The innermost declaration of a name counts, whether it is a typedef or not.
             alias = next((c for c in _candidates(type_name, owner) if scope.declares(c)), None)
             if alias is None or alias not in scope.typedefs:
@@ -161,8 +151,8 @@ class _IdlParser:
 
     def declarations(self, modules: str, depth: int) -> None:
         """Read declarations up to the end of a module or of the text."""
-        if depth > MAX_DEPTH:
-            raise SchemaError(f"modules nest more than {MAX_DEPTH} deep")
+        if depth > types.MAX_DEPTH:
+            raise SchemaError(f"modules nest more than {types.MAX_DEPTH} deep")
         while self._peek() not in ("", "}"):
             annotations = self._annotations()
             word = self._next()
@@ -184,8 +174,8 @@ class _IdlParser:
                 raise SchemaError(f"IDL's {word} is not read")
             elif word != ";":
                 raise SchemaError(f"'{word[:40]}' is not a declaration")
-            if len(self._scope.structs) + len(self._scope.typedefs) > 2 * MAX_TYPES:
-                raise SchemaError(f"more than {MAX_TYPES} types")
+            if len(self._scope.structs) + len(self._scope.typedefs) > 2 * types.MAX_TYPES:
+                raise SchemaError(f"more than {types.MAX_TYPES} types")
 
     def _struct(self, modules: str) -> None:
         path = modules + self._identifier()
@@ -212,8 +202,8 @@ class _IdlParser:
                 self._next()
                 lengths.insert(0, self._length(owner))
                 self._expect("]")
-                if len(lengths) > MAX_LOOPS:
-                    raise SchemaError(f"{name[:100]} is an array in more than {MAX_LOOPS} dimensions")
+                if len(lengths) > types.MAX_LOOPS:
+                    raise SchemaError(f"{name[:100]} is an array in more than {types.MAX_LOOPS} dimensions")
             fields.append(FieldText(name, type_name, (*inner, *lengths)))
             if self._expect(",", ";") == ";":
                 return fields
@@ -241,8 +231,8 @@ class _IdlParser:
     def _type(self, owner: str, depth: int) -> tuple[str, tuple[int | None, ...]]:
         word = self._next()
         if word == "sequence":
-            if depth > MAX_DEPTH:
-                raise SchemaError(f"sequences nest more than {MAX_DEPTH} deep")
+            if depth > types.MAX_DEPTH:
+                raise SchemaError(f"sequences nest more than {types.MAX_DEPTH} deep")
             self._expect("<")
             name, lengths = self._type(owner, depth + 1)
             if self._expect(",", ">") == ",":
@@ -316,7 +306,7 @@ class _IdlParser:
         return word.removeprefix("_")
 
 
-def _literal(type_name: str, words: list[str]) -> ConstantValue | None:
+def _literal(type_name: str, words: list[str]) -> types.ConstantValue | None:
     """Return the value of a constant; None for one that is computed."""
     text = "".join(words)
     if type_name in ("string", "wstring"):

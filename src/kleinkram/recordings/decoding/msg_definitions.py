@@ -1,4 +1,4 @@
-"""Parser of ROS message definitions, and the definitions that we ship.
+"""Parses ROS message definitions, and finds those of common types that recordings lack.
 
 Reads ROS 1 (a bag's `message_definition`, MCAP's "ros1msg") and ROS 2 ("ros2msg").
 
@@ -15,23 +15,12 @@ Source: wiki.ros.org/msg; "Interface definition" of the ROS 2 documentation; MCA
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from enum import Enum
 from functools import lru_cache
 from importlib.resources import files
 
-from kleinkram.recordings.decoding.types import (
-    MAX_TYPES,
-    PRIMITIVES,
-    ConstantValue,
-    Definition,
-    FieldText,
-    Primitive,
-    SchemaError,
-    Struct,
-    constants_of,
-    resolve,
-)
+from kleinkram.recordings.decoding import types
+from kleinkram.recordings.decoding.types import PRIMITIVES, Definition, FieldText, Primitive, SchemaError
 
 
 class Ros(Enum):
@@ -46,21 +35,36 @@ _LINE = re.compile(
     r"(?P<type>[A-Za-z][A-Za-z0-9_/]*)(?:<=\d{1,18})?(?P<array>\[(?:<=)?(?P<length>\d{0,18})\])?"
     r"[ \t]+(?P<name>[A-Za-z_][A-Za-z0-9_]*)[ \t]*(?P<rest>.*)\Z"
 )
-_TIME = {Ros.one: (("secs", "uint32"), ("nsecs", "uint32")), Ros.two: (("sec", "int32"), ("nanosec", "uint32"))}
-_DURATION = {Ros.one: (("secs", "int32"), ("nsecs", "int32")), Ros.two: (("sec", "int32"), ("nanosec", "uint32"))}
+# The types that a text may use without defining them.
+_BUILT_IN = {
+    Ros.one: {
+        "time": "uint32 secs\nuint32 nsecs",
+        "duration": "int32 secs\nint32 nsecs",
+        "std_msgs/Header": "uint32 seq\ntime stamp\nstring frame_id",
+    },
+    Ros.two: {
+        "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
+        "builtin_interfaces/msg/Duration": "int32 sec\nuint32 nanosec",
+        "service_msgs/msg/ServiceEventInfo": (
+            "uint8 event_type\nbuiltin_interfaces/msg/Time stamp\nchar[16] client_gid\nint64 sequence_number"
+        ),
+        "std_msgs/msg/Header": "builtin_interfaces/msg/Time stamp\nstring frame_id",
+    },
+}
 _OTHER_NAMES = {
     Ros.one: {"byte": PRIMITIVES["int8"], "char": PRIMITIVES["uint8"]},
     Ros.two: {"byte": PRIMITIVES["uint8"], "char": PRIMITIVES["uint8"]},
 }
 
 
-def parse_msg(name: str, text: str, ros: Ros) -> Struct:
+def parse_msg(name: str, text: str, ros: Ros) -> types.Struct:
     """Return the type `name` that a text of definitions describes.
 
     A service's text, which has "---" between request and response, gives `..._Request`, `..._Response` and the
     `..._Event` that ROS 2 records.
     """
-    definitions = {**_built_in(ros), **_split(name, text)}
+    definitions = {known: _definition(known, built_in) for known, built_in in _BUILT_IN[ros].items()}
+    definitions |= _split(name, text)
     by_short_name: dict[str, Definition] = {}
     for known, definition in definitions.items():
         if "/msg/" in known or short_name(known) not in by_short_name:
@@ -81,7 +85,7 @@ def parse_msg(name: str, text: str, ros: Ros) -> Struct:
     root = definitions.get(name) or by_short_name.get(short_name(name))
     if root is None:
         raise SchemaError(f"the schema's text does not define {name}")
-    return resolve(root, find)
+    return types.resolve(root, find)
 
 
 def _candidates(type_name: str, owner: str, ros: Ros) -> tuple[str, ...]:
@@ -114,8 +118,8 @@ def split_blocks(text: str, mark: str) -> list[tuple[str | None, str]]:
         else:
             is_head = is_head and not stripped
             blocks[-1][1].append(line)
-        if len(blocks) > MAX_TYPES:
-            raise SchemaError(f"more than {MAX_TYPES} types")
+        if len(blocks) > types.MAX_TYPES:
+            raise SchemaError(f"more than {types.MAX_TYPES} types")
     return [(name, "\n".join(lines)) for name, lines in blocks]
 
 
@@ -152,7 +156,7 @@ def _service(root: str, sections: list[str]) -> dict[str, Definition]:
 
 def _definition(name: str, text: str) -> Definition:
     fields: list[FieldText] = []
-    constants: dict[str, ConstantValue] = {}
+    constants: dict[str, types.ConstantValue] = {}
     for line in text.split("\n"):
         stripped = line.strip()
         if not stripped or stripped.startswith("#"):
@@ -170,10 +174,10 @@ def _definition(name: str, text: str) -> Definition:
             is_fixed = match["length"] and "<=" not in match["array"]
             lengths = (int(match["length"]) if is_fixed else None,)
         fields.append(FieldText(match["name"], match["type"], lengths))
-    return Definition(name, tuple(fields), constants_of(constants))
+    return Definition(name, tuple(fields), types.constants_of(constants))
 
 
-def _constant(type_name: str, text: str) -> ConstantValue | None:
+def _constant(type_name: str, text: str) -> types.ConstantValue | None:
     """Return a constant's value; None for what is not written as its type."""
     if type_name in ("string", "wstring"):
         quoted = len(text) > 1 and text[0] in "\"'" and text[-1] == text[0]
@@ -185,32 +189,6 @@ def _constant(type_name: str, text: str) -> ConstantValue | None:
         return float(text) if type_name.startswith("float") else int(text, 0)
     except ValueError:
         return None
-
-
-def _built_in(ros: Ros) -> Mapping[str, Definition]:
-    """The types that a text may use without defining them."""
-    prefix = "" if ros is Ros.one else "builtin_interfaces/msg/"
-    time, duration = (
-        (f"{prefix}time", f"{prefix}duration") if ros is Ros.one else (f"{prefix}Time", f"{prefix}Duration")
-    )
-    built_in = [
-        Definition(time, tuple(FieldText(name, kind, ()) for name, kind in _TIME[ros])),
-        Definition(duration, tuple(FieldText(name, kind, ()) for name, kind in _DURATION[ros])),
-    ]
-    if ros is Ros.two:
-        info = (
-            FieldText("event_type", "uint8", ()),
-            FieldText("stamp", "builtin_interfaces/msg/Time", ()),
-            FieldText("client_gid", "char", (16,)),
-            FieldText("sequence_number", "int64", ()),
-        )
-        built_in.append(Definition("service_msgs/msg/ServiceEventInfo", info))
-    frame = (FieldText("stamp", time, ()), FieldText("frame_id", "string", ()))
-    if ros is Ros.one:
-        built_in.append(Definition("std_msgs/Header", (FieldText("seq", "uint32", ()), *frame)))
-    else:
-        built_in.append(Definition("std_msgs/msg/Header", frame))
-    return {definition.name: definition for definition in built_in}
 
 
 @lru_cache(maxsize=1)

@@ -18,18 +18,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from kleinkram.recordings.decoding import types
 from kleinkram.recordings.decoding.decoder import Decoder
-from kleinkram.recordings.decoding.types import (
-    BATCH_BYTES,
-    BATCH_MESSAGES,
-    Array,
-    DecodeError,
-    Primitive,
-    ReadingExtraMissing,
-    Struct,
-    Type,
-    Undecodable,
-)
+from kleinkram.recordings.decoding.types import DecodeError, ReadingExtraMissing, Struct, Type, Undecodable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -97,7 +88,7 @@ def arrow_type(kind: Type) -> Any:
     """Return the Arrow type of a field."""
     import pyarrow as pa
 
-    if isinstance(kind, Primitive):
+    if isinstance(kind, types.Primitive):
         if kind.code in ("", "?"):
             return pa.bool_() if kind.code else pa.string()
         return getattr(pa, kind.name)()
@@ -111,9 +102,9 @@ def arrow_type(kind: Type) -> Any:
     return pa.list_(element) if kind.length is None else pa.list_(element, kind.length)
 
 
-def is_bytes(kind: Array) -> bool:
+def is_bytes(kind: types.Array) -> bool:
     """Return whether an array is stored as binary: `uint8` of variable length."""
-    return kind.length is None and isinstance(kind.element, Primitive) and kind.element.name == "uint8"
+    return kind.length is None and isinstance(kind.element, types.Primitive) and kind.element.name == "uint8"
 
 
 def arrow_of(values: Any, valid: Any = None) -> Any:
@@ -221,7 +212,17 @@ def arrow_batches(
         ReadingExtraMissing: numpy or pyarrow is not installed.
     """
     _arrow()
-    rows = _rows_of(decoder, fields, notice or _ignore)
+    rows: Callable[[list[int], list[int], list[bytes]], Any]
+    if isinstance(decoder, Undecodable):
+        rows = _raw_rows
+    elif decoder.struct is None:
+        from kleinkram.recordings.decoding.json_rows import JsonRows
+
+        rows = JsonRows(decoder, fields, notice or _ignore)
+    else:
+        from kleinkram.recordings.decoding.typed_rows import TypedRows
+
+        rows = TypedRows(decoder, decoder.struct, columns_of(decoder.struct, fields), notice or _ignore)
     is_first = True
     for log_ns, publish_ns, data in _batches(messages):
         yield rows(log_ns, publish_ns, data)
@@ -230,7 +231,10 @@ def arrow_batches(
         yield rows([], [], [])
 
 
-Rows = Callable[[list[int], list[int], list[bytes]], Any]
+def _raw_rows(log_ns: list[int], publish_ns: list[int], data: list[bytes]) -> Any:
+    import pyarrow as pa
+
+    return timed_batch(log_ns, publish_ns, ["data"], [pa.array([bytes(raw) for raw in data], pa.binary())])
 
 
 def _arrow() -> Any:
@@ -248,7 +252,7 @@ def _batches(messages: Iterable[TimedMessage]) -> Iterator[tuple[list[int], list
     data: list[bytes] = []
     size = 0
     for log, publish, raw in messages:
-        if data and (size + len(raw) > BATCH_BYTES or len(data) >= BATCH_MESSAGES):
+        if data and (size + len(raw) > types.BATCH_BYTES or len(data) >= types.BATCH_MESSAGES):
             yield log_ns, publish_ns, data
             log_ns, publish_ns, data, size = [], [], [], 0
         log_ns.append(log)
@@ -257,21 +261,3 @@ def _batches(messages: Iterable[TimedMessage]) -> Iterator[tuple[list[int], list
         size += len(raw)
     if data:
         yield log_ns, publish_ns, data
-
-
-def _rows_of(decoder: Decoder | Undecodable, fields: Sequence[str] | None, notice: Notice) -> Rows:
-    if isinstance(decoder, Undecodable):
-        return _raw_rows
-    if decoder.struct is None:
-        from kleinkram.recordings.decoding.json_rows import JsonRows
-
-        return JsonRows(decoder, fields, notice)
-    from kleinkram.recordings.decoding.typed_rows import TypedRows
-
-    return TypedRows(decoder, decoder.struct, columns_of(decoder.struct, fields), notice)
-
-
-def _raw_rows(log_ns: list[int], publish_ns: list[int], data: list[bytes]) -> Any:
-    import pyarrow as pa
-
-    return timed_batch(log_ns, publish_ns, ["data"], [pa.array([bytes(raw) for raw in data], pa.binary())])

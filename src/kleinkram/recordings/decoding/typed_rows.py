@@ -2,7 +2,7 @@
 
 A shape is the positions of the values in a message. Two messages have the same shape exactly if they have the same size
 and the same bytes wherever a length is written, and most messages of a topic do. Such messages form rows of a byte
-matrix, and the columns of the table are cut out of it without decoding any message by itself.
+matrix, and the columns of the table are cut out of it without decoding single messages.
 """
 
 from __future__ import annotations
@@ -14,17 +14,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from kleinkram.recordings.decoding import tables
 from kleinkram.recordings.decoding.decoder import Decoder
-from kleinkram.recordings.decoding.tables import (
-    Notice,
-    TableColumn,
-    arrow_of,
-    arrow_type,
-    column_name,
-    is_bytes,
-    is_time,
-    timed_batch,
-)
+from kleinkram.recordings.decoding.tables import TableColumn, arrow_of, arrow_type
 from kleinkram.recordings.decoding.types import Array, DecodeError, Primitive, Struct, Type
 from kleinkram.recordings.decoding.values import NS, Value
 from kleinkram.recordings.decoding.wire import ENCAPSULATIONS, ROS1, Wire, is_numbers
@@ -35,7 +27,7 @@ _MIN_ROWS = 16  # fewer messages are decoded one by one
 
 
 class NoShape(Exception):
-    """The message is damaged or has too many parts; decode it by itself."""
+    """The message is damaged or has too many parts; decode it separately."""
 
 
 @dataclass(frozen=True)
@@ -186,12 +178,12 @@ class _ColumnReader:
             return self._texts(node)
         if isinstance(node, Numbers) and isinstance(kind, Array):
             return self._arrays(node, kind)
-        if isinstance(node, Parts) and is_time(kind):
+        if isinstance(node, Parts) and tables.is_time(kind):
             whole, rest = node.parts
             return arrow_of(self._integers(whole) * NS + self._integers(rest))
         if isinstance(node, Parts) and isinstance(kind, Struct) and kind.fields:
             inside = [self.array(part, field.type) for part, field in zip(node.parts, kind.fields, strict=True)]
-            names = [column_name(field.name, field.type) for field in kind.fields]
+            names = [tables.column_name(field.name, field.type) for field in kind.fields]
             return pa.StructArray.from_arrays(inside, names=names)
         if isinstance(node, Parts) and isinstance(kind, Array):
             return self._lists(node, kind)
@@ -212,7 +204,7 @@ class _ColumnReader:
 
     def _arrays(self, node: Numbers, kind: Array) -> Any:
         values = self._numbers(node.offset, node.count, node.kind)
-        if is_bytes(kind):
+        if tables.is_bytes(kind):
             buffers = [None, pa.py_buffer(self._offsets(node.count)), pa.py_buffer(values)]
             return pa.Array.from_buffers(pa.binary(), len(self._rows), buffers)
         return self._listed(arrow_of(values), node.count, kind)
@@ -252,7 +244,7 @@ class _ColumnReader:
 class TypedRows:
     """Builds batches of one ROS type: messages of one shape together, the rest one by one."""
 
-    def __init__(self, decoder: Decoder, struct: Struct, columns: list[TableColumn], notice: Notice) -> None:
+    def __init__(self, decoder: Decoder, struct: Struct, columns: list[TableColumn], notice: tables.Notice) -> None:
         self._decoder = decoder
         self._struct = struct
         self._columns = columns
@@ -272,10 +264,10 @@ class TypedRows:
             values = [self._decoded(log_ns[place], data[place]) for place in single]
             groups.append((np.array(single, np.int64), [_column(column, values) for column in self._columns]))
         if len(groups) == 1:
-            return timed_batch(log_ns, publish_ns, [c.name for c in self._columns], groups[0][1])
+            return tables.timed_batch(log_ns, publish_ns, [c.name for c in self._columns], groups[0][1])
         order = arrow_of(np.argsort(np.concatenate([places for places, _ in groups]), kind="stable"))
         joined = [pa.concat_arrays([arrays[n] for _, arrays in groups]).take(order) for n in range(len(self._columns))]
-        return timed_batch(log_ns, publish_ns, [c.name for c in self._columns], joined)
+        return tables.timed_batch(log_ns, publish_ns, [c.name for c in self._columns], joined)
 
     def _shaped(self, places: Any, data: list[bytes], groups: list[tuple[Any, list[Any]]]) -> Any:
         """Read messages of one size by shape; return the indices of those that are left."""
@@ -290,8 +282,8 @@ class TypedRows:
                 fits = (rows[:, fixed] == rows[0, fixed]).all(axis=1)
                 if fits.sum() < _MIN_ROWS:
                     return places
-                is_whole = bool(fits.all())
-                groups.append((places[fits], gather(rows if is_whole else rows[fits], shape, self._columns)))
+                is_complete = bool(fits.all())
+                groups.append((places[fits], gather(rows if is_complete else rows[fits], shape, self._columns)))
             except NoShape:
                 return places
             places, rows = places[~fits], rows[~fits]
@@ -318,16 +310,16 @@ def _cell(kind: Type, value: Any) -> Any:
     """Return a value for Arrow; None where the definition of another release lacks the field."""
     if value is None:
         return None
-    if is_time(kind):
+    if tables.is_time(kind):
         whole, rest = (getattr(value, name) for name in value._fields)
         return whole * NS + rest
     if isinstance(kind, Struct):
         return {
-            column_name(field.name, field.type): _cell(field.type, getattr(value, field.name, None))
+            tables.column_name(field.name, field.type): _cell(field.type, getattr(value, field.name, None))
             for field in kind.fields
         }
     if isinstance(kind, Array):
-        if is_bytes(kind):
+        if tables.is_bytes(kind):
             return value.tobytes()
         if hasattr(value, "dtype"):
             return value if value.dtype.isnative else value.astype(value.dtype.newbyteorder("="))

@@ -1,4 +1,4 @@
-"""Types of a schema, whatever language it is written in, bounds on schemas and messages, and errors.
+"""Types of a schema in any language, bounds on schemas and messages, and errors of decoding.
 
 A `Struct` contains its nested types themselves, never names, so a type cannot contain itself. Build one only with
 `resolve`, which checks the bounds: schemas and messages are untrusted.

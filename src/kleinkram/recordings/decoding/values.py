@@ -1,4 +1,4 @@
-"""Decoded messages: light objects with the fields of their type.
+"""Decoded messages: small objects with the fields of their type as attributes.
 
 Values compare by type name and fields (arrays element by element; NaN is unequal to itself, as in Python), print like
 constructors, copy and pickle. The caller may change them; arrays are views of the message's bytes and read-only.

@@ -1,4 +1,4 @@
-"""How values lie in bytes: ROS 1's serialisation, and CDR in its plain forms.
+"""Serialisation formats of messages: ROS 1, and CDR in its plain forms.
 
 Source: wiki.ros.org/ROS/Technical Overview (little-endian, nothing aligned, lengths of 4 bytes); OMG DDS-XTypes 1.3
 section 7.4 (encapsulation header of 4 bytes, alignment counted from behind it; XCDR2 aligns to at most 4 and puts a
@@ -59,13 +59,13 @@ OTHER_ENCAPSULATIONS = {
 """Known, and not read: their layout depends on the extensibility of types, which ROS schemas do not state."""
 
 
-def least_size(kind: Type, wire: Wire) -> int:
+def min_size(kind: Type, wire: Wire) -> int:
     """Return the fewest bytes that a value can take, without alignment: what bounds how many there can be."""
     if isinstance(kind, Primitive):
         return kind.size or 4
     if isinstance(kind, Array):
-        return 4 if kind.length is None else kind.length * least_size(kind.element, wire)
-    return sum(least_size(field.type, wire) for field in kind.fields) if kind.fields else wire.empty_size
+        return 4 if kind.length is None else kind.length * min_size(kind.element, wire)
+    return sum(min_size(field.type, wire) for field in kind.fields) if kind.fields else wire.empty_size
 
 
 def object_count(kind: Type) -> int:

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, Protocol
 
-from kleinkram.recordings.chunk_reader import ChunkedFile, ChunkFormat, pieces_of
-from kleinkram.recordings.chunk_table import ChunkTable
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import SourceError, TooCostly
-from kleinkram.recordings.index_check import IndexCheck, contradicts_itself
-from kleinkram.recordings.merge import MessagePiece
+from kleinkram.recordings.merge_messages import MessagePiece
 from kleinkram.recordings.messages import Channel, Selection
 from kleinkram.recordings.model import RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader
 from kleinkram.recordings.temporary_files import TooLarge, temporary_database
 
 HEAD_BYTES = 4096  # bytes at the start of a file by which it is recognised
-LONG_HEAD_BYTES = 65536  # likewise of a database, whose schema is at its start
+LONG_HEAD_BYTES = 65536  # of a database, whose schema is at its start
 MAX_REMOTE_SCAN_BYTES = 2**30  # bytes of a file without index that are read over a network unless more is allowed
 
 
@@ -29,13 +26,6 @@ class Head(NamedTuple):
 
     data: bytes
     path: Path | None = None
-
-
-class Summarise(Protocol):
-    """Summarises a file; `pending` if it must be read whole and is larger than `most_bytes`."""
-
-    def __call__(self, source: Source, /, *, most_bytes: int) -> RecordingSummary:
-        """Raise `SourceError` where bytes cannot be read, and nothing else."""
 
 
 @dataclass
@@ -63,22 +53,24 @@ class OpenContext:
 
     Attributes:
         stack: closes what is opened here, with the recording.
-        most_bytes: a file with more bytes is not read whole to open it; None: as `limit_of` says.
-        message_compression: of each message by itself, by metadata.yaml.
+        max_bytes: a file with more bytes is not scanned to open it; None: of remote files, `MAX_REMOTE_SCAN_BYTES`.
+        message_compression: of single messages, by metadata.yaml.
         logs: logs and journals of databases, by their names.
     """
 
     problem_log: ProblemLog
     stack: ExitStack
-    most_bytes: int | None = None
+    max_bytes: int | None = None
     message_compression: str = ""
     logs: Mapping[str, Source] = field(default_factory=dict)
 
-    def limit_of(self, source: Source) -> int | None:
-        """Return how many bytes of a file may be read only to open it; None: all."""
-        if self.most_bytes is not None:
-            return self.most_bytes
-        return None if isinstance(source, FileSource) else MAX_REMOTE_SCAN_BYTES
+    def check_cost(self, source: Source, why: str) -> None:
+        """Raise `TooCostly` if a file is too large to be scanned in order to open it."""
+        max_bytes = self.max_bytes
+        if max_bytes is None and not isinstance(source, FileSource):
+            max_bytes = MAX_REMOTE_SCAN_BYTES
+        if max_bytes is not None and source.size_bytes > max_bytes:
+            raise TooCostly(source.name, source.size_bytes, why)
 
     def copy(self, read: Callable[[int], bytes], name: str, logs: Mapping[str, Source] | None = None) -> Path:
         """Write a file, and a database's logs by their suffixes, to temporary files until the recording is closed."""
@@ -94,10 +86,11 @@ class Format:
     """One file format.
 
     Attributes:
-        matches: whether a file is of this format, tried in the order of the registry.
+        matches: whether a file is of this format, tried in the order of `FORMATS`.
         extensions: those that promise this format, or one that is as good.
         scan: reads a whole file; None: such a file is only recognised.
-        summarise: None: a small file is scanned, a larger one only recognised.
+        summarise: reads less than the file where possible, and returns `pending` if a scan is needed and the file is
+            larger than the number; None: a small file is scanned, a larger one only recognised.
         open: opens its messages; None: it holds none that are read, for the reason `refusal`.
     """
 
@@ -107,7 +100,7 @@ class Format:
     extensions: tuple[str, ...] = ()
     is_text: bool = False
     scan: Callable[[SequentialReader], RecordingSummary] | None = None
-    summarise: Summarise | None = None
+    summarise: Callable[[Source, int], RecordingSummary] | None = None
     open: Callable[[RecordingFile, OpenContext], Member] | None = None
     refusal: str = ""
 
@@ -121,6 +114,14 @@ class MemberContents:
     message_count: int | None
     start_ns: int | None
     end_ns: int | None
+
+    def select(self, selection: Selection) -> dict[int, Channel]:
+        """Return the channels of the selected topics."""
+        return {
+            number: channel
+            for number, channel in self.channels.items()
+            if selection.topics is None or channel.topic in selection.topics
+        }
 
 
 class Member(Protocol):
@@ -136,54 +137,3 @@ class Member(Protocol):
 
     def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
         """Yield the parts that may hold selected messages, by first time."""
-
-
-class ChunkedMember:
-    """A file made of chunks. `summary`: if it was scanned to be opened.
-
-    `with_index_check`: the table comes from the file's own index, which may be wrong. `claimed_span`: by the
-    statistics.
-    """
-
-    def __init__(
-        self,
-        source: Source,
-        chunk_format: ChunkFormat,
-        table: ChunkTable,
-        contents: MemberContents,
-        problem_log: ProblemLog,
-        *,
-        summary: RecordingSummary | None = None,
-        with_index_check: bool = False,
-        claimed_span: tuple[int | None, int | None] = (None, None),
-    ) -> None:
-        check = IndexCheck(source, table, problem_log, chunk_format.read_message_index) if with_index_check else None
-        if check is not None and contradicts_itself(table, claimed_span):
-            check.doubt()
-            check.settle()
-        self._contents = contents
-        self._file = ChunkedFile(source, chunk_format, table, contents.channels, problem_log, check=check)
-        self.summary = summary
-
-    @property
-    def contents(self) -> MemberContents:
-        """The content by the index; if that is wrong, with the span by its message indexes."""
-        check = self._file.check
-        if check is None or check.span is None:
-            return self._contents
-        return replace(self._contents, start_ns=check.span[0], end_ns=check.span[1])
-
-    def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
-        """Yield the chunks that may hold selected messages, by first time."""
-        return pieces_of(self._file, selection, order)
-
-    def doubt_index(self) -> None:
-        """Note that the file's index is wrong."""
-        if self._file.check is not None:
-            self._file.check.doubt()
-
-
-def check_cost(source: Source, most_bytes: int | None, why: str) -> None:
-    """Raise `TooCostly` if a file with more than `most_bytes` (None: any) would be read whole."""
-    if most_bytes is not None and source.size_bytes > most_bytes:
-        raise TooCostly(source.name, source.size_bytes, why)

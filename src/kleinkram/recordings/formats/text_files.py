@@ -1,4 +1,4 @@
-"""Text files that hold no messages: YAML, JSON, trajectories (TUM, KITTI, EuRoC) and tables (CSV), in one pass.
+"""Recognises and describes text files without messages: YAML, JSON, trajectories (TUM, KITTI, EuRoC), tables (CSV).
 
 TUM's stamps are seconds; many tools write milliseconds, microseconds or nanoseconds instead. The first stamp that
 is not 0 decides: the largest unit in which it lies before 2262, the last year that int64 nanoseconds hold.
@@ -13,10 +13,11 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
 from decimal import Decimal
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import hypot, isfinite
 
 from kleinkram.recordings.formats.base import HEAD_BYTES, Format
@@ -25,6 +26,15 @@ from kleinkram.recordings.model import Content, Fact, Problem, RecordingFormat, 
 from kleinkram.recordings.sources import SequentialReader
 
 MAX_LINE_BYTES = 64 * 2**10
+MAX_JSON_BYTES = 8 * 2**20
+_MAX_KEYS = 10_000
+_LISTED_KEYS = 64
+_MAX_NAME = 128
+_YAML_KEY = re.compile(rb"""(?P<quote>["']?)(?P<key>[^\s#\-"'\[{][^:#"']*)(?P=quote)\s*:(\s|$)""")
+_CALIBRATION_KEYS = {"camera_matrix", "distortion_coefficients"}
+_KALIBR_KEYS = (b"camera_model:", b"intrinsics:", b"distortion_coeffs:")
+_YAML_START = re.compile(r"""(- |)["']?[\w./ -]+["']?\s*:(\s|$)|---(\s|$)|%YAML""")
+_JSON_START = re.compile(r"""\s*(\{\s*("|\})|\[\s*(["\[{\]\d-]|true|false|null))""")
 
 
 def read_lines(reader: SequentialReader) -> Iterator[bytes]:
@@ -46,22 +56,13 @@ def read_lines(reader: SequentialReader) -> Iterator[bytes]:
         yield rest.rstrip(b"\r")
 
 
-MAX_JSON_BYTES = 8 * 2**20
-_YAML_KEY = re.compile(rb"""(?P<quote>["']?)(?P<key>[^\s#\-"'\[{][^:#"']*)(?P=quote)\s*:(\s|$)""")
-_MOST_KEYS = 10_000
-_LISTED_KEYS = 64
-_MAX_NAME = 128
-_CALIBRATION_KEYS = {"camera_matrix", "distortion_coefficients"}
-_KALIBR_KEYS = (b"camera_model:", b"intrinsics:", b"distortion_coeffs:")
-
-
 def describe_yaml(reader: SequentialReader) -> RecordingSummary:
     """Count the top-level keys of a YAML file."""
     keys: dict[str, None] = {}
     kalibr: set[bytes] = set()
     for line in read_lines(reader):
         match = _YAML_KEY.match(line)
-        if match is not None and len(keys) < _MOST_KEYS:
+        if match is not None and len(keys) < _MAX_KEYS:
             keys[match["key"].decode("utf-8", "replace").strip()[:_MAX_NAME]] = None
         kalibr.update(key for key in _KALIBR_KEYS if line.strip().startswith(key))
     facts = [Fact("keys", len(keys)), *(Fact("key", key) for key in list(keys)[:_LISTED_KEYS])]
@@ -76,50 +77,38 @@ def describe_json(reader: SequentialReader) -> RecordingSummary:
     facts: list[Fact] = []
     problems: list[Problem] = []
     if reader.size_bytes <= MAX_JSON_BYTES:
-        pieces: list[bytes] = []
-        while piece := reader.read(MAX_JSON_BYTES):
-            pieces.append(piece)
         try:
-            document = json.loads(b"".join(pieces))
+            document = json.loads(b"".join(iter(partial(reader.read, MAX_JSON_BYTES), b"")))
         except (ValueError, RecursionError):
-            problems.append(Problem("json-damaged", reader.name, "it is not whole, or no JSON"))
+            problems.append(Problem("json-damaged", reader.name, "it is incomplete, or not JSON"))
         else:
-            facts = _top(document)
+            if isinstance(document, dict | list):
+                facts.append(Fact("keys" if isinstance(document, dict) else "items", len(document)))
+            if isinstance(document, dict):
+                facts += [Fact("key", str(key)[:_MAX_NAME]) for key in list(document)[:_LISTED_KEYS]]
     return RecordingSummary(
         RecordingFormat.json, Content.opaque, JSON.description, problems=tuple(problems), facts=tuple(facts)
     )
 
 
-def _top(document: object) -> list[Fact]:
-    if isinstance(document, dict):
-        listed = [Fact("key", str(key)[:_MAX_NAME]) for key in list(document)[:_LISTED_KEYS]]
-        return [Fact("keys", len(document)), *listed]
-    return [Fact("items", len(document))] if isinstance(document, list) else []
-
-
-_YAML_START = re.compile(r"""(- |)["']?[\w./ -]+["']?\s*:(\s|$)|---(\s|$)|%YAML""")
-_JSON_START = re.compile(r"""\s*(\{\s*("|\})|\[\s*(["\[{\]\d-]|true|false|null))""")
-_TUM_COLUMNS, _KITTI_COLUMNS = 8, 12
-
-
 @lru_cache(maxsize=1)
 def sniff_text(head: bytes) -> RecordingFormat:
-    """Return the format of a text by its first bytes; unknown if it is none."""
+    """Return the format of a text by its first bytes; `unknown` if it is not a text."""
     head = head[:HEAD_BYTES]
     text = head.decode("utf-8", "ignore")
     if b"\0" in head or len(text.encode()) < len(head) - 3:
         return RecordingFormat.unknown
     if _JSON_START.match(text):
         return RecordingFormat.json
-    whole_lines = text.splitlines()[: -1 if len(head) == HEAD_BYTES else None]
-    lines = [line.strip() for line in whole_lines if line.strip() and not line.lstrip().startswith("#")]
+    complete_lines = text.splitlines()[: -1 if len(head) == HEAD_BYTES else None]
+    lines = [line.strip() for line in complete_lines if line.strip() and not line.lstrip().startswith("#")]
     if not lines:
         return RecordingFormat.unknown
     if any(line.startswith("rosbag2_bagfile_information:") for line in lines):
         return RecordingFormat.rosbag2_metadata
-    if _are_numbers(lines, _TUM_COLUMNS):
+    if _are_numbers(lines, 8):
         return RecordingFormat.tum
-    if _are_numbers(lines, _KITTI_COLUMNS):
+    if _are_numbers(lines, 12):
         return RecordingFormat.kitti
     if len(lines) > 1 and "," in lines[0] and len({line.count(",") for line in lines}) == 1:
         return RecordingFormat.csv
@@ -127,14 +116,15 @@ def sniff_text(head: bytes) -> RecordingFormat:
 
 
 def _are_numbers(lines: list[str], columns: int) -> bool:
-    for line in lines:
-        cells = line.split()
-        if len(cells) != columns:
-            return False
-        try:
-            [float(cell) for cell in cells]
-        except ValueError:
-            return False
+    rows = [line.split() for line in lines]
+    return all(len(row) == columns and all(map(_is_number, row)) for row in rows)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
     return True
 
 
@@ -155,130 +145,11 @@ def text_format(
     )
 
 
-YAML = text_format(RecordingFormat.yaml, "YAML, not a recording", describe_yaml)
-JSON = text_format(RecordingFormat.json, "JSON, not a recording", describe_json)
-ROSBAG2_METADATA = text_format(
-    RecordingFormat.rosbag2_metadata, "the metadata of a rosbag2 recording, not a recording by itself"
-)
-UNKNOWN = text_format(RecordingFormat.unknown, "not a known recording format")
-
-
 _UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 _UNIT_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 _MAX_STAMP_DIGITS = 40
 _LATEST_NS = 2**63 - 1
 _UNIT_TOLERANCE = 0.01
-_REASONS = {
-    RecordingFormat.tum: "a trajectory (TUM), not a recording",
-    RecordingFormat.kitti: "a trajectory (KITTI), not a recording",
-}
-_COLUMNS = {RecordingFormat.tum: 8, RecordingFormat.kitti: 12}
-_PLACES_OF_KITTI = (3, 7, 11)
-
-
-@dataclass
-class Trajectory:
-    """State of parsing a trajectory. `unit`: of its stamps; empty before the first one that is not 0."""
-
-    unit: str = ""
-    poses: int = 0
-    length_m: float = 0.0
-    bad_lines: int = 0
-    first_bad_line: int = 0
-    backward: int = 0
-    not_unit: int = 0
-    start_ns: int | None = None
-    end_ns: int | None = None
-    last_place: tuple[float, ...] = field(default=())
-    last_ns: int = -1
-
-
-def describe_trajectory(kind: RecordingFormat, reader: SequentialReader) -> RecordingSummary:
-    """Read a whole trajectory. Its times are those of its poses, as integer nanoseconds; KITTI has none."""
-    trajectory = Trajectory()
-    for number, line in enumerate(read_lines(reader), 1):
-        text = line.strip()
-        if text and not text.startswith(b"#") and not _add(trajectory, kind, text):
-            trajectory.bad_lines += 1
-            trajectory.first_bad_line = trajectory.first_bad_line or number
-    unit_problems = []
-    if trajectory.unit not in ("", "s"):
-        message = f"the stamps are in {_UNIT_NAMES[trajectory.unit]}, where TUM has seconds; they are read as such"
-        unit_problems.append(Problem("stamp-unit", "file", message))
-    return RecordingSummary(
-        kind,
-        Content.opaque,
-        _REASONS[kind],
-        start_ns=trajectory.start_ns,
-        end_ns=trajectory.end_ns,
-        problems=(*unit_problems, *trajectory_problems(trajectory)),
-        facts=tuple(trajectory_facts(trajectory)),
-    )
-
-
-def trajectory_facts(trajectory: Trajectory) -> list[Fact]:
-    """Return number of poses, path length and duration."""
-    facts = [Fact("poses", trajectory.poses), Fact("path_length", round(trajectory.length_m, 3), "m")]
-    if trajectory.start_ns is not None and trajectory.end_ns is not None:
-        facts.append(Fact("duration", round((trajectory.end_ns - trajectory.start_ns) / 1e9, 6), "s"))
-    if trajectory.unit not in ("", "s"):
-        facts.append(Fact("stamp_unit", trajectory.unit))
-    return facts
-
-
-def _add(trajectory: Trajectory, kind: RecordingFormat, text: bytes) -> bool:
-    """Add a pose; return whether the line is one."""
-    cells = text.split()
-    if len(cells) != _COLUMNS[kind]:
-        return False
-    if kind is RecordingFormat.tum:
-        return add_stamped_pose(trajectory, cells)
-    try:
-        numbers = [float(cell) for cell in cells]
-    except ValueError:
-        return False
-    if not all(map(isfinite, numbers)):
-        return False
-    _add_place(trajectory, tuple(numbers[column] for column in _PLACES_OF_KITTI))
-    return True
-
-
-def add_stamped_pose(trajectory: Trajectory, cells: list[bytes]) -> bool:
-    """Add a pose of 8 cells (stamp, position, quaternion); return whether they are one."""
-    try:
-        numbers = [float(cell) for cell in cells]
-        if not trajectory.unit and numbers[0]:
-            trajectory.unit = unit_of(cells[0].decode())
-        stamp = parse_stamp(cells[0].decode(), trajectory.unit or "s")
-    except (ValueError, UnicodeDecodeError):
-        return False
-    if not all(map(isfinite, numbers)):
-        return False
-    trajectory.backward += stamp < trajectory.last_ns
-    trajectory.last_ns = stamp
-    trajectory.start_ns = stamp if trajectory.start_ns is None else min(trajectory.start_ns, stamp)
-    trajectory.end_ns = stamp if trajectory.end_ns is None else max(trajectory.end_ns, stamp)
-    trajectory.not_unit += abs(hypot(*numbers[4:]) - 1) > _UNIT_TOLERANCE
-    _add_place(trajectory, tuple(numbers[1:4]))
-    return True
-
-
-def _add_place(trajectory: Trajectory, place: tuple[float, ...]) -> None:
-    if trajectory.last_place:
-        trajectory.length_m += hypot(*(a - b for a, b in zip(place, trajectory.last_place, strict=True)))
-    trajectory.last_place = place
-    trajectory.poses += 1
-
-
-def unit_of(text: str) -> str:
-    """Return the unit of a first stamp: the largest in which int64 nanoseconds can hold it."""
-    for unit in _UNITS:
-        try:
-            parse_stamp(text, unit)
-        except ValueError:
-            continue
-        return unit
-    raise ValueError(text)
 
 
 def parse_stamp(text: str, unit: str = "s") -> int:
@@ -294,28 +165,117 @@ def parse_stamp(text: str, unit: str = "s") -> int:
     return stamp
 
 
-def trajectory_problems(trajectory: Trajectory) -> list[Problem]:
-    """Return what is wrong with a trajectory."""
-    problems: list[Problem] = []
-    if trajectory.bad_lines:
-        message = f"{counted(trajectory.bad_lines, 'line is no pose', 'lines are no poses')}"
-        problems.append(Problem("lines-damaged", f"line {trajectory.first_bad_line}", message))
-    if trajectory.backward:
-        message = f"{counted(trajectory.backward, 'pose is', 'poses are')} stamped earlier than the one before"
-        problems.append(Problem("out-of-order", "file", message))
-    if trajectory.not_unit:
-        message = f"{trajectory.not_unit} rotations are no unit quaternions"
-        problems.append(Problem("rotation-not-unit", "file", message))
-    return problems
+def _unit_of(text: str) -> str:
+    """Return the unit of a first stamp: the largest in which int64 nanoseconds can hold it."""
+    for unit in _UNITS:
+        with suppress(ValueError):
+            parse_stamp(text, unit)
+            return unit
+    raise ValueError(text)
+
+
+@dataclass
+class Trajectory:
+    """The poses of a trajectory so far. `unit`: of its stamps; empty before the first one that is not 0."""
+
+    unit: str = ""
+    poses: int = 0
+    length_m: float = 0.0
+    bad_lines: int = 0
+    first_bad_line: int = 0
+    backward: int = 0
+    not_unit: int = 0
+    start_ns: int | None = None
+    end_ns: int | None = None
+    last_position: tuple[float, ...] = ()
+    last_ns: int = -1
+
+    def add(self, cells: list[bytes], line_number: int) -> None:
+        """Add a pose: 8 cells are stamp, position and quaternion; 12 are a 3 x 4 matrix; a bad line is counted."""
+        try:
+            numbers = [float(cell) for cell in cells]
+            if len(cells) not in (8, 12) or not all(map(isfinite, numbers)):
+                raise ValueError(cells)
+            if len(cells) == 8:
+                self._add_stamp(cells[0].decode(), numbers[0])
+                self.not_unit += abs(hypot(*numbers[4:]) - 1) > _UNIT_TOLERANCE
+        except ValueError:
+            self.bad_lines += 1
+            self.first_bad_line = self.first_bad_line or line_number
+            return
+        position = tuple(numbers[1:4]) if len(cells) == 8 else (numbers[3], numbers[7], numbers[11])
+        if self.last_position:
+            self.length_m += hypot(*(a - b for a, b in zip(position, self.last_position, strict=True)))
+        self.last_position = position
+        self.poses += 1
+
+    def _add_stamp(self, text: str, number: float) -> None:
+        if not self.unit and number:
+            self.unit = _unit_of(text)
+        stamp = parse_stamp(text, self.unit or "s")
+        self.backward += stamp < self.last_ns
+        self.last_ns = stamp
+        self.start_ns = stamp if self.start_ns is None else min(self.start_ns, stamp)
+        self.end_ns = stamp if self.end_ns is None else max(self.end_ns, stamp)
+
+    def summary(
+        self, kind: RecordingFormat, facts: Iterable[Fact] = (), problems: Iterable[Problem] = ()
+    ) -> RecordingSummary:
+        """Return the summary: number of poses, path length and time span, then other `facts`; `problems` first."""
+        own = [Fact("poses", self.poses), Fact("path_length", round(self.length_m, 3), "m")]
+        if self.start_ns is not None and self.end_ns is not None:
+            own.append(Fact("duration", round((self.end_ns - self.start_ns) / 1e9, 6), "s"))
+        if self.unit not in ("", "s"):
+            own.append(Fact("stamp_unit", self.unit))
+        return RecordingSummary(
+            kind,
+            Content.opaque,
+            f"a trajectory ({kind.value.upper()}), not a recording",
+            start_ns=self.start_ns,
+            end_ns=self.end_ns,
+            problems=(*problems, *self._problems()),
+            facts=(*own, *facts),
+        )
+
+    def _problems(self) -> Iterator[Problem]:
+        if self.bad_lines:
+            message = counted(self.bad_lines, "line is no pose", "lines are no poses")
+            yield Problem("lines-damaged", f"line {self.first_bad_line}", message)
+        if self.backward:
+            message = f"{counted(self.backward, 'pose is', 'poses are')} stamped earlier than the one before"
+            yield Problem("out-of-order", "file", message)
+        if self.not_unit:
+            yield Problem("rotation-not-unit", "file", f"{self.not_unit} rotations are no unit quaternions")
+
+
+def describe_trajectory(kind: RecordingFormat, reader: SequentialReader) -> RecordingSummary:
+    """Read a complete trajectory. Its times are those of its poses, as integer nanoseconds; KITTI has none."""
+    trajectory = Trajectory()
+    columns = 8 if kind is RecordingFormat.tum else 12
+    for number, line in enumerate(read_lines(reader), 1):
+        cells = line.split()
+        if cells and not cells[0].startswith(b"#"):
+            trajectory.add(cells if len(cells) == columns else [], number)
+    problems = []
+    if trajectory.unit not in ("", "s"):
+        message = f"the stamps are in {_UNIT_NAMES[trajectory.unit]}, where TUM has seconds; they are read as such"
+        problems.append(Problem("stamp-unit", "file", message))
+    return trajectory.summary(kind, problems=problems)
 
 
 _POSE_COLUMNS = 8
 _EUROC_COLUMNS = (8, 17)
-_STAMP = re.compile(r"time|stamp|\bt\b", re.I)
+# Such as "p_RS_R_x [m]", "tx", "position.x"; "q_RS_w []", "qx", "orientation.x".
+_POSITION, _ROTATION = r"(p|t|pos|position|translation|)", r"(q|quat|quaternion|rot|rotation|orientation)"
+_POSE_NAMES = [
+    r"time|stamp|\bt\b",
+    *(rf"^{_POSITION}([_.]\w+)?[_.]?{axis}\b" for axis in "xyz"),
+    *[rf"^{_ROTATION}([_.]\w+)?[_.]?[wxyz]\b"] * 4,
+]
 
 
 def describe_table(reader: SequentialReader) -> RecordingSummary:
-    """Read a whole table. Its first line is a header if no cell of it is a number."""
+    """Read a complete table. Its first line is a header if no cell of it is a number."""
     names: list[str] = []
     columns = rows = 0
     trajectory: Trajectory | None = None
@@ -336,23 +296,13 @@ def describe_table(reader: SequentialReader) -> RecordingSummary:
         if rows == 1 and _are_poses(names, columns, pose):
             unit = re.search(r"\[\s*(s|ms|us|ns)\s*\]", names[0]) if names else None
             trajectory = Trajectory(unit=unit[1] if unit else "")
-        if trajectory is not None and not add_stamped_pose(trajectory, pose):
-            trajectory.bad_lines += 1
-            trajectory.first_bad_line = trajectory.first_bad_line or number
+        if trajectory is not None:
+            trajectory.add(pose, number)
     facts = [Fact("columns", columns), Fact("rows", rows)]
     facts += [Fact("column", name[:_MAX_NAME]) for name in names[:_LISTED_KEYS] if name]
     if trajectory is None or not trajectory.poses:
-        reason = "a table (CSV), not a recording"
-        return RecordingSummary(RecordingFormat.csv, Content.opaque, reason, facts=tuple(facts))
-    return RecordingSummary(
-        RecordingFormat.csv,
-        Content.opaque,
-        "a trajectory (CSV), not a recording",
-        start_ns=trajectory.start_ns,
-        end_ns=trajectory.end_ns,
-        problems=tuple(trajectory_problems(trajectory)),
-        facts=(*trajectory_facts(trajectory), *facts),
-    )
+        return RecordingSummary(RecordingFormat.csv, Content.opaque, CSV.description, facts=tuple(facts))
+    return trajectory.summary(RecordingFormat.csv, facts)
 
 
 def _are_poses(names: list[str], columns: int, pose: list[bytes]) -> bool:
@@ -360,11 +310,7 @@ def _are_poses(names: list[str], columns: int, pose: list[bytes]) -> bool:
     if columns < _POSE_COLUMNS:
         return False
     if names:
-        # Such as "p_RS_R_x [m]", "tx", "position.x"; "q_RS_w []", "qx", "orientation.x".
-        position, rotation = r"(p|t|pos|position|translation|)", r"(q|quat|quaternion|rot|rotation|orientation)"
-        patterns = [_STAMP.pattern, *(rf"^{position}([_.]\w+)?[_.]?{axis}\b" for axis in "xyz")]
-        patterns += [rf"^{rotation}([_.]\w+)?[_.]?[wxyz]\b"] * 4
-        return all(re.search(pattern, name, re.I) for pattern, name in zip(patterns, names, strict=False))
+        return all(re.search(pattern, name, re.I) for pattern, name in zip(_POSE_NAMES, names, strict=False))
     try:
         numbers = [float(cell) for cell in pose]
     except ValueError:
@@ -373,34 +319,30 @@ def _are_poses(names: list[str], columns: int, pose: list[bytes]) -> bool:
 
 
 def _cells(line: bytes) -> list[str]:
+    text = line.decode("utf-8", "replace")
     try:
-        cells = next(csv.reader([line.decode("utf-8", "replace")]), [])
+        cells = next(csv.reader([text]), [])
     except csv.Error:
-        cells = line.decode("utf-8", "replace").split(",")
+        cells = text.split(",")
     return [cell.strip() for cell in cells]
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
-
-
-_NO_MESSAGES = "which holds no messages: use `klein inspect` or `kleinkram.recordings.inspect` for its"
-_TRAJECTORY_FACTS = "number of poses, path length and time span, and `numpy.loadtxt` or evo for the poses"
-TUM = text_format(
-    RecordingFormat.tum,
-    _REASONS[RecordingFormat.tum],
-    lambda reader: describe_trajectory(RecordingFormat.tum, reader),
-    f"it is a trajectory (TUM), {_NO_MESSAGES} {_TRAJECTORY_FACTS}",
+YAML = text_format(RecordingFormat.yaml, "YAML, not a recording", describe_yaml)
+JSON = text_format(RecordingFormat.json, "JSON, not a recording", describe_json)
+ROSBAG2_METADATA = text_format(
+    RecordingFormat.rosbag2_metadata, "the metadata of a rosbag2 recording, not a recording by itself"
 )
-KITTI = text_format(
-    RecordingFormat.kitti,
-    _REASONS[RecordingFormat.kitti],
-    lambda reader: describe_trajectory(RecordingFormat.kitti, reader),
-    f"it is a trajectory (KITTI), {_NO_MESSAGES} {_TRAJECTORY_FACTS}",
+UNKNOWN = text_format(RecordingFormat.unknown, "not a known recording format")
+_NO_MESSAGES = "which holds no messages: use `klein inspect` or `kleinkram.recordings.inspect` for its"
+TUM, KITTI = (
+    text_format(
+        kind,
+        f"a trajectory ({kind.value.upper()}), not a recording",
+        partial(describe_trajectory, kind),
+        f"it is a trajectory ({kind.value.upper()}), {_NO_MESSAGES} number of poses, path length and time span, and "
+        "`numpy.loadtxt` or evo for the poses",
+    )
+    for kind in (RecordingFormat.tum, RecordingFormat.kitti)
 )
 CSV = text_format(
     RecordingFormat.csv,

@@ -1,9 +1,9 @@
-"""PX4 flight logs (ULog): one sequential pass finds topics, counts, times, and where the messages are.
+"""The PX4 flight log format (ULog): one pass finds topics, counts, times and the places of messages.
 
 Times are those of the autopilot's clock, which starts at boot: nanoseconds since then. A log begins with the latest
 message of each topic, published before; its log time is that of the beginning. A topic is the name of a message format;
 instances of it other than the first are told apart by their number, as in `sensor_accel#1`. A file has no index and no
-checksum: behind damage, reading goes on at the next sync message.
+checksum: behind damage, reading continues at the next sync message.
 
 Source: docs.px4.io, ULog File Format (version 1).
 """
@@ -18,26 +18,19 @@ from enum import IntEnum
 from functools import lru_cache, partial
 from typing import NamedTuple
 
-from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, FileGap, JoinedGaps, SalvagedMessages
-from kleinkram.recordings.chunk_table import ChunkHead, ChunkTable
+from kleinkram.recordings.chunk_reader import ChunkedMember, ChunkFormat, FileGap, JoinedGaps, SalvagedMessages
+from kleinkram.recordings.chunk_table import ChunkHead, ChunkTable, ChunkTableBuilder
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Cut, Malformed
-from kleinkram.recordings.formats.base import (
-    ChunkedMember,
-    Format,
-    MemberContents,
-    OpenContext,
-    RecordingFile,
-    check_cost,
-)
+from kleinkram.recordings.file_summary import TopicType, build_summary, pending
+from kleinkram.recordings.formats.base import Format, MemberContents, OpenContext, RecordingFile
 from kleinkram.recordings.limits import MAX_DEFINITIONS, MAX_NAME, MAX_TOPICS, WINDOW
-from kleinkram.recordings.message_counts import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.model import Content, Depth, Fact, Problem, RecordingFormat, RecordingSummary, counted
-from kleinkram.recordings.sources import SequentialReader, Source, SourceReader, source_reader
+from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessagePlace, PlaceKind
+from kleinkram.recordings.sources import SequentialReader, Source, SourceReader
 from kleinkram.recordings.streams import ByteStream, LookaheadStream
-from kleinkram.recordings.topic_statistics import TopicType, measure, pending
 
 MAGIC = b"ULog\x01\x12\x35"
 SYNC_MAGIC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
@@ -82,7 +75,7 @@ _MESSAGE_TYPES = frozenset(map(int, MessageType))
 
 
 class Subscription(NamedTuple):
-    """A topic by its message id. `stamp_at`: where the timestamp is in the data; None: nowhere."""
+    """A topic by its message id. `stamp_at`: offset of the timestamp in the data; None: it has none."""
 
     topic: str
     message_type: str
@@ -135,7 +128,7 @@ class UlogField(NamedTuple):
 
 
 def parse_fields(text: str) -> list[UlogField]:
-    """Return the fields of a format, such as "uint64_t timestamp;float[3] xyz"; what is none is left out."""
+    """Return the fields of a format, such as "uint64_t timestamp;float[3] xyz"; invalid ones are left out."""
     matches = (_FIELD.fullmatch(entry.strip()) for entry in text.split(";"))
     return [UlogField(m["type"], int(m["length"]) if m["length"] else None, m["name"]) for m in matches if m]
 
@@ -151,7 +144,7 @@ def _size_of(formats: Mapping[str, str], type_name: str, depth: int = 0) -> int:
 
 @lru_cache(maxsize=1024)
 def stamp_place(name: str, definition: bytes) -> int | None:
-    """Return where the field `timestamp` is in a message; None: nowhere that is known."""
+    """Return the offset of the field `timestamp` in a message; None if unknown."""
     formats = _formats_of(definition)
     place = 0
     for one in parse_fields(formats.get(name, "")):
@@ -192,10 +185,10 @@ def _ros1_fields(text: str, *, is_top: bool = False) -> str:
 
 
 class _UlogScanner:
-    def __init__(self, reader: SequentialReader, observer: MessageObserver | None) -> None:
+    def __init__(self, reader: SequentialReader, builder: ChunkTableBuilder | None) -> None:
         self.scan = UlogScan()
         self._stream = LookaheadStream(reader, with_crc=False)
-        self._observer = observer
+        self._builder = builder
         self._batch = Batch(self.scan.subscriptions)
         self._appended: list[int] = []
 
@@ -234,7 +227,7 @@ class _UlogScanner:
         return min((one for one in self._appended if position < one <= self._stream.size_bytes), default=None)
 
     def _read_messages(self, at: int, end: int) -> tuple[int, bool]:
-        """Read whole messages of the window; return where they end, and whether something that is none follows."""
+        """Read whole messages of the window; return where they end, and whether invalid data follow."""
         window, head_bytes = self._stream.window, _MESSAGE_HEADER.size
         unpack, data_type = _MESSAGE_HEADER.unpack_from, MessageType.data
         while at + head_bytes <= end:
@@ -304,8 +297,8 @@ class _UlogScanner:
         """Count what was read of the next `length` bytes, and pass over them."""
         scan, stream = self.scan, self._stream
         scan.counter.learn(scan.subscriptions)
-        if self._observer is not None and self._batch:
-            self._observer.on_messages(MessagePlace(PlaceKind.records, stream.position, length, length), self._batch)
+        if self._builder is not None and self._batch:
+            self._builder.add(MessagePlace(PlaceKind.records, stream.position, length, length), self._batch)
         scan.counter.add(self._batch)
         self._batch = Batch(scan.subscriptions)
         stream.advance(length)
@@ -339,11 +332,11 @@ def scan_ulog(reader: SequentialReader) -> RecordingSummary:
     return summarise_scan(_UlogScanner(reader, None).run())
 
 
-def summarise_ulog(source: Source, *, most_bytes: int) -> RecordingSummary:
-    """Scan a log of at most `most_bytes`; a larger one stays pending."""
-    if source.size_bytes > most_bytes:
+def summarise_ulog(source: Source, max_bytes: int) -> RecordingSummary:
+    """Scan a log of at most `max_bytes`; a larger one stays pending."""
+    if source.size_bytes > max_bytes:
         return pending(RecordingFormat.ulog, source.size_bytes, "a flight log (ULog) has no index")
-    return scan_ulog(source_reader(source))
+    return scan_ulog(SourceReader(source))
 
 
 def summarise_scan(scan: UlogScan) -> RecordingSummary:
@@ -352,7 +345,7 @@ def summarise_scan(scan: UlogScan) -> RecordingSummary:
     timeline = scan.counter.timeline
     for name in [name for name, times in timeline.topics.items() if not times.count]:
         del timeline.topics[name]  # the autopilot announces all topics: those count that have messages
-    summary = measure(RecordingFormat.ulog, timeline, types, [*scan.losses.problems(), *_problems(scan)])
+    summary = build_summary(RecordingFormat.ulog, timeline, types, [*scan.losses.problems(), *_problems(scan)])
     reason, content = scan.refused or None, Content.opaque if scan.refused else Content.indexed
     if scan.losses.damage and not scan.refused:
         first = scan.losses.damage[0]
@@ -397,8 +390,8 @@ def _problems(scan: UlogScan) -> Iterator[Problem]:
 def open_ulog(file: RecordingFile, context: OpenContext) -> ChunkedMember:
     """Open a flight log, by one pass over it; `TooCostly` if it has more bytes than may be read."""
     source, problem_log = file.source, context.problem_log
-    check_cost(source, context.limit_of(source), "a flight log (ULog) has no index")
-    builder = ChunkTableBuilder(ChunkTable(), problem_log)
+    context.check_cost(source, "a flight log (ULog) has no index")
+    builder = ChunkTableBuilder(problem_log)
     scan = _UlogScanner(SourceReader(source), builder).run()
     builder.close()
     channels = {number: one for number, one in scan.channels().items() if number in builder.counts}

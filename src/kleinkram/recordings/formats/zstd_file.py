@@ -1,4 +1,4 @@
-"""Files that are compressed as a whole (`.mcap.zstd`, `.db3.zstd`, `.bag.zst`): decompressed, then read like others.
+"""Compressed recordings (`.mcap.zstd`, `.db3.zstd`, `.bag.zst`): decompressed to a temporary file, then read.
 
 What is inside goes through a temporary file, because every format is better read with its size known and more than
 once. The window and the output are bounded; where the compressed data breaks off, what came out until there is read.
@@ -8,7 +8,6 @@ Source: RFC 8878; rosbag2_compression (compression mode FILE).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import PurePosixPath
 
@@ -16,16 +15,15 @@ import zstandard
 
 from kleinkram.recordings.compression import open_decompressed
 from kleinkram.recordings.errors import Cut, Malformed, NotARecording
-from kleinkram.recordings.formats.base import LONG_HEAD_BYTES, Format, Member, OpenContext, RecordingFile, check_cost
+from kleinkram.recordings.file_summary import pending
+from kleinkram.recordings.formats.base import LONG_HEAD_BYTES, Format, Member, OpenContext, RecordingFile
 from kleinkram.recordings.limits import FREE_UNPACKED, MAX_EXPANSION, MAX_ZSTD_WINDOW
 from kleinkram.recordings.model import Content, Depth, Lost, RecordingFormat, RecordingSummary
-from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader, source_reader
+from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader
 from kleinkram.recordings.temporary_files import MAX_SPOOL_BYTES, TooLarge, temporary_copy
-from kleinkram.recordings.topic_statistics import pending
 
 FILE_ZSTD = "file-zstd"  # what `compression` says of a file that is compressed as a whole
 
-Scan = Callable[[SequentialReader], RecordingSummary]
 _NO_LIMIT = 2**63  # temporary files have one
 
 
@@ -63,26 +61,26 @@ class _Unpacked:
         return data
 
 
-def scan_zstd_file(reader: SequentialReader, scan: Scan, *, most_bytes: int = MAX_SPOOL_BYTES) -> RecordingSummary:
-    """Read a compressed file; `scan` reads what is inside, under its name without `.zstd`.
+def scan_zstd_file(reader: SequentialReader, *, max_bytes: int = MAX_SPOOL_BYTES) -> RecordingSummary:
+    """Read a compressed file: decompress it, and scan the result under its name without `.zstd`.
 
     A file whose compressed data is damaged is `recovered` as far as it unpacks; one that unpacks to more than
-    `most_bytes`, or than any recording does, is `pending`.
+    `max_bytes`, or than any recording does, is `pending`.
     """
-    from kleinkram.recordings.formats import registry  # which imports this module
+    from kleinkram.recordings import summary as formats  # imports this module
 
     unpacked = _Unpacked(reader)
-    most_bytes = min(most_bytes, FREE_UNPACKED + MAX_EXPANSION * reader.size_bytes)
-    inside = registry.format_of_head(unpacked.peek(LONG_HEAD_BYTES))
+    max_bytes = min(max_bytes, FREE_UNPACKED + MAX_EXPANSION * reader.size_bytes)
+    inside = formats.format_of_head(unpacked.peek(LONG_HEAD_BYTES))
     if not is_recording(inside):
         if unpacked.fault and inside.kind in (RecordingFormat.unknown, RecordingFormat.empty):
             return RecordingSummary(RecordingFormat.zstd, Content.broken, unpacked.fault, depth=Depth.scan)
         return replace(_not_a_recording(inside.kind), depth=Depth.scan)
     try:
-        with temporary_copy(unpacked.read, most_bytes=most_bytes) as path, FileSource(path) as source:
-            inner = SourceReader(source, path=path)
+        with temporary_copy(unpacked.read, max_bytes=max_bytes) as path, FileSource(path) as source:
+            inner = SourceReader(source)
             inner.name = PurePosixPath(reader.name).stem
-            summary = scan(inner)
+            summary = formats.scan(inner)
     except TooLarge as error:
         return RecordingSummary(inside.kind, Content.pending, str(error), compression=(FILE_ZSTD,))
     compression = tuple(sorted({FILE_ZSTD, *summary.compression} - {"none"}))
@@ -103,21 +101,15 @@ def is_recording(file_format: Format) -> bool:
     return file_format.open is not None or file_format.kind is RecordingFormat.svo2
 
 
-def _scan(reader: SequentialReader) -> RecordingSummary:
-    from kleinkram.recordings.summary import scan  # which imports this module
+def _summarise(source: Source, max_bytes: int) -> RecordingSummary:
+    from kleinkram.recordings import summary as formats  # imports this module
 
-    return scan_zstd_file(reader, scan)
-
-
-def _summarise(source: Source, *, most_bytes: int) -> RecordingSummary:
-    from kleinkram.recordings.formats import registry  # which imports this module
-
-    if source.size_bytes <= most_bytes:
-        return _scan(source_reader(source))
+    if source.size_bytes <= max_bytes:
+        return scan_zstd_file(SourceReader(source))
     decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
     try:
         with decompressor.stream_reader(source.read(0, min(LONG_HEAD_BYTES, source.size_bytes))) as reader:
-            inside = registry.format_of_head(reader.read(LONG_HEAD_BYTES))
+            inside = formats.format_of_head(reader.read(LONG_HEAD_BYTES))
     except zstandard.ZstdError:  # its beginning cannot be decompressed
         return _not_a_recording(RecordingFormat.unknown)
     if is_recording(inside):
@@ -126,17 +118,17 @@ def _summarise(source: Source, *, most_bytes: int) -> RecordingSummary:
 
 
 def _open(file: RecordingFile, context: OpenContext) -> Member:
-    from kleinkram.recordings.formats import registry  # which imports this module
+    from kleinkram.recordings import summary as formats  # imports this module
 
     source = file.source
-    check_cost(source, context.limit_of(source), "it is compressed as a whole")
+    context.check_cost(source, "it is compressed as a whole")
     unpacked = _Unpacked(SourceReader(source))
     path = context.copy(unpacked.read, source.name)
     if unpacked.fault:
         context.problem_log.add("damaged", source.name, f"reading ends here: {unpacked.fault}")
     inner = context.stack.enter_context(FileSource(path))
     inner.name = PurePosixPath(source.name).stem
-    inside = registry.format_of(inner)
+    inside = formats.format_of(inner)
     if inside is ZSTD:
         raise NotARecording(source.name, "it is compressed more than once")
     if inside.open is None:
@@ -150,7 +142,7 @@ ZSTD = Format(
     lambda head: head.data.startswith(b"\x28\xb5\x2f\xfd"),
     "compressed as a whole (zstd)",
     extensions=(".zstd", ".zst"),
-    scan=_scan,
+    scan=scan_zstd_file,
     summarise=_summarise,
     open=_open,
 )

@@ -2,8 +2,8 @@
 
 Strings and array lengths are fixed when a layout is made, so that a message is one `pack`.
 
-Source: common_msgs, geometry2 and their ROS 2 descendants; the md5 rule is that of genmsg; ROS 1 serialisation
-(wiki.ros.org/msg); OMG CDR, little endian, as in DDS-XTYPES 1.2 section 7.4.1 (XCDR1).
+Source: genmsg (md5 sums); wiki.ros.org/msg (ROS 1 serialisation); OMG CDR, little endian, as in DDS-XTYPES 1.2 section
+7.4.1 (XCDR1).
 """
 
 from __future__ import annotations
@@ -14,68 +14,24 @@ from collections.abc import Sequence
 from enum import Enum
 from functools import cache
 
-_VECTOR = "float64 x\nfloat64 y\nfloat64 z\n"
-_FIELDS = {
-    "std_msgs/Header": "uint32 seq\ntime stamp\nstring frame_id\n",
-    "geometry_msgs/Vector3": _VECTOR,
-    "geometry_msgs/Point": _VECTOR,
-    "geometry_msgs/Quaternion": _VECTOR + "float64 w\n",
-    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n",
-    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance\n",
-    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n",
-    "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance\n",
-    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n",
-    "geometry_msgs/TransformStamped": (
-        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"
-    ),
-    "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
-    "nav_msgs/Odometry": (
-        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n"
-        "geometry_msgs/TwistWithCovariance twist\n"
-    ),
-    "sensor_msgs/Imu": (
-        "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
-        "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
-        "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n"
-    ),
-    "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data\n",
-    "sensor_msgs/PointField": (
-        "uint8 INT8=1\nuint8 UINT8=2\nuint8 INT16=3\nuint8 UINT16=4\n"
-        "uint8 INT32=5\nuint8 UINT32=6\nuint8 FLOAT32=7\nuint8 FLOAT64=8\n"
-        "string name\nuint32 offset\nuint8 datatype\nuint32 count\n"
-    ),
-    "sensor_msgs/PointCloud2": (
-        "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\n"
-        "bool is_bigendian\nuint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n"
-    ),
-    "sensor_msgs/NavSatStatus": (
-        "int8 STATUS_NO_FIX=-1\nint8 STATUS_FIX=0\nint8 STATUS_SBAS_FIX=1\nint8 STATUS_GBAS_FIX=2\nint8 status\n"
-        "uint16 SERVICE_GPS=1\nuint16 SERVICE_GLONASS=2\nuint16 SERVICE_COMPASS=4\nuint16 SERVICE_GALILEO=8\n"
-        "uint16 service\n"
-    ),
-    "sensor_msgs/NavSatFix": (
-        "std_msgs/Header header\nsensor_msgs/NavSatStatus status\nfloat64 latitude\nfloat64 longitude\n"
-        "float64 altitude\nfloat64[9] position_covariance\nuint8 COVARIANCE_TYPE_UNKNOWN=0\n"
-        "uint8 COVARIANCE_TYPE_APPROXIMATED=1\nuint8 COVARIANCE_TYPE_DIAGONAL_KNOWN=2\n"
-        "uint8 COVARIANCE_TYPE_KNOWN=3\nuint8 position_covariance_type\n"
-    ),
-}
-_ROS2_FIELDS = {
-    **_FIELDS,
-    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
-    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
-}
+from kleinkram.recordings.decoding.msg_definitions import known_definitions
+
+_ROS1_HEADER = "uint32 seq\ntime stamp\nstring frame_id"
 _RULE = "=" * 80
 
 
-def ros1_definition(message_type: str) -> str:
-    """Return the definition of a type with all that it needs, as a bag keeps it."""
-    return _with_dependencies(message_type, _FIELDS)
-
-
 def ros2_definition(message_type: str) -> str:
-    """Return the definition of a type with all that it needs, as an MCAP with schema encoding "ros2msg" keeps it."""
-    return _with_dependencies(message_type, _ROS2_FIELDS)
+    """Return the definition of a type with all that it needs, as an MCAP with schema encoding "ros2msg" has it."""
+    return _with_dependencies(message_type, {name: texts[0] for name, texts in known_definitions().items()})
+
+
+def ros1_definition(message_type: str) -> str:
+    """Return the definition of a type with all that it needs, as a bag has it."""
+    return _with_dependencies(message_type, _ros1_texts())
+
+
+def _ros1_texts() -> dict[str, str]:
+    return {name: texts[0] for name, texts in known_definitions().items()} | {"std_msgs/Header": _ROS1_HEADER}
 
 
 def ros2_name(message_type: str) -> str:
@@ -86,29 +42,29 @@ def ros2_name(message_type: str) -> str:
 @cache
 def ros1_md5(message_type: str) -> str:
     """Return the md5 sum by which ROS 1 identifies a type: constants first, nested types by their own sums."""
-    lines = _FIELDS[message_type].splitlines()
-    constants = [line for line in lines if "=" in line]
-    fields: list[str] = []
+    texts = _ros1_texts()
+    lines = texts[message_type].splitlines()
+    parts = [line for line in lines if "=" in line]
     for line in lines:
         if "=" not in line:
-            kind, name = line.split()
-            nested = kind.removesuffix("[]")
-            fields.append(f"{ros1_md5(nested)} {name}" if nested in _FIELDS else line)
-    return hashlib.md5("\n".join([*constants, *fields]).encode(), usedforsecurity=False).hexdigest()
+            nested = _nested_type(line, message_type)
+            parts.append(f"{ros1_md5(nested)} {line.split()[1]}" if nested in texts else line)
+    return hashlib.md5("\n".join(parts).encode(), usedforsecurity=False).hexdigest()
+
+
+def _nested_type(line: str, owner: str) -> str:
+    """Return the full name that the type of a field would have as a type of messages."""
+    name = line.split()[0].partition("[")[0]
+    return name if "/" in name else f"{owner.partition('/')[0]}/{name}"
 
 
 def _with_dependencies(message_type: str, texts: dict[str, str]) -> str:
-    parts = [texts[message_type]]
-    seen = {message_type}
-    waiting = [message_type]
-    while waiting:
-        for line in texts[waiting.pop(0)].splitlines():
-            nested = line.split()[0].removesuffix("[]")
-            if nested in texts and nested not in seen:
-                seen.add(nested)
-                waiting.append(nested)
-                parts.append(f"{_RULE}\nMSG: {nested}\n{texts[nested]}")
-    return "".join(parts)
+    needed = [message_type]
+    for owner in needed:  # which grows
+        nested_types = (_nested_type(line, owner) for line in texts[owner].splitlines())
+        needed += [nested for nested in nested_types if nested in texts and nested not in needed]
+    definitions = [f"{_RULE}\nMSG: {nested}\n{texts[nested]}\n" for nested in needed[1:]]
+    return "".join([f"{texts[message_type]}\n", *definitions])
 
 
 CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"

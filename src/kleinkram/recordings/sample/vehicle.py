@@ -1,7 +1,7 @@
-"""A small vehicle that drives in a circle, and what its sensors would record: seeded, the same bytes for the same seed.
+"""Simulates the sensors of a small vehicle that drives in a circle; the same seed gives the same bytes.
 
-The world is consistent (the GPS, the odometry, tf and the IMU agree), noise is added, pictures can be decoded. Bulk
-comes from precomputed scans and noise, so that a gigabyte takes seconds.
+The sensors are consistent (GPS, odometry, tf and IMU agree), noise is added, pictures can be decoded. Large messages
+are made of precomputed scans and noise, so that a gigabyte takes seconds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LATITUDE_DEG, LONGITUDE_DEG, ALTITUDE_M = 47.4076, 8.5072, 540.0
 _METRES_PER_DEGREE = 111_320.0
 _JITTER = 0.02
 _COLUMNS, _ROWS, _PICTURES = 80, 60, 8
-_LEAST_SCANS, _MOST_SCANS, _SCAN_BYTES = 4, 256, 2 * 2**20
+_MIN_SCANS, _MAX_SCANS, _SCAN_BYTES = 4, 256, 2 * 2**20
 _RINGS, _POINT_BYTES = 16, 16
 _NOISE_BYTES = 4 * 2**20
 _FLOAT32 = 7
@@ -37,27 +37,11 @@ Maker = Callable[[int, float, int], bytes]
 
 @dataclass(frozen=True)
 class TopicGap:
-    """A topic falls silent from `start_s` for `duration_s`."""
+    """A topic has no messages from `start_s` on for `duration_s`."""
 
     topic: str
     start_s: float
     duration_s: float
-
-
-@dataclass(frozen=True)
-class BlackCamera:
-    """The camera delivers black pictures from `start_s` for `duration_s`."""
-
-    start_s: float
-    duration_s: float
-
-
-@dataclass(frozen=True)
-class ClockJump:
-    """From `at_s` on, every clock is wrong by `by_s` (backwards if negative)."""
-
-    at_s: float
-    by_s: float
 
 
 @dataclass(frozen=True)
@@ -66,8 +50,6 @@ class Faults:
 
     dropped_topic: str | None = None
     gap: TopicGap | None = None
-    black_camera: BlackCamera | None = None
-    clock_jump: ClockJump | None = None
     truncate_to: float | None = None
 
 
@@ -101,7 +83,7 @@ STREAMS = (
 
 
 class Vehicle:
-    """One drive. `camera_bytes` and `lidar_points` set the bulk of each picture and scan."""
+    """One drive. `camera_bytes` and `lidar_points` set the size of each picture and scan."""
 
     def __init__(self, *, seed: int, encoding: Encoding, camera_bytes: int, lidar_points: int, faults: Faults) -> None:
         self.streams = tuple(stream for stream in STREAMS if stream.topic != faults.dropped_topic)
@@ -121,15 +103,13 @@ class Vehicle:
     def drive(self, duration_s: float | None) -> Iterator[RecordedMessage]:
         """Yield the messages in the order in which they are recorded; without end if `duration_s` is None."""
         ticks = heapq.merge(*(self._ticks(number, stream) for number, stream in enumerate(self.streams)))
-        jump = self._faults.clock_jump
         for recorded_ns, order, k, true_ns in ticks:
             seconds = true_ns / 1e9
             if duration_s is not None and seconds >= duration_s:
                 return
-            shift = round(jump.by_s * 1e9) if jump is not None and seconds >= jump.at_s else 0
             topic = self.streams[order].topic
-            payload = self._makers[topic](k, seconds, START_NS + true_ns + shift)
-            yield RecordedMessage(START_NS + recorded_ns + shift, order, topic, payload)
+            payload = self._makers[topic](k, seconds, START_NS + true_ns)
+            yield RecordedMessage(START_NS + recorded_ns, order, topic, payload)
 
     def _ticks(self, order: int, stream: Stream) -> Iterator[tuple[int, int, int, int]]:
         """Yield (recorded, order, number, true time) of one topic, in nanoseconds since the start."""
@@ -157,17 +137,12 @@ class Vehicle:
         layout = self._layout(header("camera", self._encoding), [("s", "jpeg"), ("I", None)])
         noise = self._random("camera noise").randbytes(min(_NOISE_BYTES, max(size_bytes, 1) * 16))
         pictures = [_picture(number) for number in range(_PICTURES)]
-        black = mosaic_jpeg([[0] * _COLUMNS] * _ROWS)
-        dark = self._faults.black_camera
 
-        def make(k: int, seconds: float, stamp_ns: int) -> bytes:
-            if dark is not None and dark.start_s <= seconds < dark.start_s + dark.duration_s:
-                picture = black
-            else:
-                picture = pictures[k % _PICTURES]
-                missing = max(0, size_bytes - len(picture))
-                at = k * missing % max(1, len(noise) - missing)
-                picture = padded(picture, noise[at : at + missing])
+        def make(k: int, _seconds: float, stamp_ns: int) -> bytes:
+            picture = pictures[k % _PICTURES]
+            missing = max(0, size_bytes - len(picture))
+            at = k * missing % max(1, len(noise) - missing)
+            picture = padded(picture, noise[at : at + missing])
             return layout.pack(*_stamp(stamp_ns), len(picture)) + picture
 
         return make
@@ -183,7 +158,7 @@ class Vehicle:
         )
         chance = self._random("lidar")
         # Enough of them that no compressor finds one again within its window.
-        scans = [_scan(chance, points) for _ in range(max(_LEAST_SCANS, min(_MOST_SCANS, _SCAN_BYTES // size)))]
+        scans = [_scan(chance, points) for _ in range(max(_MIN_SCANS, min(_MAX_SCANS, _SCAN_BYTES // size)))]
         is_dense = b"\x01"
         return lambda k, _s, stamp_ns: b"".join((layout.pack(*_stamp(stamp_ns)), scans[k % len(scans)], is_dense))
 
@@ -291,7 +266,7 @@ _DC_CATEGORIES = bytes(range(12))
 # The only AC code is "end of block".
 _AC_LENGTHS = bytes([1] + [0] * 15)
 _AC_SYMBOLS = b"\x00"
-_MOST_IN_SEGMENT = 65533
+_MAX_IN_SEGMENT = 65533
 _SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
 
 
@@ -326,7 +301,7 @@ def mosaic_jpeg(tiles: Sequence[Sequence[int]]) -> bytes:
 
 def padded(jpeg: bytes, noise: bytes) -> bytes:
     """Return the same picture with `noise` in comment segments, so that it has the size of a real camera's."""
-    comments = [_segment(0xFE, noise[at : at + _MOST_IN_SEGMENT]) for at in range(0, len(noise), _MOST_IN_SEGMENT)]
+    comments = [_segment(0xFE, noise[at : at + _MAX_IN_SEGMENT]) for at in range(0, len(noise), _MAX_IN_SEGMENT)]
     return b"".join((_SOI, *comments, jpeg[len(_SOI) :]))
 
 

@@ -1,6 +1,6 @@
 """Writers of sample recordings: MCAP, ROS 1 bag, and rosbag2 with SQLite storage.
 
-They stream: one chunk and the index are in memory. Nothing but samples, tests and benchmarks writes recordings.
+They hold one chunk and the index in memory. Only samples, tests and benchmarks write recordings.
 
 Source: MCAP format specification, version 0 (mcap.dev/spec); wiki.ros.org/Bags/Format/2.0; rosbag2_storage_sqlite3,
 schema version 3, with metadata version 5 (ROS 2 Humble).
@@ -8,14 +8,12 @@ schema version 3, with metadata version 5 (ROS 2 Humble).
 
 from __future__ import annotations
 
-import bz2
 import json
 import sqlite3
 import struct
 import zlib
 from array import array
 from collections.abc import Callable
-from enum import Enum
 from pathlib import Path
 from typing import BinaryIO
 
@@ -30,22 +28,6 @@ from kleinkram.recordings.formats.rosbag1.records import Op
 _MESSAGE = struct.Struct("<BQHIQQ")
 _BAG_HEADER_BYTES = 4096
 _LZ4_BLOCK_1MB = 6
-
-
-class Compression(str, Enum):
-    """Compression of chunks, as MCAP spells it."""
-
-    none = ""
-    lz4 = "lz4"
-    zstd = "zstd"
-
-
-class BagCompression(str, Enum):
-    """Compression of chunks, as bags spell it."""
-
-    none = "none"
-    bz2 = "bz2"
-    lz4 = "lz4"
 
 
 class _ChunkedWriter:
@@ -103,7 +85,10 @@ class _ChunkedWriter:
 
 
 class McapWriter(_ChunkedWriter):
-    """Writes an MCAP with every CRC; call `finish` at the end, or the file has no index."""
+    """Writes an MCAP with every CRC; call `finish` at the end, or the file has no index.
+
+    `compression`: the name of what `compress` does, which is zstd by default.
+    """
 
     def __init__(
         self,
@@ -111,29 +96,27 @@ class McapWriter(_ChunkedWriter):
         *,
         profile: str = "",
         library: str = "kleinkram",
-        compression: Compression = Compression.zstd,
+        compression: str = "zstd",
+        compress: Callable[[bytes], bytes] | None = None,
         chunk_bytes: int = 2**20,
     ) -> None:
-        compressors: dict[Compression, Callable[[bytes], bytes]] = {
-            Compression.none: bytes,
-            Compression.lz4: lz4.frame.compress,
-            Compression.zstd: zstandard.ZstdCompressor(level=1).compress,
-        }
-        super().__init__(file, compressors[compression], chunk_bytes, "Q")
-        self._compression = _text(compression.value)
+        super().__init__(file, compress or zstandard.ZstdCompressor(level=1).compress, chunk_bytes, "Q")
+        self._compression = _text(compression)
         self._crc = 0
         self._counts: dict[int, int] = {}
-        self._schemas = 0
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._span = (2**64 - 1, 0)
         self._put(mcap.MAGIC)
         self._put(_mcap_record(Opcode.HEADER, _text(profile) + _text(library)))
 
     def add_schema(self, name: str, encoding: str, text: bytes) -> int:
         """Define a message type; returns its id, to be used for channels."""
-        self._schemas += 1
-        body = struct.pack("<H", self._schemas) + _text(name) + _text(encoding) + _counted(text)
-        self._define(_mcap_record(Opcode.SCHEMA, body))
-        return self._schemas
+        schema = name, encoding, text
+        if schema not in self._schemas:
+            self._schemas[schema] = len(self._schemas) + 1
+            body = struct.pack("<H", self._schemas[schema]) + _text(name) + _text(encoding) + _counted(text)
+            self._define(_mcap_record(Opcode.SCHEMA, body))
+        return self._schemas[schema]
 
     def add_channel(self, topic: str, schema_id: int, message_encoding: str) -> int:
         """Define a topic; returns its id, to be used for messages."""
@@ -143,12 +126,15 @@ class McapWriter(_ChunkedWriter):
         self._counts[channel_id] = 0
         return channel_id
 
-    def add_message(self, channel_id: int, log_time_ns: int, payload: bytes, *, publish_time_ns: int) -> None:
-        """Add a message; messages are in the file in the order in which they are added."""
+    def add_message(
+        self, channel_id: int, log_time_ns: int, payload: bytes, *, publish_time_ns: int | None = None
+    ) -> None:
+        """Add a message; messages are in the file in the order in which they are added. Published at the log time."""
         sequence = self._counts[channel_id]
         self._counts[channel_id] = sequence + 1
         length = _MESSAGE.size - mcap.RECORD_HEAD.size + len(payload)
-        head = _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, sequence & 0xFFFFFFFF, log_time_ns, publish_time_ns)
+        times = log_time_ns, log_time_ns if publish_time_ns is None else publish_time_ns
+        head = _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, sequence & 0xFFFFFFFF, *times)
         self._add(channel_id, (log_time_ns, self._size), log_time_ns, head, payload)
 
     def finish(self) -> None:
@@ -159,7 +145,13 @@ class McapWriter(_ChunkedWriter):
         counts = b"".join(struct.pack("<HQ", *item) for item in self._counts.items())
         total = sum(self._counts.values())
         statistics = mcap.STATISTICS_BODY.pack(
-            total, self._schemas, len(self._counts), 0, 0, len(self._chunk_indexes), *(self._span if total else (0, 0))
+            total,
+            len(self._schemas),
+            len(self._counts),
+            0,
+            0,
+            len(self._chunk_indexes),
+            *(self._span if total else (0, 0)),
         )
         records = *self._definitions, _mcap_record(Opcode.STATISTICS, statistics + _counted(counts))
         for record in (*records, *self._chunk_indexes):
@@ -209,18 +201,18 @@ def _text(text: str) -> bytes:
 
 
 class BagWriter(_ChunkedWriter):
-    """Writes a ROS 1 bag to a seekable file; call `finish` at the end, or the bag is not indexed."""
+    """Writes a ROS 1 bag to a seekable file, compressed by lz4 by default; `finish` writes its index."""
 
     def __init__(
-        self, file: BinaryIO, *, compression: BagCompression = BagCompression.lz4, chunk_bytes: int = 768 * 1024
+        self,
+        file: BinaryIO,
+        *,
+        compression: str = "lz4",
+        compress: Callable[[bytes], bytes] | None = None,
+        chunk_bytes: int = 768 * 1024,
     ) -> None:
-        compressors: dict[BagCompression, Callable[[bytes], bytes]] = {
-            BagCompression.none: bytes,
-            BagCompression.bz2: bz2.compress,
-            BagCompression.lz4: _ros_lz4,
-        }
-        super().__init__(file, compressors[compression], chunk_bytes, "I")
-        self._compression = compression.value.encode()
+        super().__init__(file, compress or ros_lz4, chunk_bytes, "I")
+        self._compression = compression.encode()
         self._put(rosbag1.MAGIC)
         self._put(_bag_header(0, 0, 0))
 
@@ -277,7 +269,7 @@ def _bag_header(index_start: int, connections: int, chunks: int) -> bytes:
     return _bag_record(Op.BAG_HEADER, b" " * (_BAG_HEADER_BYTES - size), **values)
 
 
-def _ros_lz4(raw: bytes) -> bytes:
+def ros_lz4(raw: bytes) -> bytes:
     """Compress in independent blocks of 1 MB with a checksum: what ROS itself writes, and the only kind it reads."""
     return bytes(
         lz4.frame.compress(raw, block_size=_LZ4_BLOCK_1MB, block_linked=False, content_checksum=True, store_size=False)

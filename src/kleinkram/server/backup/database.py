@@ -6,7 +6,7 @@ with the table, its columns and a number of bytes, then these bytes.
 
 import contextlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import IO, NamedTuple, cast
 
 import psycopg
@@ -31,7 +31,7 @@ Connection = psycopg.Connection[tuple[object, ...]]
 _APPLICATION = "kleinkram backup"
 _PIECE_BYTES = 8 * 1024 * 1024
 _CONFIRM_S = 30.0
-_SILENT_MS = 300_000
+_MAX_IDLE_MS = 300_000
 
 _TABLES = """
 SELECT c.relname, string_agg(a.attname, ',' ORDER BY a.attnum)
@@ -90,41 +90,30 @@ class RestoreTarget(NamedTuple):
     store_id: str
 
 
-class DeletionLock:
-    """Keeps the server from deleting objects (see `blobs.garbage_collection`) for as long as its connection lasts."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-
-    def confirm(self) -> None:
-        """Ask the database whether the lock still holds.
-
-        Raises:
-            BackupUnreachable: the connection ended: objects may have been deleted since.
-        """
-        try:
-            self._connection.execute("SELECT 1")
-        except psycopg.Error as error:
-            raise BackupUnreachable(
-                f"The database ended the connection that kept objects from being deleted ({first_line(error)}): "
-                "run the same command again. What was copied stays."
-            ) from error
-
-
 @contextlib.contextmanager
-def deletion_lock(dsn: str) -> Iterator[DeletionLock]:
-    """Keep the server from deleting objects until the end of the block, or of this process.
+def deletion_lock(dsn: str) -> Iterator[Callable[[], None]]:
+    """Keep the server from deleting objects (see `blobs.garbage_collection`); yields a check that this is still so.
 
     Raises:
         psycopg.OperationalError: the database does not answer.
+        BackupUnreachable: by the check: the connection ended, and objects may have been deleted since.
     """
     with psycopg.connect(dsn, autocommit=True, application_name=_APPLICATION) as connection:
-        # A process that hangs must not keep objects for ever: the database ends connections that are silent.
-        connection.execute(f"SET idle_session_timeout = {_SILENT_MS}")
+
+        def confirm() -> None:
+            try:
+                connection.execute("SELECT 1")
+            except psycopg.Error as error:
+                raise BackupUnreachable(
+                    f"The database ended the connection that kept objects from being deleted ({first_line(error)}): "
+                    "run the same command again. What was copied stays."
+                ) from error
+
+        # A process that hangs must not keep objects for ever: the database ends idle connections.
+        connection.execute(f"SET idle_session_timeout = {_MAX_IDLE_MS}")
         connection.execute("SELECT pg_advisory_lock_shared(%s)", (DELETION_LOCK,))
-        lock = DeletionLock(connection)
-        with repeating(_CONFIRM_S, lock.confirm):
-            yield lock
+        with repeating(_CONFIRM_S, confirm):
+            yield confirm
 
 
 @contextlib.contextmanager

@@ -1,49 +1,41 @@
 """Failures of backups. Each message says what happened, where, and what to do; each class has the CLI's exit code."""
 
+from typing import ClassVar
+
 
 class BackupError(Exception):
     """A command on backups failed."""
 
-    exit_code = 1
+    exit_code: ClassVar[int] = 1
+
+    def __init_subclass__(cls, *, exit_code: int) -> None:
+        """Set the exit code of a kind of failure."""
+        cls.exit_code = exit_code
 
 
-class BackupRequestInvalid(BackupError):
+class BackupRequestInvalid(BackupError, exit_code=2):
     """The options contradict each other, or something required is missing."""
 
-    exit_code = 2
 
-
-class BackupNotFound(BackupError):
+class BackupNotFound(BackupError, exit_code=3):
     """There is no such backup."""
 
-    exit_code = 3
 
-
-class PassphraseWrong(BackupError):
+class PassphraseWrong(BackupError, exit_code=4):
     """The backups are encrypted, and the passphrase is missing or wrong."""
 
-    exit_code = 4
 
-
-class BackupConflict(BackupError):
+class BackupConflict(BackupError, exit_code=5):
     """Another process uses the location, or it contains something else."""
 
-    exit_code = 5
 
-
-class BackupUnreachable(BackupError):
+class BackupUnreachable(BackupError, exit_code=7):
     """The database, the store or the location does not answer."""
 
-    exit_code = 7
 
-
-class BackupDamaged(BackupError):
+class BackupDamaged(BackupError, exit_code=9):
     """A backup does not contain what was written to it."""
 
-    exit_code = 9
 
-
-class BackupLocationFull(BackupError):
+class BackupLocationFull(BackupError, exit_code=11):
     """The location accepts no more data."""
-
-    exit_code = 11

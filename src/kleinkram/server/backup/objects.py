@@ -84,7 +84,7 @@ class ObjectIndex:
         return None if row is None or row[0] is None else int(row[0])
 
     def select(self, condition: str) -> Iterator[BackupObject]:
-        """Yield the objects that meet an SQL condition, ordered by key. The index must not change meanwhile."""
+        """Yield the objects that meet an SQL condition, ordered by key; do not change the index while iterating."""
         for row in self._db.execute(f"SELECT * FROM object WHERE {condition} ORDER BY key"):  # noqa: S608  (constants)
             yield BackupObject(*row)
 

@@ -18,7 +18,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 import kleinkram
 from kleinkram.server.backup import database
-from kleinkram.server.backup.database import DeletionLock, RestoreTarget, UnavailableObject
+from kleinkram.server.backup.database import RestoreTarget, UnavailableObject
 from kleinkram.server.backup.errors import (
     BackupConflict,
     BackupDamaged,
@@ -125,7 +125,7 @@ def create(settings: Settings, repository: Repository, show: ShowProgress) -> Cr
     with (
         _database_errors("The database failed ({}): run the same command again. What was copied stays."),
         repository.locked() as confirm_lock,
-        database.deletion_lock(dsn) as deletion,
+        database.deletion_lock(dsn) as confirm_deletion_lock,
         closing(ObjectIndex()) as index,
     ):
         repository.confirm_marker()
@@ -139,12 +139,12 @@ def create(settings: Settings, repository: Repository, show: ShowProgress) -> Cr
             dump = partial(database.dump_tables, connection, facts.tables)
             dumped, rows = repository.add_file(snapshot_id, DATABASE, dump)
             sequences = database.dump_sequences(connection)
-        copied = _copy_objects(settings, repository, index, deletion, show)
+        copied = _copy_objects(settings, repository, index, confirm_deletion_lock, show)
         problems = _find_problems(index, dsn)
         object_list, _ = repository.add_file(snapshot_id, OBJECT_LIST, partial(write_objects, index.select(IS_NAMED)))
         objects, object_bytes = index.totals("size_bytes")
         corrupt, _ = index.totals("CASE WHEN problem = 'corrupt' THEN size_bytes END")
-        deletion.confirm()
+        confirm_deletion_lock()
         confirm_lock()
         snapshot = Snapshot(
             id=snapshot_id,
@@ -166,7 +166,11 @@ def create(settings: Settings, repository: Repository, show: ShowProgress) -> Cr
 
 
 def _copy_objects(
-    settings: Settings, repository: Repository, index: ObjectIndex, deletion: DeletionLock, show: ShowProgress
+    settings: Settings,
+    repository: Repository,
+    index: ObjectIndex,
+    confirm_deletion_lock: Callable[[], None],
+    show: ShowProgress,
 ) -> ObjectTotals:
     """Copy what the location lacks, and read what no earlier backup verified."""
     rclone, bucket = _with_bucket(repository.rclone, settings)
@@ -178,7 +182,7 @@ def _copy_objects(
             break
     copied, done, total = ObjectTotals(), ObjectTotals(), ObjectTotals(*index.totals("size_bytes"))
     for batch in index.batches(IS_PENDING):
-        deletion.confirm()
+        confirm_deletion_lock()
         hashes, failures = _copy_batch(rclone, bucket, repository, batch)
         for row in batch:
             sha256, problem = hashes.get(row.key), None

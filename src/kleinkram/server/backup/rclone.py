@@ -32,12 +32,13 @@ _AWAY = re.compile(
     "|SlowDown|x509",
     re.IGNORECASE,
 )
+_DEFAULTS = {"RCLONE_RETRIES_SLEEP": "2s"}  # the caller's environment has precedence
 _PR_SET_PDEATHSIG = 1
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
 class RemoteFile(NamedTuple):
-    """A file of a remote; `modified_at` is the remote's own time where it has one."""
+    """A file of a remote; `modified_at` is by the clock of the remote if it has one."""
 
     path: str
     size_bytes: int
@@ -151,7 +152,7 @@ class Rclone:
             if isinstance(content, bytes):
                 file.write(content)
             file.flush()
-            os.lseek(file.fileno(), 0, os.SEEK_SET)  # rclone reads the descriptor, which knows no buffer of Python's
+            os.lseek(file.fileno(), 0, os.SEEK_SET)  # rclone reads the descriptor, without Python's buffer
             stack.enter_context(self._run("rcat", remote, "--s3-chunk-size", "16M", stdin=file)).check()
 
     def obscure(self, secret: str) -> str:
@@ -168,7 +169,7 @@ class Rclone:
             listed.seek(0)
             number = str(self.connections)
             command = [locate_rclone(), *arguments, *([] if paths is None else ["--files-from-raw", "-"])]
-            command += ["--use-json-log", "--transfers", number, "--checkers", number, "--retries-sleep", "2s"]
+            command += ["--use-json-log", "--transfers", number, "--checkers", number]
             if self.bytes_per_s is not None:
                 command += ["--bwlimit", f"{max(1, round(self.bytes_per_s))}B"]
             process = subprocess.Popen(
@@ -176,7 +177,7 @@ class Rclone:
                 stdin=stdin or listed,
                 stdout=output,
                 stderr=log,
-                env={**os.environ, **self.remotes, "RCLONE_S3_NO_CHECK_BUCKET": "true"},
+                env={**_DEFAULTS, **os.environ, **self.remotes, "RCLONE_S3_NO_CHECK_BUCKET": "true"},
                 umask=0o077,
                 preexec_fn=_end_with_parent(os.getpid()),
             )

@@ -16,16 +16,8 @@ from sqlalchemy.exc import DataError, IntegrityError
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.files import BlobState, ContentState, ReadDepth
 from kleinkram.contract.names import file_name
-from kleinkram.recordings import (
-    Content,
-    FailureKind,
-    RecordingSummary,
-    StreamRequest,
-    SummaryFailed,
-    UrlRequest,
-    request_bytes,
-    stream_request_bytes,
-)
+from kleinkram.recordings import Content, FailureKind, RecordingSummary, SummaryFailed
+from kleinkram.recordings.isolation import StreamRequest, UrlRequest, request_bytes
 from kleinkram.server.blobs import scrub, service
 from kleinkram.server.blobs.queries import BlobRow, SqliteLog
 from kleinkram.server.blobs.reader_processes import ReaderProcesses
@@ -124,7 +116,7 @@ async def _summary(
     log_sources = {suffix: (sign(log.key), log.size_bytes) for suffix, log in logs.items()}
     request = request_bytes(
         UrlRequest(sign(row.key), row.size_bytes, file_name(row.path or ""), log_sources),
-        most_bytes=_SUMMARY_MOST_BYTES,
+        max_bytes=_SUMMARY_MOST_BYTES,
         memory_bytes=context.settings.summary_memory_bytes,
         timeout_s=round(timeout_s),
     )
@@ -252,7 +244,7 @@ async def _read(context: AppContext, readers: ReaderProcesses, row: BlobRow) -> 
     if row.path is None or row.content == ContentState.opaque or row.depth == ReadDepth.scan:
         return _ReadResult(await read_through(context, row.key), None)
     timeout_s = context.settings.summary_timeout_s
-    request = stream_request_bytes(
+    request = request_bytes(
         StreamRequest(row.size_bytes, file_name(row.path)),
         memory_bytes=context.settings.summary_memory_bytes,
         timeout_s=round(timeout_s) + row.size_bytes // _SCAN_BYTES_PER_S,

@@ -14,11 +14,11 @@ from typing import TypeVar
 
 from typing_extensions import Self
 
-from kleinkram.recordings import (
+from kleinkram.recordings import RecordingSummary
+from kleinkram.recordings.formats.rosbag2.metadata import Rosbag2Metadata
+from kleinkram.recordings.isolation import (
     CHILD_COMMAND,
     CHILD_ENVIRONMENT,
-    RecordingSummary,
-    Rosbag2Metadata,
     read_answer,
     read_metadata_answer,
     timed_out,

@@ -41,7 +41,7 @@ class ScrubAborted(Exception):
 
 @dataclass
 class ScrubCounts:
-    """Blobs compared and their bytes; lost, corrupt and recovered; objects that no row knows."""
+    """Blobs compared and their bytes; lost, corrupt and recovered; objects without a row."""
 
     compared: int = 0
     compared_bytes: int = 0

@@ -119,11 +119,11 @@ async def record_verified(db: Connection, md5s: Mapping[uuid.UUID, bytes]) -> No
 
     A blob that was damaged is sound again.
     """
-    healed = await _lock_damaged(db, md5s)
+    repaired = await _lock_damaged(db, md5s)
     rows = unnest_rows([blob.c.id, blob.c.md5], [{"id": blob_id, "md5": md5} for blob_id, md5 in md5s.items()])
     values = {"state": BlobState.verified.value, "state_reason": None, "damaged_at": None, "md5": rows.c.md5}
     await db.execute(update(blob).where(blob.c.id == rows.c.id).values(**values, verified_at=func.now()))
-    for blob_id, before in healed.items():
+    for blob_id, before in repaired.items():
         await _audit_files(db, blob_id, "file.heal", {"state": before}, {"state": BlobState.verified.value})
     await publish_file_changes(db, md5s)
 

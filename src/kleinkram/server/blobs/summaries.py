@@ -10,7 +10,7 @@ from sqlalchemy import bindparam, delete, func, insert, select, update
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.files import ContentState, ReadDepth
 from kleinkram.recordings import RecordingSummary, TopicSummary
-from kleinkram.recordings.density import pack
+from kleinkram.recordings.message_density import pack
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection, among, fit_text
 from kleinkram.server.missions.service import lock_missions
@@ -58,7 +58,7 @@ async def lock_missions_of(db: Connection, blob_ids: Iterable[uuid.UUID]) -> Non
 
 
 async def regroup_missions_of(db: Connection, blob_ids: Iterable[uuid.UUID]) -> None:
-    """Have the recordings of these blobs' missions derived anew, and publish that their files changed."""
+    """Queue the recordings of these blobs' missions to be derived again, and publish that their files changed."""
     for mission_id in await _missions_of(db, blob_ids):
         await regroup(db, mission_id)
     await publish_file_changes(db, blob_ids)

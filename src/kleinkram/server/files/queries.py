@@ -29,7 +29,7 @@ from sqlalchemy import (
 from kleinkram.contract.access import Right
 from kleinkram.contract.files import Density, FileFilter, FileRead, FileSort, TopicRead
 from kleinkram.contract.missions import MissionFilter
-from kleinkram.recordings.density import unpack
+from kleinkram.recordings.message_density import unpack
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import joined_files, visible_files, visible_missions
 from kleinkram.server.db import among, among_parameter, by_name

@@ -35,7 +35,8 @@ from kleinkram.checks import (
     warning,
 )
 from kleinkram.contract.errors import StoreUnavailable
-from kleinkram.recordings import FileRequest, SummaryFailed, summarise_isolated
+from kleinkram.recordings import SummaryFailed
+from kleinkram.recordings.isolation import FileRequest, summarise_isolated
 from kleinkram.server.db import open_database
 from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.health.readiness import check_schema

@@ -13,9 +13,9 @@ from sqlalchemy import Row, Select, delete, insert
 
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import MissionTopic, MissionTopics, RecordingRef, TimeAxis
-from kleinkram.recordings.density import add_up, on_axis, pack, unpack
+from kleinkram.recordings.message_density import add_up, on_axis, pack, unpack
 from kleinkram.recordings.model import MessageDensity
-from kleinkram.recordings.timeline import StampRun, join
+from kleinkram.recordings.timeline import StampRun, join_runs
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
@@ -117,7 +117,7 @@ class _TopicMerger:
 
     def _end_recording(self) -> None:
         # A file without a recording stands for itself.
-        runs = join(self._runs) if self._recording_id is not None else self._runs
+        runs = join_runs(self._runs) if self._recording_id is not None else self._runs
         for run in runs:
             self._whole.add(run)
         self._runs = []

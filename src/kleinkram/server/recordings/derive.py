@@ -20,12 +20,12 @@ from kleinkram.recordings import (
     RecordingGroup,
     RecordingGroupKind,
     RecordingSummary,
-    Rosbag2Metadata,
     TopicSummary,
     combine,
     group,
 )
 from kleinkram.recordings.combine_summaries import combine_folder
+from kleinkram.recordings.formats.rosbag2.metadata import Rosbag2Metadata
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection, fit_text
 from kleinkram.server.missions import amounts

@@ -15,8 +15,9 @@ from procrastinate import JobContext
 from sqlalchemy import Row
 
 from kleinkram.contract.names import file_name
-from kleinkram.recordings import Rosbag2Metadata, SummaryFailed, metadata_request_bytes
-from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME
+from kleinkram.recordings import SummaryFailed
+from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME, Rosbag2Metadata
+from kleinkram.recordings.isolation import MetadataRequest, request_bytes
 from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.execution import (
@@ -95,8 +96,8 @@ class MetadataCache:
     async def _learn(self, context: AppContext, row: Row[Any]) -> None:
         body = b"".join([piece async for piece in context.storage.read(row.key)])
         timeout_s = min(_LIMIT_S, context.settings.summary_timeout_s)
-        request = metadata_request_bytes(
-            body.decode("utf-8", "replace"),
+        request = request_bytes(
+            MetadataRequest(body.decode("utf-8", "replace")),
             memory_bytes=context.settings.summary_memory_bytes,
             timeout_s=math.ceil(timeout_s),
         )

@@ -1,6 +1,6 @@
-"""A minimal S3 client: sends one signed request and returns its answer, or streams an object.
+"""A minimal S3 client: sends one signed request and returns the response, or streams an object.
 
-Knows nothing of uploads or recordings. Never holds an object in memory: bodies sent and answers read whole are small.
+Independent of uploads and recordings. Never holds an object in memory: request bodies and parsed responses are small.
 Why this is not a library: `docs/decisions/0011-own-s3-client.md`.
 
 Source: Amazon S3 API Reference; errors as in its "Error responses".

@@ -59,7 +59,7 @@ _SAFE_RESPONSE_HEADERS = {
 
 
 class StoreRefused(Exception):
-    """The store refused a request for a reason that trying again does not change; its own words inside.
+    """The store refused a request, and would refuse it again; the message is the store's.
 
     `is_wrong_checksum`: the bytes do not match the stated checksum.
     """
@@ -169,7 +169,7 @@ class Storage:
             raise StoreUnavailable(reason=f"it does not answer: {describe_connection_error(error)}") from error
 
     async def _code_of_refusal(self, refusal: S3Error) -> str:
-        """Return the store's error code; the answer to HEAD has no body, so a GET asks once more where it matters."""
+        """Return the store's error code; the response to HEAD has no body, so a GET repeats the request."""
         if refusal.status not in {403, 404}:
             return refusal.code
         try:
@@ -222,7 +222,7 @@ class Storage:
         return [MultipartUpload(entry["Key"], entry["UploadId"]) for entry in response.entries("Upload")]
 
     async def list_parts(self, key: str, multipart_id: str) -> list[StoredPart] | None:
-        """Return the parts that the store has, in order, or None if it does not know the upload any more."""
+        """Return the parts that the store has, in order, or None if it no longer has the upload."""
         entries = await self._part_entries(key, multipart_id)
         if entries is None:
             return None
@@ -259,7 +259,7 @@ class Storage:
         """Join all `count` parts; the store compares the CRC-64/NVME of the whole if it supports that.
 
         Raises:
-            StoreMissing: the store does not know this upload; it may have been completed before.
+            StoreMissing: the store has no such upload; it may have been completed before.
             StoreRefused: parts are missing or the checksum differs. Another call may still have made the object.
         """
         entries = await self._part_entries(key, multipart_id)
@@ -299,7 +299,7 @@ class Storage:
     # -- objects ------------------------------------------------------------------------------------------------------
 
     async def find(self, key: str) -> StoredObject | None:
-        """Return what the store says about an object, or None if there is none.
+        """Return the properties of an object, or None if there is none.
 
         Raises:
             StoreUnavailable: the store does not answer, or contradicts itself.

@@ -1,4 +1,4 @@
-"""The app over HTTP: its page under each of its places, its files, and what the server's own pages share with it."""
+"""Routes that serve the built web app: its page at each address of a view, and its static files."""
 
 from fastapi import APIRouter, Request, Response
 from starlette.exceptions import HTTPException
@@ -16,15 +16,15 @@ from kleinkram.server.http.web_app import (
     static_file,
 )
 
-# Not part of the API: for people, not for programs.
+# Not part of the API.
 router = APIRouter(include_in_schema=False)
 
 
 async def view(request: Request, settings: CurrentSettings) -> Response:
-    """Show the app, at whatever view the address names; to a program that asks for JSON, there is nothing here.
+    """Return the page of the app; it shows the view of the address.
 
     Raises:
-        HTTPException: 404, for a program.
+        HTTPException: 404, for a program that accepts only JSON.
     """
     if asks_for_json(request) or (not is_page_request(request) and is_original_api_path(request.url.path)):
         raise HTTPException(404)
@@ -39,23 +39,23 @@ for _place in PLACES:
 
 @router.get("/assets/{name}")
 async def asset(name: str, request: Request, settings: CurrentSettings) -> Response:
-    """Give a built file, which never changes under its name."""
+    """Return a built file, whose name contains its hash."""
     return built_file(request, settings, f"assets/{name}", caching=FOREVER)
 
 
 @router.get("/fonts/{name}")
 async def font(name: str, request: Request, settings: CurrentSettings) -> Response:
-    """Give a font, or its licence."""
+    """Return a font or its licence."""
     return built_file(request, settings, f"fonts/{name}", caching=DAY)
 
 
 @router.get("/licences.md")
 async def licences(request: Request, settings: CurrentSettings) -> Response:
-    """Give the licences of what the app is made from."""
+    """Return the licences of the app's dependencies."""
     return built_file(request, settings, "licences.md", caching=DAY)
 
 
 @router.get("/static/{name}")
 async def static(name: str) -> Response:
-    """Give what the server's own pages share with the app."""
+    """Return a file that the server's own pages share with the app."""
     return static_file(name)

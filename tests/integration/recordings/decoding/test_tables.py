@@ -19,7 +19,6 @@ from kleinkram.recordings.decoding import (
     Undecodable,
     arrow_batches,
     decoder_for,
-    tables,
     to_arrow,
     to_pandas,
     to_plain,
@@ -170,10 +169,10 @@ def test_selecting_a_field_selects_everything_below_it() -> None:
 
 
 def test_batches_are_bounded_and_at_least_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tables, "BATCH_MESSAGES", 30)
+    monkeypatch.setattr("kleinkram.recordings.decoding.types.BATCH_MESSAGES", 30)
     batches = list(arrow_batches(IMU, ((n, n, imu(n)) for n in range(100))))
     assert [batch.num_rows for batch in batches] == [30, 30, 30, 10]
-    monkeypatch.setattr(tables, "BATCH_BYTES", 1000)
+    monkeypatch.setattr("kleinkram.recordings.decoding.types.BATCH_BYTES", 1000)
     assert all(batch.num_rows == 3 for batch in arrow_batches(IMU, ((n, n, imu(n)) for n in range(99))))
     empty = to_arrow(IMU, [])
     assert empty.num_rows == 0
@@ -263,7 +262,7 @@ def test_json_value_of_another_type_is_null_and_reported(
 def test_json_types_that_change_between_batches_give_one_table(
     texts: list[str], column: list[object], irregular: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tables, "BATCH_MESSAGES", 2)
+    monkeypatch.setattr("kleinkram.recordings.decoding.types.BATCH_MESSAGES", 2)
     ros_decoder = decoder_for("json", "Mouse", "jsonschema", b"")
     assert isinstance(ros_decoder, Decoder)
     noticed: list[int] = []

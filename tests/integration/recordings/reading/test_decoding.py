@@ -10,9 +10,9 @@ import zstandard
 
 from kleinkram.recordings import NoSuchTopic, Recording
 from kleinkram.recordings.sample import generate_bag, generate_mcap
-from kleinkram.recordings.sample.writers import McapWriter
 from tests.recording_files.builders import T0
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import McapWriter
 
 
 @pytest.fixture(scope="module", params=["mcap", "bag"])

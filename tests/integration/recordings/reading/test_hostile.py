@@ -214,10 +214,10 @@ def test_a_file_without_index_is_read_over_a_network_only_if_that_is_allowed(
 ) -> None:
     cut = Watched(MemorySource(FILES[kind][:-60], f"far.{kind}"))
     monkeypatch.setattr("kleinkram.recordings.formats.base.MAX_REMOTE_SCAN_BYTES", cut.size_bytes - 1)
-    with pytest.raises(TooCostly, match=f"far.{kind}: .* most_bytes={cut.size_bytes}") as refused:
+    with pytest.raises(TooCostly, match=f"far.{kind}: .* max_bytes={cut.size_bytes}") as refused:
         Recording.open(cut)
     assert refused.value.size_bytes == cut.size_bytes
-    with Recording.open(cut, most_bytes=cut.size_bytes) as recording:
+    with Recording.open(cut, max_bytes=cut.size_bytes) as recording:
         assert len(list(recording.raw_messages())) == 32
     with Recording.open(MemorySource(FILES[kind], f"far.{kind}")) as recording:
         assert len(list(recording.raw_messages())) == 32
@@ -232,10 +232,10 @@ def test_a_local_file_is_read_whatever_its_size_unless_that_is_bounded(
     with Recording.open(path) as recording:
         assert len(list(recording.raw_messages())) == 32
     with pytest.raises(TooCostly):
-        Recording.open(path, most_bytes=10)
+        Recording.open(path, max_bytes=10)
     generate_db3(tmp_path / "drive", duration_s=1, size_bytes=100_000)
     database = tmp_path / "drive" / "drive_0.db3"
-    with Recording.open(database, most_bytes=10) as recording:
+    with Recording.open(database, max_bytes=10) as recording:
         assert recording.message_count
     with pytest.raises(TooCostly, match="local copy"):
         Recording.open(MemorySource(database.read_bytes(), "far.db3"))

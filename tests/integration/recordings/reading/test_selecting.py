@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings import NoSuchTopic, Recording, SeveralRecordings
-from kleinkram.recordings.formats.mcap.index import read_index
+from kleinkram.recordings.formats.mcap.format import read_index
 from kleinkram.recordings.sample import generate_db3, generate_mcap
 from tests.recording_files.builders import T0, Stamped, Watched, bag_of, mcap_of
 from tests.recording_files.memory_source import MemorySource

@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings import Recording, TooDisordered
-from kleinkram.recordings.sample.writers import Compression, Db3Writer, McapWriter
+from kleinkram.recordings.sample.writers import Db3Writer
 from tests.recording_files.builders import T0, Stamped, Watched, bag_of, mcap_of
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import Compression, McapWriter
 
 Make = Callable[[Iterable[Iterable[Stamped]]], MemorySource]
 MAKERS = [pytest.param(mcap_of, id="mcap"), pytest.param(bag_of, id="bag")]
@@ -49,7 +50,7 @@ def test_chunks_that_overlap(make: Make, spread_ns: int) -> None:
 @pytest.mark.parametrize("make", MAKERS)
 def test_chunks_that_overlap_more_than_memory_allows(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     chunks = shuffled(7, chunks=12, messages=20, spread_ns=400)
-    monkeypatch.setattr("kleinkram.recordings.merge.MAX_BUFFERED_BYTES", 12 * 20 * (250 + 6) // 3)
+    monkeypatch.setattr("kleinkram.recordings.merge_messages.MAX_BUFFERED_BYTES", 12 * 20 * (250 + 6) // 3)
     source = Watched(make(chunks))
     assert plain(Recording.open(source)) == in_order(chunks)
     assert len(source.ranges) > 2 * len(chunks)  # chunks were read again instead of being held
@@ -57,7 +58,7 @@ def test_chunks_that_overlap_more_than_memory_allows(make: Make, monkeypatch: py
 
 def test_too_many_chunks_at_once_are_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     chunks = [[("/t", T0, b"x" * 1000), ("/t", T0 + 1_000_000, b"x" * 1000)] for _ in range(50)]
-    monkeypatch.setattr("kleinkram.recordings.merge.MAX_BUFFERED_BYTES", 10_000)
+    monkeypatch.setattr("kleinkram.recordings.merge_messages.MAX_BUFFERED_BYTES", 10_000)
     with pytest.raises(TooDisordered, match="overlap in time"):
         list(Recording.open(mcap_of(chunks)).raw_messages())
 

@@ -13,14 +13,14 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
 
+from kleinkram.recordings.chunk_scanner import ChunkedFacts
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, Row
 from kleinkram.recordings.compression import is_known_compression
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.formats.chunked import ChunkedFacts
 from kleinkram.recordings.limits import MAX_DAMAGE, MAX_DEFINITIONS, MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
-from kleinkram.recordings.message_counts import PlaceKind
 from kleinkram.recordings.messages import Channel, Schema
 from kleinkram.recordings.model import Fact
+from kleinkram.recordings.scanned_messages import PlaceKind
 from kleinkram.recordings.streams import ByteStream
 
 MAGIC = b"\x89MCAP0\r\n"

@@ -10,10 +10,10 @@ import struct
 from collections.abc import Container
 from typing import NamedTuple
 
+from kleinkram.recordings.chunk_scanner import LOOK, search_width
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.formats.chunked import LOOK, search_width
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import FOOTER_BYTES, MAGIC, RECORD_HEAD, Opcode
 from kleinkram.recordings.limits import MAX_NAME

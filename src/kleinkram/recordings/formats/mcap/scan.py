@@ -7,16 +7,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
-from kleinkram.recordings.chunk_table import UNKNOWN, ChunkHead
+from kleinkram.recordings.chunk_scanner import LOOK, ChunkContents, ChunkScan, ChunkScanner
+from kleinkram.recordings.chunk_table import UNKNOWN, ChunkHead, ChunkTableBuilder, Int64Table
 from kleinkram.recordings.errors import Cut, Malformed
-from kleinkram.recordings.formats.chunked import LOOK, ChunkContents, ChunkScan, ChunkScanner
 from kleinkram.recordings.formats.mcap import chunks, records, resync
 from kleinkram.recordings.formats.mcap.chunks import MESSAGE_FIXED, MESSAGE_HEAD, walk_messages
 from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, ChannelRecord, McapFacts, Opcode
-from kleinkram.recordings.index_check import ChunkClaim, compare_with_scan, new_table, wrong_compression
+from kleinkram.recordings.index_check import ChunkClaim, compare_with_scan, wrong_compression
 from kleinkram.recordings.limits import MAX_TAKE, WINDOW
-from kleinkram.recordings.message_counts import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
 from kleinkram.recordings.model import counted
+from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessagePlace, PlaceKind
 from kleinkram.recordings.sources import SequentialReader
 from kleinkram.recordings.streams import LookaheadStream, open_bytes
 
@@ -46,9 +46,9 @@ class _McapScanner(ChunkScanner[McapFacts]):
     _scan: McapScan
 
     def __init__(
-        self, reader: SequentialReader, observer: MessageObserver | None, channels: Mapping[int, ChannelRecord]
+        self, reader: SequentialReader, builder: ChunkTableBuilder | None, channels: Mapping[int, ChannelRecord]
     ) -> None:
-        super().__init__(McapScan(McapFacts(dict(channels))), LookaheadStream(reader), observer)
+        super().__init__(McapScan(McapFacts(dict(channels))), LookaheadStream(reader), builder)
         self._unchunked = Batch(self._scan.facts.channels)
         self._unchunked_bytes = 0
         self._is_resynced = False
@@ -73,7 +73,7 @@ class _McapScanner(ChunkScanner[McapFacts]):
         return scan
 
     def _compare_index(self) -> None:
-        facts, claims = self._scan.facts, new_table()
+        facts, claims = self._scan.facts, Int64Table(ChunkClaim)
         for row in facts.table.rows:
             times = row.first_ns, row.last_ns
             claims.append(ChunkClaim(row.start, row.start + row.length, *times, row.channels, UNKNOWN))
@@ -236,7 +236,7 @@ class _McapScanner(ChunkScanner[McapFacts]):
             losses.note_index(Malformed(where, "the checksum of the summary section is wrong"))
         stream.advance(_U32.size + len(records.MAGIC))
         if stream.left:
-            # It may be that of a file inside of this one, whose place the search came upon: the scan goes on.
+            # It may be the footer of a file inside this one, which a search has found, so the scan continues.
             losses.note(Malformed(f"byte {stream.position}", f"{stream.left} bytes follow its end"))
 
     def _walk_unchunked(self) -> int:
@@ -259,10 +259,10 @@ class _McapScanner(ChunkScanner[McapFacts]):
         self._pass_unchunked(0)
 
     def _note_unchunked(self, length: int) -> None:
-        """Pass the messages in the next `length` bytes to the observer."""
-        if self._observer is not None and length:
+        """Add the messages in the next `length` bytes to the chunk table."""
+        if self._builder is not None and length:
             place = MessagePlace(PlaceKind.records, self._stream.position, length, length)
-            self._observer.on_messages(place, self._unchunked)
+            self._builder.add(place, self._unchunked)
             self._flush()  # what the batch holds next is somewhere else
 
     def _pass_unchunked(self, length: int) -> None:
@@ -281,8 +281,8 @@ class _McapScanner(ChunkScanner[McapFacts]):
 
 def scan_records(
     reader: SequentialReader,
-    observer: MessageObserver | None = None,
+    builder: ChunkTableBuilder | None = None,
     channels: Mapping[int, ChannelRecord] | None = None,
 ) -> McapScan:
     """Scan a whole file; its content never raises. `channels`: known before, for a part that defines none."""
-    return _McapScanner(reader, observer, channels or {}).run()
+    return _McapScanner(reader, builder, channels or {}).run()

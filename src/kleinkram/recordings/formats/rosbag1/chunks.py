@@ -14,16 +14,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from operator import itemgetter
 
+from kleinkram.recordings.chunk_scanner import ChunkContents, ChunkedFacts, Hole
 from kleinkram.recordings.chunk_table import Row
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.formats.chunked import ChunkContents, ChunkedFacts, Hole
 from kleinkram.recordings.formats.rosbag1 import records
 from kleinkram.recordings.formats.rosbag1.records import Connection, Fields, Op
 from kleinkram.recordings.index_check import ChunkMessages
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_DEFINITIONS, MAX_HEADER, MAX_NAMES, MAX_TAKE, MAX_TOPICS
-from kleinkram.recordings.message_counts import Batch
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
+from kleinkram.recordings.scanned_messages import Batch
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.streams import open_range
 
@@ -98,7 +98,7 @@ def walk_messages(data: Buffer, at: int, end: int, layout: MessageLayout, batch:
 _OP = re.compile(rb"\x04\0\0\0op=[\x02-\x07]")
 _OP_OUTSIDE = re.compile(rb"\x04\0\0\0op=[\x03-\x06]")
 _LONGEST_SEARCHED_HEADER = 512
-_MOST_CHECKED = 2
+_MAX_CHECKED = 2
 
 
 @dataclass
@@ -194,7 +194,7 @@ def points_at_messages(content: Buffer, number: int, entries: array[int], layout
     `entries`: seconds, nanoseconds and place in the chunk of each message.
     """
     count = len(entries) // 3
-    for at in {*range(0, count, max(1, count // _MOST_CHECKED)), max(0, count - 1)} if count else ():
+    for at in {*range(0, count, max(1, count // _MAX_CHECKED)), max(0, count - 1)} if count else ():
         seconds, nanoseconds, place = entries[3 * at : 3 * at + 3]
         actual = _message_at(content, place, layout)
         if actual != (number, seconds, nanoseconds):

@@ -85,7 +85,7 @@ class Fields:
         return raw.decode("utf-8", "replace")
 
     def blob(self, name: str) -> bytes:
-        """Return a field as it is; empty where there is none."""
+        """Return a field as bytes; empty if it is missing."""
         return self._values.get(name.encode(), b"")
 
     def _raw(self, name: str) -> bytes:

@@ -8,20 +8,20 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import partial
 
-from kleinkram.recordings.chunk_table import UNKNOWN, ChunkHead
+from kleinkram.recordings.chunk_scanner import LOOK, ChunkContents, ChunkScan, ChunkScanner, search_width
+from kleinkram.recordings.chunk_table import UNKNOWN, ChunkHead, ChunkTableBuilder, Int64Table
 from kleinkram.recordings.errors import Cut, Malformed
-from kleinkram.recordings.formats.chunked import LOOK, ChunkContents, ChunkScan, ChunkScanner, search_width
 from kleinkram.recordings.formats.rosbag1 import chunks, records
 from kleinkram.recordings.formats.rosbag1.chunks import BagFacts, BagRecord, find_record, opcode_at, parse_record
 from kleinkram.recordings.formats.rosbag1.records import Op
-from kleinkram.recordings.index_check import ChunkClaim, compare_with_scan, new_table
+from kleinkram.recordings.index_check import ChunkClaim, compare_with_scan
 from kleinkram.recordings.limits import LOOK_AHEAD, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
-from kleinkram.recordings.message_counts import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
 from kleinkram.recordings.model import counted
+from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessagePlace, PlaceKind
 from kleinkram.recordings.sources import SequentialReader
 from kleinkram.recordings.streams import LookaheadStream
 
-_LEAST_CHUNK_HEAD = 40
+_MIN_CHUNK_HEAD = 40
 _NAMES: dict[int, str] = {Op.MESSAGE_DATA: "a message", Op.CHUNK: "a chunk", Op.CONNECTION: "a connection"}
 
 
@@ -45,9 +45,9 @@ class BagScan(ChunkScan[BagFacts]):
 class _BagScanner(ChunkScanner[BagFacts]):
     _scan: BagScan
 
-    def __init__(self, reader: SequentialReader, observer: MessageObserver | None) -> None:
-        super().__init__(BagScan(), LookaheadStream(reader, with_crc=False), observer)
-        self._claims = new_table()
+    def __init__(self, reader: SequentialReader, builder: ChunkTableBuilder | None) -> None:
+        super().__init__(BagScan(), LookaheadStream(reader, with_crc=False), builder)
+        self._claims = Int64Table(ChunkClaim)
         self._claimed_messages = self._claimed_connections = self._claimed_chunks = 0
 
     def run(self) -> BagScan:
@@ -209,7 +209,7 @@ class _BagScanner(ChunkScanner[BagFacts]):
 
     def _reaches_over_chunk(self, after: int) -> bool:
         stream = self._stream
-        return find_record(stream.window, stream.at + _LEAST_CHUNK_HEAD, after, outside=True) is not None
+        return find_record(stream.window, stream.at + _MIN_CHUNK_HEAD, after, outside=True) is not None
 
     def _is_followed(self, total: int) -> bool:
         stream = self._stream
@@ -233,6 +233,6 @@ def _chunk_head(record: BagRecord) -> ChunkHead:
     return records.chunk_head(record.fields, record.data_start - record.start, record.data_bytes)
 
 
-def scan_bag_records(reader: SequentialReader, observer: MessageObserver | None = None) -> BagScan:
-    """Scan a whole bag. Its content never raises. The observer receives every message that is counted."""
-    return _BagScanner(reader, observer).run()
+def scan_bag_records(reader: SequentialReader, builder: ChunkTableBuilder | None = None) -> BagScan:
+    """Scan a whole bag. Its content never raises. `builder` receives the messages that are counted."""
+    return _BagScanner(reader, builder).run()

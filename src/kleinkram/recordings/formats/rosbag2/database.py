@@ -16,7 +16,7 @@ import sqlite3
 import struct
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from itertools import count
 from pathlib import Path
 from typing import NamedTuple
@@ -24,7 +24,7 @@ from typing import NamedTuple
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.limits import MAX_NAME, MAX_NAMES, MAX_TOPICS
 from kleinkram.recordings.model import Problem, counted
-from kleinkram.recordings.sources import FileReader
+from kleinkram.recordings.sources import FileSource, SourceReader
 from kleinkram.recordings.temporary_files import TooLarge, temporary_database
 
 CACHE_KIB = 16 * 1024
@@ -45,7 +45,7 @@ _PREPARE = (
     f"PRAGMA cache_size=-{CACHE_KIB}",
 )
 _TEXT_COLUMNS = ("name", "type", "serialization_format")
-_MOST_FAULTS = 10
+_MAX_FAULTS = 10
 _MAX_STATED = 4 * 2**20
 
 
@@ -183,7 +183,7 @@ def _stated_value(text: str, key: str) -> str:
 
 def find_faults(database: sqlite3.Connection) -> list[str]:
     """Check the structure of every page; return the faults in SQLite's words."""
-    rows = database.execute(f"PRAGMA quick_check({_MOST_FAULTS})").fetchall()
+    rows = database.execute(f"PRAGMA quick_check({_MAX_FAULTS})").fetchall()
     return [str(row[0]) for row in rows if row[0] != "ok"]
 
 
@@ -197,7 +197,7 @@ LOG_SUFFIXES = (WAL_SUFFIX, JOURNAL_SUFFIX)
 _WAL_HEADER = struct.Struct(">8I")
 _FRAME_HEADER = struct.Struct(">6I")
 _WAL_MAGICS = (0x377F0682, 0x377F0683)
-_MOST_FRAMES = 4_000_000
+_MAX_FRAMES = 4_000_000
 # At the end of a journal that names another one. SQLite would delete that file, whichever it is.
 _JOURNAL_MAGIC = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
 _READ_ONLY_PRAGMAS = frozenset(("trusted_schema", "locking_mode", "journal_mode", "wal_checkpoint", "schema_version"))
@@ -227,9 +227,11 @@ def find_unmerged_logs(path: Path, name: str | None = None) -> list[Problem]:
     return problems
 
 
-def log_not_read(left: Sequence[Problem]) -> list[Problem]:
+def log_not_read(log_problems: Sequence[Problem]) -> list[Problem]:
     """Report that a log or journal could not be applied to a copy."""
-    return [Problem("log-not-read", left[0].where, "its content could not be read along")] if left else []
+    return (
+        [Problem("log-not-read", log_problems[0].where, "its content could not be read along")] if log_problems else []
+    )
 
 
 @contextmanager
@@ -237,12 +239,11 @@ def replayed_copy(path: Path) -> Iterator[Path | None]:
     """Yield a temporary copy of a database with log and journal applied; None without room, or if SQLite fails."""
     present = [suffix for suffix in LOG_SUFFIXES if Path(f"{path}{suffix}").is_file()]
     try:
-        with FileReader(path) as database:
-            logs = {suffix: FileReader(f"{path}{suffix}") for suffix in present}
-            reads = {suffix: log.read for suffix, log in logs.items()}
-            with temporary_database(database.read, reads) as copy:
-                for log in logs.values():
-                    log.close()
+        with ExitStack() as stack:
+            database = stack.enter_context(FileSource(path))
+            logs = {suffix: stack.enter_context(FileSource(f"{path}{suffix}")) for suffix in present}
+            reads = {suffix: SourceReader(log).read for suffix, log in logs.items()}
+            with temporary_database(SourceReader(database).read, reads) as copy:
                 yield copy if replay(copy) else None
     except TooLarge:
         yield None
@@ -289,7 +290,7 @@ def _pages_not_merged(path: Path, wal: Path) -> int:
             return 0
         committed: dict[int, int] = {}
         open_frames: dict[int, int] = {}
-        for _ in range(_MOST_FRAMES):
+        for _ in range(_MAX_FRAMES):
             at = log.tell()
             frame = log.read(_FRAME_HEADER.size)
             if len(frame) < _FRAME_HEADER.size:

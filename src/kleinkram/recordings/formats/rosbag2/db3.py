@@ -1,7 +1,7 @@
 """The rosbag2 database format (db3): read by SQLite, or page by page where SQLite fails.
 
-A database has no index of its messages' times: the pages with their heads are read all, so a summary costs about the
-file. A scan also checks the structure of every page; what is inside of messages has no checksum and is not judged.
+A database has no suitable index of times: a summary reads all pages with heads of messages, about the whole file. A
+scan also checks the structure of every page; the contents of messages have no checksum and are not checked.
 """
 
 from __future__ import annotations
@@ -20,42 +20,19 @@ from pathlib import Path
 from kleinkram.recordings.chunk_reader import MAX_MESSAGE
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.formats.base import (
-    Format,
-    Head,
-    Member,
-    MemberContents,
-    OpenContext,
-    RecordingFile,
-    check_cost,
-)
+from kleinkram.recordings.file_summary import TopicType, bounded, build_summary, pending
+from kleinkram.recordings.formats import base
+from kleinkram.recordings.formats.base import Format, Member, MemberContents
 from kleinkram.recordings.formats.rosbag2 import database as db
-from kleinkram.recordings.formats.rosbag2.database import (
-    LOG_SUFFIXES,
-    MessageRow,
-    Origin,
-    TopicRow,
-    check_tables,
-    columns,
-    find_unmerged_logs,
-    is_database,
-    is_database_in_log,
-    log_not_read,
-    open_database,
-    read_origin,
-    read_topics,
-    replay,
-    replayed_copy,
-)
+from kleinkram.recordings.formats.rosbag2.database import LOG_SUFFIXES, MessageRow, Origin, TopicRow
 from kleinkram.recordings.formats.rosbag2.recovery import Recovery, open_recovered
 from kleinkram.recordings.limits import MAX_DEFINITIONS
-from kleinkram.recordings.merge import MessagePiece, MessageRun, merge
+from kleinkram.recordings.merge_messages import MessagePiece, MessageRun, merge
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.model import Content, Depth, Fact, Lost, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.sources import SequentialReader, Source, SourceReader
 from kleinkram.recordings.temporary_files import MAX_SPOOL_BYTES, TooLarge, temporary_copy, too_large
 from kleinkram.recordings.timeline import Timeline
-from kleinkram.recordings.topic_statistics import TopicType, bounded, measure, pending
 
 _BATCH = 20_000
 _ROSBAG2_TABLES = (re.compile(rb"TABLE\s+[\"'`\[]?messages\b", re.I), re.compile(rb"TABLE\s+[\"'`\[]?topics\b", re.I))
@@ -69,12 +46,12 @@ def scan_db3(reader: SequentialReader, *, depth: Depth = Depth.scan) -> Recordin
 
     `Depth.summary` leaves out the check of every page, and does not read the pages of large messages.
     """
-    left = find_unmerged_logs(reader.path, reader.name) if reader.path is not None else []
+    log_problems = db.find_unmerged_logs(reader.path, reader.name) if reader.path is not None else []
     try:
-        if reader.path is not None and left:
-            with replayed_copy(reader.path) as copy:
+        if reader.path is not None and log_problems:
+            with db.replayed_copy(reader.path) as copy:
                 summary = _read(copy or reader.path, reader.name, depth)
-            return _killed(summary, left, is_applied=copy is not None)
+            return _with_log_problems(summary, log_problems, is_applied=copy is not None)
         if reader.path is not None:
             return _read(reader.path, reader.name, depth)
         if reader.size_bytes > MAX_SPOOL_BYTES:
@@ -90,22 +67,28 @@ def scan_copy(copy: Path, name: str, scan_without_logs: Callable[[], RecordingSu
 
     `scan_without_logs`: where SQLite does not apply them, half of them may be in the copy.
     """
-    left = find_unmerged_logs(copy, name)
-    if not left:
+    log_problems = db.find_unmerged_logs(copy, name)
+    if not log_problems:
         return _read(copy, name, Depth.scan)
-    is_applied = replay(copy)
+    is_applied = db.replay(copy)
     summary = _read(copy, name, Depth.scan) if is_applied else scan_without_logs()
-    return _killed(summary, left, is_applied=is_applied)
+    return _with_log_problems(summary, log_problems, is_applied=is_applied)
 
 
-def _killed(summary: RecordingSummary, left: Sequence[Problem], *, is_applied: bool) -> RecordingSummary:
+def _with_log_problems(
+    summary: RecordingSummary, log_problems: Sequence[Problem], *, is_applied: bool
+) -> RecordingSummary:
     """Add to a summary that the recorder was killed, and whether its log was read."""
     content = Content.recovered if summary.content is Content.indexed else summary.content
-    reason = summary.reason or left[0].message
+    reason = summary.reason or log_problems[0].message
     lost = summary.lost or Lost(0, 0, None)
-    unread = [] if is_applied else log_not_read(left)
+    unread = [] if is_applied else db.log_not_read(log_problems)
     return replace(
-        summary, content=content, reason=reason, problems=bounded([*left, *unread, *summary.problems]), lost=lost
+        summary,
+        content=content,
+        reason=reason,
+        problems=bounded([*log_problems, *unread, *summary.problems]),
+        lost=lost,
     )
 
 
@@ -137,7 +120,7 @@ class _TopicCounts:
             if topic_id in self.undefined:
                 self.undefined[topic_id] += len(topic_stamps)
             self.timeline.add(self._names[topic_id], array("Q", topic_stamps), sizes[topic_id])
-        self.timeline.settle(0)
+        self.timeline.finish(0)
 
     def _define(self, topic: TopicRow) -> None:
         self._names[topic.topic_id] = topic.name
@@ -150,7 +133,7 @@ class _TopicCounts:
     def summary(
         self, content: Content, reason: str | None, depth: Depth, problems: Sequence[Problem], lost: Lost | None
     ) -> RecordingSummary:
-        self.timeline.settle(None)
+        self.timeline.finish(None)
         compression, facts = self._origin.message_compression, []
         if self._origin.ros_distro:
             facts.append(Fact("ros_distro", self._origin.ros_distro))
@@ -159,7 +142,7 @@ class _TopicCounts:
         if self._origin.definitions:
             facts.append(Fact("message_definitions", self._origin.definitions))
         return replace(
-            measure(RecordingFormat.rosbag2_db3, self.timeline, self.types, [*problems, *self._problems()]),
+            build_summary(RecordingFormat.rosbag2_db3, self.timeline, self.types, [*problems, *self._problems()]),
             content=content,
             reason=reason,
             compression=(f"message-{compression}" if compression else "none",),
@@ -266,10 +249,10 @@ class DatabaseMember:
         self._has_index = False
         self.contents = MemberContents({}, {}, 0, None, None)
         try:
-            with open_database(path) as database:
-                check_tables(database)
+            with db.open_database(path) as database:
+                db.check_tables(database)
                 self._has_index = _has_index(database)
-                compression = message_compression or read_origin(database).message_compression
+                compression = message_compression or db.read_origin(database).message_compression
                 channels = _read_channels(database, compression)
                 self.contents = _contents(database, channels, has_index=self._has_index)
         except (sqlite3.Error, Malformed) as error:
@@ -280,12 +263,7 @@ class DatabaseMember:
         if self._recovered is not None:
             yield from self._recovered.pieces(selection, order)
             return
-        channels = {
-            number: channel
-            for number, channel in self.contents.channels.items()
-            if selection.topics is None or channel.topic in selection.topics
-        }
-        if channels:
+        if channels := self.contents.select(selection):
             first_ns = max(selection.start_ns, self.contents.start_ns or 0)
             yield MessagePiece(first_ns, order, lambda: MessageRun([], 0, self._blocks(channels, selection)))
 
@@ -312,7 +290,7 @@ class DatabaseMember:
     def _by_sqlite(self, channels: dict[int, Channel], selection: Selection) -> Iterator[Block]:
         block: Block = []
         size = 0
-        with open_database(self._path) as database:
+        with db.open_database(self._path) as database:
             if sys.version_info >= (3, 11):
                 database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2 * MAX_MESSAGE)
             for topic_id, timestamp, data in self._rows(database, channels, selection):
@@ -355,7 +333,7 @@ def _has_index(database: sqlite3.Connection) -> bool:
 
 def _read_channels(database: sqlite3.Connection, message_compression: str) -> dict[int, Channel]:
     definitions: dict[str, tuple[str, bytes]] = {}
-    if {"topic_type", "encoding", "encoded_message_definition"} <= columns(database, "message_definitions"):
+    if {"topic_type", "encoding", "encoded_message_definition"} <= db.columns(database, "message_definitions"):
         size = 0
         for name, encoding, text in database.execute(_DEFINITIONS):
             if isinstance(name, str) and isinstance(encoding, str) and isinstance(text, str):
@@ -370,7 +348,7 @@ def _read_channels(database: sqlite3.Connection, message_compression: str) -> di
             Schema(topic.message_type, *definitions.get(topic.message_type, ("", b""))),
             message_compression,
         )
-        for topic in read_topics(database)
+        for topic in db.read_topics(database)
     }
 
 
@@ -380,25 +358,24 @@ def _contents(database: sqlite3.Connection, channels: dict[int, Channel], *, has
         return MemberContents(channels, None, None, None, None)
     (count,) = database.execute("SELECT count(*) FROM messages").fetchone()
     ends = [
-        database.execute(f"SELECT timestamp FROM messages ORDER BY timestamp {way} LIMIT 1").fetchone()  # noqa: S608  # our words
-        for way in ("ASC", "DESC")
+        database.execute(f"SELECT timestamp FROM messages ORDER BY timestamp {order} LIMIT 1").fetchone()  # noqa: S608  # our words
+        for order in ("ASC", "DESC")
     ]
     start_ns, end_ns = (end[0] if end and isinstance(end[0], int) else None for end in ends)
     return MemberContents(channels, None, count, start_ns, end_ns)
 
 
-def _summarise(source: Source, *, most_bytes: int) -> RecordingSummary:
-    if source.size_bytes > most_bytes:
+def _summarise(source: Source, max_bytes: int) -> RecordingSummary:
+    if source.size_bytes > max_bytes:
         why = "a rosbag2 database (db3) has no index of its messages"
         return pending(RecordingFormat.rosbag2_db3, source.size_bytes, why)
-    # A database that is a local file is read in place.
-    return scan_db3(SourceReader(source, path=getattr(source, "path", None)), depth=Depth.summary)
+    return scan_db3(SourceReader(source), depth=Depth.summary)
 
 
-def _open(file: RecordingFile, context: OpenContext) -> Member:
+def _open(file: base.RecordingFile, context: base.OpenContext) -> Member:
     source, problem_log, compression = file.source, context.problem_log, context.message_compression
     if file.path is None:
-        check_cost(source, context.limit_of(source), "a rosbag2 database (db3) is read from a local copy")
+        context.check_cost(source, "a rosbag2 database (db3) is read from a local copy")
     path = file.database = _whole_database(file, context)
 
     def recover() -> Member:
@@ -407,30 +384,30 @@ def _open(file: RecordingFile, context: OpenContext) -> Member:
     return DatabaseMember(path, source.name, problem_log, recover, message_compression=compression)
 
 
-def _whole_database(file: RecordingFile, context: OpenContext) -> Path:
+def _whole_database(file: base.RecordingFile, context: base.OpenContext) -> Path:
     """Return the path of a database with its log and journal applied."""
     if file.path is not None:
-        left = find_unmerged_logs(file.path, file.base_name)
-        copy = context.stack.enter_context(replayed_copy(file.path)) if left else None
+        log_problems = db.find_unmerged_logs(file.path, file.base_name)
+        copy = context.stack.enter_context(db.replayed_copy(file.path)) if log_problems else None
         is_applied = copy is not None
         path = copy or file.path
     else:
         name = file.source.name
         logs = {suffix: log for suffix in LOG_SUFFIXES if (log := context.logs.get(f"{name}{suffix}")) is not None}
         path = context.copy(SourceReader(file.source).read, name, logs)
-        left = find_unmerged_logs(path, file.base_name)
-        is_applied = bool(left) and replay(path)
-        if left and not is_applied:  # half of it may be in this copy
+        log_problems = db.find_unmerged_logs(path, file.base_name)
+        is_applied = bool(log_problems) and db.replay(path)
+        if log_problems and not is_applied:  # half of it may be in this copy
             path = context.copy(SourceReader(file.source).read, name)
-    for problem in [*left, *([] if is_applied else log_not_read(left))]:
+    for problem in [*log_problems, *([] if is_applied else db.log_not_read(log_problems))]:
         context.problem_log.add(problem.code, problem.where, problem.message)
     return path
 
 
-def _matches(head: Head) -> bool:
+def _matches(head: base.Head) -> bool:
     """Recognise the tables in the schema, or a database whose tables may be in the log beside it."""
-    return is_database(head.data) and (
-        all(table.search(head.data) for table in _ROSBAG2_TABLES) or is_database_in_log(head.data, head.path)
+    return db.is_database(head.data) and (
+        all(table.search(head.data) for table in _ROSBAG2_TABLES) or db.is_database_in_log(head.data, head.path)
     )
 
 

@@ -1,4 +1,4 @@
-"""The metadata.yaml of a rosbag2 folder, which is only a claim, and its comparison with the data files."""
+"""Parses the metadata.yaml of a rosbag2 folder, and compares its claims with the data files."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
-from kleinkram.recordings.model import Problem, RecordingFormat, counted
+from kleinkram.recordings.model import Problem, RecordingFormat, RecordingSummary, TopicSummary, counted
 
 MAX_TEXT = 4 * 2**20
-_MOST_ENTRIES = 100_000
+_MAX_ENTRIES = 100_000
 _TOP = "rosbag2_bagfile_information"
-_MOST_DIGITS = 20
+_MAX_DIGITS = 20
 # The deepest that a recorder writes is 6.
 _MAX_DEPTH = 50
 _NULL = frozenset(("~", "null", "Null", "NULL"))
@@ -44,7 +44,7 @@ class Rosbag2Metadata:
     Attributes:
         files: data files, relative to the folder, in the order of recording.
         storage: "sqlite3" or "mcap".
-        compression_mode: "file", "message" or "". With "message", the data of each message is compressed by itself, in
+        compression_mode: "file", "message" or "". With "message", the data of each message is compressed separately, in
             a db3 as well as in an MCAP, without a trace in these files.
         version: of the metadata's own format, 1 to 9.
         file_entries: single files; empty before version 5.
@@ -98,7 +98,7 @@ def parse_rosbag2_metadata(text: str) -> Rosbag2Metadata | None:
         for entry in _entries(top, "files")
     )
     paths = top.get("relative_file_paths")
-    files = [_path(path) for path in paths[:_MOST_ENTRIES]] if isinstance(paths, list) else [e.path for e in entries]
+    files = [_path(path) for path in paths[:_MAX_ENTRIES]] if isinstance(paths, list) else [e.path for e in entries]
     start_ns, duration_ns = _times(top)
     return Rosbag2Metadata(
         files=tuple(filter(None, files)),
@@ -122,7 +122,7 @@ def _path(value: object) -> str:
 
 def _entries(top: Mapping[object, object], key: str) -> list[Mapping[object, object]]:
     entries = top.get(key)
-    return [_mapping(entry) for entry in entries[:_MOST_ENTRIES]] if isinstance(entries, list) else []
+    return [_mapping(entry) for entry in entries[:_MAX_ENTRIES]] if isinstance(entries, list) else []
 
 
 def _times(entry: Mapping[object, object]) -> tuple[int | None, int | None]:
@@ -136,7 +136,7 @@ def _mapping(value: object) -> Mapping[object, object]:
 
 def _number(value: object) -> int | None:
     text = _text(value)
-    return int(text) if text.isascii() and text.isdecimal() and len(text) <= _MOST_DIGITS else None
+    return int(text) if text.isascii() and text.isdecimal() and len(text) <= _MAX_DIGITS else None
 
 
 def _text(value: object) -> str:
@@ -151,41 +151,23 @@ STORAGE_FORMATS = {"sqlite3": RecordingFormat.rosbag2_db3, "mcap": RecordingForm
 _FIRST_VERSION_WITH_FILES = 5
 
 
-@dataclass(frozen=True)
-class MemberFacts:
-    """Stated properties of a data file; None: unknown. `name`: without folder. `format`: of the content."""
-
-    name: str
-    message_count: int | None = None
-    start_ns: int | None = None
-    end_ns: int | None = None
-    format: RecordingFormat | None = None
-
-
-@dataclass(frozen=True)
-class TopicFacts:
-    """Stated properties of a topic in all data files; None or empty: unknown."""
-
-    name: str
-    message_type: str = ""
-    message_encoding: str = ""
-    message_count: int | None = None
+Member = tuple[str, RecordingSummary]  # the name of a data file, without folder, and its summary
 
 
 def compare_metadata(
-    metadata: Rosbag2Metadata, members: Sequence[MemberFacts], topics: Iterable[TopicFacts] = ()
+    metadata: Rosbag2Metadata, members: Sequence[Member], topics: Iterable[TopicSummary] = ()
 ) -> list[Problem]:
     """Report where metadata.yaml and the data files disagree.
 
-    `members` in the order of recording. Counts and times of the whole are compared only where all files are there
-    and their counts are known; times agree within 1 ms. Topics that are not given are not compared.
+    `members` in the order of recording. Total count and span are compared only where all files are there
+    and their counts are known; times agree within 1 ms. Only these topics are compared.
     """
-    problems = compare_names(metadata, [member.name for member in members])
+    problems = compare_names(metadata, [name for name, _ in members])
     is_complete = not problems and bool(members)
     problems += _compare_files(metadata, members)
     by_name = {topic.name: topic for topic in topics}
     problems += _compare_types(metadata.topics, by_name)
-    counts = [member.message_count for member in members]
+    counts = [summary.message_count for _, summary in members]
     known = [count for count in counts if count is not None]
     if is_complete and len(known) == len(counts):
         problems += _compare_counts(metadata, sum(known), by_name)
@@ -193,9 +175,9 @@ def compare_metadata(
     return problems
 
 
-def lost_messages(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> int | None:
+def lost_messages(metadata: Rosbag2Metadata, members: Sequence[Member]) -> int | None:
     """Return how many messages the metadata claims beyond those in the files; None if unknown."""
-    counts = [member.message_count for member in members]
+    counts = [summary.message_count for _, summary in members]
     known = [count for count in counts if count is not None]
     if metadata.message_count is None or len(known) < len(counts):
         return None
@@ -213,23 +195,23 @@ def compare_names(metadata: Rosbag2Metadata, names: Iterable[str]) -> list[Probl
     ]
 
 
-def _compare_files(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> list[Problem]:
+def _compare_files(metadata: Rosbag2Metadata, members: Sequence[Member]) -> list[Problem]:
     problems: list[Problem] = []
     stated: dict[str, StatedFile] = {PurePosixPath(entry.path).name: entry for entry in metadata.file_entries}
     expected = STORAGE_FORMATS.get(metadata.storage or "")
-    for member in members:
-        actual_format = member.format if member.format in STORAGE_FORMATS.values() else None
+    for name, summary in members:
+        actual_format = summary.format if summary.format in STORAGE_FORMATS.values() else None
         if expected is not None and actual_format is not None and actual_format is not expected:
             message = f"metadata.yaml says its storage is {metadata.storage}, but it is {actual_format.value}"
-            problems.append(Problem("metadata-storage", member.name, message))
-        claimed = stated[member.name].message_count if member.name in stated else None
-        if len(members) > 1 and claimed is not None and member.message_count not in (None, claimed):
-            message = f"metadata.yaml says it holds {counted(claimed, 'message')}, it holds {member.message_count}"
-            problems.append(Problem("metadata-count", member.name, message))
+            problems.append(Problem("metadata-storage", name, message))
+        claimed = stated[name].message_count if name in stated else None
+        if len(members) > 1 and claimed is not None and summary.message_count not in (None, claimed):
+            message = f"metadata.yaml says it holds {counted(claimed, 'message')}, it holds {summary.message_count}"
+            problems.append(Problem("metadata-count", name, message))
     return problems
 
 
-def _compare_counts(metadata: Rosbag2Metadata, count: int, topics: Mapping[str, TopicFacts]) -> list[Problem]:
+def _compare_counts(metadata: Rosbag2Metadata, count: int, topics: Mapping[str, TopicSummary]) -> list[Problem]:
     problems: list[Problem] = []
     if metadata.message_count is not None and metadata.message_count != count:
         message = f"it says {counted(metadata.message_count, 'message')}, the files hold {count}"
@@ -239,14 +221,14 @@ def _compare_counts(metadata: Rosbag2Metadata, count: int, topics: Mapping[str, 
     stated = {topic.name: topic.message_count for topic in metadata.topics}
     for name in sorted(stated.keys() | topics.keys()):
         claimed = stated.get(name, 0)
-        actual = topics[name].message_count if name in topics else 0
+        actual = topics[name].count if name in topics else 0
         if claimed is not None and actual is not None and claimed != actual:
             message = f"metadata.yaml says {counted(claimed, 'message')}, the files hold {actual}"
             problems.append(Problem("metadata-topic-count", name, message))
     return problems
 
 
-def _compare_types(stated: Iterable[StatedTopic], topics: Mapping[str, TopicFacts]) -> list[Problem]:
+def _compare_types(stated: Iterable[StatedTopic], topics: Mapping[str, TopicSummary]) -> list[Problem]:
     problems: list[Problem] = []
     for topic in stated:
         encoding = topic.serialization_format
@@ -269,8 +251,8 @@ def _compare_types(stated: Iterable[StatedTopic], topics: Mapping[str, TopicFact
     return problems
 
 
-def _compare_span(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> list[Problem]:
-    spans = [(m.start_ns, m.end_ns) for m in members if m.start_ns is not None and m.end_ns is not None]
+def _compare_span(metadata: Rosbag2Metadata, members: Sequence[Member]) -> list[Problem]:
+    spans = [(s.start_ns, s.end_ns) for _, s in members if s.start_ns is not None and s.end_ns is not None]
     if not spans or metadata.start_ns is None or metadata.duration_ns is None or not metadata.message_count:
         return []
     start, end = min(first for first, _ in spans), max(last for _, last in spans)

@@ -12,7 +12,6 @@ import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple
 
 from kleinkram.recordings.errors import Malformed, SourceError
@@ -23,7 +22,7 @@ HEADER_BYTES = 100
 INTERIOR_TABLE, LEAF_TABLE = 0x05, 0x0D
 INTERIOR_INDEX, LEAF_INDEX = 0x02, 0x0A
 DEFAULT_PAGE_BYTES = 4096
-_MOST_LEVELS = 20
+_MAX_LEVELS = 20
 _FIXED_BYTES = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 7: 8, 8: 0, 9: 0}
 _U16 = struct.Struct(">H")
 _U32 = struct.Struct(">I")
@@ -95,9 +94,7 @@ class PageFile:
     def __enter__(self) -> PageFile:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -144,7 +141,7 @@ class PageFile:
         """Return the last leaf of the table at page `root` (0 if the tree is broken), and the largest key above it."""
         highest = 0
         number = root
-        for _ in range(_MOST_LEVELS):
+        for _ in range(_MAX_LEVELS):
             try:
                 page = self.page(number)
             except Malformed:
@@ -182,9 +179,9 @@ def local_bytes(payload_bytes: int, usable_bytes: int) -> int:
     """Return how much of a payload is in the leaf page itself."""
     if payload_bytes <= usable_bytes - 35:
         return payload_bytes
-    least = (usable_bytes - 12) * 32 // 255 - 23
-    in_page = least + (payload_bytes - least) % (usable_bytes - 4)
-    return in_page if in_page <= usable_bytes - 35 else least
+    minimum = (usable_bytes - 12) * 32 // 255 - 23
+    in_page = minimum + (payload_bytes - minimum) % (usable_bytes - 4)
+    return in_page if in_page <= usable_bytes - 35 else minimum
 
 
 def leaf_cells(page: bytes, start: int, usable_bytes: int) -> Iterator[Cell | None]:

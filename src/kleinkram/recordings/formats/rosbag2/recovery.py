@@ -1,9 +1,9 @@
 """Recovers topics and messages from databases that SQLite calls malformed: cut, overwritten, or with invalid pages.
 
-Rows are whole in leaf pages, whatever became of the tree above them. Every page is read once; leaf pages that hold rows
-of the shape of messages are sorted by row id (8 bytes a page). A row counts if all its overflow pages are there.
-rosbag2 numbers messages without gaps and deletes none, so row ids show how many are missing. A flipped byte inside of
-a message's data cannot be seen: SQLite keeps no checksums.
+Leaf pages contain complete rows, even if the tree above them is damaged. Every page is read once; leaf pages with rows
+of the shape of messages are sorted by row id (8 bytes a page). A row counts if all its overflow pages exist. rosbag2
+numbers messages without gaps and deletes none, so row ids show how many are missing. A flipped byte in the data of a
+message is not found, because SQLite has no checksums.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kleinkram.recordings.chunk_reader import MAX_MESSAGE, ChunkTableBuilder
-from kleinkram.recordings.chunk_table import ChunkTable
+from kleinkram.recordings.chunk_reader import MAX_MESSAGE, ChunkedMember
+from kleinkram.recordings.chunk_table import ChunkTableBuilder
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed, SourceError
-from kleinkram.recordings.formats.base import ChunkedMember, MemberContents
+from kleinkram.recordings.formats.base import MemberContents
 from kleinkram.recordings.formats.mcap.chunks import MESSAGE_FIXED, MESSAGE_HEAD
 from kleinkram.recordings.formats.mcap.format import MCAP_CHUNKS
 from kleinkram.recordings.formats.mcap.records import Opcode
@@ -27,18 +27,18 @@ from kleinkram.recordings.formats.rosbag2 import pages
 from kleinkram.recordings.formats.rosbag2.database import MessageRow, TopicRow
 from kleinkram.recordings.formats.rosbag2.pages import Cell, Column, PageFile
 from kleinkram.recordings.limits import MAX_NAME, MAX_TOPICS
-from kleinkram.recordings.message_counts import Batch, MessagePlace, PlaceKind
 from kleinkram.recordings.messages import Channel, Schema
 from kleinkram.recordings.model import counted
+from kleinkram.recordings.scanned_messages import Batch, MessagePlace, PlaceKind
 from kleinkram.recordings.sources import FileSource
 from kleinkram.recordings.temporary_files import TooLarge, temporary_copy
 
 _MAX_SORTED_PAGES = 2_000_000
 _PAGE_BITS = 32
-_MOST_ROW_ID = 2**31
-_LEAST_ROW_BYTES = 16
+_MAX_ROW_ID = 2**31
+_MIN_ROW_BYTES = 16
 _SCHEMA_COLUMNS = 5
-_LEAST_TOPIC_COLUMNS = 3
+_MIN_TOPIC_COLUMNS = 3
 _U32 = struct.Struct(">I")
 
 
@@ -50,7 +50,7 @@ class Recovered:
         claimed_bytes: the file's size by its header; its real size without one.
         damaged_pages: pages that are invalid, or of which rows cannot be read.
         damaged_bytes: of these pages, and of messages that are cut.
-        lost_messages: missing for sure, by the gaps in the row ids; no more if `is_exact`, as the last row is there.
+        lost_messages: at least missing, by the gaps in the row ids; exact if `is_exact`, where the last row exists.
     """
 
     size_bytes: int
@@ -89,10 +89,10 @@ class Recovery:
         """Yield every whole message, by row id."""
         return (row for row, _, _ in self._whole_rows())
 
-    def messages_with_data(self, most_bytes: int) -> Iterator[tuple[MessageRow, bytes]]:
-        """Yield what `messages` yields, with the data; messages above `most_bytes` are left out."""
+    def messages_with_data(self, max_bytes: int) -> Iterator[tuple[MessageRow, bytes]]:
+        """Yield what `messages` yields, with the data; messages above `max_bytes` are left out."""
         for row, page, place in self._whole_rows():
-            if row.data_bytes <= most_bytes:
+            if row.data_bytes <= max_bytes:
                 cell, column = place
                 yield row, self._payload(page, cell)[column.at : column.at + column.length]
 
@@ -137,7 +137,7 @@ class Recovery:
         try:
             for cell, columns in self._cells(number, page):
                 if _is_message(columns):
-                    self._leaves.append(min(max(cell.row_id, 0), _MOST_ROW_ID) << _PAGE_BITS | number)
+                    self._leaves.append(min(max(cell.row_id, 0), _MAX_ROW_ID) << _PAGE_BITS | number)
                     return
                 self._read_row(page, cell, columns)
         except Malformed as error:
@@ -147,8 +147,8 @@ class Recovery:
         texts = [self._text(page, cell, column) if pages.is_text(column) else "" for column in columns[:4]]
         if len(columns) == _SCHEMA_COLUMNS and texts[0] == "table" and pages.is_integer(columns[3]):
             self._roots.setdefault(texts[1], pages.read_integer(columns[3], page, cell.at))
-        elif len(columns) >= _LEAST_TOPIC_COLUMNS and columns[0].serial == 0 and texts[1] and "/" in texts[2]:
-            encoding = texts[3] if len(texts) > _LEAST_TOPIC_COLUMNS else ""
+        elif len(columns) >= _MIN_TOPIC_COLUMNS and columns[0].serial == 0 and texts[1] and "/" in texts[2]:
+            encoding = texts[3] if len(texts) > _MIN_TOPIC_COLUMNS else ""
             if len(self._topics) < MAX_TOPICS:
                 self._topics.setdefault(cell.row_id, TopicRow(cell.row_id, texts[1], texts[2], encoding))
 
@@ -173,7 +173,7 @@ class Recovery:
             for cell, columns in self._cells(number, page):
                 if not _is_message(columns):
                     self._note(number, "a row of it is no message")
-                elif cell.overflow_page and not self._is_whole(cell):
+                elif cell.overflow_page and not self._is_complete(cell):
                     self.result.cut_messages += 1
                     self.result.damaged_bytes += cell.local_bytes
                 else:
@@ -193,7 +193,7 @@ class Recovery:
             else:
                 yield cell, columns
 
-    def _is_whole(self, cell: Cell) -> bool:
+    def _is_complete(self, cell: Cell) -> bool:
         """Return whether all overflow pages of a row are there."""
         usable = self._file.header.usable_bytes
         left = cell.payload_bytes - cell.local_bytes
@@ -220,7 +220,7 @@ class Recovery:
         leaf, key = self._file.last_leaf(self._roots.get("messages", 0))
         numbered = max(highest, key)
         # A number that no file of this size can have reached is itself damage.
-        if numbered <= self.result.claimed_bytes // _LEAST_ROW_BYTES:
+        if numbered <= self.result.claimed_bytes // _MIN_ROW_BYTES:
             self.result.lost_messages = max(numbered - count, 0)
             self.result.is_exact = leaf > 0 and leaf not in self._damaged
         self.result.lost_messages = max(self.result.lost_messages, self.result.cut_messages)
@@ -255,7 +255,7 @@ def open_recovered(
 ) -> ChunkedMember:
     """Open a recovered database by a temporary file of MCAP message records, which is removed with the stack."""
     channels: dict[int, Channel] = {}
-    builder = ChunkTableBuilder(ChunkTable(), problem_log)
+    builder = ChunkTableBuilder(problem_log)
     try:
         with Recovery(path, name) as recovery:
             result = recovery.result
@@ -289,6 +289,6 @@ def _records(recovery: Recovery, channels: dict[int, Channel], builder: ChunkTab
         length = MESSAGE_HEAD.size + len(data)
         batch = Batch(channels)
         batch[number].extend((time, time, length))
-        builder.on_messages(MessagePlace(PlaceKind.records, start, length, length), batch)
+        builder.add(MessagePlace(PlaceKind.records, start, length, length), batch)
         start += length
         yield MESSAGE_HEAD.pack(Opcode.MESSAGE, MESSAGE_FIXED + len(data), number, 0, time, time) + data

@@ -1,4 +1,4 @@
-"""Topic summaries from a timeline, quality warnings, and the wording of problems."""
+"""Builds the summary of one file from the log times of its topics: rates, gaps, quality warnings and problems."""
 
 from __future__ import annotations
 
@@ -8,21 +8,12 @@ from dataclasses import replace
 from datetime import datetime, timezone
 from typing import NamedTuple
 
-from kleinkram.recordings.density import add_up, most_bins
-from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings import model
 from kleinkram.recordings.limits import MAX_PROBLEMS
-from kleinkram.recordings.message_counts import Lateness
-from kleinkram.recordings.model import (
-    Content,
-    Lost,
-    Problem,
-    RecordingFormat,
-    RecordingSummary,
-    TopicSummary,
-    counted,
-    span_text,
-)
-from kleinkram.recordings.timeline import Jump, StampRun, Timeline, TopicTimes, bulk, within
+from kleinkram.recordings.message_density import add_up, bins_per_topic
+from kleinkram.recordings.model import Content, Problem, RecordingFormat, RecordingSummary, TopicSummary, counted
+from kleinkram.recordings.scanned_messages import Lateness
+from kleinkram.recordings.timeline import Jump, StampRun, Timeline, TopicTimes, main_cluster, run_in_cluster
 
 _HOUR_NS = 3600 * 10**9
 
@@ -43,20 +34,20 @@ def types_by_topic(channels: Iterable[tuple[str, TopicType]]) -> dict[str, list[
     return {topic: list(kinds) for topic, kinds in types.items()}
 
 
-def measure(
+def build_summary(
     kind: RecordingFormat,
     timeline: Timeline,
     types: Mapping[str, Sequence[TopicType]],
     problems: Iterable[Problem] = (),
 ) -> RecordingSummary:
-    """Return the summary of a file whose content is whole, by a settled timeline; `types` as of `types_by_topic`."""
-    island = bulk(run for times in timeline.topics.values() for run in times.runs)
-    bins = most_bins(len(timeline.topics))
+    """Return the summary of an undamaged file by a finished timeline; `types` as of `types_by_topic`."""
+    cluster = main_cluster(run for times in timeline.topics.values() for run in times.runs)
+    bins = bins_per_topic(len(timeline.topics))
     topics: list[TopicSummary] = []
     warnings: list[Problem] = []
     for name in sorted(timeline.topics):
         times = timeline.topics[name]
-        run, first_type = within(times.runs, island), types[name][0]
+        run, first_type = run_in_cluster(times.runs, cluster), types[name][0]
         topic = TopicSummary(
             name=name,
             message_type=first_type.message_type,
@@ -67,31 +58,31 @@ def measure(
             out_of_order_count=times.out_of_order,
             stored_bytes=times.stored_bytes,
             suspect_count=times.count - (run.count if run else 0),
-            density=add_up([run.density], most=bins) if run and run.density else None,
+            density=add_up([run.density], max_bins=bins) if run and run.density else None,
         )
-        topic = with_times(topic, run, island)
+        topic = with_times(topic, run, cluster)
         topics.append(topic)
         warnings += _problems_of_topic(topic, types[name], times)
     jumps = {name: times.jump for name, times in timeline.topics.items() if times.jump is not None}
     warnings += clock_jump_problems(jumps)
-    # The silence that a jump of the clock leaves is none.
+    # A clock jump leaves a gap in the log times that is not one of the messages.
     longest_ns = min(((jump.before_ns - jump.after_ns) // 2 for jump in jumps.values()), default=None)
-    span_ns = island.last_ns - island.first_ns if island else None
+    span_ns = cluster.last_ns - cluster.first_ns if cluster else None
     warnings += find_quality_warnings(topics, span_ns, longest_silence_ns=longest_ns)
     return RecordingSummary(
         kind,
         Content.indexed,
         message_count=sum(times.count for times in timeline.topics.values()),
-        start_ns=island.first_ns if island else None,
-        end_ns=island.last_ns if island else None,
+        start_ns=cluster.first_ns if cluster else None,
+        end_ns=cluster.last_ns if cluster else None,
         topics=tuple(topics),
         problems=bounded([*problems, *warnings]),
     )
 
 
-def with_times(topic: TopicSummary, run: StampRun | None, island: StampRun | None) -> TopicSummary:
-    """Return a topic with times, rate and gaps of its messages inside the island, which are a run."""
-    if run is None or island is None:
+def with_times(topic: TopicSummary, run: StampRun | None, cluster: StampRun | None) -> TopicSummary:
+    """Return a topic with times, rate and gaps of its messages inside the cluster, which are a run."""
+    if run is None or cluster is None:
         return topic
     span_ns = run.last_ns - run.first_ns
     return replace(
@@ -100,8 +91,8 @@ def with_times(topic: TopicSummary, run: StampRun | None, island: StampRun | Non
         last_ns=run.last_ns,
         rate_hz=(run.count - 1) * 1e9 / span_ns if run.count > 1 and span_ns > 0 else None,
         longest_gap_ns=run.longest_gap_ns if run.count > 1 else None,
-        head_gap_ns=run.first_ns - island.first_ns,
-        tail_gap_ns=island.last_ns - run.last_ns,
+        head_gap_ns=run.first_ns - cluster.first_ns,
+        tail_gap_ns=cluster.last_ns - run.last_ns,
     )
 
 
@@ -131,15 +122,15 @@ def clock_jump_problems(jumps: Mapping[str, Jump]) -> list[Problem]:
     if not jumps:
         return []
     name, jump = max(jumps.items(), key=lambda item: item[1].before_ns - item[1].after_ns)
-    back = f"log times jump back by {_span(jump.before_ns - jump.after_ns)} at {_time(jump.before_ns)}"
-    reader = f", and forward again at {_time(jump.return_ns)}" if jump.return_ns is not None else ""
+    back_ns = jump.before_ns - jump.after_ns
+    span = f"{back_ns / _HOUR_NS:.3g} h" if back_ns > 0.9 * _HOUR_NS else f"{back_ns / 1e9:.1f} s"
+    forward = f", and forward again at {_time(jump.return_ns)}" if jump.return_ns is not None else ""
     where = name if len(jumps) == 1 else f"{len(jumps)} topics"
-    message = f"{back}{reader}: the clock was set while it recorded, so order, span and gaps are unreliable"
+    message = (
+        f"log times jump back by {span} at {_time(jump.before_ns)}{forward}: the clock was set while it recorded, "
+        "so order, span and gaps are unreliable"
+    )
     return [Problem("clock-jump", where, message)]
-
-
-def _span(time_ns: int) -> str:
-    return f"{time_ns / _HOUR_NS:.3g} h" if time_ns > 0.9 * _HOUR_NS else f"{time_ns / 1e9:.1f} s"
 
 
 def _time(stamp_ns: int) -> str:
@@ -153,7 +144,7 @@ def publish_time_problems(lateness: Mapping[str, Lateness]) -> list[Problem]:
         median_ns = sorted(late.sample)[len(late.sample) // 2]
         message = (
             f"{counted(late.count, 'message was', 'messages were')} logged more than 1 s away from their publish time: "
-            f"typically {span_text(median_ns, '+')}, at most {span_text(late.largest_ns, '+')}"
+            f"typically {model.span_text(median_ns, '+')}, at most {model.span_text(late.largest_ns, '+')}"
         )
         problems.append(Problem("publish-time-differs", topic, message))
     return merge_similar(problems)
@@ -170,30 +161,6 @@ def duplicate_channel_problems(channels: Iterable[tuple[str, str, str]]) -> list
     return merge_similar(problems)
 
 
-def describe_readable(messages: int, lost: Lost | None) -> str:
-    """Describe what can be read of a damaged file, and what is lost."""
-    readable = f"{counted(messages, 'message')} can be read"
-    if lost is None:
-        return readable
-    if lost == Lost(0, 0, 0):
-        return f"{readable}; nothing is lost"
-    if lost == Lost(0, 0, None):
-        return f"{readable}; whether more was recorded is unknown"
-    parts = [f"{lost.bytes} bytes"]
-    if lost.chunks:
-        parts.insert(0, counted(lost.chunks, "chunk"))
-    parts.append("an unknown number of messages" if lost.messages is None else counted(lost.messages, "message"))
-    return f"{readable}; lost: {', '.join(parts)}"
-
-
-def describe_damage(damage: Sequence[Malformed]) -> str:
-    """Describe where a file is damaged: "at byte 5: …", "in the chunk at byte 5: …"."""
-    first = damage[0]
-    place = f"at {first.where}" if first.where.startswith("byte ") else f"in the {first.where}"
-    more = f" (and {counted(len(damage) - 1, 'more damaged place')})" if len(damage) > 1 else ""
-    return f"{place}: {first.message}{more}"
-
-
 def bounded(problems: Sequence[Problem]) -> tuple[Problem, ...]:
     """Limit a list of problems to `MAX_PROBLEMS`."""
     if len(problems) <= MAX_PROBLEMS:
@@ -205,15 +172,15 @@ def bounded(problems: Sequence[Problem]) -> tuple[Problem, ...]:
     )
 
 
-_LEAST_MESSAGES = 10
+_MIN_MESSAGES = 10
 _PERIODS = 10
 _PERIODS_FOR_GAPS = 50
-_LEAST_SILENCE_NS = 5_000_000_000
+_MIN_SILENCE_NS = 5_000_000_000
 _SHARE_OF_SPAN = 10
-_MOST_OF_A_KIND = 3
-_MOST_NAMED = 5
-_OF_ROS_ITSELF = frozenset(("/rosout", "/rosout_agg", "/parameter_events", "/events/write_split"))
-"""Topics with messages only when something happens; they may be empty in whole recordings."""
+_MAX_OF_A_KIND = 3
+_MAX_NAMED = 5
+_EVENT_TOPICS = frozenset(("/rosout", "/rosout_agg", "/parameter_events", "/events/write_split"))
+"""Topics with messages only on events; they may be empty in complete recordings."""
 
 
 def find_quality_warnings(
@@ -221,23 +188,25 @@ def find_quality_warnings(
 ) -> list[Problem]:
     """Return warnings about topics: silent, late, early or with long gaps; some of each kind.
 
-    `span_ns`: of the whole recording. `longest_silence_ns`: what is longer is the clock's doing; None: nothing is.
+    `span_ns`: of the recording. `longest_silence_ns`: the clock caused longer ones; None: no clock jump.
     """
     silent, late, early, gaps = [], [], [], []
     for topic in topics if longest_silence_ns is None else (_credible(one, longest_silence_ns) for one in topics):
-        if topic.name in _OF_ROS_ITSELF:
+        if topic.name in _EVENT_TOPICS:
             continue
         if not topic.count:
             silent.append(Problem("silent-topic", topic.name, "it is defined, but has no message"))
-        elif span_ns is not None and topic.rate_hz is not None and topic.count >= _LEAST_MESSAGES:
+        elif span_ns is not None and topic.rate_hz is not None and topic.count >= _MIN_MESSAGES:
             rate = topic.rate_hz
             if _is_long(head_ns := topic.head_gap_ns or 0, rate, span_ns, _PERIODS):
-                late.append(Problem("starts-late", topic.name, f"its first message comes {span_text(head_ns)} late"))
+                late.append(
+                    Problem("starts-late", topic.name, f"its first message comes {model.span_text(head_ns)} late")
+                )
             if _is_long(tail_ns := topic.tail_gap_ns or 0, rate, span_ns, _PERIODS):
-                message = f"its last message comes {span_text(tail_ns)} before the end of the recording"
+                message = f"its last message comes {model.span_text(tail_ns)} before the end of the recording"
                 early.append(Problem("stops-early", topic.name, message))
             if _is_long(gap_ns := topic.longest_gap_ns or 0, rate, span_ns, _PERIODS_FOR_GAPS):
-                message = f"it is silent for {span_text(gap_ns)} in between, at {rate:.3g} Hz on average"
+                message = f"it is silent for {model.span_text(gap_ns)} in between, at {rate:.3g} Hz on average"
                 gaps.append(Problem("long-gap", topic.name, message))
     return [problem for kind in (silent, late, early, gaps) for problem in merge_similar(kind)]
 
@@ -253,14 +222,14 @@ def _credible(topic: TopicSummary, longest_ns: int) -> TopicSummary:
 
 def merge_similar(problems: Sequence[Problem], what: str = "topics") -> list[Problem]:
     """Merge problems of one kind into one, if there are more than three."""
-    if len(problems) <= _MOST_OF_A_KIND:
+    if len(problems) <= _MAX_OF_A_KIND:
         return list(problems)
     first = problems[0]
-    others = ", ".join(problem.where for problem in problems[1 : _MOST_NAMED + 1])
-    more = ", ..." if len(problems) > _MOST_NAMED + 1 else ""
+    others = ", ".join(problem.where for problem in problems[1 : _MAX_NAMED + 1])
+    more = ", ..." if len(problems) > _MAX_NAMED + 1 else ""
     message = f"{first.where}: {first.message}; likewise {others}{more}"
     return [Problem(first.code, f"{len(problems)} {what}", message)]
 
 
 def _is_long(silence_ns: int, rate_hz: float, span_ns: int, periods: int) -> bool:
-    return silence_ns > max(periods * 1e9 / rate_hz, _LEAST_SILENCE_NS, span_ns // _SHARE_OF_SPAN)
+    return silence_ns > max(periods * 1e9 / rate_hz, _MIN_SILENCE_NS, span_ns // _SHARE_OF_SPAN)

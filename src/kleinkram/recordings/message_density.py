@@ -1,9 +1,8 @@
-"""Message density: a bounded histogram of messages over time whose parts add up exactly.
+"""Message density: a histogram of the messages of a topic over time, with a bounded number of bins.
 
-Bins are a power of two of nanoseconds wide and begin at a multiple of their width. The width is the smallest with which
-all messages fall into at most so many bins. So it follows from the earliest and the latest stamp alone, and the bins
-of a whole are the sums of the bins of its parts: chunks, files, recordings and missions add up to what counting every
-message at once would have given.
+The width of a bin is a power of two of nanoseconds; a bin begins at a multiple of its width. The width is the smallest
+with which all messages fit into the allowed number of bins. So it follows from the first and the last stamp alone, and
+histograms add up exactly: those of chunks, files, recordings and missions equal the histogram of all their messages.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ _CODES = "BHIQ"
 _LARGEST = [2 ** (8 * array(code).itemsize) - 1 for code in _CODES]
 
 
-def most_bins(topics: int) -> int:
-    """Return how many bins each of this many topics has."""
-    return MAX_BINS if topics <= MANY_TOPICS else BINS_OF_MANY_TOPICS
+def bins_per_topic(topic_count: int) -> int:
+    """Return the maximum number of bins of each topic."""
+    return MAX_BINS if topic_count <= MANY_TOPICS else BINS_OF_MANY_TOPICS
 
 
-def count_stamps(stamps: Sequence[int], *, least_bin_ns: int = 1, most: int = MAX_BINS) -> MessageDensity:
-    """Return the density of sorted stamps, at least one, with bins of at least `least_bin_ns`."""
-    bits = _bits(stamps[0], stamps[-1], least_bin_ns.bit_length() - 1, most)
+def count_stamps(stamps: Sequence[int], *, min_bin_ns: int = 1, max_bins: int = MAX_BINS) -> MessageDensity:
+    """Return the density of sorted stamps, at least one, with bins of at least `min_bin_ns`."""
+    bits = _bits(stamps[0], stamps[-1], min_bin_ns.bit_length() - 1, max_bins)
     first = stamps[0] >> bits
     bins = (stamps[-1] >> bits) - first + 1
     if bins == 1:
@@ -50,19 +49,19 @@ def count_stamps(stamps: Sequence[int], *, least_bin_ns: int = 1, most: int = MA
     return MessageDensity(first << bits, 1 << bits, tuple(counts))
 
 
-def add_up(densities: Iterable[MessageDensity], *, most: int = MAX_BINS) -> MessageDensity | None:
+def add_up(densities: Iterable[MessageDensity], *, max_bins: int = MAX_BINS) -> MessageDensity | None:
     """Return the sum of densities; None if there are none."""
     parts = list(densities)
-    if len(parts) == 1 and len(parts[0].counts) <= most:
+    if len(parts) == 1 and len(parts[0].counts) <= max_bins:
         return parts[0]
     if not parts:
         return None
     start_ns = min(part.start_ns for part in parts)
     last_ns = max(_last_ns(part) for part in parts)
-    bits = _bits(start_ns, last_ns, max(part.bin_ns for part in parts).bit_length() - 1, most)
+    bits = _bits(start_ns, last_ns, max(part.bin_ns for part in parts).bit_length() - 1, max_bins)
     first = start_ns >> bits
     counts = [0] * ((last_ns >> bits) - first + 1)
-    # Nothing to be added to yet; and this is the long one where a recording grows.
+    # The first part is often the longest: copied instead of added, if its bins have the same width.
     head = parts.pop(0) if parts[0].bin_ns == 1 << bits else None
     if head is not None:
         begin = (head.start_ns >> bits) - first
@@ -87,7 +86,7 @@ def on_axis(density: MessageDensity, *, start_ns: int, bin_ns: int, bins: int) -
 def pack(density: MessageDensity) -> bytes:
     """Return a density in few bytes: its width and first bin, then counts of 1, 2, 4 or 8 bytes, little-endian."""
     largest = max(density.counts)
-    size = next(number for number, most in enumerate(_LARGEST) if largest <= most)
+    size = next(number for number, maximum in enumerate(_LARGEST) if largest <= maximum)
     bits = density.bin_ns.bit_length() - 1
     return _HEAD.pack(bits, size, density.start_ns >> bits) + _little(array(_CODES[size], density.counts)).tobytes()
 
@@ -110,11 +109,11 @@ def _last_ns(density: MessageDensity) -> int:
     return density.start_ns + len(density.counts) * density.bin_ns - 1
 
 
-def _bits(first_ns: int, last_ns: int, bits: int, most: int) -> int:
-    """Return the smallest width, as a power of two and not below `bits`, at which a span has at most so many bins."""
-    # Below, the span has more bins than wanted for sure; above by two, it has not.
-    bits = max(bits, ((last_ns - first_ns) // most).bit_length() - 1)
-    while (last_ns >> bits) - (first_ns >> bits) >= most:
+def _bits(first_ns: int, last_ns: int, bits: int, max_bins: int) -> int:
+    """Return the smallest width, as a power of two from `bits` on, at which a span has at most `max_bins`."""
+    # The smallest width that can be enough; at most two steps follow.
+    bits = max(bits, ((last_ns - first_ns) // max_bins).bit_length() - 1)
+    while (last_ns >> bits) - (first_ns >> bits) >= max_bins:
         bits += 1
     return bits
 

@@ -1,24 +1,21 @@
-"""Merges messages by log time, in bounded memory, and reads ahead.
+"""Merges the messages of several chunks, databases and files by log time, in bounded memory.
 
-The inputs are pieces (chunks, parts of databases), each with the earliest time that it may hold. A piece is opened when
-that time has come. Pieces that overlap in time are buffered; beyond `MAX_BUFFERED_BYTES`, only a share of each is, and
-a piece is read again for its next share. Equal times keep the order of the files.
+The inputs are pieces (chunks, databases), each with the earliest time that it may contain. A piece is opened when the
+merge reaches that time. Pieces that overlap in time are buffered; beyond `MAX_BUFFERED_BYTES`, only a share of each is,
+and a piece is read again for its next share. Equal times keep the order of the files.
 
-A piece that holds earlier messages than it claims may be opened too late for them: they are left out.
+If a piece contains earlier messages than it claims, those that come too late are left out.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from operator import attrgetter
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 from kleinkram.recordings.errors import TooDisordered
 from kleinkram.recordings.messages import END_OF_TIME_NS, Block
-from kleinkram.recordings.streams import keep_freed_memory
 
 MAX_BUFFERED_BYTES = 48 * 2**20  # bytes of messages that may wait for their time before pieces are held in shares
 OVERHEAD_BYTES = 250  # what a message costs beside its data
@@ -42,7 +39,7 @@ class MessageRun:
         return self._messages[-1].log_time_ns if self._messages else 0
 
     @property
-    def is_whole(self) -> bool:
+    def is_complete(self) -> bool:
         """Return whether all remaining messages are in memory."""
         return self._more is None
 
@@ -58,7 +55,7 @@ class MessageRun:
             self._more = None
         else:
             self._messages = self._messages + block
-            self.buffered_bytes += weigh(block)
+            self.buffered_bytes += memory_bytes_of(block)
 
     def take(self, before_ns: int) -> Block:
         """Return and drop the messages before a time."""
@@ -84,7 +81,7 @@ class MessageRun:
 class MessagePiece(NamedTuple):
     """A source of messages from `first_ns` on; `order` of the files decides between equal times.
 
-    `read_again` reads the same messages once more; None for a piece that holds little at a time by itself.
+    `read_again` reads the same messages once more; None for a piece that never holds much at a time.
     """
 
     first_ns: int
@@ -121,7 +118,7 @@ class _Merging:
         self._runs.append((piece, run))
         if len(self._runs) > 1:
             self._runs.sort(key=lambda pair: pair[0].order)
-            self._bound()
+            self._limit_memory()
 
     def blocks(self, before_ns: int) -> Iterator[Block]:
         while True:
@@ -143,7 +140,7 @@ class _Merging:
                 if alone or run.ready_ns <= cut:
                     run.refill()
                     self._drop_late_messages(run)
-            self._check()
+            self._check_size()
 
     def _drop_late_messages(self, run: MessageRun) -> None:
         late = run.take(self._latest_ns)
@@ -152,16 +149,16 @@ class _Merging:
             if self._on_late_messages is not None:
                 self._on_late_messages(self._late_count)
 
-    def _bound(self) -> None:
+    def _limit_memory(self) -> None:
         if sum(run.buffered_bytes for _, run in self._runs) <= MAX_BUFFERED_BYTES:
             return
         share = MAX_BUFFERED_BYTES // (2 * len(self._runs))
         for piece, run in self._runs:
-            if piece.read_again is not None and run.is_whole and run.buffered_bytes > share:
+            if piece.read_again is not None and run.is_complete and run.buffered_bytes > share:
                 run.keep_share(share, piece.read_again)
-        self._check()
+        self._check_size()
 
-    def _check(self) -> None:
+    def _check_size(self) -> None:
         if len(self._runs) > 1 and sum(run.buffered_bytes for _, run in self._runs) > 2 * MAX_BUFFERED_BYTES:
             raise TooDisordered(
                 f"{len(self._runs)} parts of the recording overlap in time, more than can be put in order; "
@@ -184,47 +181,6 @@ def _shares(left: int, share_bytes: int, read_again: Callable[[], Block]) -> Ite
         yield block
 
 
-def weigh(messages: Block) -> int:
+def memory_bytes_of(messages: Block) -> int:
     """Return about how much memory messages take."""
     return sum(map(len, map(attrgetter("data"), messages))) + OVERHEAD_BYTES * len(messages)
-
-
-T = TypeVar("T")
-
-
-class ReadAheadTask(NamedTuple, Generic[T]):
-    """A task, and the memory that its result takes."""
-
-    size_bytes: int
-    run: Callable[[], T]
-
-
-def read_ahead(tasks: Iterator[ReadAheadTask[T]], *, workers: int, most_bytes: int) -> Iterator[T]:
-    """Yield the results of tasks, in order; an exception is raised in its turn.
-
-    Closed early, it returns at once: tasks that have begun run to their end, without effect.
-    """
-    first = next(tasks, None)
-    if first is None:
-        return
-    keep_freed_memory()
-    yield first.run()
-    pool = ThreadPoolExecutor(workers, thread_name_prefix="read-ahead")
-    try:
-        under_way: deque[tuple[int, Future[T]]] = deque()
-        allowance, buffered_bytes = max(1, first.size_bytes), 0
-        upcoming = next(tasks, None)
-        while upcoming is not None or under_way:
-            allowance = min(most_bytes, 2 * allowance)
-            while upcoming is not None and (not under_way or buffered_bytes + upcoming.size_bytes <= allowance):
-                under_way.append((upcoming.size_bytes, pool.submit(upcoming.run)))
-                buffered_bytes += upcoming.size_bytes
-                upcoming = next(tasks, None)
-            size, future = under_way.popleft()
-            result = future.result()
-            buffered_bytes -= size
-            yield result
-    finally:
-        # The threads are not awaited here: the garbage collector may close this, in a thread that is being started,
-        # and no thread could end then.
-        pool.shutdown(wait=False, cancel_futures=True)

@@ -1,8 +1,8 @@
-"""What the formats made of chunks (MCAP, ROS 1 bag) have in common: scanning chunks, counting by index, opening.
+"""Scans files made of chunks (MCAP, ROS 1 bag) from the first byte to the last, and counts messages by their index.
 
-A scan holds one chunk of at most `MAX_CHUNK_BYTES` (larger ones are left out), keeps no message, and goes on behind
-damage: behind a chunk that cannot be read, and, where the records themselves break off, at the next place where one
-can begin. What is left out on the way is measured.
+A scan holds one chunk of at most `MAX_CHUNK_BYTES` (larger ones are left out) and no messages. It continues behind
+damage: behind a chunk that cannot be read, or, where the records themselves break off, at the next place where a record
+can begin. It measures what it leaves out.
 """
 
 from __future__ import annotations
@@ -13,25 +13,18 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, FileGap, JoinedGaps, SalvagedMessages
-from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, ChunkHead, ChunkTable, Row, smallest_to_come
+from kleinkram.recordings import chunk_table, scanned_messages
+from kleinkram.recordings.chunk_reader import ChunkedMember, ChunkFormat, FileGap, JoinedGaps, SalvagedMessages
+from kleinkram.recordings.chunk_table import ChunkHead, ChunkTable, ChunkTableBuilder, Row
 from kleinkram.recordings.compression import decompress, decompress_beginning, unreadable_chunk, without_zero_tail
 from kleinkram.recordings.damage_report import DamageReport, IndexedChunk, ProblemLog
 from kleinkram.recordings.errors import Cut, Malformed
-from kleinkram.recordings.formats.base import ChunkedMember, MemberContents
-from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, IndexFaults, new_table, wrong_times
+from kleinkram.recordings.formats.base import MemberContents
+from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, IndexFaults, wrong_times
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES
-from kleinkram.recordings.message_counts import (
-    Batch,
-    HasTopic,
-    MessageCounter,
-    MessageObserver,
-    MessagePlace,
-    PlaceKind,
-    ReadableRanges,
-)
 from kleinkram.recordings.messages import Channel
 from kleinkram.recordings.model import RecordingSummary, counted
+from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessagePlace, PlaceKind
 from kleinkram.recordings.sources import SequentialReader, Source, SourceReader
 from kleinkram.recordings.streams import LookaheadStream
 from kleinkram.recordings.timeline import ChunkEntries, Timeline
@@ -39,9 +32,8 @@ from kleinkram.recordings.timeline import ChunkEntries, Timeline
 LOOK = 64 * 2**10  # bytes from the start of a record within which its fixed fields and names are
 
 _SEARCH_BYTES = 4 * 2**20
-_FIRST_NS = Row._fields.index("first_ns")
 
-ChannelT = TypeVar("ChannelT", bound=HasTopic)
+ChannelT = TypeVar("ChannelT", bound=scanned_messages.HasTopic)
 FactsT = TypeVar("FactsT", bound="ChunkedFacts[Any]")
 
 
@@ -84,19 +76,19 @@ class ChunkContents(NamedTuple):
 
     holes: list[Hole]
     end: int
-    readable_ranges: ReadableRanges | None = None
+    readable_ranges: scanned_messages.ReadableRanges | None = None
 
 
 class ChunkScanner(ABC, Generic[FactsT]):
     """Reads the chunks of a file, whole, damaged or cut, and compares them with the index records behind them."""
 
-    def __init__(self, scan: ChunkScan[FactsT], stream: LookaheadStream, observer: MessageObserver | None) -> None:
+    def __init__(self, scan: ChunkScan[FactsT], stream: LookaheadStream, builder: ChunkTableBuilder | None) -> None:
         self._scan = scan
         self._stream = stream
-        self._observer = observer
+        self._builder = builder
         self._chunk: IndexedChunk | None = None
         self._content = b""
-        self._actual_chunks = new_table()
+        self._actual_chunks = chunk_table.Int64Table(ChunkClaim)
 
     @abstractmethod
     def _walk(self, raw: bytes, batch: Batch, *, may_end_early: bool = False) -> ChunkContents:
@@ -148,29 +140,31 @@ class ChunkScanner(ABC, Generic[FactsT]):
         self._note_holes(start, head, contents, len(raw))
         stream.advance(total if contents.end == len(raw) else head.data_start + contents.end)
         self._content = raw
-        is_whole = not contents.holes
-        scan.chunks += is_whole
-        scan.losses.chunks += not is_whole
-        self._chunk = IndexedChunk(start, scan.counter.messages - before, damaged=not is_whole)
+        is_complete = not contents.holes
+        scan.chunks += is_complete
+        scan.losses.chunks += not is_complete
+        self._chunk = IndexedChunk(start, scan.counter.messages - before, damaged=not is_complete)
         messages = ChunkMessages()
         messages.add(batch)
-        self._note_chunk(start, head, messages if is_whole else None)
+        self._note_chunk(start, head, messages if is_complete else None)
 
     def _count(self, batch: Batch, place: MessagePlace, *, stored: int) -> None:
         """Count messages at a place, of whose content `stored` bytes are in the file."""
         self._scan.counter.learn(self._scan.facts.channels)
-        if self._observer is not None:
-            self._observer.on_messages(place, batch)
+        if self._builder is not None:
+            self._builder.add(place, batch)
         self._scan.counter.add(batch, stored=stored, uncompressed=place.uncompressed)
 
     def _note_chunk(self, start: int, head: ChunkHead, messages: ChunkMessages | None) -> None:
         """Note the messages of a chunk (None: not all of them), and compare them with its head."""
         if messages is None:
-            self._actual_chunks.append(ChunkClaim(start, UNKNOWN, 0, 0, ANY_CHANNEL, UNKNOWN))
+            self._actual_chunks.append(
+                ChunkClaim(start, chunk_table.UNKNOWN, 0, 0, chunk_table.ANY_CHANNEL, chunk_table.UNKNOWN)
+            )
             return
         facts, times = self._scan.facts, (messages.first_ns, messages.last_ns)
         channels = facts.table.sets.number(messages.channels)
-        known = UNKNOWN if channels == ANY_CHANNEL and messages.channels else messages.messages
+        known = chunk_table.UNKNOWN if channels == chunk_table.ANY_CHANNEL and messages.channels else messages.messages
         self._actual_chunks.append(ChunkClaim(start, start + head.record_bytes, *times, channels, known))
         if head.times is not None and messages.messages and (wrong := wrong_times(head.times, times)):
             facts.index_faults.note(start, f"its head is wrong: it says that its messages {wrong}")
@@ -215,10 +209,10 @@ class ChunkScanner(ABC, Generic[FactsT]):
 
     def _save_beginning(self, stored: bytes, head: ChunkHead) -> int:
         """Count the messages of a chunk whose end is missing; return how many of its bytes are used."""
-        scan, most_bytes = self._scan, min(head.uncompressed_bytes, MAX_CHUNK_BYTES)
-        if head.compression and not scan.losses.may_unpack(most_bytes, end=self._stream.size_bytes):
+        scan, max_bytes = self._scan, min(head.uncompressed_bytes, MAX_CHUNK_BYTES)
+        if head.compression and not scan.losses.may_unpack(max_bytes, end=self._stream.size_bytes):
             return 0
-        raw = decompress_beginning(head.compression, stored, most_bytes)
+        raw = decompress_beginning(head.compression, stored, max_bytes)
         batch, before, record_bytes = Batch(scan.facts.channels), scan.counter.messages, head.data_start + len(stored)
         contents = self._walk(raw, batch)
         place = MessagePlace(
@@ -230,7 +224,7 @@ class ChunkScanner(ABC, Generic[FactsT]):
         return head.data_start + len(stored) * followed // len(raw) if followed else 0
 
     def _note_index_record(self, messages: int, points_at_messages: Callable[[], bool], fault: str) -> None:
-        """Note an index record behind a chunk, which lists so many messages, and check its offsets."""
+        """Note an index record behind a chunk, the number of messages in it, and whether its offsets are right."""
         if self._chunk is None:
             return
         self._chunk.records += 1
@@ -246,7 +240,7 @@ class ChunkScanner(ABC, Generic[FactsT]):
     def _end_chunk(self) -> None:
         """Compare the last chunk with its index records."""
         if self._chunk is not None:
-            self._chunk.settle(self._scan.losses)
+            self._chunk.compare(self._scan.losses)
             self._chunk, self._content = None, b""
 
     def _resync(self, damage: Malformed, valid_bytes: int = 0) -> None:
@@ -260,7 +254,7 @@ class ChunkScanner(ABC, Generic[FactsT]):
         losses.bytes += max(0, stream.position - start)
 
     def _give_up(self, damage: Malformed, lost: int) -> None:
-        """Skip the rest of the file, of which so many bytes are lost."""
+        """Skip the rest of the file; `lost`: bytes of it that cannot be read."""
         self._scan.losses.note(damage)
         self._scan.losses.bytes += lost
         self._scan.losses.messages_are_known = False
@@ -274,7 +268,7 @@ class ChunkScanner(ABC, Generic[FactsT]):
 
 
 def search_width(stream: LookaheadStream) -> int:
-    """Fill the window; return in how many of its next bytes a record may begin whose head is at hand."""
+    """Fill the window; return how many of its next bytes can be the start of a record whose head is in it."""
     at_hand = stream.ahead(_SEARCH_BYTES)
     return at_hand if at_hand == stream.left else at_hand - LOOK
 
@@ -293,7 +287,7 @@ def count_by_index(
     """Count the messages that the indexes of all chunks list, and the chunks that cannot be read."""
     for channel in facts.channels.values():
         timeline.topic(channel.topic)
-    watermarks = smallest_to_come(facts.table.rows.column(_FIRST_NS))
+    watermarks = chunk_table.smallest_to_come(facts.table.rows.column("first_ns"))
     for (row, head, entries), before_ns in zip(indexes, watermarks, strict=True):
         by_topic: dict[str, ChunkEntries] = {}
         messages = ChunkMessages()
@@ -303,7 +297,7 @@ def count_by_index(
             if known := by_topic.get(topic):
                 stamps, offsets = [*known.stamps, *stamps], [*known.offsets, *offsets]
             by_topic[topic] = ChunkEntries(topic, stamps, offsets)
-        claim = ChunkClaim(row.start, UNKNOWN, row.first_ns, row.last_ns, row.channels, row.messages)
+        claim = ChunkClaim(row.start, chunk_table.UNKNOWN, row.first_ns, row.last_ns, row.channels, row.messages)
         facts.index_faults.compare(claim, facts.table.sets.listed(row.channels), messages)
         stored, uncompressed = head.record_bytes, head.uncompressed_bytes
         if why := unreadable_chunk(head.compression, stored=stored, uncompressed=uncompressed):
@@ -311,7 +305,7 @@ def count_by_index(
         else:
             chunk = list(by_topic.values())
             timeline.add_chunk(chunk, uncompressed_bytes=uncompressed, stored_bytes=head.stored_bytes)
-        timeline.settle(before_ns)
+        timeline.finish(before_ns)
 
 
 def open_by_scan(
@@ -333,11 +327,11 @@ def salvage_by_scan(
     source: Source,
     gaps: Iterable[FileGap],
     magic: bytes,
-    scan: Callable[[SequentialReader, MessageObserver], object],
+    scan: Callable[[SequentialReader, ChunkTableBuilder], object],
 ) -> SalvagedMessages:
     """Scan parts of a file for messages."""
     part = JoinedGaps(source, magic, gaps)
-    builder = ChunkTableBuilder(ChunkTable(), ProblemLog())
+    builder = ChunkTableBuilder(ProblemLog())
     scan(SourceReader(part), builder)
     builder.close()
     return SalvagedMessages(part, builder.table)

@@ -1,7 +1,7 @@
-"""Counts the messages that a scan finds, by topic.
+"""The messages that a scan finds: batches, their places in the file, and counts and times by topic.
 
-A message names its channel by a number, whose definition may follow only at the end of the file. Messages of a number
-without topic wait under the number.
+A message refers to its channel by a number, which the file may define only later, even at its end. Until then, its
+messages are counted under the number.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from typing import NamedTuple, Protocol
 from kleinkram.recordings.limits import MAX_TOPICS
 from kleinkram.recordings.timeline import Timeline
 
-ROW = 3  # numbers that a `Batch` keeps of a message: log time, publish time (0: none), bytes of its record
+BATCH_STRIDE = 3  # numbers that a `Batch` keeps of a message: log time, publish time (0: none), bytes of its record
 
 _SAMPLE = 4096
 _NOTABLE_NS = 1_000_000_000
-_MOST = 2**63 - 1
-_WAITING = "\udcff channel "  # no topic of a file begins so: what is not UTF-8 in one was replaced
+_MAX_INT64 = 2**63 - 1
+_PLACEHOLDER = "\udcff channel "  # no topic of a file begins so: what is not UTF-8 in one was replaced
 
 
 class HasTopic(Protocol):
@@ -34,7 +34,7 @@ class HasTopic(Protocol):
 
 
 class Batch(dict[int, "array[int]"]):
-    """Messages by channel number, `ROW` numbers each. Channels of one topic share one array, in file order."""
+    """Messages by channel number, `BATCH_STRIDE` numbers each. Channels of one topic share one array, in file order."""
 
     def __init__(self, channels: Mapping[int, HasTopic]) -> None:
         super().__init__()
@@ -83,7 +83,7 @@ class MessageCounter:
         """Note the topic of a channel; the first one counts."""
         if number not in self._topics:
             self._topics[number] = topic
-            self.timeline.rename(_waiting(number), topic)
+            self.timeline.rename(_placeholder_topic(number), topic)
             self.timeline.topic(topic)
 
     def add(self, batch: Batch, *, stored: int = 1, uncompressed: int = 1) -> int:
@@ -92,11 +92,11 @@ class MessageCounter:
         for key, rows in batch.arrays.items():
             topic = key if isinstance(key, str) else self._topics.get(key)
             if topic is None:
-                topic = _waiting(int(key) if len(self.timeline.topics) <= MAX_TOPICS else 0)
-            stamps = rows[0::ROW]
-            share = sum(rows[2::ROW]) * stored // uncompressed if uncompressed else 0
+                topic = _placeholder_topic(int(key) if len(self.timeline.topics) <= MAX_TOPICS else 0)
+            stamps = rows[0::BATCH_STRIDE]
+            share = sum(rows[2::BATCH_STRIDE]) * stored // uncompressed if uncompressed else 0
             self.timeline.add(topic, stamps, share)
-            if self._with_publish_times and (published := rows[1::ROW]) != stamps:
+            if self._with_publish_times and (published := rows[1::BATCH_STRIDE]) != stamps:
                 self._note_lateness(topic, stamps, published)
             count += len(stamps)
         self.timeline.bound()
@@ -105,8 +105,8 @@ class MessageCounter:
 
     def finish(self) -> int:
         """End the timeline; drop the messages that belong to no topic, and return how many."""
-        self.timeline.settle(None)
-        nameless = [name for name in self.timeline.topics if name.startswith(_WAITING)]
+        self.timeline.finish(None)
+        nameless = [name for name in self.timeline.topics if name.startswith(_PLACEHOLDER)]
         lost = sum(self.timeline.topics.pop(name).count for name in nameless)
         self.messages -= lost
         return lost
@@ -117,12 +117,12 @@ class MessageCounter:
             stamps, published = array("Q", [log for log, _ in known]), array("Q", [publish for _, publish in known])
         late = list(map(sub, stamps, published))
         if late and (max(late) > _NOTABLE_NS or min(late) < -_NOTABLE_NS):
-            notable = [max(-_MOST, min(_MOST, ns)) for ns in late if abs(ns) > _NOTABLE_NS]
+            notable = [max(-_MAX_INT64, min(_MAX_INT64, ns)) for ns in late if abs(ns) > _NOTABLE_NS]
             self.lateness.setdefault(topic, Lateness()).add(notable)
 
 
-def _waiting(number: int) -> str:
-    return f"{_WAITING}{number}"
+def _placeholder_topic(number: int) -> str:
+    return f"{_PLACEHOLDER}{number}"
 
 
 class PlaceKind(IntEnum):
@@ -147,10 +147,3 @@ class MessagePlace(NamedTuple):
     length: int
     uncompressed: int
     readable_ranges: ReadableRanges | None = None
-
-
-class MessageObserver(Protocol):
-    """Receives the places of messages in the order in which a scan finds them."""
-
-    def on_messages(self, place: MessagePlace, batch: Batch) -> None:
-        """Note messages at a place. May be called several times for one place."""

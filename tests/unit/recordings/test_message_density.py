@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 
 from kleinkram.recordings import timeline as timeline_module
 from kleinkram.recordings.combine_summaries import combine
-from kleinkram.recordings.density import (
+from kleinkram.recordings.file_summary import TopicType, build_summary
+from kleinkram.recordings.isolation import from_dict, to_dict
+from kleinkram.recordings.message_density import (
     BINS_OF_MANY_TOPICS,
     MANY_TOPICS,
     MAX_BINS,
@@ -20,10 +22,8 @@ from kleinkram.recordings.density import (
     pack,
     unpack,
 )
-from kleinkram.recordings.isolation import from_dict, to_dict
 from kleinkram.recordings.model import Content, MessageDensity, RecordingFormat, RecordingSummary
 from kleinkram.recordings.timeline import YEAR_NS, Timeline
-from kleinkram.recordings.topic_statistics import TopicType, measure
 
 NO_TYPE = [TopicType("", "", "")]
 T0 = 1_700_000_000_000_000_000
@@ -47,15 +47,15 @@ def topic_density(chunks: list[list[int]]) -> MessageDensity | None:
     timeline = Timeline()
     for chunk in chunks:
         timeline.add("/t", chunk, 0)
-        timeline.settle(0)
-    timeline.settle(None)
-    return measure(RecordingFormat.mcap, timeline, {"/t": NO_TYPE}).topics[0].density
+        timeline.finish(0)
+    timeline.finish(None)
+    return build_summary(RecordingFormat.mcap, timeline, {"/t": NO_TYPE}).topics[0].density
 
 
 @given(STAMPS, st.sampled_from([1, 2, 64, MAX_BINS]))
 @settings(deadline=None)
 def test_bins_are_as_narrow_as_they_may_be_and_count_right(stamps: list[int], most: int) -> None:
-    assert count_stamps(sorted(stamps), most=most) == plainly(stamps, most)
+    assert count_stamps(sorted(stamps), max_bins=most) == plainly(stamps, most)
 
 
 @given(st.lists(STAMPS, min_size=1, max_size=5), st.randoms(use_true_random=False))
@@ -76,7 +76,7 @@ def test_the_sum_of_parts_is_the_whole_in_any_order(parts: list[list[int]], orde
 def test_a_timeline_counts_whatever_the_order_and_the_memory(chunks: list[list[int]], pending: int) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(timeline_module, "MAX_PENDING_STAMPS", pending)
-        patch.setattr(timeline_module, "SETTLE_AT", 3)
+        patch.setattr(timeline_module, "FINISH_AT", 3)
         assert topic_density(chunks) == plainly([stamp for chunk in chunks for stamp in chunk])
 
 
@@ -93,8 +93,8 @@ def test_files_add_up_to_their_recording(files: list[list[int]]) -> None:
     for stamps in files:
         timeline = Timeline()
         timeline.add("/t", stamps, 0)
-        timeline.settle(None)
-        actual = measure(RecordingFormat.mcap, timeline, {"/t": NO_TYPE})
+        timeline.finish(None)
+        actual = build_summary(RecordingFormat.mcap, timeline, {"/t": NO_TYPE})
         summaries.append(
             RecordingSummary(
                 RecordingFormat.mcap,
@@ -134,11 +134,11 @@ def test_a_file_with_very_many_topics_has_fewer_bins_of_each() -> None:
     timeline = Timeline()
     stamps = [T0 + number * 1000 for number in range(300)]
     timeline.add("/t", stamps, 0)
-    timeline.settle(None)
+    timeline.finish(None)
     for number in range(MANY_TOPICS):
         timeline.topic(f"/{number}")
     types = dict.fromkeys(timeline.topics, NO_TYPE)
     density = next(
-        topic.density for topic in measure(RecordingFormat.mcap, timeline, types).topics if topic.name == "/t"
+        topic.density for topic in build_summary(RecordingFormat.mcap, timeline, types).topics if topic.name == "/t"
     )
     assert density == plainly(stamps, BINS_OF_MANY_TOPICS)

@@ -1,4 +1,4 @@
-"""Opens the files of one recording from a path, a folder or sources."""
+"""Opens the files of one recording: a path, a folder, sources, or an object with sources."""
 
 from __future__ import annotations
 
@@ -9,25 +9,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from kleinkram.recordings.chunk_reader import ChunkedMember
 from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import NotARecording, SeveralRecordings
-from kleinkram.recordings.formats.base import ChunkedMember, Member, OpenContext, RecordingFile
-from kleinkram.recordings.formats.registry import format_of
+from kleinkram.recordings.formats.base import Member, OpenContext, RecordingFile
+from kleinkram.recordings.formats.rosbag2 import metadata as rosbag2
 from kleinkram.recordings.formats.rosbag2.database import LOG_SUFFIXES
 from kleinkram.recordings.formats.rosbag2.db3 import ROSBAG2_DB3
-from kleinkram.recordings.formats.rosbag2.metadata import (
-    MAX_TEXT,
-    METADATA_NAME,
-    Rosbag2Metadata,
-    compare_names,
-    parse_rosbag2_metadata,
-)
+from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME, Rosbag2Metadata
 from kleinkram.recordings.formats.text_files import UNKNOWN
 from kleinkram.recordings.model import RecordingSummary
 from kleinkram.recordings.recording_groups import read_folder, recording_of_metadata
 from kleinkram.recordings.sources import FileSource, Source, SourceReader
-from kleinkram.recordings.summary import scan, summarise
+from kleinkram.recordings.summary import format_of, scan, summarise
 
 
 @runtime_checkable
@@ -42,8 +37,7 @@ class HasSources(Protocol):
 
 
 MAX_SCANNED_FOR_PROBLEMS = 64 * 2**20
-"""Bytes of a file that `Recording.problems` reads whole where the file's index is enough to read its messages, and not
-to say what is wrong with it."""
+"""Maximum size of a file that `Recording.problems` scans if its index is enough for messages, but not for a summary."""
 
 Openable = str | os.PathLike[str] | Source | HasSources | Sequence[Source]
 
@@ -59,7 +53,7 @@ class Opened:
     stack: ExitStack
 
 
-def open_members(what: Openable, problem_log: ProblemLog, *, most_bytes: int | None = None) -> Opened:
+def open_members(what: Openable, problem_log: ProblemLog, *, max_bytes: int | None = None) -> Opened:
     """Open the files of a recording; arguments and errors as of `Recording.open`."""
     stack = ExitStack()  # members add to it later, too
     with ExitStack() as on_failure:
@@ -73,7 +67,7 @@ def open_members(what: Openable, problem_log: ProblemLog, *, most_bytes: int | N
         names = tuple(file.base_name for file in data)
         is_packed = metadata is not None and metadata.compression_mode == "message"
         compression = metadata.compression if metadata is not None and is_packed else ""
-        context = OpenContext(problem_log, stack, most_bytes, compression, logs)
+        context = OpenContext(problem_log, stack, max_bytes, compression, logs)
         members = tuple(_open_file(file, context) for file in data)
         on_failure.pop_all()
 
@@ -86,21 +80,25 @@ def open_members(what: Openable, problem_log: ProblemLog, *, most_bytes: int | N
 
 def _summary_of(file: RecordingFile, member: Member) -> RecordingSummary:
     summary = member.summary or _summarise(file)
-    if isinstance(member, ChunkedMember) and any(problem.code == "index-damaged" for problem in summary.problems):
-        member.doubt_index()
+    if (
+        isinstance(member, ChunkedMember)
+        and member.check
+        and any(problem.code == "index-damaged" for problem in summary.problems)
+    ):
+        member.check.mark_wrong()
     return summary
 
 
 def _summarise(file: RecordingFile) -> RecordingSummary:
     """Summarise a file as `klein inspect` does, without fetching copies again."""
     if file.unpacked is not None:
-        return scan(SourceReader(file.unpacked.source, path=file.unpacked.path))
+        return scan(SourceReader(file.unpacked.source))
     path = file.database or file.path
     if path is None:
-        return summarise(file.source, most_bytes=MAX_SCANNED_FOR_PROBLEMS)
+        return summarise(file.source, max_bytes=MAX_SCANNED_FOR_PROBLEMS)
     with FileSource(path) as source:
         source.name = file.base_name
-        return summarise(source, most_bytes=None if file.database else MAX_SCANNED_FOR_PROBLEMS)
+        return summarise(source, max_bytes=None if file.database else MAX_SCANNED_FOR_PROBLEMS)
 
 
 def _open_file(file: RecordingFile, context: OpenContext) -> Member:
@@ -154,13 +152,13 @@ def _metadata_of(files: Sequence[RecordingFile], problem_log: ProblemLog) -> Ros
     source = next((file.source for file in files if file.base_name == METADATA_NAME), None)
     if source is None:
         return None
-    text = source.read(0, min(source.size_bytes, MAX_TEXT)).decode("utf-8", "replace")
-    metadata = parse_rosbag2_metadata(text) if source.size_bytes <= MAX_TEXT else None
+    text = source.read(0, min(source.size_bytes, rosbag2.MAX_TEXT)).decode("utf-8", "replace")
+    metadata = rosbag2.parse_rosbag2_metadata(text) if source.size_bytes <= rosbag2.MAX_TEXT else None
     if metadata is None:
         problem_log.add("metadata-damaged", source.name, "it is not the metadata of a rosbag2 recording")
         return None
     if metadata.is_other:
         return None
-    for problem in compare_names(metadata, {file.base_name for file in files} - {METADATA_NAME}):
+    for problem in rosbag2.compare_names(metadata, {file.base_name for file in files} - {METADATA_NAME}):
         problem_log.add(problem.code, problem.where, problem.message)
     return metadata
