@@ -168,7 +168,7 @@ async def end_provider_sign_in(
 
 
 async def _finish_sign_in(context: SignInContext, name: str, query: CallbackQuery) -> Response:
-    provider = context.providers.get(name)
+    provider = context.provider(name)
     browser_secret = bound_browser(context.request, context.settings)
     async with context.database.begin() as db:  # of its own, so that the request is used up even if the rest fails
         request = await take_request(db, provider=name, state=query.state, browser_secret=browser_secret)

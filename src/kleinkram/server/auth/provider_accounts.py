@@ -9,21 +9,17 @@ unlinked identity is never linked again automatically. For an unverified address
 it has an account.
 """
 
-import asyncio
 import datetime
 import secrets
 import time
 import uuid
-from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from sqlalchemy import ColumnElement, delete, exists, func, insert, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.accounts import MAX_PERSON_NAME_CHARACTERS, check_person_name
-from kleinkram.contract.errors import NotFound, SignInRefused
+from kleinkram.contract.errors import SignInRefused
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.people import check_email, email_domain, email_key
 from kleinkram.server.access.actor import Actor, secret_hash
@@ -32,12 +28,9 @@ from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.auth.one_time_codes import is_valid
 from kleinkram.server.auth.sessions import renew_session
 from kleinkram.server.db import Connection
-from kleinkram.server.settings import OidcProvider, OpenTo, Settings
+from kleinkram.server.settings import OidcProvider, OpenTo
 from kleinkram.server.tables import identity, oidc_login, one_time_code, person, person_email
 from kleinkram.server.tables.sign_in import CodePurpose
-
-if TYPE_CHECKING:
-    from kleinkram.server.auth.oidc import OpenIdProvider
 
 REQUEST_LIFETIME_S = 600
 _SECRET_BYTES = 32
@@ -70,45 +63,6 @@ class AuthorizationRequest:
     state: str = field(default_factory=lambda: secrets.token_urlsafe(_SECRET_BYTES), repr=False)
     nonce: str = field(default_factory=lambda: secrets.token_urlsafe(_SECRET_BYTES), repr=False)
     code_verifier: str = field(default_factory=lambda: secrets.token_urlsafe(_SECRET_BYTES), repr=False)
-
-
-class Providers:
-    """The providers of one process, by name."""
-
-    def __init__(self, providers: "Mapping[str, OpenIdProvider]") -> None:
-        self._providers = providers
-
-    def get(self, name: str) -> "OpenIdProvider":
-        """Return a provider. Raises NotFound."""
-        if name not in self._providers:
-            raise NotFound(noun="provider", ref=name)
-        return self._providers[name]
-
-
-@asynccontextmanager
-async def open_providers(settings: Settings) -> AsyncIterator[Providers]:
-    """Open clients of the providers in the settings; a provider is contacted only when somebody signs in."""
-    if not settings.oidc_providers:
-        yield Providers({})
-        return
-    import aiohttp
-
-    from kleinkram.server.auth.oidc import OpenIdProvider  # 10 MB with its libraries
-
-    async with aiohttp.ClientSession(cookie_jar=aiohttp.DummyCookieJar(), trust_env=True) as http:
-        providers: dict[str, OpenIdProvider] = {}
-        for provider in settings.oidc_providers:
-            secret = None if provider.client_secret is None else provider.client_secret.get_secret_value()
-            if provider.client_secret_file is not None:
-                secret = (await asyncio.to_thread(provider.client_secret_file.read_text, encoding="utf-8")).strip()
-            redirect_url = callback_url(settings, provider.name)
-            providers[provider.name] = OpenIdProvider(provider, http, redirect_url=redirect_url, secret=secret)
-        yield Providers(providers)
-
-
-def callback_url(settings: Settings, provider: str) -> str:
-    """Return the redirect URL that is registered with a provider."""
-    return f"{settings.public_url.rstrip('/')}/sign-in/callback/{provider}"
 
 
 async def store_request(db: Connection, request: AuthorizationRequest, *, provider: str, browser_secret: str) -> None:

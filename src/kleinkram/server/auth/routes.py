@@ -354,7 +354,7 @@ async def _redirect_to_provider(
     context: SignInContext, response: Response, provider: str, request: AuthorizationRequest
 ) -> accounts.ProviderBegun:
     await context.count_attempt()
-    url = await context.providers.get(provider).authorization_url(request)
+    url = await context.provider(provider).authorization_url(request)
     browser_secret = bind_browser(context.request, response, context.settings)
     async with context.database.begin() as db:
         await store_request(db, request, provider=provider, browser_secret=browser_secret)
