@@ -25,7 +25,7 @@ from kleinkram.contract.files import DownloadLink, FileFilter
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.runs.conftest import Played, launch
+from tests.integration.runs.conftest import FakeRunner, launch
 from tests.integration.upload_client import upload as upload_one
 from tests.integration.upload_client import wait_until
 from tests.services import RunningStore
@@ -129,8 +129,8 @@ def test_a_followed_event_stream_is_complete(behind: Behind) -> None:
 def test_a_followed_log_is_complete(behind: Behind) -> None:
     api = behind.api
     admin = people.person(api, admin=True)
-    runner = Played(api.as_(people.token(api, admin, [Scope.run], kind=TokenKind.runner).secret))
-    runner.hello()
+    runner = FakeRunner(api.as_(people.token(api, admin, [Scope.run], kind=TokenKind.runner).secret))
+    runner.register()
     mission = api.mission(api.project()["id"])
     upload_one(api, mission["id"], "notes.txt", b"notes")
     run = launch(api, runner, mission)

@@ -3,7 +3,7 @@
 import logging
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +12,12 @@ import typer
 from kleinkram.cli.commands import Many, Text, argument, flag, option
 from kleinkram.cli.errors import NotConfirmed
 from kleinkram.cli.render import escape
+from kleinkram.client._http import Api
+from kleinkram.client._nouns import pages
+from kleinkram.client.config import find_endpoint, load_endpoints
 from kleinkram.client.errors import InvalidInput
+from kleinkram.contract.missions import MissionRead
+from kleinkram.contract.projects import ProjectRead
 
 _COMPLETION_TIMEOUT_S = 1.0
 _MAX_COMPLETIONS = 100
@@ -20,44 +25,28 @@ _MAX_COMPLETIONS = 100
 
 def complete_project(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the projects whose names begin with a text."""
-    return _complete(lambda: _names("/projects", incomplete, None))
+    return _complete(lambda: _names("/projects", ProjectRead, [("name", f"{incomplete}*")]))
 
 
 def complete_mission(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the missions whose names begin with a text, in the project of the command line."""
     project = ctx.params.get("project")
-    return _complete(lambda: _names("/missions", incomplete, project))
+    refs = [project] if isinstance(project, str) else project or []
+    query = [("name", f"{incomplete}*"), *(("projects", str(ref)) for ref in refs)]
+    return _complete(lambda: dict.fromkeys(_names("/missions", MissionRead, query)))
 
 
 def complete_endpoint(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the saved endpoints whose names begin with a text."""
-
-    def saved() -> Iterator[str]:
-        from kleinkram.client.config import load_endpoints
-
-        yield from (name for name in load_endpoints().endpoints if name.startswith(incomplete))
-
-    return _complete(saved)
+    return _complete(lambda: (name for name in load_endpoints().endpoints if name.startswith(incomplete)))
 
 
-def _names(path: str, incomplete: str, project: object) -> Iterator[str]:
-    from kleinkram.client._http import Api
-    from kleinkram.client._nouns import pages
-    from kleinkram.client.config import find_endpoint
-    from kleinkram.contract.missions import MissionRead
-    from kleinkram.contract.projects import ProjectRead
-
-    api = Api(find_endpoint(), read_timeout_s=_COMPLETION_TIMEOUT_S, has_retries=False)
-    query = [("name", f"{incomplete}*")]
-    if path == "/projects":
-        yield from (row.name for row in pages(api, path, ProjectRead, query, limit=_MAX_COMPLETIONS))
-        return
-    within = [project] if isinstance(project, str) else [*project] if isinstance(project, list | tuple) else []
-    query += [("projects", str(ref)) for ref in within]
-    yield from dict.fromkeys(row.name for row in pages(api, path, MissionRead, query, limit=_MAX_COMPLETIONS))
+def _names(path: str, kind: type[ProjectRead | MissionRead], query: list[tuple[str, str]]) -> Iterator[str]:
+    api = Api(find_endpoint(), read_timeout_s=_COMPLETION_TIMEOUT_S, retry_timeout_s=0.0)
+    yield from (row.name for row in pages(api, path, kind, query, limit=_MAX_COMPLETIONS))
 
 
-def _complete(names: Callable[[], Iterator[str]]) -> list[str]:
+def _complete(names: Callable[[], Iterable[str]]) -> list[str]:
     """Return names, or none on any failure: a shell that completes a word cannot show an error."""
     logging.disable()
     try:

@@ -3,6 +3,7 @@
 The bytes of files go straight to the store (`transfer/`).
 """
 
+import copy
 import datetime
 import enum
 import json
@@ -20,6 +21,7 @@ from urllib.parse import urlencode
 
 import urllib3
 from pydantic import BaseModel, ValidationError
+from typing_extensions import Self
 
 import kleinkram
 from kleinkram.client._network import WatchedPools
@@ -106,9 +108,12 @@ def query_of(model: BaseModel | None, **more: object) -> list[tuple[str, str]]:
 class Api:
     """A connection to one server's API."""
 
-    def __init__(self, endpoint: Endpoint, *, read_timeout_s: float = READ_TIMEOUT_S, has_retries: bool = True) -> None:
+    def __init__(
+        self, endpoint: Endpoint, *, read_timeout_s: float = READ_TIMEOUT_S, retry_timeout_s: float = RETRY_TIMEOUT_S
+    ) -> None:
         self.endpoint = endpoint
-        self._has_retries = has_retries
+        self._retry_timeout_s = retry_timeout_s
+        self._wait: Callable[[float], object] | None = None
         self._base = f"{endpoint.url}/api/v1"
         timeout = urllib3.Timeout(connect=min(CONNECT_TIMEOUT_S, read_timeout_s), read=read_timeout_s)
         self._pool = WatchedPools(maxsize=8, timeout=timeout)
@@ -117,6 +122,12 @@ class Api:
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle which server it is; connections are not pickled."""
         return Api, (self.endpoint,)
+
+    def with_retry(self, timeout_s: float, wait: Callable[[float], object]) -> Self:
+        """Return this connection with another retry timeout; `wait` waits between tries (seconds)."""
+        other = copy.copy(self)
+        other._retry_timeout_s, other._wait = timeout_s, wait
+        return other
 
     def now(self) -> datetime.datetime:
         """Return the time at the server (aware), by its last answer: its clock decides what has expired."""
@@ -143,9 +154,8 @@ class Api:
 
     def events(self, path: str, *, after: str | None, for_s: float | None) -> Iterator[tuple[str, str]]:
         """Yield a stream's events as (name, data), and their ids as ("id", id), until it ends or breaks off."""
-        answer = self._answer(
-            "GET", path, query=query_of(None, after=after, for_s=for_s), retry_timeout_s=_RESTART_S, whole=False
-        )
+        patient = self.with_retry(_RESTART_S, time.sleep)
+        answer = patient._answer("GET", path, query=query_of(None, after=after, for_s=for_s), whole=False)
         name = ""
         try:
             rest = b""
@@ -171,18 +181,9 @@ class Api:
         answer = self._request(method, path, body=body, idempotent=False, etag=etag)
         return self.understood(kind, f"{method} {path}", answer)
 
-    def repeat(
-        self,
-        path: str,
-        kind: type[T],
-        body: BaseModel,
-        *,
-        retry_timeout_s: float = RETRY_TIMEOUT_S,
-        wait: Callable[[float], object] | None = None,
-    ) -> T:
+    def repeat(self, path: str, kind: type[T], body: BaseModel | None = None) -> T:
         """POST something idempotent, such as signing; retried until the timeout."""
-        answer = self._request("POST", path, body=body, retry_timeout_s=retry_timeout_s, wait=wait)
-        return self.understood(kind, f"POST {path}", answer)
+        return self.understood(kind, f"POST {path}", self.post(path, body))
 
     def patch(self, path: str, kind: type[T], body: BaseModel, *, etag: str | None = None) -> T:
         """PATCH with the fields that were set in `body`. With an `etag`, only if it still has that."""
@@ -193,16 +194,9 @@ class Api:
         """DELETE, and return the answer's body."""
         return self._request("DELETE", path, query=query or [], idempotent=False)
 
-    def post(
-        self,
-        path: str,
-        body: BaseModel | None = None,
-        *,
-        retry_timeout_s: float = RETRY_TIMEOUT_S,
-        wait: Callable[[float], object] | None = None,
-    ) -> bytes:
+    def post(self, path: str, body: BaseModel | None = None) -> bytes:
         """POST something idempotent, and return the answer's body."""
-        return self._request("POST", path, body=body, retry_timeout_s=retry_timeout_s, wait=wait)
+        return self._request("POST", path, body=body)
 
     def understood(self, kind: type[T], what: str, answer: bytes) -> T:
         """Return an answer's body as a model.
@@ -231,14 +225,11 @@ class Api:
         query: list[tuple[str, str]] | None = None,
         body: BaseModel | None = None,
         idempotent: bool = True,
-        retry_timeout_s: float = RETRY_TIMEOUT_S,
-        wait: Callable[[float], object] | None = None,
         whole: bool = True,
         etag: str | None = None,
     ) -> urllib3.BaseHTTPResponse:
         backoff: Backoff | None = None  # begins at the first failure: an answer may break off after long
         url = self._base + path
-        retry_timeout_s = retry_timeout_s if self._has_retries else 0.0
         content = None if body is None else body.model_dump_json(exclude_unset=True).encode()
         while True:
             request_id = uuid.uuid4().hex
@@ -246,14 +237,14 @@ class Api:
             try:
                 answer = self._once(method, f"{url}?{urlencode(query)}" if query else url, content, fields, whole)
             except urllib3.exceptions.HTTPError as error:
-                backoff = backoff or Backoff(retry_timeout_s, wait)
+                backoff = backoff or Backoff(self._retry_timeout_s, self._wait)
                 if (idempotent or isinstance(error, _NEVER_SENT)) and backoff.pause():
                     continue
                 unreachable = ServerUnreachable(url=self.endpoint.url, reason=reason_of(error))
                 raise remember_request(unreachable, request_id) from error
             if answer.status < 300:
                 return answer
-            backoff = backoff or Backoff(retry_timeout_s, wait)
+            backoff = backoff or Backoff(self._retry_timeout_s, self._wait)
             if answer.status == _TOO_OFTEN and backoff.wait_retry_after(_retry_after_s(answer.headers)):
                 continue  # nothing was done yet, so this holds for changes too
             if answer.status in _RETRIED_STATUS and idempotent and backoff.pause(_retry_after_s(answer.headers)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import datetime
 import enum
 import itertools
@@ -12,8 +13,9 @@ from html import escape
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, cast
 
 from pydantic import BaseModel, ValidationError
+from typing_extensions import Self
 
-from kleinkram.client._http import RETRY_TIMEOUT_S, Api, query_of
+from kleinkram.client._http import Api, query_of
 from kleinkram.client.errors import InvalidInput, ReadingMissing
 from kleinkram.contract.base import MAX_PAGE_SIZE, Page
 from kleinkram.contract.errors import AmbiguousName, NotFound
@@ -126,23 +128,15 @@ class ApiResource:
     def __init__(self, api: Api) -> None:
         self._api = api
 
+    def with_retry(self, timeout_s: float, wait: Callable[[float], object]) -> Self:
+        """Return this noun with another retry timeout; `wait` waits between tries (seconds)."""
+        other = copy.copy(self)
+        other._api = self._api.with_retry(timeout_s, wait)
+        return other
+
     def _to_trash(self, path: str, *, dry_run: bool) -> Deleted:
         answer = self._api.delete(path, query_of(None, dry_run=dry_run or None))
         return self._api.understood(Deleted, f"DELETE {path}", answer)
-
-
-class RetryingResource(ApiResource):
-    """A noun whose idempotent requests are retried for `retry_timeout_s`; `wait` waits between tries (seconds)."""
-
-    def __init__(
-        self, api: Api, *, retry_timeout_s: float = RETRY_TIMEOUT_S, wait: Callable[[float], object] | None = None
-    ) -> None:
-        super().__init__(api)
-        self._retry_timeout_s = retry_timeout_s
-        self._wait = wait
-
-    def _repeat(self, path: str, kind: type[T], body: BaseModel) -> T:
-        return self._api.repeat(path, kind, body, retry_timeout_s=self._retry_timeout_s, wait=self._wait)
 
 
 class NamedResource(ApiResource, ABC, Generic[NounT]):

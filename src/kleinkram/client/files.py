@@ -5,7 +5,7 @@
 
 import datetime
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,6 @@ from kleinkram.client._nouns import (
     Listing,
     NamedResource,
     Ref,
-    RetryingResource,
     checked,
     count,
     known_id,
@@ -153,7 +152,7 @@ class Files(NamedResource[FileRead]):
 
         `kleinkram.client.transfer.verify_local` compares local files.
         """
-        return self._api.understood(FileRead, "verify", self._api.post(f"/files/{self.id_of(file_id)}/verify"))
+        return self._api.repeat(f"/files/{self.id_of(file_id)}/verify", FileRead)
 
     def links(self, file_ids: Sequence[Ref]) -> DownloadLinks:
         """Return where to read the bytes of up to 500 files, in the order asked; FileUnavailable for a damaged one."""
@@ -166,12 +165,8 @@ def file_label(file: FileRead) -> str:
     return f"{file.mission.project.name}/{file.mission.name}/{file.path} ({file.id})"
 
 
-class Uploads(RetryingResource):
+class Uploads(ApiResource):
     """`client.uploads`: the upload protocol, request by request; `kleinkram.client.transfer` uses it."""
-
-    def with_retry(self, timeout_s: float, wait: Callable[[float], object]) -> "Uploads":
-        """Return a client with another retry timeout."""
-        return Uploads(self._api, retry_timeout_s=timeout_s, wait=wait)
 
     def now(self) -> datetime.datetime:
         """Return the time at the server, by which signed URLs expire."""
@@ -188,18 +183,17 @@ class Uploads(RetryingResource):
     def begin(self, mission_id: uuid.UUID, files: Sequence[protocol.UploadFile]) -> protocol.UploadDecisions:
         """Announce up to 200 files and return what to do with each, in the order given."""
         body = protocol.UploadBegin(files=[*files])
-        path = f"/missions/{mission_id}/uploads"
-        return self._repeat(path, protocol.UploadDecisions, body)
+        return self._api.repeat(f"/missions/{mission_id}/uploads", protocol.UploadDecisions, body)
 
     def sign(self, parts: Sequence[protocol.PartToSign]) -> protocol.SignedParts:
         """Return where to PUT up to 200 parts, in the order given, and renew their leases; UploadGone if one ended."""
         body = protocol.PartsSign(parts=[*parts])
-        return self._repeat("/uploads/parts", protocol.SignedParts, body)
+        return self._api.repeat("/uploads/parts", protocol.SignedParts, body)
 
     def complete(self, uploads: Sequence[protocol.UploadFinish]) -> protocol.UploadOutcomes:
         """Finish up to 200 uploads whose parts are all sent; the store verifies each. In the order given."""
         body = protocol.UploadsComplete(uploads=[*uploads])
-        return self._repeat("/uploads/complete", protocol.UploadOutcomes, body)
+        return self._api.repeat("/uploads/complete", protocol.UploadOutcomes, body)
 
     def abort(self, upload_id: uuid.UUID) -> None:
         """End an upload and free its name; its parts are removed."""

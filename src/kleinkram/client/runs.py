@@ -12,18 +12,8 @@ from typing import TYPE_CHECKING, TypeVar, cast
 
 from typing_extensions import TypedDict, Unpack
 
-from kleinkram.client._http import RETRY_TIMEOUT_S, Api, query_of
-from kleinkram.client._nouns import (
-    ApiResource,
-    Listing,
-    Ref,
-    RetryingResource,
-    checked,
-    count,
-    known_id,
-    pages,
-    refs_of,
-)
+from kleinkram.client._http import Api, query_of
+from kleinkram.client._nouns import ApiResource, Listing, Ref, checked, count, known_id, pages, refs_of
 from kleinkram.client.actions import Actions
 from kleinkram.client.errors import InvalidInput, TimedOut
 from kleinkram.client.files import Uploads
@@ -134,7 +124,7 @@ class Runs(ApiResource):
 
     def cancel(self, run_id: Ref) -> runs.RunRead:
         """Cancel a run, and return it; its runner ends it within seconds. A run that has ended stays."""
-        return self._api.understood(runs.RunRead, "cancel", self._api.post(f"/runs/{_run_id(run_id)}/cancel"))
+        return self._api.repeat(f"/runs/{_run_id(run_id)}/cancel", runs.RunRead)
 
     def retry(self, run_id: Ref, *, force: bool = False) -> runs.RunRead:
         """Create a run of the same version with the same parameters on the same mission, and return it.
@@ -263,12 +253,8 @@ def _as_link(artifact: runs.ArtifactUrl) -> DownloadLink:
     )
 
 
-class Runners(RetryingResource):
+class Runners(ApiResource):
     """`client.runners`."""
-
-    def with_retry(self, timeout_s: float, wait: Callable[[float], object]) -> "Runners":
-        """Return a client with another retry timeout."""
-        return Runners(self._api, retry_timeout_s=timeout_s, wait=wait)
 
     def list(self) -> Listing[runners.RunnerRead]:
         """List all runners."""
@@ -276,7 +262,7 @@ class Runners(RetryingResource):
 
     def register(self, registration: runners.RunnerRegistration) -> runners.RunnerRead:
         """Register a runner, or update its description."""
-        return self._repeat("/runners", runners.RunnerRead, registration)
+        return self._api.repeat("/runners", runners.RunnerRead, registration)
 
     def claim(self, runner_id: uuid.UUID, request: runners.ClaimRequest) -> runners.RunAssignment | None:
         """Wait for a run and return it; None where there is none."""
@@ -292,51 +278,34 @@ class Runners(RetryingResource):
 
     def sign_inputs(self, run_id: uuid.UUID, request: runners.InputsRequest) -> runners.InputUrls:
         """Return URLs of inputs."""
-        path = f"/runner/runs/{run_id}/inputs"
-        return self._repeat(path, runners.InputUrls, request)
+        return self._api.repeat(f"/runner/runs/{run_id}/inputs", runners.InputUrls, request)
 
     def create_log_chunk(self, run_id: uuid.UUID, chunk: runners.LogChunkCreate) -> runners.LogChunkUpload:
         """Return where to PUT a chunk of the log."""
-        path = f"/runner/runs/{run_id}/log-chunks"
-        return self._repeat(path, runners.LogChunkUpload, chunk)
+        return self._api.repeat(f"/runner/runs/{run_id}/log-chunks", runners.LogChunkUpload, chunk)
 
     def confirm_log_chunk(self, run_id: uuid.UUID, chunk: runners.LogChunkConfirm) -> None:
         """Confirm that a chunk of the log was uploaded."""
-        path = f"/runner/runs/{run_id}/log-chunks/confirm"
-        self._api.post(path, chunk, retry_timeout_s=self._retry_timeout_s, wait=self._wait)
+        self._api.post(f"/runner/runs/{run_id}/log-chunks/confirm", chunk)
 
     def uploads(self, run_id: uuid.UUID, attempt: runners.Attempt) -> "ArtifactUploads":
         """Return the upload protocol for artifacts of a run."""
-        return ArtifactUploads(self._api, run_id, attempt, retry_timeout_s=self._retry_timeout_s, wait=self._wait)
+        return ArtifactUploads(self._api, run_id, attempt)
 
     def finish(self, run_id: uuid.UUID, finish: runners.RunFinish) -> runners.RunFinished:
         """Report the end of a run."""
-        path = f"/runner/runs/{run_id}/finish"
-        return self._repeat(path, runners.RunFinished, finish)
+        return self._api.repeat(f"/runner/runs/{run_id}/finish", runners.RunFinished, finish)
 
 
 class ArtifactUploads(Uploads):
     """The upload protocol for artifacts: `begin` takes the id of the run."""
 
-    def __init__(
-        self,
-        api: Api,
-        run_id: uuid.UUID,
-        attempt: runners.Attempt,
-        *,
-        retry_timeout_s: float = RETRY_TIMEOUT_S,
-        wait: Callable[[float], object] | None = None,
-    ) -> None:
-        super().__init__(api, retry_timeout_s=retry_timeout_s, wait=wait)
+    def __init__(self, api: Api, run_id: uuid.UUID, attempt: runners.Attempt) -> None:
+        super().__init__(api)
         self._run_id = run_id
         self._attempt = attempt
-
-    def with_retry(self, timeout_s: float, wait: Callable[[float], object]) -> "ArtifactUploads":
-        """Return a client with another retry timeout."""
-        return ArtifactUploads(self._api, self._run_id, self._attempt, retry_timeout_s=timeout_s, wait=wait)
 
     def begin(self, mission_id: uuid.UUID, files: Sequence[UploadFile]) -> UploadDecisions:
         """Announce up to 200 artifacts of the run and return what to do with each, in the order given."""
         body = runners.ArtifactUploadsCreate(attempt=self._attempt, files=[*files])
-        path = f"/runner/runs/{mission_id}/uploads"
-        return self._repeat(path, UploadDecisions, body)
+        return self._api.repeat(f"/runner/runs/{mission_id}/uploads", UploadDecisions, body)

@@ -1,4 +1,4 @@
-"""Every failure that can cross the wire: one closed set of codes, one class for each.
+"""Every error of the API: a closed set of codes, with one class for each.
 
 A class's docstring is its sentence. Its fields fill the braces and travel in the problem document, so that the SDK
 raises the same class that the server raised. Never match on a message.
@@ -104,7 +104,7 @@ class KleinkramError(Exception):
     status: ClassVar[int]
 
     def __init_subclass__(cls, *, status: int | None = None) -> None:
-        """Make a subclass a dataclass; with a status, it is the error of the code that its name spells."""
+        """Make a subclass a dataclass; with a status, also the error of the code that is its name in snake case."""
         super().__init_subclass__()
         dataclass(eq=False)(cls)
         if status is not None:
@@ -190,7 +190,7 @@ class SecondFactorWrong(KleinkramError, status=401):
 
 
 class CodeGone(KleinkramError, status=410):
-    """This link or code is not valid (any more): it was used, it expired, or a newer one replaced it. Ask for a new one."""  # noqa: E501  one sentence
+    """This link or code is not valid: it was already used, has expired, or was replaced by a newer one. Ask for a new one."""  # noqa: E501  one sentence
 
 
 class ProviderUnavailable(KleinkramError, status=503):
@@ -277,7 +277,7 @@ class NotFound(KleinkramError, status=404):
     ref: str
 
 
-class WrongClient(KleinkramError, status=404):  # the original's client shows the `message` of a 404
+class WrongClient(KleinkramError, status=404):  # the client of the original shows the `message` of a 404
     """This server does not support the Python package `kleinkram`. Install its own client with `pip install open-kleinkram`, in an environment without the other, then sign in with `klein login {server}`."""  # noqa: E501  one sentence
 
     server: str
@@ -303,7 +303,7 @@ class AmbiguousName(KleinkramError, status=409):
 
 
 class NameTaken(KleinkramError, status=409):
-    """There already is a {noun} named {name!r} here (names that differ only in case or Unicode form are the same)."""
+    """There is already a {noun} named {name!r} here (names that differ only in case or Unicode form are the same)."""
 
     noun: str
     name: str
@@ -337,7 +337,7 @@ class InvalidQuery(KleinkramError, status=422):
 
     expression: str
     reason: str
-    # Its place in the text of a query, from 1; None for a filter that is not text.
+    # The position in the text of a query, from 1; None for a filter that is not text.
     column: int | None = None
 
 
@@ -423,7 +423,7 @@ class UploadIncomplete(KleinkramError, status=409):
 
 
 class ChecksumMismatch(KleinkramError, status=422):
-    """The bytes that arrived for {path!r} are not the bytes that were read: {reason}. Nothing was saved; upload it again."""  # noqa: E501  one sentence
+    """The received bytes of {path!r} differ from those that were read: {reason}. Nothing was saved; upload it again."""
 
     path: str
     reason: str
@@ -457,7 +457,7 @@ class QuotaExceeded(KleinkramError, status=507):
 
 
 class RunGone(KleinkramError, status=409):
-    """The run {run_id} does not belong to this runner (any more): it was given to another runner, cancelled, deleted, or has ended. Stop all work on it."""  # noqa: E501  one sentence
+    """The run {run_id} is not assigned to this runner: it was assigned to another runner, cancelled or deleted, or has ended. Stop all work on it."""  # noqa: E501  one sentence
 
     run_id: str
 

@@ -236,8 +236,3 @@ _MODEL = anycrc.Model("CRC64-NVME")
 def crc64nvme(data: bytes | memoryview, value: int = 0) -> int:
     """Return the CRC-64/NVME of `data`, continuing from `value`."""
     return int(_MODEL.calc(data, value))
-
-
-def combine_crc64nvme(first: int, second: int, second_bytes: int) -> int:
-    """Return the CRC-64/NVME of two concatenated byte strings; `second_bytes` is the size of the second."""
-    return int(_MODEL.combine(first, second, second_bytes))

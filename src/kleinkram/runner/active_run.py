@@ -22,7 +22,6 @@ from kleinkram.runner.state import (
     Attempt,
     Lease,
     RunnerContext,
-    Stage,
     StopRequest,
     StopRequested,
     StopSignal,
@@ -38,11 +37,6 @@ _MAX_SAMPLES = 100
 # A run that crashes its machine each time is not started for ever.
 _MAX_STARTS = 3
 _CANCEL_EVERY_S = 1.0
-_STATES = {
-    Stage.preparing: RunState.preparing,
-    Stage.running: RunState.running,
-    Stage.collecting: RunState.collecting,
-}
 
 
 class ActiveRun:
@@ -67,19 +61,17 @@ class ActiveRun:
         self._executor = context.executor
         self._attempt = attempt
         self._on_end = on_end
-        self._state = _STATES[attempt.state.stage]
+        self._state = attempt.state.stage
         self._is_confirmed = threading.Event()
         if is_new:
             self._is_confirmed.set()
-        self._is_submitted = attempt.state.stage is Stage.running
+        self._is_submitted = attempt.state.stage is RunState.running
         self._samples: list[UsageSample] = []
         self._usage = attempt.state.usage
         self._progress = ProgressReader(attempt.directory / "out")
         assignment = attempt.state.assignment
         self._redactor = Redactor([token for token in (context.token, assignment.token) if token])
-        self._log = LogUpload(
-            context.executor, context.runners, context.store, assignment, attempt.directory, self._redactor
-        )
+        self._log = LogUpload(context, attempt, self._redactor)
         self._cancelled_at_s = -math.inf
         self._is_cancel_failing = False
         self._upload: ResultUpload | None = None
@@ -157,9 +149,9 @@ class ActiveRun:
         is_detached = False
         try:
             try:
-                if self._attempt.state.stage is not Stage.collecting:
+                if self._attempt.state.stage is not RunState.collecting:
                     ending = self._run_job()
-                    self._attempt.change(stage=Stage.collecting, ending=ending, usage=self._usage)
+                    self._attempt.change(stage=RunState.collecting, ending=ending, usage=self._usage)
                 self._upload_results()
             except OSError as error:
                 if error.errno not in _DISK_FULL_ERRORS:
@@ -212,12 +204,12 @@ class ActiveRun:
         while not self._is_confirmed.is_set():
             self.stop.wait(0.05)
         self._set_state(RunState.preparing)
-        self._attempt.change(stage=Stage.preparing)
+        self._attempt.change(stage=RunState.preparing)
         self._executor.remove(self._job())
         self._attempt.clear()
         prepared = prepare(self._context, self.assignment, self.stop, self._attempt.directory / "in")
         self._attempt.change(
-            stage=Stage.running,
+            stage=RunState.running,
             starts=self._attempt.state.starts + 1,
             started_s=boot_time_s(),
             image=prepared.image.reference if prepared.image else None,

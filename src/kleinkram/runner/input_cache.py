@@ -167,7 +167,7 @@ class InputCache:
             raise NoSpace(message)
 
     def get(self, file: InputFile, fetch: Fetch, wait: Callable[[float], None]) -> None:
-        """Download a file unless it is cached. One of several callers does so; the others `wait` (seconds) meanwhile.
+        """Download a file unless it is cached. One of several callers does so; the others call `wait` (seconds).
 
         Damaged bytes are downloaded a second time.
 

@@ -12,9 +12,8 @@ from urllib.parse import urlsplit
 import urllib3
 
 from kleinkram.client._http import Backoff
-from kleinkram.client.runs import Runners
-from kleinkram.client.transfer.store import TRANSFER_RETRY_S, StoreAnswer, StoreClient
-from kleinkram.contract.actions import Network
+from kleinkram.client.transfer.store import TRANSFER_RETRY_S, StoreAnswer
+from kleinkram.contract.actions import ActionDefinition, Network
 from kleinkram.contract.errors import FileUnavailable, InvalidRequest, KleinkramError, NotFound, RunGone
 from kleinkram.contract.names import check_file_path
 from kleinkram.contract.runners import InputsRequest, RunAssignment
@@ -58,7 +57,7 @@ def prepare(context: RunnerContext, assignment: RunAssignment, stop: StopSignal,
     """
     image = _image_of(context, assignment)
     pulled = _pull_in_thread(context.executor, image) if image else None
-    source = InputDownload(context.runners, context.store, assignment, stop)
+    source = InputDownload(context, assignment, stop)
     store_url: str | None = None
     backoff = Backoff(_RETRY_S, stop.wait)
     while store_url is None:
@@ -139,11 +138,11 @@ def _pull_in_thread(executor: Executor, image: str) -> Future[PinnedImage]:
 
 
 class InputDownload:
-    """Downloads the inputs of one run by signed URLs, and resumes broken downloads. `store` is shared by all runs."""
+    """Downloads the inputs of one run by signed URLs, and resumes broken downloads."""
 
-    def __init__(self, runners: Runners, store: StoreClient, assignment: RunAssignment, stop: StopSignal) -> None:
-        self._runners = runners.with_retry(TRANSFER_RETRY_S, stop.wait)
-        self._store = store
+    def __init__(self, context: RunnerContext, assignment: RunAssignment, stop: StopSignal) -> None:
+        self._runners = context.runners.with_retry(TRANSFER_RETRY_S, stop.wait)
+        self._store = context.store
         self._assignment = assignment
         self._stop = stop
         self._urls: dict[str, str] = {}
@@ -245,18 +244,17 @@ def write_context(directory: Path, context: RunContext, script: str | None, auth
             path.write_text(text)
 
 
-def script_command(dependencies: Sequence[str], *, in_image: bool) -> list[str]:
-    """Return the command of a script: with the Python of the image, or else this one."""
+def command_of(action: ActionDefinition | RunAssignment, *, in_image: bool) -> list[str]:
+    """Return the command of an action; of a script, with the Python of the image, or else this one."""
+    if action.script is None:
+        return list(action.command)
     python = "python3" if in_image else sys.executable
-    return [python, "-m", "kleinkram.action.launch", _SCRIPT, *dependencies]
+    return [python, "-m", "kleinkram.action.launch", _SCRIPT, *action.dependencies]
 
 
 def job_of(context: RunnerContext, attempt: Attempt) -> RunJob:
     """Return the job of an attempt, which is the same after a restart of the runner."""
     assignment, image = attempt.state.assignment, attempt.state.image
-    command = assignment.command
-    if assignment.script is not None:
-        command = script_command(assignment.dependencies, in_image=image is not None)
     environment = {
         "KLEINKRAM_URL": context.url,
         "KLEINKRAM_TOKEN": assignment.token or "",
@@ -275,7 +273,7 @@ def job_of(context: RunnerContext, attempt: Attempt) -> RunJob:
     return RunJob(
         key=attempt.key,
         directory=attempt.directory,
-        command=command,
+        command=command_of(assignment, in_image=image is not None),
         image=image,
         resources=assignment.resources,
         network=assignment.network,

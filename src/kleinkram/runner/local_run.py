@@ -16,7 +16,7 @@ from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.runs import ActionRef, Cause, EndReason, RunContext
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, RunJob, wait_for_end
-from kleinkram.runner.inputs import check_input_path, script_command, write_context
+from kleinkram.runner.inputs import check_input_path, command_of, write_context
 from kleinkram.runner.results import Results, collect_results
 
 _CHECK_EVERY_S = 0.05
@@ -73,9 +73,7 @@ def run_locally(
             recordings=list(client.recordings.list(mission.id)),
         )
         write_context(directory / "in", context, action.script)
-        command = list(action.command)
-        if action.script is not None:
-            command = script_command(action.dependencies, in_image=action.image is not None)
+        command = command_of(action, in_image=action.image is not None)
         key = f"local-{uuid.uuid4().hex[:12]}"
         job = RunJob(key, directory, command, action.image, action.resources, action.network)
         ending = _run(executor, job, show)

@@ -13,14 +13,13 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from kleinkram.client.runs import Runners
-from kleinkram.client.transfer.store import StoreAnswer, StoreClient
+from kleinkram.client.transfer.store import StoreAnswer
 from kleinkram.contract.errors import KleinkramError, RunGone
-from kleinkram.contract.runners import LogChunkConfirm, LogChunkCreate, RunAssignment
+from kleinkram.contract.runners import LogChunkConfirm, LogChunkCreate
 from kleinkram.contract.uploads import crc64nvme
 from kleinkram.runner.durable_files import write_atomically
 from kleinkram.runner.executors.base import Executor, RunJob
-from kleinkram.runner.state import LOG_UPLOAD
+from kleinkram.runner.state import LOG_UPLOAD, Attempt, RunnerContext
 
 _CHUNK_BYTES = 4 * 2**20
 _EVERY_S = 1.0
@@ -28,7 +27,7 @@ _CHECK_EVERY_S = 0.2
 _RETRY_S = 30.0
 _CLOSE_S = 2.0
 _REDACTED = b"[redacted]"
-# No secret is longer. So a secret that begins this far from the end of a window is there as a whole.
+# No secret is longer: one that begins this far from the end of a window is complete.
 _LONGEST_SECRET = 512
 _SHORTEST_SECRET = 16
 _SECRET_PATTERNS = (
@@ -58,8 +57,8 @@ class Redactor:
     def cut(self, data: bytes, max_bytes: int) -> int:
         """Return the number of bytes that can be redacted without those that follow; 0: none yet.
 
-        That are whole lines, since no secret contains a line break; or in a line that is longer than `max_bytes`, what
-        cannot be part of a secret that continues.
+        These are complete lines, since no secret contains a line break. In a line longer than `max_bytes`, they end
+        where no secret can continue.
         """
         window = data[:max_bytes]
         lines = max(window.rfind(b"\n"), window.rfind(b"\r")) + 1
@@ -85,20 +84,12 @@ class _UploadState(BaseModel):
 class LogUpload:
     """Uploads the log of one run in a thread."""
 
-    def __init__(
-        self,
-        executor: Executor,
-        runners: Runners,
-        store: StoreClient,
-        assignment: RunAssignment,
-        directory: Path,
-        redactor: Redactor,
-    ) -> None:
-        self._executor = executor
-        self._runners = runners.with_retry(_RETRY_S, self._wait)
-        self._store = store
-        self._assignment = assignment
-        self._path = directory / LOG_UPLOAD
+    def __init__(self, context: RunnerContext, attempt: Attempt, redactor: Redactor) -> None:
+        self._executor = context.executor
+        self._runners = context.runners.with_retry(_RETRY_S, self._wait)
+        self._store = context.store
+        self._assignment = attempt.state.assignment
+        self._path = attempt.directory / LOG_UPLOAD
         self._redactor = redactor
         self._is_complete = threading.Event()
         self._is_closed = threading.Event()

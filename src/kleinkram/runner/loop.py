@@ -10,7 +10,6 @@ import math
 import threading
 import time
 import uuid
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +19,6 @@ from kleinkram.client.config import Endpoint, EndpointSource
 from kleinkram.client.runs import Runners
 from kleinkram.client.server import Service
 from kleinkram.client.transfer.store import StoreClient
-from kleinkram.contract.actions import Resources
 from kleinkram.contract.errors import Forbidden, KleinkramError, NotAuthenticated, NotFound, ScopeMissing
 from kleinkram.contract.runners import (
     HEARTBEAT_S,
@@ -210,7 +208,13 @@ class Runner:
         """Wait for a run and start it; None where there is none."""
         self._has_capacity.clear()
         active = self._active_runs()
-        free = remaining_capacity(self._executor.capacity, [run.assignment.resources for run in active])
+        capacity, used = self._executor.capacity, [run.assignment.resources for run in active]
+        free = Capacity(
+            cores=max(0.0, round(capacity.cores - sum(resources.cores for resources in used), 6)),
+            memory_bytes=max(0, capacity.memory_bytes - sum(resources.memory_bytes for resources in used)),
+            disk_bytes=max(0, capacity.disk_bytes - sum(resources.disk_bytes for resources in used)),
+            gpus=max(0, capacity.gpus - sum(resources.gpus for resources in used)),
+        )
         if free.cores < _MIN_CORES or min(free.memory_bytes, free.disk_bytes) < _MIN_BYTES:
             self._has_capacity.wait(HEARTBEAT_S)
             return None
@@ -300,13 +304,3 @@ class Runner:
         while not self._is_closed.wait(_ENFORCE_EVERY_S):
             for run in self._active_runs():
                 run.enforce()
-
-
-def remaining_capacity(capacity: Capacity, used: Sequence[Resources]) -> Capacity:
-    """Return the part of a capacity that runs have not reserved."""
-    return Capacity(
-        cores=max(0.0, round(capacity.cores - sum(resources.cores for resources in used), 6)),
-        memory_bytes=max(0, capacity.memory_bytes - sum(resources.memory_bytes for resources in used)),
-        disk_bytes=max(0, capacity.disk_bytes - sum(resources.disk_bytes for resources in used)),
-        gpus=max(0, capacity.gpus - sum(resources.gpus for resources in used)),
-    )

@@ -22,8 +22,7 @@ from pydantic import ValidationError
 from kleinkram.client._http import Backoff
 from kleinkram.client.errors import ServerUnreachable, StoreTroubled, StoreUnreachable
 from kleinkram.client.transfer.plan import LocalFile, identity_of
-from kleinkram.client.transfer.pool import RateLimit
-from kleinkram.client.transfer.report import TransferResult, Watcher
+from kleinkram.client.transfer.report import Watcher
 from kleinkram.client.transfer.upload import Uploader
 from kleinkram.contract import errors, reports
 from kleinkram.contract.metadata import check_values
@@ -442,21 +441,20 @@ class ResultUpload:
 
     def _upload_once(self, files: Sequence[LocalFile]) -> list[RejectedFile]:
         """Upload files by the protocol of all uploads; stored content is not sent again."""
-        run_id, results = self._assignment.run_id, list[TransferResult]()
+        run_id = self._assignment.run_id
         self._uploader = Uploader(
             self._context.runners.uploads(run_id, self._assignment.attempt),
             self._context.url,
             run_id,
             connections=min(_CONNECTIONS, len(files)),
-            pace=RateLimit(None),
+            bytes_per_s=None,
             watcher=Watcher(),
-            ended=results.append,
             journals=self._job.directory / _JOURNALS,
         )
         self._uploader.run(files)
         return [
             RejectedFile(result.path, str(result.error), is_temporary=isinstance(result.error, StoreTroubled))
-            for result in results
+            for result in self._uploader.results
             if result.error is not None
         ]
 

@@ -28,7 +28,7 @@ from kleinkram.client.runs import Runners
 from kleinkram.client.server import Service
 from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.runners import RunAssignment
-from kleinkram.contract.runs import Usage
+from kleinkram.contract.runs import RunState, Usage
 from kleinkram.runner.durable_files import write_atomically, write_in_place
 from kleinkram.runner.executors.base import Ending, Executor
 from kleinkram.runner.executors.limits import LOG, boot_time_s
@@ -118,16 +118,8 @@ def _boot_id() -> str:
         return "unknown"
 
 
-class Stage(str, enum.Enum):
-    """Next step of a run: prepare it, run it to its end, or collect its results."""
-
-    preparing = "preparing"
-    running = "running"
-    collecting = "collecting"
-
-
 class AttemptState(BaseModel):
-    """The state of an attempt. `starts` counts how often its job was, or was about to be submitted.
+    """The state of an attempt. `stage` is its next step; `starts` counts the submissions of its job.
 
     `image` is what the job runs on. `started_s` is by the clock of leases. `store_url` is the store for a job that
     reaches it.
@@ -136,7 +128,7 @@ class AttemptState(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     assignment: RunAssignment
-    stage: Stage = Stage.preparing
+    stage: RunState = RunState.preparing
     starts: int = 0
     started_s: float = 0
     image: str | None = None
@@ -232,42 +224,34 @@ class StopRequested(Exception):
 
 
 class StopSignal:
-    """The stop requests of one run."""
+    """The stop requests of one run; `request` is the current one."""
 
     def __init__(self) -> None:
-        self._changed = threading.Event()
-        self._request: StopRequest | None = None
-        self._is_acknowledged = False
-
-    @property
-    def request(self) -> StopRequest | None:
-        """The current request."""
-        return self._request
+        self.request: StopRequest | None = None
+        self._pending = threading.Event()
 
     def send(self, request: StopRequest) -> None:
         """Request a stop."""
-        if _PRECEDENCE.index(request) > _PRECEDENCE.index(self._request):
-            self._request = request
-            self._is_acknowledged = False
-            self._changed.set()
+        if _PRECEDENCE.index(request) > _PRECEDENCE.index(self.request):
+            self.request = request
+            self._pending.set()
 
     def acknowledge(self) -> None:
-        """Clear a request, so that what remains to be done is not interrupted by it."""
-        self._is_acknowledged = True
-        self._changed.clear()
+        """Clear a request, so that it does not interrupt the remaining steps."""
+        self._pending.clear()
 
     def is_pending(self) -> bool:
         """Whether there is a request that was not acknowledged."""
-        return self._request is not None and not self._is_acknowledged
+        return self._pending.is_set()
 
     def check(self) -> None:
         """Raise `StopRequested` if a request is pending."""
-        if self._request is not None and not self._is_acknowledged:
-            raise StopRequested(self._request)
+        if self.request is not None and self._pending.is_set():
+            raise StopRequested(self.request)
 
     def wait(self, seconds: float) -> None:
         """Wait, or raise `StopRequested` as soon as there is a request."""
-        self._changed.wait(seconds)
+        self._pending.wait(seconds)
         self.check()
 
 

@@ -10,7 +10,7 @@ from tests.integration.api_server import Api
 from tests.integration.backup.instances import EmptyInstances
 from tests.integration.conftest import Starting
 from tests.integration.jobs import run_jobs
-from tests.integration.runs.conftest import Played, launch
+from tests.integration.runs.conftest import FakeRunner, launch
 from tests.integration.upload_client import begin, send, upload
 from tests.services import RunningPostgres, RunningStore
 
@@ -44,12 +44,12 @@ def _create_runs(api: Api) -> None:
     mission = api.mission(api.project()["id"])
     upload(api, mission["id"], "input", b"input")
     admin = people.person(api, admin=True)
-    runner = Played(api.as_(people.token(api, admin, [Scope.run], kind=TokenKind.runner).secret))
-    runner.hello()
+    runner = FakeRunner(api.as_(people.token(api, admin, [Scope.run], kind=TokenKind.runner).secret))
+    runner.register()
     launch(api, runner, mission)
     done = runner.claim()
-    runner.leave(done, "made", b"made")
-    runner.leave(done, ".kleinkram/log", b"it said\n")
+    runner.upload_artifact(done, "made", b"made")
+    runner.upload_artifact(done, ".kleinkram/log", b"it said\n")
     runner.finish(done).ok()
     launch(api, runner, mission)
     running = runner.claim()

@@ -168,7 +168,7 @@ def test_the_client_follows_retry_after(strict: Api, monkeypatch: pytest.MonkeyP
         strict.sql("DELETE FROM rate_count")
 
     with pytest.raises(NotFound):
-        client.repeat("/files/download", DownloadLinks, nothing, wait=wait)
+        client.with_retry(_http.RETRY_TIMEOUT_S, wait).repeat("/files/download", DownloadLinks, nothing)
     assert len(waited) == 1
     assert waited[0] >= 1
     client.close()

@@ -29,7 +29,7 @@ AnEngine = TypeVar("AnEngine", bound=Dockerd)
 
 @dataclass
 class Bench:
-    """Makes runs of Python text, each in a folder of its own, and forgets them afterwards.
+    """Runs Python text as jobs, each in its own folder, and removes them afterwards.
 
     `machine` is where a run with an open network finds the machine of its runner.
     """
@@ -92,13 +92,13 @@ def log_of(job: RunJob) -> str:
 
 @pytest.fixture(scope="session")
 def docker() -> Iterator[Dockerd]:
-    """A Docker of the tests' own, with an image of this Python."""
+    """A Docker daemon for tests, with an image of this Python."""
     yield from _loaded("a Docker", engines.PROGRAMS, engines.dockerd)
 
 
 @pytest.fixture(scope="session")
 def podman() -> Iterator[Podman]:
-    """A Podman of the tests' own, with an image of this Python."""
+    """A Podman service for tests, with an image of this Python."""
     yield from _loaded("a Podman", podman_engines.PROGRAMS, podman_engines.podman)
 
 
@@ -121,7 +121,7 @@ def engine(request: pytest.FixtureRequest) -> Dockerd:
 
 
 def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Bench:
-    """Return somewhere to run things by an executor."""
+    """Return a bench for an executor."""
     if executor == "process":
         return Bench(ProcessExecutor(), folder, ProcessExecutor)
     engine: Dockerd = request.getfixturevalue(executor)
@@ -131,7 +131,7 @@ def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Ben
 
 
 def lent(executor: str, request: pytest.FixtureRequest, folder: Path) -> Iterator[Bench]:
-    """Yield somewhere to run things by an executor, and forget them afterwards."""
+    """Yield a bench for an executor, and remove its jobs afterwards."""
     made = bench_of(executor, request, folder)
     yield made
     for job in made.made:
@@ -153,5 +153,5 @@ _EXECUTORS = [
 
 @pytest.fixture(params=_EXECUTORS)
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
-    """Somewhere to run things, by each executor."""
+    """A bench for each executor."""
     yield from lent(request.param, request, tmp_path)

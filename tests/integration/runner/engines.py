@@ -35,7 +35,7 @@ _numbers = itertools.count(77)
 
 @contextmanager
 def bridge() -> Iterator[tuple[str, str]]:
-    """Make a network for containers that may have one, and yield its interface and this machine's address there."""
+    """Create a network for containers, and yield its interface and the address of this machine in it."""
     name = f"kl{os.getpid()}-{next(_numbers)}"
     _ip("link", "add", name, "type", "bridge")
     try:
@@ -55,7 +55,7 @@ def _ip(*words: str) -> None:
 
 @dataclass
 class Dockerd:
-    """A Docker of the tests' own. `bridge` is the interface that it may use, `gateway` this machine's address there."""
+    """A Docker daemon for tests. `bridge` is its network interface, `gateway` the address of this machine in it."""
 
     folder: Path
     bridge: str = "none"
@@ -162,7 +162,7 @@ class Dockerd:
 
 @functools.cache
 def python_root(*, with_shell: bool = True) -> bytes:
-    """Return a tar of a root with this Python and a shell, and nothing else but libraries and the folders of runs."""
+    """Return a tar of a root with this Python, a shell, their libraries and the folders of runs."""
     shell = [Path(SHELL)] if with_shell else []
     libraries = Path(sysconfig.get_path("stdlib"))
     program = Path(sys.executable).resolve()
@@ -206,7 +206,7 @@ def _folder(tar: tarfile.TarFile, name: str) -> None:
 
 @contextmanager
 def dockerd(bridge: str = "none", gateway: str = "127.0.0.1", *options: str) -> Iterator[Dockerd]:
-    """Start a Docker in a folder of its own, which is gone afterwards."""
+    """Start a Docker daemon in its own folder, which is removed afterwards."""
     with tempfile.TemporaryDirectory(prefix="klein-docker-") as folder:
         made = Dockerd(Path(folder), bridge, gateway, options)
         made.start()
@@ -218,7 +218,7 @@ def dockerd(bridge: str = "none", gateway: str = "127.0.0.1", *options: str) -> 
 
 @dataclass
 class Registry:
-    """A registry of the tests' own: Debian's `docker-registry`, without TLS on this machine alone."""
+    """A registry for tests: Debian's `docker-registry`, without TLS, on the loopback interface."""
 
     folder: Path
     port: int
@@ -262,7 +262,7 @@ class Registry:
 
 
 def root_of(files: dict[str, bytes]) -> bytes:
-    """Return a tar of a root with these files, which may be run, and the folders of runs."""
+    """Return a tar of a root with these executable files and the folders of runs."""
     with io.BytesIO() as stream, tarfile.open(fileobj=stream, mode="w") as tar:
         for folder in ("in", "out", "tmp", "etc"):
             _folder(tar, folder)

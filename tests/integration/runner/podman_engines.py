@@ -35,7 +35,7 @@ network_config_dir = "{folder}/networks"
 
 
 class Podman(Dockerd):
-    """A Podman of the tests' own. Its containers have no parent but init: they go on without the service."""
+    """A Podman service for tests. Its containers are children of init: they continue without the service."""
 
     def start(self) -> None:
         """Start its service, again after `kill`, and wait until it answers."""
@@ -102,7 +102,7 @@ def _mounts_of(pid: int) -> int | None:
 
 @contextmanager
 def podman(bridge: str, gateway: str) -> Iterator[Podman]:
-    """Start a Podman in a folder of its own, which is gone afterwards."""
+    """Start a Podman service in its own folder, which is removed afterwards."""
     with tempfile.TemporaryDirectory(prefix="klein-podman-") as folder:
         made = Podman(Path(folder), bridge, gateway)
         made.start()

@@ -15,7 +15,7 @@ from kleinkram.runner.executors.docker.executor import DockerExecutor
 
 @contextmanager
 def with_engine(answering: type[BaseHTTPRequestHandler], folder: Path) -> Iterator[DockerExecutor]:
-    """Yield an executor whose engine is one that answers so, at a socket in a folder."""
+    """Yield an executor whose engine is a handler of requests at a socket in a folder."""
     with socketserver.ThreadingUnixStreamServer(str(folder / "socket"), answering) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()

@@ -33,7 +33,7 @@ COUNTS = "import time\nfor n in range(10_000): print(f'line {n}', flush=True); t
 
 @pytest.fixture(params=["docker", pytest.param("podman", marks=pytest.mark.soak)])
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
-    """Somewhere to run things, by each engine."""
+    """A bench for each engine."""
     yield from lent(request.param, request, tmp_path)
 
 
@@ -46,7 +46,7 @@ def engine(bench: Bench) -> Dockerd:
 
 @pytest.fixture
 def registry(tmp_path: Path) -> Iterator[Registry]:
-    """A registry of the tests' own, started."""
+    """A running registry."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         made = Registry(tmp_path / "registry", free.getsockname()[1])
     made.start()
@@ -55,7 +55,7 @@ def registry(tmp_path: Path) -> Iterator[Registry]:
 
 
 def small(engine: Dockerd, name: str, word: str) -> str:
-    """Make an image with a file and nothing else, and return its id."""
+    """Create an image with a single file, and return its id."""
     return engine.load(name, f"LABEL word={word}", root=engines.root_of({"word": word.encode()}))
 
 
@@ -66,7 +66,7 @@ def refusal(executor: DockerExecutor, image: str) -> tuple[EndReason, str]:
 
 
 def is_numbered(text: str) -> bool:
-    """Whether lines are those of `COUNTS`: none missing, none twice."""
+    """Whether lines are those of `COUNTS`: none is missing or duplicated."""
     lines = text.splitlines()
     return lines == [f"line {n}" for n in range(len(lines))]
 
@@ -197,7 +197,7 @@ while executor.poll(job) is None:
 
 @contextmanager
 def another_runner(bench: Bench, engine: Dockerd, job: RunJob, text: str) -> Iterator[None]:
-    """Have another process submit or find the job and watch it; it is killed at the end."""
+    """Submit or find the job in another process, which watches it and is killed at the end."""
     words = [str(engine.socket), str(job.directory), job.key, str(job.image), text]
     process = subprocess.Popen([sys.executable, "-c", RUNNER, *words])
     try:

@@ -20,7 +20,7 @@ STATE = {"Status": "running", "Pid": 1, "ExitCode": 0, "StartedAt": "2026", "Fin
 
 
 class Refusing(BaseHTTPRequestHandler):
-    """Has two containers of runs, and removes none."""
+    """An engine with two containers of runs that removes none."""
 
     removal_requests: ClassVar[list[str]] = []
     answers: ClassVar[dict[str, object]] = {
@@ -52,7 +52,7 @@ class Refusing(BaseHTTPRequestHandler):
 
 @pytest.fixture
 def executor(tmp_path: Path) -> Iterator[DockerExecutor]:
-    """One with such an engine."""
+    """An executor with this engine."""
     Refusing.removal_requests.clear()
     with with_engine(Refusing, tmp_path) as played:
         yield played

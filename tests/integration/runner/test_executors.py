@@ -35,7 +35,7 @@ def isolated(bench: Bench) -> Bench:
 
 
 def ending_of_start(bench: Bench, job: RunJob) -> Ending:
-    """Return how a job ended that cannot be started, whether its executor notices that at once or later."""
+    """Return how a job ended that cannot be started, whether the executor notices it on submission or later."""
     try:
         bench.executor.submit(job)
     except CannotStart as error:
@@ -354,7 +354,7 @@ def test_images_need_an_engine(bench: Bench) -> None:
 
 
 def answers(server: socket.socket, words: bytes) -> None:
-    """Answer whoever connects with these words and what was said."""
+    """Answer each connection with these words and the data received."""
 
     def answer() -> None:
         with contextlib.suppress(OSError):

@@ -34,7 +34,7 @@ def test_the_reason_of_a_container_ended_by_hand(bench: Bench, words: list[str],
 
 
 def test_podman_may_forget_its_containers(bench: Bench) -> None:
-    """Whether somebody ended a container is not known then; how it ended is."""
+    """It is then unknown whether a request ended a container; its exit code is known."""
     assert bench.engine is not None
     settings = bench.engine.folder / "containers.conf"
     before = settings.read_text()

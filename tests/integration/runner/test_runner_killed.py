@@ -19,7 +19,7 @@ from tests.integration.runner.test_executors import LASTING, until_logged_by
 
 
 class Killed(BaseException):
-    """Ends a runner in the middle of a line."""
+    """Raised to end a runner in the middle of a function."""
 
 
 PROCESS_ONLY = pytest.mark.parametrize("bench", ["process"], indirect=True)
@@ -29,7 +29,7 @@ PROCESS_ONLY = pytest.mark.parametrize("bench", ["process"], indirect=True)
 def test_a_runner_killed_before_it_recorded_the_pid_finds_the_job_again(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The next one may not start it again in the same directory: two of them would spoil each other's results."""
+    """The next runner must not start it again in the same directory: two jobs would mix their results."""
     job = bench.job("print('once')")
 
     def die(*_: object) -> None:
@@ -74,7 +74,7 @@ def test_a_runner_killed_right_after_it_submitted_a_job_finds_it_again(
 
 @EVERYWHERE
 def test_a_removed_container_is_reported_lost_and_may_be_started_again(bench: Bench) -> None:
-    """As by Ctrl-C: the next runner begins anew, with the log of before, which is in the store already."""
+    """As by Ctrl-C: the next runner starts the run again and keeps its log, which is already in the store."""
     job = bench.job(LASTING)
     bench.executor.submit(job)
     until_logged_by(bench, LASTING, "ready")

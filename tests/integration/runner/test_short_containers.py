@@ -28,7 +28,7 @@ BORN = {"StartedAt": "2026", "OOMKilled": False}
 
 
 class Podman(BaseHTTPRequestHandler):
-    """Has started one container, which has exited after so many looks."""
+    """An engine whose only container exits after some inspections."""
 
     pid: ClassVar[int]
     stumbles: ClassVar[int]
@@ -60,7 +60,7 @@ class Podman(BaseHTTPRequestHandler):
         return {**BORN, "Status": "running", "Pid": self.pid, "ExitCode": 0, "FinishedAt": "0001-"}
 
     def do_POST(self) -> None:
-        """Do what it is told."""
+        """Handle a request."""
         self.rfile.read(int(self.headers["Content-Length"]))
         name = self.path.partition("?")[0].rpartition("/")[2]
         self.done.add(name)
@@ -79,7 +79,7 @@ class Podman(BaseHTTPRequestHandler):
 
 @contextmanager
 def first_process(how: str) -> Iterator[int]:
-    """Yield the pid of a process that is `ending`, or over: `unreaped`, `gone`."""
+    """Yield the pid of a process that is `ending`, `unreaped` or `gone`."""
     if how == "ending":
         with ending_process() as pid:
             yield pid
@@ -93,7 +93,7 @@ def first_process(how: str) -> Iterator[int]:
 
 @contextmanager
 def ending_process() -> Iterator[int]:
-    """Yield the pid of the first process of a namespace: it was killed, and waits for another there to be reaped."""
+    """Yield the pid of a killed first process of a namespace, which waits until another process of it is reaped."""
     need("unshare", "nsenter")
     namespaces = ["--user", "--pid"]
     with says_made("unshare", *namespaces, "--map-root-user", "--fork") as house:
@@ -115,7 +115,7 @@ def ending_process() -> Iterator[int]:
 
 @contextmanager
 def says_made(*words: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a shell by these words that goes on until it is killed, or all is where it is."""
+    """Run a shell by these words until it is killed, and yield once it is ready."""
     made = subprocess.Popen([*words, "sh", "-c", "echo made; exec sleep 60"], stdout=subprocess.PIPE)
     assert made.stdout is not None
     with made:
@@ -125,13 +125,13 @@ def says_made(*words: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def has_memory(pid: int) -> bool:
-    """Whether a process has not lost its memory, which it does after the kernel said that it is ending."""
+    """Whether a process still has its memory, which it loses after it is marked as exiting."""
     return bool(Path(f"/proc/{pid}/cmdline").read_bytes())
 
 
 @pytest.fixture
 def executor(tmp_path: Path) -> Iterator[DockerExecutor]:
-    """One with such an engine."""
+    """An executor with this engine."""
     Podman.done, Podman.stumbles, Podman.looks = set(), 0, 2
     with with_engine(Podman, tmp_path) as played:
         yield played
@@ -144,7 +144,7 @@ def a_run(folder: Path) -> RunJob:
 
 @pytest.mark.parametrize(("how", "stumbles"), [("ending", 0), ("unreaped", 0), ("gone", 0), ("gone", 1)])
 def test_a_missing_command_is_reported(executor: DockerExecutor, tmp_path: Path, how: str, stumbles: int) -> None:
-    """The control groups of such a process are the machine's own, and Podman may stumble over it."""
+    """The control groups of such a process are those of the machine, and Podman may fail on it."""
     job = a_run(tmp_path)
     Podman.stumbles = stumbles
     with first_process(how) as Podman.pid:

@@ -26,7 +26,7 @@ PORT_FORWARDS = [PortForward("kleinkram.lab.example", 443, "127.0.0.1", 1)]
 
 @pytest.fixture(params=["docker", "podman"])
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
-    """Somewhere to run things, by each engine."""
+    """A bench for each engine."""
     yield from lent(request.param, request, tmp_path)
 
 

@@ -27,7 +27,7 @@ _SHARE = MachineShare(cores=2, memory_bytes=10**9, disk_bytes=10**9, cache_bytes
 
 
 def wait_until(condition: Callable[[], object], *, timeout_s: float = 20) -> None:
-    """Wait for a condition; a test that waits in vain fails here."""
+    """Wait for a condition; fail after the timeout."""
     until = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < until, "the condition did not come true in time"
@@ -36,7 +36,7 @@ def wait_until(condition: Callable[[], object], *, timeout_s: float = 20) -> Non
 
 @dataclass
 class Runners:
-    """The runners of one test, on one folder, one after the other."""
+    """The consecutive runners of one test on one state directory."""
 
     server: FakeServer
     folder: Path
@@ -95,7 +95,7 @@ class Runners:
 
 @pytest.fixture
 def server() -> Iterator[FakeServer]:
-    """A server that knows of no runs yet."""
+    """A fake server without runs."""
     made = FakeServer()
     yield made
     made.close()
@@ -103,13 +103,13 @@ def server() -> Iterator[FakeServer]:
 
 @pytest.fixture
 def runners(server: FakeServer, tmp_path: Path) -> Iterator[Runners]:
-    """Runners of this server."""
+    """Runners of the fake server."""
     made = Runners(server, tmp_path / "runner")
     yield made
     made.close()
 
 
 def ended(run: FakeRun, *, timeout_s: float = 30) -> FakeRun:
-    """Wait until a run's end was told."""
+    """Wait until the end of a run was reported."""
     wait_until(lambda: run.finishes, timeout_s=timeout_s)
     return run

@@ -12,7 +12,7 @@ LATER = datetime.datetime(2100, 1, 1, tzinfo=datetime.timezone.utc)
 
 
 def a_mission(mission_id: uuid.UUID, project_id: uuid.UUID) -> MissionRead:
-    """Return a mission without anything in it."""
+    """Return an empty mission."""
     return MissionRead(
         id=mission_id,
         name="a-mission",

@@ -15,7 +15,7 @@ from kleinkram.contract.runs import ActionRef, RunState
 
 @dataclass
 class FakeRun:
-    """A run on the server: what it is given, what its runner said and left."""
+    """A run on the server: its assignment, and what its runner reported and uploaded."""
 
     claim: RunAssignment
     inputs: dict[str, bytes]
@@ -41,7 +41,7 @@ class FakeRun:
 
 
 def queued(code: str, input_bytes: dict[str, bytes], changes: dict[str, Any]) -> FakeRun:
-    """Return a run of a script with some inputs that nobody has claimed, unless changes say otherwise."""
+    """Return a queued run of a script with some inputs, with changes."""
     resources = {"cores": 1, "memory_bytes": 200_000_000, "disk_bytes": 50_000_000, "time_s": 60}
     resources |= changes.pop("resources", {})
     values: dict[str, Any] = {

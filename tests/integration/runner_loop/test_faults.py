@@ -38,7 +38,7 @@ def heartbeat_of(runners: Runners) -> Path | None:
 
 
 def is_alive(heartbeat: Path) -> bool:
-    """Whether a run goes on."""
+    """Whether a run still executes."""
     before = heartbeat.read_text()
     until = time.monotonic() + 0.5
     while time.monotonic() < until:
@@ -85,7 +85,7 @@ def test_a_killed_runner_reattaches_to_its_run(server: FakeServer, runners: Runn
 def test_rejected_reports_are_sent_again(
     server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch, refusals: int, reason: EndReason
 ) -> None:
-    """Its folder goes when it is over: a run is not given up for one upload that was."""
+    """The folder of a run is removed at its end, so failed uploads are repeated."""
     monkeypatch.setattr(results, "_RETRY_EVERY_S", 0.1)
     server.uploads.refuses = refusals
     runners.start()
@@ -99,7 +99,7 @@ def test_rejected_reports_are_sent_again(
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have a runner give up soon, and begin anew at once."""
+    """Make a runner give up soon and retry immediately."""
     monkeypatch.setattr(results, "_RETRY_EVERY_S", 0.01)
     monkeypatch.setattr(store, "TRANSFER_RETRY_S", 0.1)
     monkeypatch.setattr(_http, "LONGEST_WAIT_S", 0.05)
@@ -107,7 +107,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("impatient")
 def test_results_are_uploaded_once_the_store_is_available(server: FakeServer, runners: Runners) -> None:
-    """However long that takes: more rounds than one that refuses them is given."""
+    """The number of rounds is not limited as it is for rejected files."""
     server.has_no_store.set()
     runners.start()
     run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')\nprint('began')\n")
@@ -123,13 +123,13 @@ def test_results_are_uploaded_once_the_store_is_available(server: FakeServer, ru
     ("store_says", "waits_for"),
     [
         (b"", "is unreachable or full (the store answered 503)"),  # as a proxy does in its place
-        (b"<Error><Code>InternalError</Code></Error>", "for minutes, the store answered 503 InternalError"),
+        (b"<Error><Code>InternalError</Code></Error>", "for several minutes, the store answered 503 InternalError"),
     ],
 )
 def test_results_stay_on_the_runner_while_the_store_fails(
     server: FakeServer, runners: Runners, store_says: bytes, waits_for: str
 ) -> None:
-    """That is no refusal of theirs, and whoever looks at the run sees what it waits for."""
+    """These files are not rejected, and the progress of the run names the reason."""
     server.store_says = store_says
     server.store_refuses.set()
     runners.start()

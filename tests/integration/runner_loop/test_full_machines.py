@@ -12,7 +12,7 @@ from kleinkram.runner import active_run, durable_files
 from kleinkram.runner.executors.base import RunJob
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.loop import Runner
-from kleinkram.runner.state import Attempt, Stage
+from kleinkram.runner.state import Attempt
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_server import FakeServer
 from tests.system.chaos.disks import MIB, need_small_disks, small_disk
@@ -40,7 +40,7 @@ def test_heartbeats_continue_on_a_full_disk(
 
 
 class WithoutProcesses(ProcessExecutor):
-    """Cannot ask for an end at first, as where the machine gives no process for that."""
+    """An executor that cannot cancel at first, as on a machine without free process slots."""
 
     requested = 0
 
@@ -68,7 +68,7 @@ def test_a_run_whose_log_fills_the_disk_ends_with_that_reason(
 
     def with_full_files(self: Attempt, **changes: object) -> None:
         begun(self, **changes)
-        if changes.get("stage") is Stage.running:
+        if changes.get("stage") is RunState.running:
             (self.directory / "log").symlink_to(FULL)
             (self.directory / "usage.json.new").symlink_to(FULL)
 
@@ -87,7 +87,7 @@ def test_a_run_whose_ending_cannot_be_recorded_is_not_started_again(
     noted = Attempt.change
 
     def without_room(self: Attempt, **changes: object) -> None:
-        if changes.get("stage") is Stage.collecting:
+        if changes.get("stage") is RunState.collecting:
             raise OSError(errno.ENOSPC, "No space left on device")
         noted(self, **changes)
 

@@ -1,4 +1,4 @@
-"""Runs over HTTP, with a runner played by the test."""
+"""Runs over HTTP, with a fake runner."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ GB = 10**9
 
 
 @dataclass
-class Played:
-    """A runner that says what a test wants. What it claims carries its label: no other's runs."""
+class FakeRunner:
+    """A runner that sends the requests of a test. Its own label keeps it from claiming runs of others."""
 
     api: Api
     id: str = field(default_factory=lambda: str(uuid.uuid4()))
     labels: list[str] = field(default_factory=lambda: [f"only-{uuid.uuid4().hex[:8]}"])
     active_ids: list[str] = field(default_factory=list)
 
-    def hello(self, **abilities: Any) -> Any:
-        """Say what it is: a container engine, unless said otherwise."""
+    def registration(self, **abilities: Any) -> dict[str, Any]:
+        """Return its description: a container engine, unless `abilities` differ."""
         usual = {
             "executor": "docker",
             "isolation": "container",
@@ -40,7 +40,7 @@ class Played:
             "bounds_memory": True,
             "bounds_disk": True,
         }
-        values = {
+        return {
             "id": self.id,
             "name": f"runner {self.id[:4]}",
             "labels": self.labels,
@@ -49,31 +49,34 @@ class Played:
             "default_image": "sha256:stock",
             "version": "0",
         }
-        return self.api.post("/runners", values).ok()
+
+    def register(self, **abilities: Any) -> Any:
+        """Register it, or update its description."""
+        return self.api.post("/runners", self.registration(**abilities)).ok()
 
     def claim(self, wait_s: float = 0, **free: Any) -> Any:
-        """Ask for a run; None where there is none."""
-        room = {"cores": 4, "memory_bytes": 16 * GB, "disk_bytes": 100 * GB, "gpus": 0} | free
-        requested = {"free": room, "wait_s": wait_s, "active_run_ids": self.active_ids}
+        """Claim a run; None where there is none."""
+        capacity = {"cores": 4, "memory_bytes": 16 * GB, "disk_bytes": 100 * GB, "gpus": 0} | free
+        requested = {"free": capacity, "wait_s": wait_s, "active_run_ids": self.active_ids}
         result = self.api.post(f"/runners/{self.id}/claims", requested).ok()["run"]
         if result is not None:
             self.active_ids.append(result["run_id"])
         return result
 
     def heartbeat(self, claim: Mapping[str, Any], state: str = "running", **values: Any) -> str:
-        """Say what a run is at; returns the verdict."""
+        """Send the state of a run; return the status of its lease."""
         one = {"run_id": claim["run_id"], "attempt": claim["attempt"], "state": state, **values}
         (answer,) = self.api.post(f"/runners/{self.id}/heartbeats", {"runs": [one]}).ok()["runs"]
         return str(answer["status"])
 
     def write(self, claim: Mapping[str, Any], offset: int, data: bytes) -> None:
-        """Store a piece of the log, and show it."""
+        """Upload and confirm a chunk of the log."""
         place = {"attempt": claim["attempt"], "offset": offset, "size_bytes": len(data)}
         sums = {"sha256": sha256(data), "crc64nvme": crc64(data), "md5": md5(data)}
         signed = self.api.post(f"/runner/runs/{claim['run_id']}/log-chunks", place | sums).ok()
-        # Tried again, as runners do: a proxy may have just ended the connection that was kept.
+        # Repeated, as runners do: a proxy may have just closed the connection.
         sent = _POOL.request("PUT", signed["url"], body=data, headers=signed["headers"], retries=3)
-        # 412: the first try was kept, and its answer lost.
+        # 412: the first request was stored, and its response lost.
         assert sent.status in {200, 412}
         self.api.post(f"/runner/runs/{claim['run_id']}/log-chunks/confirm", place).ok(204)
 
@@ -85,7 +88,7 @@ class Played:
         assert decision["decision"] == "upload", decision
         return decision["upload"]
 
-    def leave(self, claim: Mapping[str, Any], path: str, data: bytes) -> None:
+    def upload_artifact(self, claim: Mapping[str, Any], path: str, data: bytes) -> None:
         """Upload an artifact."""
         begun = self.begin(claim, path, data)
         send(self.api, begun, data)
@@ -94,31 +97,31 @@ class Played:
         assert outcome["outcome"] == "completed", outcome
 
     def finish(self, claim: Mapping[str, Any], reason: str = "done", **values: Any) -> Answer:
-        """Say how a run ended."""
+        """Report the end of a run."""
         body = {"attempt": claim["attempt"], "reason": reason, "message": "", "exit_code": 0, **values}
         return self.api.post(f"/runner/runs/{claim['run_id']}/finish", body)
 
 
 @pytest.fixture(scope="module")
 def lab(start_api: StartApi) -> Api:
-    """An API of this module's own: its queue is nobody else's."""
+    """An API of this module alone, so that its queue has no other runs."""
     return start_api()
 
 
 @pytest.fixture
-def runner(lab: Api) -> Played:
-    """A runner that has said hello."""
+def runner(lab: Api) -> FakeRunner:
+    """A registered runner."""
     admin = people.person(lab, admin=True)
-    played = Played(lab.as_(people.token(lab, admin, [Scope.run], kind=TokenKind.runner).secret))
-    played.hello()
-    return played
+    fake_runner = FakeRunner(lab.as_(people.token(lab, admin, [Scope.run], kind=TokenKind.runner).secret))
+    fake_runner.register()
+    return fake_runner
 
 
-def another(lab: Api, like: Played) -> Played:
+def another(lab: Api, like: FakeRunner) -> FakeRunner:
     """Return a further runner with the same labels, and with a token of its own."""
     admin = people.person(lab, admin=True)
     token = people.token(lab, admin, [Scope.run], kind=TokenKind.runner)
-    return Played(lab.as_(token.secret), labels=like.labels)
+    return FakeRunner(lab.as_(token.secret), labels=like.labels)
 
 
 @dataclass(frozen=True)
@@ -139,14 +142,14 @@ def place(lab: Api) -> Place:
     return Place(project, mission, {path: upload(lab, mission["id"], path, body) for path, body in bodies.items()})
 
 
-def definition(runner: Played, **values: Any) -> dict[str, Any]:
-    """An action that only this runner does."""
+def definition(runner: FakeRunner, **values: Any) -> dict[str, Any]:
+    """Return an action that only this runner is eligible for."""
     resources = {"labels": runner.labels, **values.pop("resources", {})}
     return {"name": "count", "script": "print('hello')\n", "resources": resources, **values}
 
 
-def launch(api: Api, runner: Played, mission: Any, *, force: bool = True, **values: Any) -> Any:
-    """Put a run into the queue; returns it."""
+def launch(api: Api, runner: FakeRunner, mission: Any, *, force: bool = True, **values: Any) -> Any:
+    """Launch a run and return it."""
     parameters = values.pop("given", {})
     expected = {"mission_ids": [mission["id"]], "definition": definition(runner, **values), "parameters": parameters}
     (made,) = api.post("/runs", expected | {"force": force}).ok()["items"]

@@ -10,7 +10,7 @@ import pytest
 from kleinkram.contract.access import Right
 from tests.integration import people
 from tests.integration.api_server import Api
-from tests.integration.runs.conftest import Place, Played, launch
+from tests.integration.runs.conftest import FakeRunner, Place, launch
 from tests.integration.upload_client import sha256, upload
 
 _OPENAPI = Path(__file__).parents[3] / "docs" / "openapi.json"
@@ -30,15 +30,15 @@ class World(NamedTuple):
 
 
 @pytest.fixture(name="world")
-def _world(lab: Api, runner: Played, place: Place) -> World:
+def _world(lab: Api, runner: FakeRunner, place: Place) -> World:
     hidden = lab.project()
     vault = lab.mission(hidden["id"], name="vault mission")
     mission = place.mission["id"]
     moving = upload(lab, mission, "wexford-input.bin", _INPUT)
     launch(lab, runner, place.mission, right="CREATE")
     claim = runner.claim()
-    runner.leave(claim, "result.bin", _OUTPUT)
-    runner.leave(claim, ".kleinkram/log", b"a line\n")
+    runner.upload_artifact(claim, "result.bin", _OUTPUT)
+    runner.upload_artifact(claim, ".kleinkram/log", b"a line\n")
     values = {"file": "wexford-input.bin", "message": "odd", "code": "odd", "severity": "warning"}
     metric = {"name": "rate", "value": 1, "unit": None, "file": "wexford-input.bin"}
     put_back = [{"path": "result.bin", "to": "wexford-output.bin", "made_from": ["drive.bin", "wexford-input.bin"]}]
@@ -63,7 +63,7 @@ def _world(lab: Api, runner: Played, place: Place) -> World:
 
 
 def _reported(answer: Any, requested: str) -> str:
-    """Return what an answer says besides what was asked for."""
+    """Return the body of a response without the names that the request contained."""
     stored = {**answer.body, "detail": "", "ref": ""} if isinstance(answer.body, dict) else answer.body
     return json.dumps(stored).replace(requested, "")
 
@@ -122,7 +122,7 @@ def test_owners_of_both_places_see_both(world: World, lab: Api) -> None:
     assert metric["metric"]["file"] == "wexford-input.bin"
 
 
-def test_an_input_in_the_trash_of_its_own_mission_is_still_named(world: World, lab: Api, runner: Played) -> None:
+def test_an_input_in_the_trash_of_its_own_mission_is_still_named(world: World, lab: Api, runner: FakeRunner) -> None:
     # Another mission with a run: where a file lies is compared with the mission of its own run, not of any.
     mission = lab.mission(lab.project()["id"])
     stored = upload(lab, mission["id"], "trashed.bin", b"an input that goes to the trash")

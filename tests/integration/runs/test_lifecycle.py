@@ -3,11 +3,11 @@
 import uuid
 
 from tests.integration.api_server import Api
-from tests.integration.runs.conftest import Place, Played, another, launch
+from tests.integration.runs.conftest import FakeRunner, Place, another, launch
 from tests.integration.upload_client import fetch, sha256
 
 
-def test_a_run_goes_from_the_queue_to_its_results(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_goes_from_the_queue_to_its_results(lab: Api, runner: FakeRunner, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     assert (made["state"], made["input_count"], made["may_cancel"]) == ("queued", 2, True)
     claim = runner.claim()
@@ -25,8 +25,8 @@ def test_a_run_goes_from_the_queue_to_its_results(lab: Api, runner: Played, plac
     runner.write(claim, 0, b"one\n")
     runner.write(claim, 4, b"two\n")
     assert lab.get(f"/runs/{made['id']}/log").ok()["text"] == "one\n"
-    runner.leave(claim, "figures/track.txt", b"a track")
-    runner.leave(claim, ".kleinkram/log", b"one\ntwo\n")
+    runner.upload_artifact(claim, "figures/track.txt", b"a track")
+    runner.upload_artifact(claim, ".kleinkram/log", b"one\ntwo\n")
     report = {
         "findings": [{"severity": "warning", "code": "imu.gap", "message": "a gap", "file": "drive.bin"}],
         "metrics": [{"name": "ate_rmse", "value": 0.12, "unit": "m"}],
@@ -34,7 +34,7 @@ def test_a_run_goes_from_the_queue_to_its_results(lab: Api, runner: Played, plac
         "previews": [{"path": "figures/track.txt", "title": "Track"}, {"path": "not there"}],
     }
     assert runner.finish(claim, report=report).ok() == {"state": "done"}
-    assert runner.finish(claim, report=report).ok() == {"state": "done"}, "said again"
+    assert runner.finish(claim, report=report).ok() == {"state": "done"}, "repeated"
     seen = lab.get(f"/runs/{made['id']}").ok()
     assert (seen["state"], seen["reason"], seen["artifact_count"], seen["metric_count"]) == ("done", "done", 1, 1)
     assert (seen["finding_counts"], seen["metadata"]) == ({"warning": 1}, {"distance_m": 12.5})
@@ -53,7 +53,7 @@ def test_a_run_goes_from_the_queue_to_its_results(lab: Api, runner: Played, plac
     assert (log["text"], log["is_over"]) == ("two\n", True)
 
 
-def test_a_claim_is_answered_again_after_a_lost_answer(lab: Api, runner: Played, place: Place) -> None:
+def test_a_claim_is_answered_again_after_a_lost_answer(lab: Api, runner: FakeRunner, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     first = runner.claim()
     runner.active_ids.clear()
@@ -61,14 +61,14 @@ def test_a_claim_is_answered_again_after_a_lost_answer(lab: Api, runner: Played,
     assert (again["run_id"], again["attempt"]) == (made["id"], first["attempt"])
 
 
-def test_a_run_whose_runner_is_lost_is_queued_again(lab: Api, runner: Played, place: Place) -> None:
-    """It goes to another one; what the first still says of it is refused, and nothing of its attempt stays."""
+def test_a_run_whose_runner_is_lost_is_queued_again(lab: Api, runner: FakeRunner, place: Place) -> None:
+    """Another runner gets it; requests of the first are refused, and nothing of its attempt remains."""
     made = launch(lab, runner, place.mission)
     first = runner.claim()
-    runner.leave(first, "half", b"half a result")
+    runner.upload_artifact(first, "half", b"half a result")
     _expire_lease(lab, made["id"])
     other = another(lab, runner)
-    other.hello()
+    other.register()
     second = other.claim()
     assert (second["run_id"], second["attempt"]) == (made["id"], 2)
     assert runner.heartbeat(first) == "lost"
@@ -78,7 +78,7 @@ def test_a_run_whose_runner_is_lost_is_queued_again(lab: Api, runner: Played, pl
     assert lab.get(f"/runs/{made['id']}").ok()["state"] == "done"
 
 
-def test_a_run_that_loses_its_runners_repeatedly_fails(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_that_loses_its_runners_repeatedly_fails(lab: Api, runner: FakeRunner, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     for attempt in (1, 2, 3):
         runner.active_ids.clear()
@@ -91,7 +91,7 @@ def test_a_run_that_loses_its_runners_repeatedly_fails(lab: Api, runner: Played,
     assert "3 times" in seen["message"]
 
 
-def test_a_started_run_stays_with_its_runner_for_longer(lab: Api, runner: Played, place: Place) -> None:
+def test_a_started_run_stays_with_its_runner_for_longer(lab: Api, runner: FakeRunner, place: Place) -> None:
     launch(lab, runner, place.mission)
     claim = runner.claim()
     lasting = []
@@ -102,12 +102,12 @@ def test_a_started_run_stays_with_its_runner_for_longer(lab: Api, runner: Played
     assert 50 < lasting[0] <= 60 < 800 < lasting[1] <= 900
 
 
-def test_runs_of_a_silent_runner_can_be_cancelled(lab: Api, runner: Played, place: Place) -> None:
+def test_runs_of_a_silent_runner_can_be_cancelled(lab: Api, runner: FakeRunner, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     runner.heartbeat(runner.claim(), "collecting")
     assert lab.post(f"/runs/{made['id']}/cancel").ok()["state"] == "collecting"
     other = another(lab, runner)
-    other.hello()
+    other.register()
     assert other.claim() is None
     assert lab.get(f"/runs/{made['id']}").ok()["state"] == "collecting", "its runner was heard a moment ago"
     lab.sql("UPDATE runner SET last_seen_at = now() - interval '61 seconds' WHERE id = %s", uuid.UUID(runner.id))
@@ -119,11 +119,11 @@ def _expire_lease(lab: Api, run_id: str) -> None:
     lab.sql("UPDATE run SET lease_ends_at = now() - interval '1 second' WHERE id = %s", uuid.UUID(run_id))
 
 
-def test_a_restored_artifact_is_a_file_with_its_lineage(lab: Api, runner: Played, place: Place) -> None:
+def test_a_restored_artifact_is_a_file_with_its_lineage(lab: Api, runner: FakeRunner, place: Place) -> None:
     made = launch(lab, runner, place.mission, right="CREATE")
     claim = runner.claim()
-    runner.leave(claim, "clean.bin", b"cleaned")
-    runner.leave(claim, "second.bin", b"other")
+    runner.upload_artifact(claim, "clean.bin", b"cleaned")
+    runner.upload_artifact(claim, "second.bin", b"other")
     put_back = [
         {"path": "clean.bin", "to": "clean/drive.bin", "made_from": ["drive.bin"]},
         {"path": "second.bin", "to": "drive.bin"},
@@ -142,26 +142,26 @@ def test_a_restored_artifact_is_a_file_with_its_lineage(lab: Api, runner: Played
     assert [entry["path"] for entry in reader["files"]] == ["clean/drive.bin"]
 
 
-def test_an_action_that_may_only_read_puts_nothing_back(lab: Api, runner: Played, place: Place) -> None:
+def test_an_action_that_may_only_read_puts_nothing_back(lab: Api, runner: FakeRunner, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     claim = runner.claim()
-    runner.leave(claim, "clean.bin", b"cleaned")
+    runner.upload_artifact(claim, "clean.bin", b"cleaned")
     runner.finish(claim, report={"put_back": [{"path": "clean.bin", "to": "clean.bin"}]}).ok()
     assert len(lab.all("/files", {"mission_id": place.mission["id"]})) == 2
     assert "right: CREATE" in lab.get(f"/runs/{made['id']}").ok()["problems"][0]
 
 
-def test_a_run_without_heartbeats_has_its_image_digest(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_without_heartbeats_has_its_image_digest(lab: Api, runner: FakeRunner, place: Place) -> None:
     launched = launch(lab, runner, place.mission)
     runner.finish(runner.claim(), image_digest="sha256:short").ok()
     assert lab.get(f"/runs/{launched['id']}").ok()["image_digest"] == "sha256:short"
 
 
-def test_results_of_an_identical_run_are_reused_unless_forced(lab: Api, runner: Played, place: Place) -> None:
+def test_results_of_an_identical_run_are_reused_unless_forced(lab: Api, runner: FakeRunner, place: Place) -> None:
     first = launch(lab, runner, place.mission)
     claim = runner.claim()
     runner.heartbeat(claim, image_digest="sha256:stock")
-    runner.leave(claim, "made", b"made")
+    runner.upload_artifact(claim, "made", b"made")
     of_file = [{"name": f"of_file_{number}", "value": number, "file": "drive.bin"} for number in range(20)]
     report = {
         "previews": [{"path": "made", "title": "Made"}],
@@ -184,7 +184,7 @@ def test_results_of_an_identical_run_are_reused_unless_forced(lab: Api, runner: 
     assert launch(lab, runner, place.mission, force=True)["state"] == "queued"
 
 
-def test_cancelling(lab: Api, runner: Played, place: Place) -> None:
+def test_cancelling(lab: Api, runner: FakeRunner, place: Place) -> None:
     queued = launch(lab, runner, place.mission)
     assert lab.post(f"/runs/{queued['id']}/cancel").ok()["state"] == "cancelled"
     assert runner.claim() is None
@@ -193,10 +193,10 @@ def test_cancelling(lab: Api, runner: Played, place: Place) -> None:
     assert lab.post(f"/runs/{active_ids['id']}/cancel").ok()["cancel_requested_at"] is not None
     assert runner.heartbeat(claim) == "cancel"
     assert runner.finish(claim, "cancelled").ok() == {"state": "cancelled"}
-    assert lab.post(f"/runs/{active_ids['id']}/cancel").ok()["state"] == "cancelled", "said again"
+    assert lab.post(f"/runs/{active_ids['id']}/cancel").ok()["state"] == "cancelled", "repeated"
 
 
-def test_a_mission_that_is_deleted_ends_its_runs(lab: Api, runner: Played, place: Place) -> None:
+def test_a_mission_that_is_deleted_ends_its_runs(lab: Api, runner: FakeRunner, place: Place) -> None:
     launch(lab, runner, place.mission)
     claim = runner.claim()
     launch(lab, runner, place.mission)
@@ -206,7 +206,7 @@ def test_a_mission_that_is_deleted_ends_its_runs(lab: Api, runner: Played, place
     runner.finish(claim, "cancelled").ok()
 
 
-def test_no_file_fits(lab: Api, runner: Played, place: Place) -> None:
+def test_no_file_fits(lab: Api, runner: FakeRunner, place: Place) -> None:
     action = {"name": "bags", "script": "x", "inputs": {"paths": ["*.bag"]}}
     (refused,) = lab.post("/runs", {"mission_ids": [place.mission["id"]], "definition": action}).ok()["items"]
     assert refused["outcome"] == "refused"
@@ -214,21 +214,21 @@ def test_no_file_fits(lab: Api, runner: Played, place: Place) -> None:
     assert "*.bag" in refused["problem"]["detail"]
 
 
-def test_a_queued_run_says_what_it_waits_for(lab: Api, runner: Played, place: Place) -> None:
+def test_a_queued_run_says_what_it_waits_for(lab: Api, runner: FakeRunner, place: Place) -> None:
     made = launch(lab, runner, place.mission, resources={"cores": 4})
     lab.sql("UPDATE runner SET capacity = capacity || '{\"cores\": 2}' WHERE id = %s", runner.id)
     assert "it has 2 cores and 4 are asked for" in lab.get(f"/runs/{made['id']}").ok()["waits_for"]
     assert "its turn" in launch(lab, runner, place.mission)["waits_for"]
 
 
-def test_claims_respect_free_resources(lab: Api, runner: Played, place: Place) -> None:
+def test_claims_respect_free_resources(lab: Api, runner: FakeRunner, place: Place) -> None:
     launch(lab, runner, place.mission, resources={"cores": 3, "memory": "8GB"})
     assert runner.claim(cores=2) is None
     assert runner.claim(memory_bytes=7 * 10**9) is None
     assert runner.claim(cores=3) is not None
 
 
-def test_each_wrong_parameter_is_named(lab: Api, runner: Played, place: Place) -> None:
+def test_each_wrong_parameter_is_named(lab: Api, runner: FakeRunner, place: Place) -> None:
     parameters = [{"name": "rate", "type": "number", "minimum": 0}, {"name": "topic", "type": "topic"}]
     action = {"name": "count", "script": "x", "parameters": parameters}
     expected = {"mission_ids": [place.mission["id"]], "definition": action, "parameters": {"rate": -1, "speed": 2}}

@@ -14,11 +14,11 @@ from kleinkram.server.s3.storage import Storage
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.jobs import on_site
-from tests.integration.runs.conftest import Place, Played, another, launch
+from tests.integration.runs.conftest import FakeRunner, Place, another, launch
 from tests.integration.upload_client import crc64, send, sha256, wait_until
 
 
-def test_inputs_stay_as_long_as_a_run_may_read_them(lab: Api, runner: Played, place: Place) -> None:
+def test_inputs_stay_as_long_as_a_run_may_read_them(lab: Api, runner: FakeRunner, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     file_id = place.files["drive.bin"]["id"]
     lab.sql("UPDATE run_input SET file_id = NULL WHERE file_id = %s", file_id)
@@ -30,14 +30,14 @@ def test_inputs_stay_as_long_as_a_run_may_read_them(lab: Api, runner: Played, pl
     assert lab.sql("SELECT marked_for_deletion_at IS NOT NULL FROM blob WHERE id = %s", blob_id) in ([(True,)], [])
 
 
-def test_artifacts_of_a_run_remain_until_its_mission_is_deleted(lab: Api, runner: Played, place: Place) -> None:
-    """With the mission goes all of it; the record still speaks of the run's token."""
+def test_artifacts_of_a_run_remain_until_its_mission_is_deleted(lab: Api, runner: FakeRunner, place: Place) -> None:
+    """The mission's deletion removes all of them; the audit log still names the token of the run."""
     launch(lab, runner, place.mission, network="api", right="WRITE")
     claim = runner.claim()
     lab.as_(claim["token"]).patch(f"/missions/{place.mission['id']}", {"notes": "by the run"}).ok()
     runner.write(claim, 0, b"a line\n")
-    runner.leave(claim, "made", b"made")
-    runner.leave(claim, ".kleinkram/log", b"a line\n")
+    runner.upload_artifact(claim, "made", b"made")
+    runner.upload_artifact(claim, ".kleinkram/log", b"a line\n")
     runner.finish(claim).ok()
     blobs = _blobs(lab, claim["run_id"])
     assert len(blobs) == 2
@@ -54,7 +54,7 @@ def test_artifacts_of_a_run_remain_until_its_mission_is_deleted(lab: Api, runner
     assert lab.sql("SELECT count(*) FROM token WHERE kind = 'run' AND run_id IS NULL AND revoked_at IS NOT NULL")[0][0]
 
 
-def test_an_unrecorded_artifact_upload_is_recovered(lab: Api, runner: Played, place: Place) -> None:
+def test_an_unrecorded_artifact_upload_is_recovered(lab: Api, runner: FakeRunner, place: Place) -> None:
     launch(lab, runner, place.mission)
     claim, data = runner.claim(), bytes(20_000_000)
     upload_id = runner.begin(claim, "large", data)["id"]
@@ -66,7 +66,7 @@ def test_an_unrecorded_artifact_upload_is_recovered(lab: Api, runner: Played, pl
 
 @pytest.mark.parametrize("size_bytes", [100, 10_000_000])
 def test_an_artifact_is_stored_if_its_runner_is_killed_on_completion(
-    lab: Api, runner: Played, place: Place, size_bytes: int
+    lab: Api, runner: FakeRunner, place: Place, size_bytes: int
 ) -> None:
     launch(lab, runner, place.mission)
     claim, data = runner.claim(), bytes(size_bytes)
@@ -84,10 +84,10 @@ def test_an_artifact_is_stored_if_its_runner_is_killed_on_completion(
     assert (stored["path"], stored["size_bytes"]) == ("map.ply", size_bytes)
 
 
-def test_deleting_an_input_names_the_files_made_from_it(lab: Api, runner: Played, place: Place) -> None:
+def test_deleting_an_input_names_the_files_made_from_it(lab: Api, runner: FakeRunner, place: Place) -> None:
     launch(lab, runner, place.mission, right="CREATE")
     claim = runner.claim()
-    runner.leave(claim, "clean", b"cleaned")
+    runner.upload_artifact(claim, "clean", b"cleaned")
     put_back = [{"path": "clean", "to": "clean/drive", "made_from": ["drive.bin"]}]
     runner.finish(claim, report={"put_back": put_back}).ok()
     reported = lab.delete(f"/files/{place.files['drive.bin']['id']}", {"dry_run": "true"}).ok()
@@ -96,15 +96,15 @@ def test_deleting_an_input_names_the_files_made_from_it(lab: Api, runner: Played
     assert (other["read_by_runs"], other["made_from_it"]) == (1, []), "it was read, and nothing was made of it"
 
 
-def test_a_run_is_assigned_to_one_of_several_concurrent_runners(lab: Api, runner: Played, place: Place) -> None:
-    """Ten at once, forty runs: each is begun once."""
+def test_a_run_is_assigned_to_one_of_several_concurrent_runners(lab: Api, runner: FakeRunner, place: Place) -> None:
+    """Ten runners claim forty runs at the same time: each is started once."""
     runs = [launch(lab, runner, place.mission)["id"] for _ in range(40)]
     runners = [another(lab, runner) for _ in range(10)]
     for entry in runners:
-        entry.hello()
+        entry.register()
     claimed: list[str] = []
 
-    def ask(entry: Played) -> None:
+    def ask(entry: FakeRunner) -> None:
         while (result := entry.claim()) is not None:
             claimed.append(result["run_id"])
 
@@ -116,7 +116,7 @@ def test_a_run_is_assigned_to_one_of_several_concurrent_runners(lab: Api, runner
     assert sorted(claimed) == sorted(runs)
 
 
-def test_waiting_readers_get_new_log_chunks(lab: Api, runner: Played, place: Place) -> None:
+def test_waiting_readers_get_new_log_chunks(lab: Api, runner: FakeRunner, place: Place) -> None:
     got: list[str] = []
     waiting = threading.Thread(target=lambda: got.append(runner.claim(wait_s=20)["run_id"]))
     waiting.start()
@@ -125,7 +125,7 @@ def test_waiting_readers_get_new_log_chunks(lab: Api, runner: Played, place: Pla
     assert got == [made["id"]]
 
 
-def test_a_log_is_read_while_it_grows(lab: Api, runner: Played, place: Place) -> None:
+def test_a_log_is_read_while_it_grows(lab: Api, runner: FakeRunner, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     claim = runner.claim()
     pieces: list[str] = []
@@ -142,14 +142,14 @@ def test_a_log_is_read_while_it_grows(lab: Api, runner: Played, place: Place) ->
     text = "".join(f"line {number} ä\n" for number in range(20_000)).encode()
     for start in range(0, len(text), 70_001):
         runner.write(claim, start, text[start : start + 70_001])
-    runner.leave(claim, ".kleinkram/log", text)
+    runner.upload_artifact(claim, ".kleinkram/log", text)
     runner.finish(claim).ok()
     following.join(timeout=30)
     assert "".join(pieces).encode() == text
 
 
 def test_a_chunk_that_is_replaced_during_a_read_is_found_again(
-    lab: Api, runner: Played, place: Place, monkeypatch: pytest.MonkeyPatch
+    lab: Api, runner: FakeRunner, place: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = launch(lab, runner, place.mission)
     runner.write(runner.claim(), 0, b"a line\n")
@@ -164,7 +164,7 @@ def test_a_chunk_that_is_replaced_during_a_read_is_found_again(
     assert lab.get(f"/runs/{made['id']}/log").ok()["text"] == "a line\n"
 
 
-def test_a_log_missing_from_the_store_is_reported(lab: Api, runner: Played, place: Place) -> None:
+def test_a_log_missing_from_the_store_is_reported(lab: Api, runner: FakeRunner, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     runner.write(runner.claim(), 0, b"a line\n")
     ((key,),) = lab.sql("SELECT key FROM log_chunk WHERE run_id = %s", made["id"])
@@ -172,13 +172,13 @@ def test_a_log_missing_from_the_store_is_reported(lab: Api, runner: Played, plac
     lab.get(f"/runs/{made['id']}/log").refused(503, "store_unavailable")
 
 
-def test_only_the_runner_of_a_run_can_read_how_it_ended(lab: Api, runner: Played, place: Place) -> None:
+def test_only_the_runner_of_a_run_can_read_how_it_ended(lab: Api, runner: FakeRunner, place: Place) -> None:
     launch(lab, runner, place.mission)
     claim = runner.claim()
     runner.finish(claim).ok()
     runner.finish(claim).ok()
     other = people.person(lab)
-    stranger = Played(lab.as_(people.token(lab, other, [Scope.run], kind=TokenKind.runner).secret))
+    stranger = FakeRunner(lab.as_(people.token(lab, other, [Scope.run], kind=TokenKind.runner).secret))
     stranger.finish(claim).refused(409, "run_gone")
 
 
@@ -194,8 +194,8 @@ async def _collect_garbage(context: AppContext) -> None:
 
 def test_runners_that_wait_take_no_streams_from_their_owner(lab: Api) -> None:
     admin = people.person(lab, admin=True)
-    runner = Played(lab.as_(people.token(lab, admin, [Scope.run], kind=TokenKind.runner).secret))
-    runner.hello()
+    runner = FakeRunner(lab.as_(people.token(lab, admin, [Scope.run], kind=TokenKind.runner).secret))
+    runner.register()
     threads = [threading.Thread(target=runner.claim, kwargs={"wait_s": 10}) for _ in range(MAX_STREAMS_PER_PERSON + 1)]
     for thread in threads:
         thread.start()
@@ -208,7 +208,7 @@ def test_runners_that_wait_take_no_streams_from_their_owner(lab: Api) -> None:
 
 
 def test_waiting_log_readers_do_not_block_other_requests(
-    lab: Api, runner: Played, place: Place, monkeypatch: pytest.MonkeyPatch
+    lab: Api, runner: FakeRunner, place: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(hubs, "MAX_LONG_POLLS_PER_ACCOUNT", 3)
     made = launch(lab, runner, place.mission)
@@ -227,7 +227,7 @@ def test_waiting_log_readers_do_not_block_other_requests(
         thread.join()
 
 
-def test_a_log_reader_is_woken_by_its_own_run_alone(lab: Api, runner: Played, place: Place) -> None:
+def test_a_log_reader_is_woken_by_its_own_run_alone(lab: Api, runner: FakeRunner, place: Place) -> None:
     mine, other = (launch(lab, runner, place.mission) for _ in range(2))
     reader = threading.Thread(target=lab.get, args=(f"/runs/{mine['id']}/log", {"wait_s": "4"}))
     reader.start()

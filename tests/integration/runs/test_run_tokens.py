@@ -5,24 +5,24 @@ from typing import Any
 from kleinkram.contract.access import Right
 from tests.integration import people
 from tests.integration.api_server import Api
-from tests.integration.runs.conftest import Place, Played, launch
+from tests.integration.runs.conftest import FakeRunner, Place, launch
 from tests.integration.upload_client import upload
 
 
-def _begun(lab: Api, runner: Played, place: Place, **values: Any) -> tuple[Any, Api]:
-    """Start a run that may speak to the API; returns what its runner claimed, and the API as the run sees it."""
+def _begun(lab: Api, runner: FakeRunner, place: Place, **values: Any) -> tuple[Any, Api]:
+    """Start a run with access to the API; return the claim, and the API with the token of the run."""
     launch(lab, runner, place.mission, network="api", **values)
     claim = runner.claim()
     runner.heartbeat(claim)
     return claim, lab.as_(claim["token"])
 
 
-def test_a_run_without_network_has_no_token(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_without_network_has_no_token(lab: Api, runner: FakeRunner, place: Place) -> None:
     launch(lab, runner, place.mission)
     assert runner.claim()["token"] is None
 
 
-def test_a_run_token_sees_its_mission_only(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_token_sees_its_mission_only(lab: Api, runner: FakeRunner, place: Place) -> None:
     other = lab.mission(place.project["id"])
     _, run = _begun(lab, runner, place)
     assert [entry["id"] for entry in run.all("/missions")] == [place.mission["id"]]
@@ -32,7 +32,7 @@ def test_a_run_token_sees_its_mission_only(lab: Api, runner: Played, place: Plac
     assert len(run.all("/files")) == 2
 
 
-def test_a_run_token_sees_its_run_only(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_token_sees_its_run_only(lab: Api, runner: FakeRunner, place: Place) -> None:
     earlier = launch(lab, runner, place.mission)
     runner.finish(runner.claim()).ok()
     claim, run = _begun(lab, runner, place)
@@ -40,8 +40,8 @@ def test_a_run_token_sees_its_run_only(lab: Api, runner: Played, place: Place) -
     run.get(f"/runs/{earlier['id']}").refused(404, "not_found")
 
 
-def test_a_run_token_has_the_permissions_of_its_action_only(lab: Api, runner: Played, place: Place) -> None:
-    """Whoever started it is the server's owner, who may do everything."""
+def test_a_run_token_has_the_permissions_of_its_action_only(lab: Api, runner: FakeRunner, place: Place) -> None:
+    """The person who started it owns the server and may do everything."""
     _, reading = _begun(lab, runner, place)
     file_id = place.files["drive.bin"]["id"]
     reading.post(f"/missions/{place.mission['id']}/uploads", {"files": [{"path": "a", "size_bytes": 1}]}).refused(
@@ -57,7 +57,7 @@ def test_a_run_token_has_the_permissions_of_its_action_only(lab: Api, runner: Pl
     deleting.delete(f"/files/{file_id}").ok()
 
 
-def test_a_run_token_is_neither_an_admin_nor_a_person(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_token_is_neither_an_admin_nor_a_person(lab: Api, runner: FakeRunner, place: Place) -> None:
     _, run = _begun(lab, runner, place, right="DELETE")
     for path in ("/admin/settings", "/runners", "/tokens", "/me/sessions"):
         assert run.get(path).status == 403
@@ -67,21 +67,21 @@ def test_a_run_token_is_neither_an_admin_nor_a_person(lab: Api, runner: Played, 
     )
 
 
-def test_the_token_of_a_run_identifies_it(lab: Api, runner: Played, place: Place) -> None:
+def test_the_token_of_a_run_identifies_it(lab: Api, runner: FakeRunner, place: Place) -> None:
     _, run = _begun(lab, runner, place)
     me = run.get("/me").ok()
     assert (me["credential"]["kind"], me["credential"]["is_limited"]) == ("run", True)
     assert (me["emails"], me["groups"], me["is_admin"]) == ([], [], False)
 
 
-def test_a_run_token_ends_with_the_run(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_token_ends_with_the_run(lab: Api, runner: FakeRunner, place: Place) -> None:
     claim, run = _begun(lab, runner, place)
     runner.finish(claim).ok()
     run.get("/me").refused(401, "not_authenticated")
 
 
-def test_a_run_token_survives_an_abandoned_request_of_its_runner(lab: Api, runner: Played, place: Place) -> None:
-    """A request whose line was cut waits on, and gets the run once more: it does not know that the next one got it."""
+def test_a_run_token_survives_an_abandoned_request_of_its_runner(lab: Api, runner: FakeRunner, place: Place) -> None:
+    """A request whose connection broke still waits, and receives the run although the next request received it, too."""
     claim, run = _begun(lab, runner, place)
     runner.active_ids.clear()
     again = runner.claim()
@@ -93,14 +93,14 @@ def test_a_run_token_survives_an_abandoned_request_of_its_runner(lab: Api, runne
         entry.get("/me").refused(401, "not_authenticated")
 
 
-def test_a_run_token_ends_when_the_run_moves_to_another_runner(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_token_ends_when_the_run_moves_to_another_runner(lab: Api, runner: FakeRunner, place: Place) -> None:
     claim, run = _begun(lab, runner, place)
     lab.sql("UPDATE run SET lease_ends_at = now() - interval '1 s' WHERE id = %s", claim["run_id"])
     runner.claim()
     run.get("/me").refused(401, "not_authenticated")
 
 
-def test_a_run_token_follows_the_current_rights_of_its_starter(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_token_follows_the_current_rights_of_its_starter(lab: Api, runner: FakeRunner, place: Place) -> None:
     starter = people.person(lab)
     grant = people.grant(lab, starter, Right.write, mission_id=place.mission["id"])
     mine = lab.as_(people.token(lab, starter).secret)
@@ -113,7 +113,7 @@ def test_a_run_token_follows_the_current_rights_of_its_starter(lab: Api, runner:
     run.get(f"/missions/{place.mission['id']}").refused(404, "not_found")
 
 
-def test_losing_the_right_cancels_queued_runs(lab: Api, runner: Played, place: Place) -> None:
+def test_losing_the_right_cancels_queued_runs(lab: Api, runner: FakeRunner, place: Place) -> None:
     starter = people.person(lab)
     grant = people.grant(lab, starter, Right.create, mission_id=place.mission["id"])
     made = launch(lab.as_(people.token(lab, starter).secret), runner, place.mission)
@@ -124,7 +124,7 @@ def test_losing_the_right_cancels_queued_runs(lab: Api, runner: Played, place: P
     assert "may not run it" in seen["message"]
 
 
-def test_launching_requires_the_right_of_the_action(lab: Api, runner: Played, place: Place) -> None:
+def test_launching_requires_the_right_of_the_action(lab: Api, runner: FakeRunner, place: Place) -> None:
     starter = people.person(lab)
     people.grant(lab, starter, Right.create, mission_id=place.mission["id"])
     mine = lab.as_(people.token(lab, starter).secret)
@@ -134,7 +134,7 @@ def test_launching_requires_the_right_of_the_action(lab: Api, runner: Played, pl
     assert (refused["outcome"], refused["problem"]["code"]) == ("refused", "forbidden")
 
 
-def test_a_runners_token_claims_and_reports_and_nothing_else(lab: Api, runner: Played, place: Place) -> None:
+def test_a_runners_token_claims_and_reports_and_nothing_else(lab: Api, runner: FakeRunner, place: Place) -> None:
     for path in ("/missions", "/files", "/runs", "/actions", "/runners", "/home"):
         assert runner.api.get(path).status == 403
     launch(lab, runner, place.mission)

@@ -6,24 +6,24 @@ from typing import Any
 import pytest
 
 from tests.integration.api_server import Api
-from tests.integration.runs.conftest import Place, Played, definition, launch
+from tests.integration.runs.conftest import FakeRunner, Place, definition, launch
 
 
 def _token(lab: Api, **expected: Any) -> Any:
     return lab.post("/tokens", {"name": "for a runner", "kind": "runner", **expected}).ok(201)
 
 
-def _runner(lab: Api, made: Any, **values: Any) -> Played:
-    return Played(lab.as_(made["secret"]), **values)
+def _runner(lab: Api, made: Any, **values: Any) -> FakeRunner:
+    return FakeRunner(lab.as_(made["secret"]), **values)
 
 
 def test_the_first_runner_that_uses_a_token_is_the_only_one(lab: Api) -> None:
     made = _token(lab)
     first, second = _runner(lab, made), _runner(lab, made)
-    first.hello()
-    refused = second.api.post("/runners", {**_hello(second)}).refused(403, "forbidden")
+    first.register()
+    refused = second.api.post("/runners", second.registration()).refused(403, "forbidden")
     assert "klein token create" in refused["detail"]
-    first.hello()
+    first.register()
     (listed,) = [entry for entry in lab.all("/tokens") if entry["id"] == made["token"]["id"]]
     assert listed["runner"] == {"id": first.id, "name": f"runner {first.id[:4]}"}
     (shown,) = [entry for entry in lab.all("/runners") if entry["id"] == first.id]
@@ -33,44 +33,44 @@ def test_the_first_runner_that_uses_a_token_is_the_only_one(lab: Api) -> None:
 
 def test_a_token_of_the_same_person_reaches_no_runs_of_another_runner(lab: Api, place: Place) -> None:
     runner, other = (_runner(lab, _token(lab)) for _ in range(2))
-    runner.hello()
-    other.hello()
+    runner.register()
+    other.register()
     launch(lab, runner, place.mission)
     claim = runner.claim()
     attempt = {"attempt": str(claim["attempt"])}
     other.api.get(f"/runner/runs/{claim['run_id']}/context", attempt).refused(409, "run_gone")
     other.finish(claim).refused(409, "run_gone")
-    other.api.post(f"/runners/{runner.id}/claims", {"free": _hello(other)["capacity"]}).refused(403, "forbidden")
+    other.api.post(f"/runners/{runner.id}/claims", {"free": other.registration()["capacity"]}).refused(403, "forbidden")
     other.api.post(f"/runners/{runner.id}/heartbeats", {"runs": []}).refused(403, "forbidden")
     assert runner.heartbeat(claim) == "active"
 
 
 def test_a_token_that_names_its_runner_is_for_no_other(lab: Api) -> None:
-    mine, other = (Played(lab) for _ in range(2))
+    mine, other = (FakeRunner(lab) for _ in range(2))
     made = _token(lab, runner_id=mine.id)
-    lab.as_(made["secret"]).post("/runners", _hello(other)).refused(403, "forbidden")
-    lab.as_(made["secret"]).post("/runners", _hello(mine)).ok()
+    lab.as_(made["secret"]).post("/runners", other.registration()).refused(403, "forbidden")
+    lab.as_(made["secret"]).post("/runners", mine.registration()).ok()
 
 
 def test_a_new_token_cannot_replace_the_valid_token_of_a_runner(lab: Api) -> None:
     made = _token(lab)
     runner = _runner(lab, made)
-    runner.hello()
-    lab.as_(_token(lab)["secret"]).post("/runners", _hello(runner)).refused(403, "forbidden")
+    runner.register()
+    lab.as_(_token(lab)["secret"]).post("/runners", runner.registration()).refused(403, "forbidden")
     lab.delete(f"/tokens/{made['token']['id']}").ok(204)
-    lab.as_(_token(lab)["secret"]).post("/runners", _hello(runner)).ok()
+    lab.as_(_token(lab)["secret"]).post("/runners", runner.registration()).ok()
 
 
 def test_a_token_of_some_projects_gets_only_runs_on_these(lab: Api, place: Place) -> None:
     elsewhere = lab.project()
     runner = _runner(lab, _token(lab, project_ids=[elsewhere["id"]]))
-    runner.hello()
+    runner.register()
     expected = {"mission_ids": [place.mission["id"]], "definition": definition(runner), "force": True}
     (refused,) = lab.post("/runs", expected).ok()["items"]
     assert refused["problem"]["code"] == "no_runner"
-    assert f"{_hello(runner)['name']}: its token is limited to other projects" in refused["problem"]["detail"]
+    assert f"{runner.registration()['name']}: its token is limited to other projects" in refused["problem"]["detail"]
     allowed = _runner(lab, _token(lab, project_ids=[place.project["id"]]), labels=runner.labels)
-    allowed.hello()
+    allowed.register()
     made = launch(lab, runner, place.mission)
     assert runner.claim() is None
     assert allowed.claim()["run_id"] == made["id"]
@@ -79,14 +79,14 @@ def test_a_token_of_some_projects_gets_only_runs_on_these(lab: Api, place: Place
 def test_a_token_of_some_labels_gets_only_runs_that_ask_for_one(lab: Api, place: Place) -> None:
     label = f"gpu-{uuid.uuid4().hex[:6]}"
     runner = _runner(lab, _token(lab, runner_labels=[label]), labels=[label])
-    runner.hello()
+    runner.register()
     plain = lab.post("/runs", _run(place, [])).ok()["items"][0]["run"]
     assert runner.claim() is None
     requested = lab.post("/runs", _run(place, [label])).ok()["items"][0]["run"]
     assert runner.claim()["run_id"] == requested["id"]
     lab.post(f"/runs/{plain['id']}/cancel").ok()
-    greedy = Played(runner.api, id=runner.id, labels=[label, "another"])
-    refused = greedy.api.post("/runners", _hello(greedy)).refused(403, "forbidden")
+    greedy = FakeRunner(runner.api, id=runner.id, labels=[label, "another"])
+    refused = greedy.api.post("/runners", greedy.registration()).refused(403, "forbidden")
     assert "another" in refused["detail"]
 
 
@@ -101,19 +101,6 @@ def test_a_token_of_some_labels_gets_only_runs_that_ask_for_one(lab: Api, place:
 )
 def test_invalid_token_limits_are_refused(lab: Api, expected: dict[str, Any]) -> None:
     lab.post("/tokens", {"name": "odd", **expected}).refused(422, "invalid_request")
-
-
-def _hello(played: Played) -> dict[str, Any]:
-    """Return what a runner says of itself."""
-    values: dict[str, Any] = {}
-
-    class Listening:
-        def post(self, _path: str, body: dict[str, Any]) -> Any:
-            values.update(body)
-            return type("Answered", (), {"ok": lambda _self: None})()
-
-    Played(Listening(), id=played.id, labels=played.labels).hello()  # type: ignore[arg-type]  # hears, and asks nobody
-    return values
 
 
 def _run(place: Place, labels: list[str]) -> dict[str, Any]:

@@ -11,23 +11,23 @@ from kleinkram.server.access.builtin_groups import OWNER_ID
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.runs.conftest import Place, Played, definition, launch
+from tests.integration.runs.conftest import FakeRunner, Place, definition, launch
 from tests.integration.upload_client import upload
 
 
 @pytest.fixture
 def single(start_api: StartApi) -> Api:
-    """A server with nobody but its owner."""
+    """A server with a single account."""
     return start_api()
 
 
 @pytest.fixture
-def own_runner(single: Api) -> Played:
+def own_runner(single: Api) -> FakeRunner:
     """A runner as `klein up` starts it on a machine without Docker."""
     secret = people.token(single, str(OWNER_ID), [Scope.run], kind=TokenKind.runner).secret
-    played = Played(single.as_(secret), labels=[])
-    played.hello(executor="process", isolation="namespaces", images=False)
-    return played
+    fake_runner = FakeRunner(single.as_(secret), labels=[])
+    fake_runner.register(executor="process", isolation="namespaces", images=False)
+    return fake_runner
 
 
 @pytest.fixture
@@ -38,11 +38,11 @@ def mission(single: Api) -> Any:
 
 
 def test_a_second_account_makes_script_runs_refused_with_the_remedy(
-    single: Api, own_runner: Played, mission: Any
+    single: Api, own_runner: FakeRunner, mission: Any
 ) -> None:
     assert launch(single, own_runner, mission)["waits_for"].startswith("It waits for its turn")
     invited = single.post("/people/invitations", {"email": "second@lab.example"}).ok(201)
-    assert "Docker or Podman" in invited["warning"], "told while there is time to do something"
+    assert "Docker or Podman" in invited["warning"], "the warning comes before it happens"
     assert "Docker or Podman" in single.get("/admin/health").ok()["invitation_warning"]
 
     people.person(single)
@@ -58,7 +58,7 @@ def test_a_second_account_makes_script_runs_refused_with_the_remedy(
     assert "Install Docker or Podman" in retried["detail"]
     health = single.get("/admin/health").ok()
     assert health["runs_problem"].startswith("1 queued run can never start.")
-    assert health["invitation_warning"] is None, "it has happened"
+    assert health["invitation_warning"] is None, "a second person has an account already"
     needs = [(entry["kind"], entry["count"], entry["mission"]["id"]) for entry in single.get("/home").ok()["attention"]]
     assert needs == [("runs_cannot_start", 1, mission["id"])]
 
@@ -67,16 +67,16 @@ def test_a_second_account_makes_script_runs_refused_with_the_remedy(
     assert single.get("/home").ok()["attention"] == []
 
 
-def test_a_runner_with_containers_ends_the_problem(single: Api, own_runner: Played, mission: Any) -> None:
+def test_a_runner_with_containers_ends_the_problem(single: Api, own_runner: FakeRunner, mission: Any) -> None:
     people.person(single)
-    own_runner.hello()
+    own_runner.register()
     assert launch(single, own_runner, mission)["waits_for"].startswith("It waits for its turn")
     health = single.get("/admin/health").ok()
     assert (health["runs_problem"], health["invitation_warning"]) == (None, None)
     assert single.post("/people/invitations", {"email": "third@lab.example"}).ok(201)["warning"] is None
 
 
-def test_runs_wait_for_a_runner_that_is_temporarily_off(single: Api, own_runner: Played, mission: Any) -> None:
+def test_runs_wait_for_a_runner_that_is_temporarily_off(single: Api, own_runner: FakeRunner, mission: Any) -> None:
     single.sql("UPDATE runner SET last_seen_at = now() - interval '1 day'")
     waits = launch(single, own_runner, mission)["waits_for"]
     assert "which is not running" in waits
@@ -93,7 +93,7 @@ def test_runs_wait_for_a_runner_that_is_temporarily_off(single: Api, own_runner:
     ],
 )
 def test_requirements_that_no_runner_meets_are_refused(
-    single: Api, own_runner: Played, mission: Any, expected: dict[str, Any], why: str
+    single: Api, own_runner: FakeRunner, mission: Any, expected: dict[str, Any], why: str
 ) -> None:
     action = {key: value for key, value in (definition(own_runner) | expected).items() if value is not None}
     (item,) = single.post("/runs", {"mission_ids": [mission["id"]], "definition": action}).ok()["items"]
@@ -102,7 +102,7 @@ def test_requirements_that_no_runner_meets_are_refused(
     assert "klein runner start" in item["problem"]["detail"]
 
 
-def test_reused_results_need_no_runner(single: Api, own_runner: Played, mission: Any) -> None:
+def test_reused_results_need_no_runner(single: Api, own_runner: FakeRunner, mission: Any) -> None:
     launch(single, own_runner, mission)
     claim = own_runner.claim()
     own_runner.heartbeat(claim, image_digest="sha256:stock")
@@ -111,7 +111,7 @@ def test_reused_results_need_no_runner(single: Api, own_runner: Played, mission:
     assert launch(single, own_runner, mission, force=False)["state"] == "done"
 
 
-def test_failed_runs_need_attention_until_the_same_action_succeeds(lab: Api, runner: Played, place: Place) -> None:
+def test_failed_runs_need_attention_until_the_same_action_succeeds(lab: Api, runner: FakeRunner, place: Place) -> None:
     member = people.person(lab)
     people.grant(lab, member, Right.read, mission_id=place.mission["id"])
     stranger = lab.as_(people.person(lab).token)

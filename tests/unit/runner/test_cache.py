@@ -31,11 +31,11 @@ def never(_: PartialInput) -> None:
 
 
 def wait(_: float) -> None:
-    """Wait as a run does that nobody ends."""
+    """Wait without a stop request."""
 
 
 def bring(cache: InputCache, data: bytes, used: float) -> None:
-    """Have a file in the cache, last used at some time."""
+    """Add a file to the cache, last used at some time."""
     cache.make_space([input_file(data)])
     cache.get(input_file(data), giving(data), wait)
     os.utime(cache._directory / f"{input_file(data).sha256}.seal", (used, used))

@@ -17,7 +17,7 @@ from kleinkram.runner.executors.docker.container import LOG_LABEL, ContainerLog
 
 
 class StoredOutput(DockerClient):
-    """An engine that stores this output of a container, and nothing else."""
+    """An engine that only stores the output of a container."""
 
     def __init__(self, pieces: list[bytes]) -> None:
         super().__init__(Path("/nowhere"))

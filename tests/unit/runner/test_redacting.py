@@ -11,7 +11,7 @@ SIGNED = b"https://store/x?X-Amz-Credential=key%2F2026&X-Amz-Signature=" + b"012
 
 
 def cleaned(redactor: Redactor, data: bytes, most_bytes: int) -> bytes:
-    """Clean a log piece by piece, as it is followed."""
+    """Redact a log in chunks, as it is uploaded."""
     out, at = b"", 0
     while at < len(data):
         window = data[at : at + most_bytes]

@@ -28,15 +28,8 @@ from kleinkram.client.transfer.destination import (
     regular_size,
 )
 from kleinkram.client.transfer.local_file import SLICE_BYTES, is_same
-from kleinkram.client.transfer.pool import Part, RateLimit, TransferPool, check_limits
-from kleinkram.client.transfer.report import (
-    CONNECTIONS,
-    Outcome,
-    ResultCollector,
-    TransferReport,
-    TransferResult,
-    Watcher,
-)
+from kleinkram.client.transfer.pool import Part, TransferPool
+from kleinkram.client.transfer.report import CONNECTIONS, Outcome, TransferReport, TransferResult, Watcher
 from kleinkram.client.transfer.store import GetResult, StoreResult
 from kleinkram.contract.errors import FileUnavailable, KleinkramError, NotFound
 from kleinkram.contract.files import DownloadLink
@@ -98,24 +91,22 @@ def fetch(
 
     `server` is the URL of the server. `check` has it read a file that the store does not return.
     """
-    check_limits(connections, bytes_per_s)
     watcher = watcher or Watcher()
-    results = ResultCollector(watcher)
-    if plan.targets:
-        _check_room(plan)
-    watcher.began(len(plan.targets), plan.size_bytes)
     downloader = Downloader(
         links,
         server,
         connections=connections,
-        pace=RateLimit(bytes_per_s),
+        bytes_per_s=bytes_per_s,
         watcher=watcher,
         overwrite=overwrite,
-        ended=lambda result: results.add(result.file_id, result),
         check=check,
     )
+    if plan.targets:
+        _check_room(plan)
+    watcher.began(len(plan.targets), plan.size_bytes)
     link = downloader.run(lambda: downloader.queue(plan.targets))
-    return TransferReport(results.in_order([target.file.id for target in plan.targets]), plan.left_out, link)
+    by_id = {result.file_id: result for result in downloader.results}
+    return TransferReport([by_id[target.file.id] for target in plan.targets], plan.left_out, link)
 
 
 def _check_room(plan: DownloadPlan) -> None:
@@ -143,7 +134,7 @@ class _FileRange(Part):
 
 
 class Downloader(TransferPool[_FileRange]):
-    """One run of a download. `ended` is called once per file, from any thread."""
+    """One run of a download."""
 
     def __init__(
         self,
@@ -151,10 +142,9 @@ class Downloader(TransferPool[_FileRange]):
         server: str,
         *,
         connections: int,
-        pace: RateLimit,
+        bytes_per_s: float | None,
         watcher: Watcher,
         overwrite: bool,
-        ended: Callable[[TransferResult], None],
         check: Check | None = None,
     ) -> None:
         super().__init__(
@@ -163,14 +153,13 @@ class Downloader(TransferPool[_FileRange]):
             spare_threads=1,  # while one thread hashes, no connection is idle
             max_files=_MAX_FILES,
             max_queued=_MAX_QUEUED_RANGES,
-            pace=pace,
+            bytes_per_s=bytes_per_s,
             watcher=watcher,
         )
         self._links = links
         self._check = check
         self._refused = Counter[uuid.UUID]()
         self._overwrite = overwrite
-        self._ended = ended
         self._targets: dict[uuid.UUID, DownloadTarget] = {}
 
     # -- queueing: the caller's thread --------------------------------------------------------------------------------
@@ -246,7 +235,7 @@ class Downloader(TransferPool[_FileRange]):
             for data in result.slices():
                 self.stop.check()
                 data = data[: part.left_bytes]
-                self._pace.spend(len(data), self.stop.wait)
+                self._rate_limit.spend(len(data), self.stop.wait)
                 file.write(part.offset + part.moved_bytes, data)
                 part.moved_bytes += len(data)
                 self.outages.arrived()
@@ -321,6 +310,6 @@ class Downloader(TransferPool[_FileRange]):
         self, target: DownloadTarget, outcome: Outcome, *, moved_bytes: int = 0, error: KleinkramError | None = None
     ) -> None:
         file = target.file
-        self._ended(
+        self.add_result(
             TransferResult(file.path, target.local, file.size_bytes, outcome, moved_bytes, file.id, file.sha256, error)
         )

@@ -18,7 +18,7 @@ from kleinkram.client import errors
 from kleinkram.client._http import Backoff, store_unreachable
 from kleinkram.client._network import NetworkMonitor
 from kleinkram.client.transfer import store
-from kleinkram.client.transfer.report import LinkReport, OutageReporter, Watcher, diagnose
+from kleinkram.client.transfer.report import LinkReport, OutageReporter, TransferResult, Watcher, diagnose
 from kleinkram.client.transfer.store import StoreAnswer, StoreClient, StoreResult
 from kleinkram.contract.errors import FileUnavailable, KleinkramError, NotFound, UploadGone
 from kleinkram.contract.uploads import MIN_PART_BYTES
@@ -183,14 +183,6 @@ class Budget:
                 self._stop.check()
                 self._changed.wait()
             self._stop.check()
-
-
-def check_limits(connections: int, bytes_per_s: float | None) -> None:
-    """Raise InvalidInput for limits that admit nothing."""
-    if connections < 1:
-        raise errors.InvalidInput(what=f"connections={connections}", reason="it must be at least 1")
-    if bytes_per_s is not None and not bytes_per_s > 0:
-        raise errors.InvalidInput(what=f"bytes_per_s={bytes_per_s}", reason="it must be above zero")
 
 
 class RateLimit:
@@ -376,14 +368,19 @@ class TransferPool(ABC, Generic[PartT]):
         spare_threads: int,
         max_files: int,
         max_queued: int,
-        pace: RateLimit,
+        bytes_per_s: float | None,
         watcher: Watcher,
     ) -> None:
+        if connections < 1:
+            raise errors.InvalidInput(what=f"connections={connections}", reason="it must be at least 1")
+        if bytes_per_s is not None and not bytes_per_s > 0:
+            raise errors.InvalidInput(what=f"bytes_per_s={bytes_per_s}", reason="it must be above zero")
         self.stop = Stop()
         self.outages = OutageReporter(watcher.notify)
+        self.results: list[TransferResult] = []
         self._server_url = server_url
         self._watcher = watcher
-        self._pace = pace
+        self._rate_limit = RateLimit(bytes_per_s)
         self._store = StoreClient(connections)
         self._window = CongestionWindow(connections, self.stop)
         self._connections = threading.BoundedSemaphore(connections)
@@ -424,6 +421,11 @@ class TransferPool(ABC, Generic[PartT]):
         if (advice := self.outages.report().advice()) is not None:
             self._watcher.notify(advice)
         raise failure
+
+    def add_result(self, result: TransferResult) -> None:
+        """Add the result for a file, and pass it to the watcher."""
+        self.results.append(result)
+        self._watcher.ended(result.path, result.outcome.value, str(result.error) if result.error else None)
 
     def wait_for_server(self, seconds: float) -> None:
         """Wait before a request to the server is tried again, and report that it does not answer."""

@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 import uuid
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -67,25 +67,6 @@ class TransferResult:
     file_id: uuid.UUID | None = None
     sha256: str | None = None
     error: KleinkramError | None = None
-
-
-class ResultCollector:
-    """Collects the results of a transfer by key. Safe to share between threads."""
-
-    def __init__(self, watcher: Watcher) -> None:
-        self._watcher = watcher
-        self._lock = threading.Lock()
-        self._results: dict[Hashable, TransferResult] = {}
-
-    def add(self, key: Hashable, result: TransferResult) -> None:
-        """Keep a result, and pass it to the watcher."""
-        with self._lock:
-            self._results[key] = result
-        self._watcher.ended(result.path, result.outcome.value, str(result.error) if result.error else None)
-
-    def in_order(self, keys: Sequence[Hashable]) -> list[TransferResult]:
-        """Return the results of these keys."""
-        return [self._results[key] for key in keys]
 
 
 @dataclass(frozen=True)

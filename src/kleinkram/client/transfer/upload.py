@@ -17,16 +17,7 @@ from kleinkram.client.files import Uploads
 from kleinkram.client.transfer.journal import Journal, JournalHead, Journals
 from kleinkram.client.transfer.local_file import FileHashes, OpenFile
 from kleinkram.client.transfer.plan import LocalFile, UploadPlan
-from kleinkram.client.transfer.pool import RateLimit, check_limits
-from kleinkram.client.transfer.report import (
-    CONNECTIONS,
-    LinkReport,
-    Outcome,
-    ResultCollector,
-    TransferReport,
-    TransferResult,
-    Watcher,
-)
+from kleinkram.client.transfer.report import CONNECTIONS, LinkReport, Outcome, TransferReport, TransferResult, Watcher
 from kleinkram.client.transfer.upload_pipeline import FileUpload, UploadPipeline
 from kleinkram.contract.errors import KleinkramError, NameLeased, QuotaExceeded, UploadGone
 from kleinkram.contract.problems import from_problem
@@ -65,21 +56,19 @@ def upload(
         ServerUnreachable, StoreUnreachable: one of them stayed unavailable.
         KleinkramError: something else that concerns all files, such as a mission that was deleted.
     """
-    check_limits(connections, bytes_per_s)
     watcher = watcher or Watcher()
-    results = ResultCollector(watcher)
-    watcher.began(len(plan.files), plan.size_bytes)
     uploader = Uploader(
         client.uploads,
         client.endpoint.url,
         mission_id,
         connections=connections,
-        pace=RateLimit(bytes_per_s),
+        bytes_per_s=bytes_per_s,
         watcher=watcher,
-        ended=lambda result: results.add(result.path, result),
     )
+    watcher.began(len(plan.files), plan.size_bytes)
     link = uploader.run(plan.files)
-    return TransferReport(results.in_order([file.path for file in plan.files]), plan.left_out, link)
+    by_path = {result.path: result for result in uploader.results}
+    return TransferReport([by_path[file.path] for file in plan.files], plan.left_out, link)
 
 
 @dataclass
@@ -117,7 +106,7 @@ class PendingFile:
 
 
 class Uploader:
-    """One run of an upload into one mission. `ended` is called once per file, from any thread.
+    """One run of an upload into one mission. `results` has one result per file that has ended.
 
     `journals` is the folder of its journals; by default, in this user's state directory.
     """
@@ -129,19 +118,18 @@ class Uploader:
         mission_id: uuid.UUID,
         *,
         connections: int,
-        pace: RateLimit,
+        bytes_per_s: float | None,
         watcher: Watcher,
-        ended: Callable[[TransferResult], None],
         journals: Path | None = None,
     ) -> None:
         self._server = server
         self._mission_id = mission_id
         self._journals = Journals(journals)
         self._watcher = watcher
-        self._ended = ended
         self._pipeline = UploadPipeline(
-            uploads, server, connections=connections, pace=pace, watcher=watcher, ended=ended
+            uploads, server, connections=connections, bytes_per_s=bytes_per_s, watcher=watcher
         )
+        self.results = self._pipeline.results
         self._uploads = self._pipeline.uploads
         self._stop = self._pipeline.stop
         self._leased: dict[LocalFile, NameLeased] = {}
@@ -237,7 +225,7 @@ class Uploader:
         sha256 = candidate.whole.sha256.hexdigest() if candidate.whole else None
         file_id, sha256 = (existing.id, existing.sha256) if existing else (None, sha256)
         outcome = Outcome(decision.decision)
-        self._ended(TransferResult(file.path, file.source, file.size_bytes, outcome, 0, file_id, sha256))
+        self._pipeline.add_result(TransferResult(file.path, file.source, file.size_bytes, outcome, 0, file_id, sha256))
         return False
 
     def _refuse(self, candidate: PendingFile, error: KleinkramError) -> bool:
@@ -288,7 +276,7 @@ class Uploader:
             self._end_refused(file, error)
 
     def _end_refused(self, file: LocalFile, error: KleinkramError) -> None:
-        self._ended(TransferResult(file.path, file.source, file.size_bytes, Outcome.refused, error=error))
+        self._pipeline.add_result(TransferResult(file.path, file.source, file.size_bytes, Outcome.refused, error=error))
 
 
 def batches(files: Iterable[LocalFile]) -> Iterator[list[LocalFile]]:

@@ -7,7 +7,7 @@ thread. The store refuses a part whose bytes changed after they were hashed, bec
 import contextlib
 import time
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed
@@ -16,7 +16,7 @@ from kleinkram.client.transfer import store
 from kleinkram.client.transfer.journal import Journal, JournalPart
 from kleinkram.client.transfer.local_file import FileHashes, FileSlice, OpenFile, new_checksum
 from kleinkram.client.transfer.plan import LocalFile
-from kleinkram.client.transfer.pool import FileTransfer, Part, RateLimit, TransferPool, WorkQueue
+from kleinkram.client.transfer.pool import FileTransfer, Part, TransferPool, WorkQueue
 from kleinkram.client.transfer.report import Outcome, TransferResult, Watcher
 from kleinkram.client.transfer.store import PutResult, StoreAnswer
 from kleinkram.contract.errors import KleinkramError, NotFound, UploadGone, UploadIncomplete
@@ -122,17 +122,10 @@ class FilePart(Part):
 
 
 class UploadPipeline(TransferPool[FilePart]):
-    """Sends the files that the server has agreed to, and finishes them. `ended` is called once per file."""
+    """Sends the files that the server has agreed to, and finishes them."""
 
     def __init__(
-        self,
-        uploads: Uploads,
-        server_url: str,
-        *,
-        connections: int,
-        pace: RateLimit,
-        watcher: Watcher,
-        ended: Callable[[TransferResult], None],
+        self, uploads: Uploads, server_url: str, *, connections: int, bytes_per_s: float | None, watcher: Watcher
     ) -> None:
         super().__init__(
             server_url,
@@ -140,11 +133,10 @@ class UploadPipeline(TransferPool[FilePart]):
             spare_threads=0,
             max_files=_MAX_FILES,
             max_queued=AHEAD_BYTES,
-            pace=pace,
+            bytes_per_s=bytes_per_s,
             watcher=watcher,
         )
         self.uploads = uploads.with_retry(store.TRANSFER_RETRY_S, self.wait_for_server)
-        self._ended = ended
         self._to_sign: WorkQueue[FilePart] = WorkQueue(self.stop)
         self._to_finish: WorkQueue[FileUpload] = WorkQueue(self.stop)
         self._leases: dict[uuid.UUID, FileUpload] = {}
@@ -238,7 +230,7 @@ class UploadPipeline(TransferPool[FilePart]):
             nonlocal sent_bytes
             for piece in part.file.source.stretches(part.offset, part.size_bytes):
                 self.stop.check()
-                self._pace.spend(piece.length, self.stop.wait)
+                self._rate_limit.spend(piece.length, self.stop.wait)
                 yield piece
                 sent_bytes += piece.length
                 if sent_bytes > part.shown_bytes:  # a progress bar never goes back
@@ -313,7 +305,7 @@ class UploadPipeline(TransferPool[FilePart]):
             elif file.end():
                 file.journal.forget()
                 file_id = outcome.file.id if outcome.file else None
-                self._ended(file.result(Outcome.uploaded, file_id=file_id, sha256=request.sha256))
+                self.add_result(file.result(Outcome.uploaded, file_id=file_id, sha256=request.sha256))
             self._close_file(file)
 
     def _fail(self, file: FileUpload, error: KleinkramError) -> None:
@@ -326,4 +318,4 @@ class UploadPipeline(TransferPool[FilePart]):
                 self.uploads.abort(file.upload.id)
         if not isinstance(error, TransferFailed | UploadIncomplete | FileUnreadable):
             file.journal.forget()
-        self._ended(file.result(Outcome.refused, error=error))
+        self.add_result(file.result(Outcome.refused, error=error))

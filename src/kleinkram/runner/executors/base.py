@@ -146,7 +146,7 @@ class Executor(ABC):
 
     @abstractmethod
     def remove(self, job: RunJob) -> None:
-        """Kill a job if it runs, and forget it; its directory stays."""
+        """Kill a job if it runs, and release its resources; its directory stays."""
 
     @abstractmethod
     def remove_others(self, known_keys: Collection[str]) -> None:

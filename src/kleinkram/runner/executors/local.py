@@ -12,7 +12,6 @@ import contextlib
 import os
 import shutil
 import zlib
-from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -119,13 +118,9 @@ class LocalExecutor(Executor):
         """Return the directory that the job saw as `/out`."""
         return job.directory / "out"
 
-    @abstractmethod
-    def _network_refusal(self, network: str) -> str:
-        """Return why jobs cannot have a network."""
-
-    def _check_network(self, job: RunJob) -> None:
+    def _check_network(self, job: RunJob, refusal: str) -> None:
         if job.network not in self.abilities.networks:
-            raise cannot_start(self._network_refusal(job.network.value))
+            raise cannot_start(refusal)
         try:
             loopback_addresses([forward.host for forward in job.port_forwards])
         except ValueError as error:

@@ -119,7 +119,7 @@ def _enter_network_namespace(pid: int) -> None:
 
 
 def serve(listeners: Sequence[socket.socket], forwards: Sequence[PortForward]) -> None:
-    """PortForward all connections to their targets, in threads that end once `close` is called."""
+    """Forward all connections to their targets, in threads that end once `close` is called."""
     slots = threading.Semaphore(_CONNECTIONS)
     for listener, forward in zip(listeners, forwards, strict=True):
         threading.Thread(target=_accept, args=(listener, forward, slots), daemon=True).start()

@@ -59,7 +59,8 @@ class ProcessExecutor(LocalExecutor):
         """Start the supervisor of a job."""
         if job.image is not None:
             raise cannot_start(_NO_IMAGES)
-        self._check_network(job)
+        network = job.network.value
+        self._check_network(job, f"Without a container engine, no run here has the network {network!r}.")
         uid = make_directories(job, own_uid=os.getuid() == 0 and self._is_isolated)
         task = {
             "command": list(job.command),
@@ -175,6 +176,3 @@ class ProcessExecutor(LocalExecutor):
             name: f"{job.directory}{value}" if value.startswith("/in/") else value
             for name, value in job.environment.items()
         }
-
-    def _network_refusal(self, network: str) -> str:
-        return f"Without a container engine, no run here has the network {network!r}."

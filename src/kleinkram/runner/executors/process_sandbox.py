@@ -134,7 +134,7 @@ def _terminate_all() -> None:
 
 
 def _code_of(pid: int) -> int:
-    """Wait for a child, and reap orphans meanwhile."""
+    """Wait for a child, and reap orphans."""
     while True:
         ended, status = os.wait()
         if ended == pid:

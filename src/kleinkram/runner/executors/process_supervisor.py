@@ -264,7 +264,7 @@ def _usage_of(pid: int) -> _ProcessUsage:
 
 
 def main() -> None:
-    """Run the job; do nothing where a runner has removed it meanwhile."""
+    """Run the job; do nothing where a runner has already removed it."""
     directory, lock = Path(sys.argv[1]), int(sys.argv[2])
     os.set_inheritable(lock, False)
     write_pid(lock, os.getpid())

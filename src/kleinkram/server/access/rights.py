@@ -1,4 +1,4 @@
-"""Permission checks: scopes of a credential, rights on a project or mission, and that every project has an owner.
+"""Checks before a change: the credential's scope, its holder's right, the ETag; and that every project keeps an owner.
 
 A permanent owner is an active person in a group without an end, which has DELETE on the project without an end. Grants
 to an address do not count: whether anybody has it is not revealed to the granter.
@@ -242,3 +242,15 @@ async def grant_first_rights(db: Connection, actor: Actor, project_id: uuid.UUID
         await db.execute(insert(access_grant), grants)
     await ensure_owner_remains(db, [project_id])
     return {row.name: Right.of_level(row.default_level) for row in rows}
+
+
+def require_match(if_match: str | None, etag: str, *, noun: str, name: str) -> None:
+    """Check that an object still has one of the ETags in an If-Match header; without a header, there is no check.
+
+    Raises EditConflict.
+    """
+    if if_match is None:
+        return
+    expected = {part.strip().removeprefix("W/").strip('"') for part in if_match.split(",")}
+    if not expected & {etag, "*"}:
+        raise errors.EditConflict(noun=noun, name=name, etag=etag)

@@ -12,8 +12,7 @@ from kleinkram.contract.base import Page
 from kleinkram.contract.people import PersonRef
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import trashed_projects, visible_projects
-from kleinkram.server.db import Connection, Database
-from kleinkram.server.filters.patterns import matches
+from kleinkram.server.db import Connection, Database, matches
 from kleinkram.server.pagination import Order, PageRequest, read_page
 from kleinkram.server.tables import audit_event, person, project, share, token
 

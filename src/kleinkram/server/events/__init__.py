@@ -1,1 +1,1 @@
-"""Events: what changed is told to whoever listens and may see it."""
+"""Events: streams of changes that their readers may see."""

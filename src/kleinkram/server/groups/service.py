@@ -21,12 +21,11 @@ from kleinkram.server.access.rights import (
     lock_rights,
     owned_by_groups,
     require_creator,
+    require_match,
 )
 from kleinkram.server.access.visible import may_see_addresses, visible_groups, visible_people
 from kleinkram.server.audit.log import Event, audit
-from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.filters.patterns import matches_key
-from kleinkram.server.http.headers import require_match
+from kleinkram.server.db import Connection, matches_key, violated_constraint
 from kleinkram.server.pagination import Order, PageRequest, read_page
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import (

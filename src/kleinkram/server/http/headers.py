@@ -11,7 +11,6 @@ from fastapi import Header, Request
 from pydantic import BaseModel, ConfigDict
 from starlette.types import Scope
 
-from kleinkram.contract.errors import EditConflict
 from kleinkram.server.settings import Network, Settings
 
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
@@ -105,18 +104,6 @@ IfMatch = Annotated[
     str | None,
     Header(alias="If-Match", max_length=1000, description="The `etag` of the object that was edited, in quotes."),
 ]
-
-
-def require_match(if_match: str | None, etag: str, *, noun: str, name: str) -> None:
-    """Check that an object still has one of the ETags in an If-Match header; without a header, there is no check.
-
-    Raises EditConflict.
-    """
-    if if_match is None:
-        return
-    expected = {part.strip().removeprefix("W/").strip('"') for part in if_match.split(",")}
-    if not expected & {etag, "*"}:
-        raise EditConflict(noun=noun, name=name, etag=etag)
 
 
 CHECK_HEADER = "X-Kleinkram-Check"

@@ -330,9 +330,11 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
         return RunFinished(state=RunState(state))
     row = await lock_assigned_run(db, actor, run_id, finish.attempt)
     problems = list(finish.problems)
-    artifacts = await _artifacts(db, run_id)
+    columns = (run_artifact.c.id, run_artifact.c.path, run_artifact.c.blob_id, blob.c.size_bytes)
+    stmt = select(*columns).join_from(run_artifact, blob).where(run_artifact.c.run_id == run_id)
+    artifacts = {entry.path: _Artifact._make(entry) for entry in await db.execute(stmt)}
     if finish.reason is EndReason.done:
-        problems += await put_back(db, row, finish.report.put_back, artifacts)
+        problems += await _put_back(db, row, finish.report.put_back, artifacts)
     await _pin_image(db, row, finish.image_digest)
     findings = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in finish.report.findings]
     metrics = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in finish.report.metrics]
@@ -360,13 +362,7 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
     return RunFinished(state=RunState(state))
 
 
-async def _artifacts(db: Connection, run_id: uuid.UUID) -> dict[str, _Artifact]:
-    columns = (run_artifact.c.id, run_artifact.c.path, run_artifact.c.blob_id, blob.c.size_bytes)
-    stmt = select(*columns).join_from(run_artifact, blob).where(run_artifact.c.run_id == run_id)
-    return {row.path: _Artifact._make(row) for row in await db.execute(stmt)}
-
-
-async def put_back(
+async def _put_back(
     db: Connection, row: AssignedRun, selected: Sequence[PutBack], artifacts: Mapping[str, _Artifact]
 ) -> list[str]:
     """Create files of the mission from artifacts of a run; return sentences about those that could not be created.

@@ -72,16 +72,20 @@ async def register_runner(db: Connection, actor: Actor, *, registration: RunnerR
         Forbidden: it is another person's runner, its token is another runner's, or limited to other labels.
     """
     await _bind(db, actor, registration.id)
-    await _check_labels(db, actor, registration)
+    stmt = select(token.c.runner_labels).where(token.c.id == actor.token_id)
+    allowed: list[str] | None = (await db.execute(stmt)).scalar_one()
+    if allowed is not None and (not_allowed := sorted(set(registration.labels) - set(allowed))):
+        needs = f"a token for it; this one is limited to {', '.join(allowed)}"
+        raise Forbidden(noun="server", operation=f"be a runner with the label {not_allowed[0]}", needs=needs)
     owner = select(runner.c.person_id).where(runner.c.id == registration.id).with_for_update()
     owner_id = (await db.execute(owner)).scalar_one_or_none()
     if owner_id not in {None, actor.person_id}:
         raise Forbidden(noun="server", operation="be this runner", needs="a token of the same person as before")
     values = registration.model_dump(mode="json", exclude={"id"})
     values |= {"token_id": actor.token_id}
-    stmt = upsert(runner).values(id=registration.id, person_id=actor.person_id, last_seen_at=func.now(), **values)
-    same = {name: stmt.excluded[name] for name in (*values, "last_seen_at")}
-    await db.execute(stmt.on_conflict_do_update(index_elements=["id"], set_=same))
+    write = upsert(runner).values(id=registration.id, person_id=actor.person_id, last_seen_at=func.now(), **values)
+    same = {name: write.excluded[name] for name in (*values, "last_seen_at")}
+    await db.execute(write.on_conflict_do_update(index_elements=["id"], set_=same))
     if owner_id is None:
         after: Metadata = {"labels": list(registration.labels)}
         await audit(db, actor, Event("runner.arrive", "runner", registration.id, registration.name, None, after=after))
@@ -91,11 +95,7 @@ async def register_runner(db: Connection, actor: Actor, *, registration: RunnerR
 
 
 async def _bind(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
-    """Check that a token is this runner's; an unused one is bound to it.
-
-    Raises:
-        Forbidden: it is another runner's, or this runner has another valid token.
-    """
+    """Bind an unused token to a runner. Raises Forbidden: it is another runner's, or this one has another."""
     if actor.runner_id == runner_id:
         return
     others = token.alias("other_token")
@@ -113,15 +113,6 @@ async def _bind(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
     name = (await db.execute(select(token.c.name).where(token.c.id == actor.token_id))).scalar_one()
     after: Metadata = {"runner_id": str(runner_id)}
     await audit(db, actor, Event("token.bind", "token", actor.token_id, name, None, after=after))
-
-
-async def _check_labels(db: Connection, actor: Actor, registration: RunnerRegistration) -> None:
-    stmt = select(token.c.runner_labels).where(token.c.id == actor.token_id)
-    allowed: list[str] | None = (await db.execute(stmt)).scalar_one()
-    surplus = sorted(set(registration.labels) - set(allowed)) if allowed is not None else []
-    if surplus:
-        needs = f"a token for it; this one is limited to {', '.join(allowed or [])}"
-        raise Forbidden(noun="server", operation=f"be a runner with the label {surplus[0]}", needs=needs)
 
 
 async def list_runners(db: Connection, *, page: PageRequest) -> Page[RunnerRead]:

@@ -63,7 +63,7 @@ async def _read_now(context: AppContext, actor: Actor, run_id: uuid.UUID, offset
         piece = await _read_chunk(context, place, offset)
         if piece is not None:
             return piece
-        # It may have been replaced by the whole log: the database has the current object.
+        # The complete log may have replaced it: the database has the current object.
         if missing == place.key:
             raise StoreUnavailable(reason="this chunk of the log is missing")
         missing = place.key
@@ -100,7 +100,7 @@ async def _read_chunk(context: AppContext, place: _Place, offset: int) -> LogChu
             return None
     is_last = offset + len(data) >= place.size_bytes
     if not (is_last and place.is_over):
-        data = _whole_lines(data)
+        data = _complete_lines(data)
     return LogChunkRead(
         attempt=place.attempt,
         offset=offset,
@@ -110,7 +110,7 @@ async def _read_chunk(context: AppContext, place: _Place, offset: int) -> LogChu
     )
 
 
-def _whole_lines(data: bytes) -> bytes:
+def _complete_lines(data: bytes) -> bytes:
     """Return data up to its last complete line, or in a longer line, up to its last complete character."""
     end = data.rfind(b"\n") + 1
     if end:

@@ -4,14 +4,13 @@ import uuid
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import Column, ColumnElement, Select, case, exists, false, func, select
+from sqlalchemy import Column, ColumnElement, Select, Table, case, exists, false, func, select
 
 from kleinkram.contract.access import Scope
 from kleinkram.contract.runs import MAX_LISTED_METRICS, ReportFilter, RunFilter
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import level_on_mission, visible_files, visible_missions
-from kleinkram.server.db import among
-from kleinkram.server.filters.patterns import matches, matches_key
+from kleinkram.server.db import among, matches, matches_key
 from kleinkram.server.pagination import Order
 from kleinkram.server.tables import (
     action,
@@ -36,8 +35,8 @@ INPUT_ORDER = Order([run_input.c.path])
 ARTIFACT_ORDER = Order([run_artifact.c.path, run_artifact.c.id])
 FINDING_ORDER = Order([run_finding.c.id], descending=True)
 METRIC_ORDER = Order([run_metric.c.id], descending=True)
-_file = file.alias("its_file")
-_PLACE = (
+_file = file.alias("moved_file")
+_MISSION = (
     mission.c.name.label("mission_name"),
     mission.c.project_id.label("project_id"),
     project.c.name.label("project_name"),
@@ -54,26 +53,24 @@ def visible_runs(actor: Actor) -> Select[Any]:
 
     The token of a run shows only that run; a share link shows none.
     """
-    if actor.kind is not ActorKind.person or Scope.read not in actor.scopes:
-        return _joined(select(run)).where(false())
-    missions = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True)
-    seen = _joined(select(run)).where(run.c.mission_id.in_(missions))
-    return seen if actor.run_id is None else seen.where(run.c.id == actor.run_id)
-
-
-def _joined(stmt: Select[Any]) -> Select[Any]:
-    return (
-        stmt.join(mission, mission.c.id == run.c.mission_id)
+    joined = (
+        select(run)
+        .join(mission, mission.c.id == run.c.mission_id)
         .join(project, project.c.id == mission.c.project_id)
         .join(action_version, action_version.c.id == run.c.version_id)
         .outerjoin(action, action.c.id == action_version.c.action_id)
     )
+    if actor.kind is not ActorKind.person or Scope.read not in actor.scopes:
+        return joined.where(false())
+    missions = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True)
+    visible = joined.where(run.c.mission_id.in_(missions))
+    return visible if actor.run_id is None else visible.where(run.c.id == actor.run_id)
 
 
 def run_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
     """Add the names of people and runners, and the actor's level, to a select that began with `visible_runs`."""
     columns = (
-        *_PLACE,
+        *_MISSION,
         *_ACTION,
         person.c.name.label("started_by_name"),
         runner.c.name.label("runner_name"),
@@ -88,17 +85,9 @@ def one_run(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
     return run_rows(actor, visible_runs(actor).where(run.c.id == run_id)).add_columns(action_version.c.definition)
 
 
-def narrow(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[Any]:
+def filter_runs(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[Any]:
     """Apply a filter to a select of runs."""
-    conditions: list[ColumnElement[bool]] = []
-    if matching.project_id is not None:
-        conditions.append(mission.c.project_id == matching.project_id)
-    if matching.mission_id is not None:
-        conditions.append(run.c.mission_id == matching.mission_id)
-    if matching.project_ids:
-        conditions.append(mission.c.project_id.in_(matching.project_ids))
-    if matching.mission_ids:
-        conditions.append(run.c.mission_id.in_(matching.mission_ids))
+    conditions = _of_missions(matching)
     if matching.action_id is not None:
         conditions.append(action_version.c.action_id == matching.action_id)
     if matching.action is not None:
@@ -160,35 +149,39 @@ def metrics(actor: Actor, matching: ReportFilter) -> Select[Any]:
 
 
 def first_metrics(actor: Actor, run_ids: Sequence[uuid.UUID]) -> Select[Any]:
-    """Return the first metrics of each run, those of the whole run before those of single visible files."""
+    """Return the first metrics of each run, those without a file before those of visible files."""
     hidden_input = exists().where(
         run_input.c.run_id == run_metric.c.run_id,
         run_input.c.path == run_metric.c.file,
         is_hidden(actor, run_input.c.file_id),
     )
     order = (run_metric.c.file.is_not(None), run_metric.c.id)
-    place = func.row_number().over(partition_by=run_metric.c.run_id, order_by=order).label("place")
-    stmt = select(run_metric, place).join(run, run.c.id == run_metric.c.run_id)
+    rank = func.row_number().over(partition_by=run_metric.c.run_id, order_by=order).label("rank")
+    stmt = select(run_metric, rank).join(run, run.c.id == run_metric.c.run_id)
     ranked = stmt.where(among(run_metric.c.run_id, run_ids), ~hidden_input).subquery()
-    return select(ranked).where(ranked.c.place <= MAX_LISTED_METRICS).order_by(ranked.c.run_id, ranked.c.place)
+    return select(ranked).where(ranked.c.rank <= MAX_LISTED_METRICS).order_by(ranked.c.run_id, ranked.c.rank)
 
 
-def _reported_by_runs(actor: Actor, table: Any, matching: ReportFilter) -> Select[Any]:
-    place = (run.c.mission_id, *_PLACE, *_ACTION)
+def _reported_by_runs(actor: Actor, table: Table, matching: ReportFilter) -> Select[Any]:
     chosen = [column.label(f"reported_{column.name}") for column in table.c if column is not table.c.file]
     # The name of an input is hidden together with the file.
     its_input = exists().where(
         run_input.c.run_id == run.c.id, run_input.c.path == table.c.file, is_hidden(actor, run_input.c.file_id)
     )
     chosen.append(case((~its_input, table.c.file)).label("reported_file"))
-    stmt = visible_runs(actor).with_only_columns(*chosen, *place, maintain_column_froms=True)
+    stmt = visible_runs(actor).with_only_columns(
+        *chosen, run.c.mission_id, *_MISSION, *_ACTION, maintain_column_froms=True
+    )
     stmt = stmt.join(table, table.c.run_id == run.c.id)
     if matching.run_id is not None:
         stmt = stmt.where(run.c.id == matching.run_id)
-    if matching.mission_id is not None:
-        stmt = stmt.where(run.c.mission_id == matching.mission_id)
-    if matching.project_ids:
-        stmt = stmt.where(mission.c.project_id.in_(matching.project_ids))
-    if matching.mission_ids:
-        stmt = stmt.where(run.c.mission_id.in_(matching.mission_ids))
-    return stmt if matching.project_id is None else stmt.where(mission.c.project_id == matching.project_id)
+    return stmt.where(*_of_missions(matching))
+
+
+def _of_missions(matching: RunFilter | ReportFilter) -> list[ColumnElement[bool]]:
+    values = (
+        (run.c.mission_id, matching.mission_id, matching.mission_ids),
+        (mission.c.project_id, matching.project_id, matching.project_ids),
+    )
+    conditions = [column == one for column, one, _ in values if one is not None]
+    return conditions + [column.in_(several) for column, _, several in values if several]

@@ -60,7 +60,7 @@ async def list_runs(db: Connection, actor: Actor, *, matching: runs.RunFilter, p
     Raises:
         InvalidCursor: the cursor is not of this list.
     """
-    stmt = queries.run_rows(actor, queries.narrow(actor, queries.visible_runs(actor), matching))
+    stmt = queries.run_rows(actor, queries.filter_runs(actor, queries.visible_runs(actor), matching))
     rows = await fetch_page(db, stmt, queries.RUN_ORDER, page)
     items = await _complete(db, actor, [_to_run(actor, row._mapping) for row in rows.items])
     return Page(items=items, next=rows.next, total=rows.total)

@@ -113,7 +113,7 @@ def with_barrier(description: Mapping[str, Any], job: RunJob, image: ImageInfo) 
 
 
 def open_barrier(directory: Path) -> int | None:
-    """Let the command of a job start, and return a descriptor to keep open: else the pipe forgets unread data."""
+    """Let the command of a job start, and return a descriptor to keep open, or the pipe loses unread data."""
     try:
         # To read and write, so that this does not wait for a reader.
         descriptor = os.open(directory / BARRIER, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)

@@ -60,7 +60,7 @@ _LOST = Ending(
 
 
 class DockerExecutor(LocalExecutor):
-    """Runs jobs as container. `runner` separates its containers from those of other runners.
+    """Runs jobs as containers. `runner` separates its containers from those of other runners.
 
     `allowed`: the registries, or namespaces of registries, that images may come from; None for all.
     """
@@ -105,7 +105,8 @@ class DockerExecutor(LocalExecutor):
         """Create and start the container of a job, whose image must be present."""
         if job.image is None:
             raise cannot_start("A container needs an image, and the action names none.")
-        self._check_network(job)
+        network = job.network.value
+        self._check_network(job, f"A runner that is not root cannot give a run the network {network!r}.")
         try:
             image = self._client.find_image(job.image)
             exists = self._client.find_container(containers.container_name(job)) is not None
@@ -196,9 +197,6 @@ class DockerExecutor(LocalExecutor):
             monitor = self._monitors.pop(job.key, None)
         if monitor is not None:
             monitor.close()
-
-    def _network_refusal(self, network: str) -> str:
-        return f"A runner that is not root cannot give a run the network {network!r}."
 
 
 class ContainerMonitor:
