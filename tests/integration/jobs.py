@@ -69,8 +69,8 @@ async def drain(context: AppContext, back_pressure: BackPressure, rests: Regroup
                     "context": context,
                     "readers": readers,
                     "back_pressure": back_pressure,
-                    "understanding": MetadataCache(readers),
-                    "rests": rests or _NoRests(),
+                    "metadata_cache": MetadataCache(readers),
+                    "regroup_debounce": rests or _NoRests(),
                 },
             )
     return ran

@@ -43,18 +43,22 @@ _HEAD_BYTES = 4096
 _log_time = itemgetter(1)
 
 
+def _refuse_chunk(stream: ByteStream) -> ChunkHead:
+    raise Malformed(f"byte {stream.position}", "this format has no chunks")
+
+
 @dataclass(frozen=True)
 class ChunkFormat:
-    """Layout of chunks and messages of one format.
+    """Layout of chunks and messages of one format. The defaults are those of a format without chunks.
 
     `parse_messages` returns the messages of some channels in a chunk's content, in file order; `salvage` finds messages
     in parts of a file, such as a damaged chunk.
     """
 
-    open_chunk: Callable[[ByteStream], ChunkHead]
     parse_messages: Callable[[Buffer, Mapping[int, Channel], Selection], Block]
-    salvage: Salvage
-    read_message_index: ReadMessageIndex
+    open_chunk: Callable[[ByteStream], ChunkHead] = _refuse_chunk
+    salvage: Salvage = lambda source, _gaps, _channels: SalvagedMessages(JoinedGaps(source, b"", ()), ChunkTable())
+    read_message_index: ReadMessageIndex = lambda _source, _row: None
 
 
 Loaded = Buffer | Malformed  # the content of a chunk, or why it cannot be read

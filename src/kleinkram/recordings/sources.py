@@ -10,12 +10,15 @@ import stat
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO, Generic, NamedTuple, Protocol, TypeVar
 
 from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.limits import MAX_READ, READ_AHEAD
+
+Read = Callable[[int], bytes]  # returns the next bytes, at most so many; b"" at the end
 
 
 class Source(Protocol):
@@ -273,26 +276,34 @@ class PipeReader:
         return piece
 
 
-class _Rewound:
-    """A reader with its first bytes put back."""
+@dataclass
+class _RewoundReader:
+    """A reader whose first bytes are read again."""
 
-    def __init__(self, head: bytes, rest: SequentialReader) -> None:
-        self.name = rest.name
-        self.size_bytes = rest.size_bytes
-        self.path = rest.path
-        self._head = head
-        self._rest = rest
-
-    def read(self, length: int) -> bytes:
-        if not self._head:
-            return self._rest.read(length)
-        piece, self._head = self._head[:length], self._head[length:]
-        return piece
+    name: str
+    size_bytes: int
+    path: Path | None
+    read: Read
 
 
 def peek(reader: SequentialReader, length: int) -> tuple[bytes, SequentialReader]:
     """Return the first bytes, at most `length`, and a reader that still begins with them, to be used instead."""
-    head, length = b"", min(length, reader.size_bytes)
-    while len(head) < length and (piece := reader.read(length - len(head))):
+    head, read = peek_bytes(reader.read, min(length, reader.size_bytes))
+    return head, _RewoundReader(reader.name, reader.size_bytes, reader.path, read)
+
+
+def peek_bytes(read: Read, length: int) -> tuple[bytes, Read]:
+    """Return the first bytes, at most `length`, and a function that reads from the first byte again."""
+    head = b""
+    while len(head) < length and (piece := read(length - len(head))):
         head += piece
-    return head, _Rewound(head, reader)
+    rest = head
+
+    def read_again(size: int) -> bytes:
+        nonlocal rest
+        if not rest:
+            return read(size)
+        first, rest = rest[:size], rest[size:]
+        return first
+
+    return head, read_again

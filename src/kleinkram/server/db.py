@@ -1,4 +1,4 @@
-"""Connections and transactions: SQLAlchemy Core over psycopg 3, no ORM.
+"""Connections and transactions, and the SQL expressions that features share: SQLAlchemy Core over psycopg 3, no ORM.
 
 A request has one transaction by default: committed when the route returns, rolled back when it raises. Code that calls
 the object store opens several with `Database.begin`; reads can do without a transaction (`Database.autocommit`).
@@ -26,10 +26,12 @@ from sqlalchemy import (
     bindparam,
     column,
     event,
+    false,
     func,
     insert,
     literal,
     make_url,
+    or_,
 )
 from sqlalchemy import select as sql_select
 from sqlalchemy.dialects import postgresql
@@ -39,6 +41,7 @@ from sqlalchemy.ext.asyncio import AsyncConnection, AsyncEngine, create_async_en
 from sqlalchemy.types import UserDefinedType
 
 from kleinkram.contract.errors import DatabaseUnavailable
+from kleinkram.contract.names import name_key
 from kleinkram.server.settings import Settings, async_dsn
 
 # Longer than any statement of the API on a large database; workers may need longer.
@@ -165,6 +168,47 @@ def among(column: ColumnElement[Any], values: Iterable[object]) -> ColumnElement
 def among_parameter(column: ColumnElement[Any], name: str) -> ColumnElement[bool]:
     """Like `among`, with the values of the bind parameter `name`."""
     return column == any_(bindparam(name, type_=ARRAY(column.type)))
+
+
+ESCAPE = "\\"
+
+
+def like_pattern(glob: str) -> str:
+    """Return the LIKE pattern of a glob: `*` is any run of characters, `?` is one, all else is itself."""
+    return _escaped(glob).replace("*", "%").replace("?", "_")
+
+
+def containing(text: str) -> str:
+    """Return the LIKE pattern of texts that contain `text`."""
+    return f"%{_escaped(text)}%"
+
+
+def _escaped(text: str) -> str:
+    for special in (ESCAPE, "%", "_"):
+        text = text.replace(special, ESCAPE + special)
+    return text
+
+
+def matches(column: ColumnElement[str], glob: str) -> ColumnElement[bool]:
+    """Whether a column matches a glob, letter case included; without a wildcard, whether it is equal."""
+    if "*" in glob or "?" in glob:
+        return column.like(like_pattern(glob), escape=ESCAPE)
+    return column == glob
+
+
+def matches_key(column: ColumnElement[str], glob: str) -> ColumnElement[bool]:
+    """Whether a column of name keys matches a glob, in any case and Unicode form."""
+    return matches(column, name_key(glob))
+
+
+def matches_any(column: ColumnElement[str], globs: Sequence[str]) -> ColumnElement[bool]:
+    """Whether a column matches at least one glob, letter case included."""
+    return or_(false(), *(matches(column, glob) for glob in globs))
+
+
+def contains_word(column: ColumnElement[str], word: str) -> ColumnElement[bool]:
+    """Whether a text contains a word, in any case."""
+    return column.ilike(containing(word), escape=ESCAPE)
 
 
 def violated_constraint(error: DBAPIError) -> str | None:

@@ -9,7 +9,7 @@ import uuid
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import ColumnElement, Row, Select, bindparam, func, select, tuple_
@@ -87,8 +87,8 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class PagedQuery:
-    """A select whose pages are read in an order. Its statements are built once.
+class PagedQuery(Generic[T]):
+    """A select whose pages are read in an order, with the function that reads the rows. Its statements are built once.
 
     With `described`, the select only finds the ids of the page (the last column of the order), and `described` selects
     the rows for these ids.
@@ -96,6 +96,7 @@ class PagedQuery:
 
     statement: Select[Any]
     order: Order
+    read: Callable[[Sequence[Row[Any]]], list[T]]
     described: Callable[[ColumnElement[Any]], Select[Any]] | None = None
     _pages: dict[tuple[int, bool], Select[Any]] = field(default_factory=dict, init=False)
 
@@ -120,22 +121,33 @@ class PagedQuery:
         return select(func.count()).select_from(ids.subquery())
 
 
-async def fetch_page(db: Connection, statement: Select[Any], order: Order, request: PageRequest) -> Rows:
-    """Run a select for one page.
-
-    Raises InvalidCursor.
-    """
-    return await fetch_listing(db, PagedQuery(statement, order), request)
-
-
-async def fetch_listing(
-    db: Connection, listing: PagedQuery, request: PageRequest, values: Mapping[str, object] | None = None
-) -> Rows:
+async def read_listing(
+    db: Connection, listing: PagedQuery[T], request: PageRequest, values: Mapping[str, object] | None = None
+) -> Page[T]:
     """Read one page of a listing, whose statements are executed with `values`.
 
     Raises:
         InvalidCursor: the cursor is not one of this list in this order.
     """
+    rows = await _fetch_rows(db, listing, request, values)
+    return Page(items=listing.read(rows.items), next=rows.next, total=rows.total)
+
+
+async def read_page(
+    db: Connection, statement: Select[Any], order: Order, request: PageRequest, read: Callable[[Row[Any]], T]
+) -> Page[T]:
+    """Run a select for one page and return what `read` makes of its rows. Raises InvalidCursor."""
+    return await read_listing(db, PagedQuery(statement, order, lambda rows: [read(row) for row in rows]), request)
+
+
+async def fetch_page(db: Connection, statement: Select[Any], order: Order, request: PageRequest) -> Rows:
+    """Run a select for one page and return its rows. Raises InvalidCursor."""
+    return await _fetch_rows(db, PagedQuery[Row[Any]](statement, order, list), request, None)
+
+
+async def _fetch_rows(
+    db: Connection, listing: PagedQuery[Any], request: PageRequest, values: Mapping[str, object] | None
+) -> Rows:
     after = values_after(request, listing.order)
     rows = await execute_after(db, listing.page(request.limit, is_first=after is None), after, values)
     items = rows[: request.limit]
@@ -145,22 +157,16 @@ async def fetch_listing(
     return Rows(items, _encode(items[-1], listing.order) if len(rows) > request.limit else None, total)
 
 
-async def read_page(
-    db: Connection, statement: Select[Any], order: Order, request: PageRequest, read: Callable[[Row[Any]], T]
-) -> Page[T]:
-    """Run a select for one page and return what `read` makes of its rows. Raises InvalidCursor."""
-    rows = await fetch_page(db, statement, order, request)
-    return Page(items=[read(row) for row in rows.items], next=rows.next, total=rows.total)
-
-
 async def execute_after(
     db: Connection, statement: Select[Any], after: Sequence[Any] | None, values: Mapping[str, object] | None = None
 ) -> Sequence[Row[Any]]:
     """Run a select that begins after the values of a cursor, `after_0` and so on. Raises InvalidCursor."""
     try:
-        return (await db.execute(statement, {**(values or {}), **_named(after or [])})).all()
+        parameters = {f"after_{at}": value for at, value in enumerate(after or [])}
+        return (await db.execute(statement, {**(values or {}), **parameters})).all()
     except (StatementError, UnicodeEncodeError) as error:
-        if after is not None and not _is_of_database(error):
+        is_of_database = isinstance(error, DBAPIError) and not isinstance(error, DataError | ProgrammingError)
+        if after is not None and not is_of_database:
             raise InvalidCursor from error
         raise
 
@@ -182,22 +188,14 @@ def values_after(request: PageRequest, order: Order) -> list[Any] | None:
     return decoded
 
 
-def _named(after: Sequence[Any]) -> dict[str, object]:
-    return {f"after_{at}": value for at, value in enumerate(after)}
-
-
 def _page_of(statement: Select[Any], order: Order, limit: int, *, is_first: bool) -> Select[Any]:
     if not is_first:
         after = [bindparam(f"after_{at}", type_=column.type) for at, column in enumerate(order.columns)]
-        row, place, first = tuple_(*order.columns), tuple_(*after), order.columns[0]
+        row, last_row, first = tuple_(*order.columns), tuple_(*after), order.columns[0]
         # The first column again by itself: its index is used even if the other columns are in other tables.
         ahead = first <= after[0] if order.descending else first >= after[0]
-        statement = statement.where(ahead, row < place if order.descending else row > place)
+        statement = statement.where(ahead, row < last_row if order.descending else row > last_row)
     return in_order(statement, order.columns, order).limit(limit + 1)
-
-
-def _is_of_database(error: Exception) -> bool:
-    return isinstance(error, DBAPIError) and not isinstance(error, DataError | ProgrammingError)
 
 
 def in_order(statement: Select[Any], columns: Iterable[ColumnElement[Any]], order: Order) -> Select[Any]:

@@ -120,8 +120,8 @@ async def _run_queues(app: App, settings: Settings, database: Database) -> None:
             "context": AppContext(database, storage, settings),
             "readers": readers,
             "back_pressure": back_pressure,
-            "understanding": MetadataCache(readers),
-            "rests": RegroupDebounce(),
+            "metadata_cache": MetadataCache(readers),
+            "regroup_debounce": RegroupDebounce(),
             "attempts": attempts,
         }
         queues = ((DEFAULT, _AT_ONCE), (VERIFICATION, 1), (EXAMINING, 1), (GROUPING, 1))

@@ -69,7 +69,7 @@ def test_the_server_agrees_with_all_readers_on_every_real_recording(corpus: Corp
     assert found_on_server(corpus.api, corpus.mission_id, corpus.folder) == {}
 
 
-def test_the_server_agrees_with_all_readers_on_every_small_input_that_once_failed(
+def test_the_server_agrees_with_all_readers_on_former_failures(
     api: Api, mission_id: str, make_case: MakeCase, tmp_path: Path
 ) -> None:
     """All of them are folders of one mission: its jobs run once."""

@@ -53,7 +53,7 @@ def scan_bytes(data: bytes, name: str = "a.mcap") -> RecordingSummary:
 
 
 @pytest.mark.parametrize("compression", PACK)
-def test_a_wrong_checksum_leaves_out_the_whole_chunk(compression: bytes) -> None:
+def test_a_chunk_with_a_wrong_checksum_is_left_out(compression: bytes) -> None:
     before, after = messages(10), messages(10, 30)
     data = mcap_of(
         packed(compression, channel_record(0, b"/a") + before)

@@ -160,14 +160,14 @@ def assert_as_expected(summary: RecordingSummary, entry: Entry) -> None:
 
 
 @pytest.mark.parametrize("entry", params(*DETAILED))
-def test_whole_recordings_by_summary(entry: Entry, recordings_dir: Path) -> None:
+def test_undamaged_recordings_by_summary(entry: Entry, recordings_dir: Path) -> None:
     summary = by_summary(recordings_dir / entry.name)
     assert_as_expected(summary, entry)
     assert [problem.code for problem in summary.problems] == UNUSUAL.get(entry.name, [])
 
 
 @pytest.mark.parametrize("entry", params(*DETAILED))
-def test_whole_recordings_by_scan(entry: Entry, recordings_dir: Path) -> None:
+def test_undamaged_recordings_by_scan(entry: Entry, recordings_dir: Path) -> None:
     """A scan says the same as the index, and what only it can know."""
     scanned = by_scan(recordings_dir / entry.name)
     assert_as_expected(scanned, entry)

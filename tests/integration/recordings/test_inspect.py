@@ -56,7 +56,7 @@ def test_members_may_come_in_any_order() -> None:
     assert combine([one, two]).topics == combine([two, one]).topics
 
 
-def test_head_and_tail_gaps_are_those_of_the_whole() -> None:
+def test_head_and_tail_gaps_are_those_of_the_combined_recording() -> None:
     other = TopicSummary("/u", "a/B", "a/B", "", "cdr", 1, T0 + 650, T0 + 650)
     second = member(T0 + 600, T0 + 700)
     whole = combine([member(T0, T0 + 100), replace(second, topics=(*second.topics, other), message_count=12)])
@@ -76,7 +76,7 @@ def test_one_broken_member_leaves_the_others() -> None:
     assert combine([broken, broken]).content is Content.broken
 
 
-def test_a_member_that_was_not_read_leaves_the_whole_unknown() -> None:
+def test_an_unread_member_makes_the_sums_unknown() -> None:
     pending = RecordingSummary(RecordingFormat.rosbag2_db3, Content.pending, "not read")
     broken = RecordingSummary(RecordingFormat.mcap, Content.broken, "cut")
     whole = combine([member(T0, T0 + 10), broken, pending])
@@ -123,13 +123,13 @@ def test_a_type_that_changes_between_files_is_reported() -> None:
     assert [(p.code, p.where) for p in combine([one, other]).problems] == [("topic-types-differ", "/t")]
 
 
-def test_one_member_is_the_whole() -> None:
+def test_the_summary_of_a_single_member_is_unchanged() -> None:
     assert combine([member(T0, T0 + 10)]) == member(T0, T0 + 10)
     with pytest.raises(ValueError, match="at least one"):
         combine([])
 
 
-def test_combined_splits_equal_the_whole_recording(recordings_dir: Path) -> None:
+def test_combined_splits_equal_the_unsplit_recording(recordings_dir: Path) -> None:
     folder = recordings_dir / "mcap/split_wbag"
     (actual,) = inspect_paths([folder])
     assert actual.kind is InspectionKind.recording

@@ -156,7 +156,7 @@ def test_json(text: str, actual: dict[str, object]) -> None:
 
 
 @pytest.mark.parametrize("text", ['{"a": 1', "[" * 100_000, '{"a": 1} {"b": 2}'])
-def test_json_that_is_none(text: str) -> None:
+def test_invalid_json(text: str) -> None:
     summary = summarise_text(text, "a.json")
     assert [p.code for p in summary.problems] == ["json-damaged"]
 

@@ -99,7 +99,7 @@ def test_a_recording_names_the_problems_that_its_summary_names(code: str, tmp_pa
     assert disagreements(accounts) == []
 
 
-def test_messages_between_chunks_are_read_over_a_network_as_they_are_from_a_disk(tmp_path: Path) -> None:
+def test_remote_reading_finds_messages_between_chunks(tmp_path: Path) -> None:
     """A file of chunks and single messages by turns, without an index, so that both are fetched together."""
     source = mcap_of([[("/t", T0 + 10 * number + at, bytes(100)) for at in range(5)] for number in range(4)])
     data = source.read(0, source.size_bytes)
@@ -116,7 +116,7 @@ def test_messages_between_chunks_are_read_over_a_network_as_they_are_from_a_disk
     assert disagreements(accounts) == []
 
 
-def test_problems_are_available_after_closing_and_read_nothing_before_access(tmp_path: Path) -> None:
+def test_problems_are_read_on_access_and_available_after_closing(tmp_path: Path) -> None:
     _write(tmp_path, "a.mcap", [[("/t", 5, b""), ("/t", T0, b""), ("/t", T0 + 1, b"")]])
     with Recording.open(tmp_path / "a.mcap") as recording:
         pass

@@ -82,7 +82,7 @@ def test_a_rosbag2_recording_is_opened_with_its_metadata(
         assert not recording.problems
 
 
-def test_an_address_that_is_refused_is_made_anew(api: Api, client: Client, drive: Path) -> None:
+def test_a_refused_address_is_renewed(api: Api, client: Client, drive: Path) -> None:
     mission = api.mission(api.project()["id"])["id"]
     file_id = uuid.UUID(upload(api, mission, "drive.mcap", drive.read_bytes())["id"])
     requested: list[uuid.UUID] = []

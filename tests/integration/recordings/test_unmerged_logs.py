@@ -136,9 +136,7 @@ def test_recovering_a_database_leaves_no_temporary_file(tmp_path: Path, monkeypa
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
-def test_a_log_is_not_applied_where_the_disk_has_no_room_for_what_sqlite_makes_of_it(
-    killed: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_is_not_applied_if_the_disk_is_too_full_for_sqlite(killed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log_bytes = killed.with_name("a.db3-wal").stat().st_size
     free = MIN_FREE_DISK_BYTES + max(killed.stat().st_size, log_bytes) + log_bytes // 2
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=free))
@@ -158,7 +156,7 @@ def test_a_merged_log_causes_no_problem(killed: Path) -> None:
 
 
 @pytest.mark.parametrize("log", [b"", b"short", b"\x37\x7f\x06\x82" + bytes(500), b"x" * 5000])
-def test_a_log_that_is_none(log: bytes, tmp_path: Path) -> None:
+def test_an_invalid_log(log: bytes, tmp_path: Path) -> None:
     path = make_database(tmp_path / "a.db3", messages=steady(5))
     path.with_name("a.db3-wal").write_bytes(log)
     assert find_unmerged_logs(path) == []

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.access import Right
-from kleinkram.server.filters.text import MAX_WORDS
+from kleinkram.server.filters.plan import MAX_WORDS
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi

@@ -6,9 +6,8 @@ from urllib.parse import urlencode
 
 import pytest
 
-from kleinkram.server.filters import prepared
+from kleinkram.server.filters import plan
 from kleinkram.server.filters import text as text_filters
-from kleinkram.server.missions import service as missions_service
 from kleinkram.server.search import planner
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -45,7 +44,7 @@ def _full(start_api: StartApi) -> Api:
 def _set_limit(monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str, value: int) -> None:
     """Change a limit of the search; statements that were built with the old one are not used."""
     monkeypatch.setattr(module, name, value)
-    monkeypatch.setattr(prepared, "_built", {})
+    monkeypatch.setattr(plan, "_built", {})
 
 
 @pytest.fixture(name="sampled")
@@ -128,7 +127,7 @@ def test_very_many_files_in_one_mission_find_that_mission(start_api: StartApi, m
     for number in range(_FILES):
         sample.file(full, f"sheet_{number}.mcap", start_ns=number + 1, end_ns=number + 2)
     sampled_first = str(api.sql("SELECT id FROM mission ORDER BY id LIMIT 1")[0][0])
-    _set_limit(monkeypatch, missions_service, "SAMPLED_MISSIONS", 1)
+    _set_limit(monkeypatch, planner, "SAMPLED_MISSIONS", 1)
     result = api.get("/search", {"query": "sheet"}).ok()
     assert not result["is_exact"]
     assert [item["id"] for item in result["missions"]["items"]] == [full]

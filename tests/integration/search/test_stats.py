@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.server.search import service
+from kleinkram.server.search import statistics
 from tests.integration.api_server import Api
 from tests.integration.sample import Sample
 
@@ -113,9 +113,9 @@ def test_a_filter_narrows_what_is_counted(api: Api, project: Any) -> None:
 
 def test_more_groups_than_can_be_answered_are_refused(api: Api, project: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     query = {"project_id": project["id"], "by": "topic"}
-    monkeypatch.setattr(service, "MAX_GROUPS", 3)
+    monkeypatch.setattr(statistics, "MAX_GROUPS", 3)
     assert len(api.get("/stats", query).ok()["rows"]) == 3
-    monkeypatch.setattr(service, "MAX_GROUPS", 2)
+    monkeypatch.setattr(statistics, "MAX_GROUPS", 2)
     problem = api.get("/stats", query).refused(422, "invalid_query")
     assert (problem["expression"], "narrow the filter" in problem["detail"]) == ("topic", True)
     assert api.get("/stats", {**query, "topic": "/imu"}).ok()["total"]["files"] == 3

@@ -29,7 +29,7 @@ PACKINGS: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
 
 
 @pytest.mark.parametrize("packing", PACKINGS)
-def test_whole_data(packing: str) -> None:
+def test_complete_data(packing: str) -> None:
     name, pack = PACKINGS[packing]
     assert decompress(name, memoryview(pack(RAW)), len(RAW)) == RAW
 
@@ -71,7 +71,7 @@ def test_the_same_once_more_is_refused(packing: str) -> None:
 
 @pytest.mark.parametrize("following", [EMPTY_FRAME, SKIPPABLE, EMPTY_FRAME + SKIPPABLE])
 @pytest.mark.parametrize("packing", ["zstd", "zstd of unknown size"])
-def test_whole_frames_without_content_may_follow(packing: str, following: bytes) -> None:
+def test_complete_frames_without_content_may_follow(packing: str, following: bytes) -> None:
     """zstd data are one or more frames (RFC 8878, section 3.1)."""
     name, pack = PACKINGS[packing]
     assert decompress(name, memoryview(pack(RAW) + following), len(RAW)) == RAW

@@ -166,7 +166,7 @@ def test_recordings_of_cameras_are_recordings() -> None:
     ]
 
 
-def test_new_names_of_rosbag2_are_one_split_recording_in_the_order_of_their_numbers() -> None:
+def test_timed_names_of_rosbag2_form_one_recording_in_numeric_order() -> None:
     paths = [f"patrol/{k}_patrol_2026_01_17-10_{k:02d}_30.mcap" for k in range(12)]
     (actual,) = group(reversed(paths))
     assert (actual.kind, list(actual.members)) == (RecordingGroupKind.split_set, paths)

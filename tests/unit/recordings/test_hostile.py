@@ -69,7 +69,7 @@ def chunk(compression: bytes, stored: bytes, uncompressed: int, crc: int = 0) ->
     return record(Opcode.CHUNK, head + struct.pack("<Q", len(stored)) + stored)
 
 
-def test_the_small_files_are_whole() -> None:
+def test_the_small_files_are_undamaged() -> None:
     for compression in Compression:
         assert summarise_bytes(small_mcap(compression)).content is Content.indexed
     assert summarise_bytes(small_bag(), "test.bag").content is Content.indexed
@@ -308,7 +308,7 @@ def test_attachments_and_metadata_are_listed() -> None:
     assert len(summary.facts) == 100
 
 
-def test_a_flipped_byte_outside_of_chunks_is_found_by_the_checksum_of_the_data_section() -> None:
+def test_the_data_section_checksum_finds_bytes_flipped_outside_chunks() -> None:
     message = record(Opcode.MESSAGE, struct.pack("<HIQQ", 0, 0, T0, T0) + b"payload")
     definition = record(Opcode.CHANNEL, struct.pack("<HHI", 0, 0, 2) + b"/t" + bytes(8))
     front = records.MAGIC + record(Opcode.HEADER, bytes(8)) + definition + message

@@ -133,7 +133,7 @@ def test_a_file_behind_this_one_is_not_counted() -> None:
     assert f"{len(second)} bytes follow its end" in summary.problems[0].message
 
 
-def test_a_damaged_chunk_that_holds_a_file_is_left_out_whole() -> None:
+def test_a_damaged_chunk_that_contains_a_file_is_left_out() -> None:
     """A chunk of the inner file is no proof that the outer one's length reaches too far."""
     out = BytesIO()
     writer = McapWriter(out, compression=Compression.none, chunk_bytes=100)

@@ -170,7 +170,7 @@ def chunk_two_at_the_end(number: int, body: bytearray) -> None:
         struct.pack_into("<QQ", body, 0, T0 + (3 * PER_CHUNK + 1) * S, T0 + (4 * PER_CHUNK - 1) * S)
 
 
-def test_a_local_file_is_read_whole_and_in_order_though_the_index_puts_a_chunk_too_late(tmp_path: Path) -> None:
+def test_a_local_file_is_read_in_order_despite_late_times_in_the_index(tmp_path: Path) -> None:
     path = tmp_path / "late.mcap"
     path.write_bytes(change_mcap(Opcode.CHUNK_INDEX, chunk_two_at_the_end))
     with Recording.open(path) as recording:
@@ -178,7 +178,7 @@ def test_a_local_file_is_read_whole_and_in_order_though_the_index_puts_a_chunk_t
         assert {problem.code for problem in recording.problems} == {"index-damaged"}
 
 
-def test_every_reader_of_a_file_finds_all_once_one_of_them_has_seen_that_the_index_is_wrong(tmp_path: Path) -> None:
+def test_all_iterations_are_complete_once_one_found_the_index_wrong(tmp_path: Path) -> None:
     path = tmp_path / "late.mcap"
     path.write_bytes(change_mcap(Opcode.CHUNK_INDEX, chunk_two_at_the_end))
     with ParallelSource(path) as source, Recording.open(source) as recording:

@@ -60,7 +60,7 @@ def test_bins_are_as_narrow_as_they_may_be_and_count_right(stamps: list[int], mo
 
 @given(st.lists(STAMPS, min_size=1, max_size=5), st.randoms(use_true_random=False))
 @settings(deadline=None)
-def test_the_sum_of_parts_is_the_whole_in_any_order(parts: list[list[int]], order: object) -> None:
+def test_parts_add_up_to_the_total_in_any_order(parts: list[list[int]], order: object) -> None:
     order.shuffle(parts)  # type: ignore[attr-defined]  # what st.randoms gives
     whole = plainly([stamp for part in parts for stamp in part])
     assert add_up(count_stamps(sorted(part)) for part in parts) == whole

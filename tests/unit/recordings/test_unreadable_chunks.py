@@ -78,7 +78,7 @@ def test_an_unknown_compression_is_named_by_the_summary_as_by_the_scan(
     assert disagreements(accounts) == []
 
 
-def test_an_index_that_names_an_unknown_compression_for_a_chunk_that_can_be_read_costs_nothing(tmp_path: Path) -> None:
+def test_a_wrong_unknown_compression_in_the_index_loses_no_message(tmp_path: Path) -> None:
     made = mcap_of(chunks())
     data = replaced(made.read(0, made.size_bytes), b"\x04\0\0\0zstd", b"\x04\0\0\0zstx", 4)
     path = tmp_path / "index_only.mcap"

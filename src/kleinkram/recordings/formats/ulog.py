@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import lru_cache, partial
 from typing import NamedTuple
 
-from kleinkram.recordings.chunk_reader import ChunkedMember, ChunkFormat, FileGap, JoinedGaps, SalvagedMessages
-from kleinkram.recordings.chunk_table import ChunkHead, ChunkTable, ChunkTableBuilder
+from kleinkram.recordings.chunk_reader import ChunkedMember, ChunkFormat
+from kleinkram.recordings.chunk_table import ChunkTableBuilder
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Cut, Malformed
@@ -30,7 +30,7 @@ from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Se
 from kleinkram.recordings.model import Content, Depth, Fact, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessagePlace, PlaceKind
 from kleinkram.recordings.sources import SequentialReader, Source, SourceReader
-from kleinkram.recordings.streams import ByteStream, LookaheadStream
+from kleinkram.recordings.streams import LookaheadStream
 
 MAGIC = b"ULog\x01\x12\x35"
 SYNC_MAGIC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
@@ -396,7 +396,7 @@ def open_ulog(file: RecordingFile, context: OpenContext) -> ChunkedMember:
     builder.close()
     channels = {number: one for number, one in scan.channels().items() if number in builder.counts}
     contents = MemberContents(channels, builder.counts, scan.counter.messages, *builder.table.span())
-    ulog = ChunkFormat(_open_chunk, partial(_parse_messages, start_us=scan.start_us), _salvage, _no_message_index)
+    ulog = ChunkFormat(partial(_parse_messages, start_us=scan.start_us))
     return ChunkedMember(source, ulog, builder.table, contents, problem_log, summary=summarise_scan(scan))
 
 
@@ -422,18 +422,6 @@ def _parse_messages(content: Buffer, channels: Mapping[int, Channel], selection:
         if stamp_us <= _LATEST_US and selection.start_ns <= log_ns < selection.end_ns:
             messages.append(RawMessage(channel.topic, log_ns, log_ns, 0, data, channel))
     return messages
-
-
-def _open_chunk(stream: ByteStream) -> ChunkHead:
-    raise Malformed(f"byte {stream.position}", "a ULog has no chunks")
-
-
-def _salvage(source: Source, gaps: Iterable[FileGap], channels: Mapping[int, Channel]) -> SalvagedMessages:
-    return SalvagedMessages(JoinedGaps(source, MAGIC, ()), ChunkTable())
-
-
-def _no_message_index(source: Source, row: object) -> None:
-    return None
 
 
 ULOG = Format(

@@ -19,7 +19,7 @@ from kleinkram.recordings.file_summary import pending
 from kleinkram.recordings.formats.base import LONG_HEAD_BYTES, Format, Member, OpenContext, RecordingFile
 from kleinkram.recordings.limits import FREE_UNPACKED, MAX_EXPANSION, MAX_ZSTD_WINDOW
 from kleinkram.recordings.model import Content, Depth, Lost, RecordingFormat, RecordingSummary
-from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader
+from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader, peek_bytes
 from kleinkram.recordings.temporary_files import MAX_SPOOL_BYTES, TooLarge, temporary_copy
 
 FILE_ZSTD = "file-zstd"  # what `compression` says of a file that is compressed as a whole
@@ -35,25 +35,16 @@ class _Unpacked:
         self._reader = reader
         self._packed_bytes = 0
         self._stream = open_decompressed("zstd", self._read_packed, _NO_LIMIT)
-        self._left = b""
 
     def read(self, length: int) -> bytes:
-        if not self._left and self.fault is None:
+        if self.fault is None:
             try:
                 return self._stream.take_some(length)
             except Cut as error:
                 self.fault = f"{error.message} at byte {self._packed_bytes}"
             except Malformed as error:
-                self.fault = f"{error.message}, within the first {self._packed_bytes} bytes"
-        piece, self._left = self._left[:length], self._left[length:]
-        return piece
-
-    def peek(self, length: int) -> bytes:
-        head = b""
-        while len(head) < length and (piece := self.read(length - len(head))):
-            head += piece
-        self._left = head
-        return head
+                self.fault = f"{error.message}, in the first {self._packed_bytes} bytes"
+        return b""
 
     def _read_packed(self, length: int) -> bytes:
         data = self._reader.read(length)
@@ -71,13 +62,14 @@ def scan_zstd_file(reader: SequentialReader, *, max_bytes: int = MAX_SPOOL_BYTES
 
     unpacked = _Unpacked(reader)
     max_bytes = min(max_bytes, FREE_UNPACKED + MAX_EXPANSION * reader.size_bytes)
-    inside = formats.format_of_head(unpacked.peek(LONG_HEAD_BYTES))
+    head, read = peek_bytes(unpacked.read, LONG_HEAD_BYTES)
+    inside = formats.format_of_head(head)
     if not is_recording(inside):
         if unpacked.fault and inside.kind in (RecordingFormat.unknown, RecordingFormat.empty):
             return RecordingSummary(RecordingFormat.zstd, Content.broken, unpacked.fault, depth=Depth.scan)
         return replace(_not_a_recording(inside.kind), depth=Depth.scan)
     try:
-        with temporary_copy(unpacked.read, max_bytes=max_bytes) as path, FileSource(path) as source:
+        with temporary_copy(read, max_bytes=max_bytes) as path, FileSource(path) as source:
             inner = SourceReader(source)
             inner.name = PurePosixPath(reader.name).stem
             summary = formats.scan(inner)

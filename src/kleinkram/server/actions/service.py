@@ -24,12 +24,10 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.server.access.actor import Actor, ActorKind
-from kleinkram.server.access.rights import require_creator, require_project
+from kleinkram.server.access.rights import require_creator, require_match, require_project
 from kleinkram.server.access.visible import visible_projects
 from kleinkram.server.audit.log import Event, audit
-from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.filters.patterns import matches_key
-from kleinkram.server.http.headers import require_match
+from kleinkram.server.db import Connection, matches_key, violated_constraint
 from kleinkram.server.pagination import Order, PageRequest, read_page
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import action, action_version, person, project

@@ -1,1 +1,1 @@
-"""Files: names in a mission for bytes in a store."""
+"""Files: paths in a mission for blobs in the store."""

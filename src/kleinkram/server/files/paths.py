@@ -1,4 +1,4 @@
-"""Which paths can stand side by side in a mission: no name twice, and no file where another needs a folder."""
+"""Conflicts of paths in a mission: no path twice, and no file where another path needs a folder."""
 
 import uuid
 from collections.abc import Collection
@@ -12,10 +12,10 @@ from kleinkram.server.files import queries
 async def path_conflicts(
     db: Connection, mission_id: uuid.UUID, paths: Collection[str], *, except_id: uuid.UUID | None = None
 ) -> dict[str, str]:
-    """Return those of `paths` that cannot stand beside a mission's files, each with the file that it meets.
+    """Return those of `paths` that conflict with a mission's files, each with the path of that file.
 
-    Such a path needs a folder where there is a file, or is a folder itself. A file of the same path is no conflict
-    here, nor is one of `paths` for another. Two queries, however many paths; the caller holds the mission's lock.
+    Such a path needs a folder where there is a file, or is a folder itself. A file of the same path is no conflict, and
+    `paths` do not conflict with each other. Two queries for any number of paths; the caller has locked the mission.
     """
     above = {path: folder_keys(path) for path in paths}
     blocking = await db.execute(
@@ -37,10 +37,10 @@ def folder_keys(path: str) -> list[str]:
 async def check_path_free(
     db: Connection, mission_id: uuid.UUID, path: str, *, except_id: uuid.UUID | None = None
 ) -> None:
-    """See that a file may stand at `path`; the caller holds the mission's lock, so that it stays true.
+    """Check that a file can have a path; the caller has locked the mission.
 
     Raises:
-        NameTaken: there is a file of that path, letter case and Unicode form apart.
+        NameTaken: there is a file of that path, in any letter case and Unicode form.
         PathConflict: the path is a folder there, or needs a folder where a file is.
     """
     if (await db.execute(queries.files_at(mission_id, [name_key(path)], except_id=except_id))).first() is not None:

@@ -1,10 +1,10 @@
-"""Statements and rows of files and their topics. Functions return selects; they touch no connection."""
+"""Selects of files and their topics, and what their rows become; they touch no connection."""
 
 import datetime
 import functools
 import uuid
 from collections.abc import Collection, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import (
     ARRAY,
@@ -36,37 +36,13 @@ from kleinkram.server.db import among, among_parameter, by_name
 from kleinkram.server.filters.files import filter_files, filter_files_in_order
 from kleinkram.server.filters.missions import filter_missions
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
-from kleinkram.server.missions.amounts import file_amounts
+from kleinkram.server.missions.queries import file_totals
 from kleinkram.server.pagination import Order, PagedQuery
 from kleinkram.server.tables import blob, file, mission, person, project, run, run_artifact, run_input, topic
 
-
-def topic_rows(stmt: Select[Any]) -> Select[Any]:
-    """Return the topics of the files of a select that began with `visible_files`, as `to_topics` reads them."""
-    columns = [column for column in topic.c if column.name not in {"id", "blob_id", "density"}]
-    narrowed = stmt.with_only_columns(file.c.id.label("file_id"), *columns, maintain_column_froms=True)
-    return narrowed.join(topic, topic.c.blob_id == file.c.blob_id)
-
-
-TOPIC_ORDER = Order([topic.c.name, topic.c.id, file.c.id])
-
-
-def to_topics(rows: Sequence[Row[Any]]) -> list[TopicRead]:
-    """Return the topics that rows of `topic_rows` stand for, with their density where the rows have that too."""
-    return [_to_topic(values) for values in by_name(rows)]
-
-
-def _to_topic(values: dict[str, Any]) -> TopicRead:
-    if values.get("density") is not None:
-        known = unpack(values["density"])
-        values["density"] = Density(start_ns=known.start_ns, bin_ns=known.bin_ns, counts=[*known.counts])
-    return TopicRead.model_validate(values)
-
-
 _LAST, _FIRST = 2**63 - 1, -(2**63)
-_WALKS = {FileSort.start_desc, FileSort.created, FileSort.created_desc}
-# Of what came of a file, so much is said when it is deleted.
-_MOST_MADE = 100
+# At most so many files that runs made from a file are listed when it is deleted.
+_MAX_MADE = 100
 
 _COLUMNS: tuple[ColumnElement[Any], ...] = (
     file.c.id,
@@ -111,15 +87,18 @@ _COLUMNS: tuple[ColumnElement[Any], ...] = (
 )
 
 
+class FileWithBlob(NamedTuple):
+    """A file, with the blob of its content and the key of the object that holds it."""
+
+    read: FileRead
+    blob_id: uuid.UUID
+    key: str
+
+
 def file_rows(stmt: Select[Any]) -> Select[Any]:
     """Return the rows that `to_files` reads, of a select that began with `visible_files`."""
     narrowed = stmt.with_only_columns(*_COLUMNS, maintain_column_froms=True)
     return narrowed.join(person, person.c.id == file.c.uploaded_by_id)
-
-
-def rows_of_found(file_id: ColumnElement[uuid.UUID]) -> Select[Any]:
-    """Return the same rows of files that the very statement around it has found among the visible ones."""
-    return _rows_of_all().where(file.c.id == file_id)
 
 
 @functools.cache
@@ -128,13 +107,13 @@ def _rows_of_all() -> Select[Any]:
 
 
 def to_files(rows: Sequence[Row[Any]]) -> list[FileRead]:
-    """Return the files that rows of `file_rows` stand for."""
+    """Return the files in rows of `file_rows`."""
     return [_to_file(values) for values in by_name(rows)]
 
 
-def to_file(row: Row[Any]) -> FileRead:
-    """Return the file that such a row stands for."""
-    return to_files([row])[0]
+def to_stored_files(rows: Sequence[Row[Any]]) -> dict[uuid.UUID, FileWithBlob]:
+    """Return the files in rows of `file_rows` by id, with where their content is stored."""
+    return {row.id: FileWithBlob(read, row.blob_id, row.key) for row, read in zip(rows, to_files(rows), strict=True)}
 
 
 def _to_file(values: dict[str, Any]) -> FileRead:
@@ -142,12 +121,30 @@ def _to_file(values: dict[str, Any]) -> FileRead:
     values["mission"] = {"id": values["mission_id"], "name": values["mission_name"], "project": in_project}
     values["uploaded_by"] = {"id": values["uploaded_by_id"], "name": values["uploaded_by_name"]}
     for name in ("sha256", "md5", "crc64nvme"):
-        values[name] = _hex(values[name])
+        values[name] = None if values[name] is None else values[name].hex()
     return FileRead.model_validate(values)
 
 
-def _hex(digest: bytes | None) -> str | None:
-    return None if digest is None else digest.hex()
+def topic_rows(stmt: Select[Any]) -> Select[Any]:
+    """Return the topics of the files of a select that began with `visible_files`, as `to_topics` reads them."""
+    columns = [column for column in topic.c if column.name not in {"id", "blob_id", "density"}]
+    narrowed = stmt.with_only_columns(file.c.id.label("file_id"), *columns, maintain_column_froms=True)
+    return narrowed.join(topic, topic.c.blob_id == file.c.blob_id)
+
+
+def topic_listing(stmt: Select[Any]) -> PagedQuery[TopicRead]:
+    """Return the topics of a select by `topic_rows`, by name."""
+    return PagedQuery(stmt, Order([topic.c.name, topic.c.id, file.c.id]), to_topics)
+
+
+def to_topics(rows: Sequence[Row[Any]]) -> list[TopicRead]:
+    """Return the topics in rows of `topic_rows`, with their density where the rows have it."""
+    topics = by_name(rows)
+    for values in topics:
+        if values.get("density") is not None:
+            known = unpack(values["density"])
+            values["density"] = Density(start_ns=known.start_ns, bin_ns=known.bin_ns, counts=[*known.counts])
+    return [TopicRead.model_validate(values) for values in topics]
 
 
 def files_by_id(actor: Actor, file_ids: Collection[uuid.UUID]) -> Select[Any]:
@@ -161,12 +158,12 @@ def ids_among(actor: Actor, file_ids: Collection[uuid.UUID], right: Right) -> Se
 
 
 def own_fresh_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
-    """Return a file's id where `actor` brought it within the last hour, and may still put files there.
+    """Return a file's id where `actor` uploaded it in the last hour, and may still add files there.
 
-    A run did not bring what whoever started it did.
+    A run did not upload the files of the person who started it.
     """
-    brought = (file.c.uploaded_by_id == actor.person_id, file.c.created_at > func.now() - datetime.timedelta(hours=1))
-    stmt = visible_files(actor, Right.create).with_only_columns(file.c.id).where(file.c.id == file_id, *brought)
+    is_own = (file.c.uploaded_by_id == actor.person_id, file.c.created_at > func.now() - datetime.timedelta(hours=1))
+    stmt = visible_files(actor, Right.create).with_only_columns(file.c.id).where(file.c.id == file_id, *is_own)
     return stmt if actor.run_id is None else stmt.where(false())
 
 
@@ -176,12 +173,16 @@ def matching_files(actor: Actor, matching: FileFilter, plan: SearchPlan = NO_PLA
     return narrow(actor, visible_files(actor), matching, plan)
 
 
-def file_listing(actor: Actor, matching: FileFilter, *, plan: SearchPlan, sort: FileSort) -> PagedQuery:
+def file_listing(actor: Actor, matching: FileFilter, *, plan: SearchPlan, sort: FileSort) -> PagedQuery[FileRead]:
     """Return the visible files that match, in an order."""
+
+    def described(file_id: ColumnElement[uuid.UUID]) -> Select[Any]:
+        return _rows_of_all().where(file.c.id == file_id)
+
     matched = matching_files(actor, matching, plan)
     if plan.matched is not None:
         matched = matched.where(among_parameter(file.c.id, "matched_first_ids"))
-    return PagedQuery(matched, file_order(sort, by_index=not plan.is_selective), rows_of_found)
+    return PagedQuery(matched, file_order(sort, by_index=not plan.is_selective), to_files, described)
 
 
 @functools.cache
@@ -206,7 +207,7 @@ def file_order(sort: FileSort, *, by_index: bool = True) -> Order:
 
 def count_all(actor: Actor, *, plan: SearchPlan) -> Select[Any]:
     """Return the number of all visible files, as their missions know it."""
-    number = func.coalesce(func.sum(file_amounts(actor)[0]), 0)
+    number = func.coalesce(func.sum(file_totals(actor)[0]), 0)
     return visible_missions(actor).with_only_columns(number, maintain_column_froms=True)
 
 
@@ -218,8 +219,8 @@ def first_missions(
     stmt = filter_missions(actor, visible_missions(actor), matching, plan)
     stmt = stmt.with_only_columns(mission.c.id, maintain_column_froms=True)
     if not is_first:
-        place, row = tuple_(*(bindparam(f"after_{at}", type_=Text()) for at in range(2))), tuple_(*named)
-        stmt = stmt.where(row <= place if descending else row >= place)
+        start, row = tuple_(*(bindparam(f"after_{at}", type_=Text()) for at in range(2))), tuple_(*named)
+        stmt = stmt.where(row <= start if descending else row >= start)
     in_order = [name.desc() if descending else name for name in (*named, mission.c.id)]
     return stmt.order_by(*in_order).limit(limit)
 
@@ -230,19 +231,19 @@ def topics_of_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
 
 
 def runs_that_read(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
-    """Return the number of runs that were given a file, on missions that `actor` may read."""
+    """Return the number of runs that had a file as input, on missions that `actor` may read."""
     missions = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True)
     stmt = select(func.count()).select_from(run_input).join(run, run.c.id == run_input.c.run_id)
     return stmt.where(run_input.c.file_id == file_id, run.c.mission_id.in_(missions))
 
 
 def made_from(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
-    """Return the paths of visible files that runs made of a file."""
-    of_it = or_(func.cardinality(run_artifact.c.made_from) == 0, run_input.c.path == any_(run_artifact.c.made_from))
+    """Return the paths of visible files that runs made from a file."""
+    from_it = or_(func.cardinality(run_artifact.c.made_from) == 0, run_input.c.path == any_(run_artifact.c.made_from))
     joined = visible_files(actor).with_only_columns(file.c.path, maintain_column_froms=True)
     joined = joined.join(run_artifact, run_artifact.c.file_id == file.c.id)
     joined = joined.join(run_input, run_input.c.run_id == run_artifact.c.run_id)
-    return joined.where(run_input.c.file_id == file_id, of_it).order_by(file.c.path).limit(_MOST_MADE)
+    return joined.where(run_input.c.file_id == file_id, from_it).order_by(file.c.path).limit(_MAX_MADE)
 
 
 def change_file(file_id: uuid.UUID, **values: object) -> Update:
@@ -251,7 +252,7 @@ def change_file(file_id: uuid.UUID, **values: object) -> Update:
 
 
 def set_labels() -> Update:
-    """Return the statement that gives the file `ref` its `new_labels`, to be run for many at once."""
+    """Return the statement that gives the file `ref` its `new_labels`, for executing with many rows."""
     return update(file).where(file.c.id == bindparam("ref")).values(labels=bindparam("new_labels"))
 
 

@@ -1,4 +1,4 @@
-"""Files over HTTP."""
+"""Routes of files."""
 
 import uuid
 from typing import Annotated

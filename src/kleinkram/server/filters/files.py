@@ -1,7 +1,13 @@
-"""What a filter of files means in SQL: conditions on a select that began with `visible_files`."""
+"""Filters of files as SQL: conditions on a select that began with `visible_files`, comparisons with metadata included.
+
+A comparison (`robot=anymal`, `temperature>20`, `site~zur*`) holds only where the mission has the field, whatever the
+operator. Numbers compare as numbers, all else as text by code point (so ISO dates compare as dates); a value in double
+quotes is text even if it looks like a number. `=` and `!=` also look into lists. Every value is a bound parameter.
+"""
 
 import datetime
 import itertools
+import re
 import uuid
 from collections.abc import Sequence
 from typing import TypeVar
@@ -23,6 +29,7 @@ from sqlalchemy import (
     false,
     func,
     literal,
+    not_,
     or_,
     select,
     true,
@@ -32,16 +39,15 @@ from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter
+from kleinkram.contract.metadata import WHERE_EXPRESSION
 from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.names import is_id
 from kleinkram.contract.query import parse_term
-from kleinkram.contract.units import nanoseconds
+from kleinkram.contract.units import iso_text, nanoseconds
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
-from kleinkram.server.db import Written
-from kleinkram.server.filters.metadata import metadata_condition
-from kleinkram.server.filters.patterns import matches_any, matches_key
-from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
+from kleinkram.server.db import Written, like_pattern, matches_any, matches_key
+from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, words_of
 from kleinkram.server.filters.text import (
     NO_TIME,
     WordInMission,
@@ -52,13 +58,16 @@ from kleinkram.server.filters.text import (
     plan_conditions,
     topics_of_blob,
     word_in_mission,
-    words_of,
 )
 from kleinkram.server.tables import blob, file, mission, mission_topic, project, topic
 
 Conditions = list[ColumnElement[bool]]
 Row = TypeVar("Row", bound=tuple[object, ...])
 _HIDDEN = "this credential does not show the metadata of missions"
+_NUMBER = re.compile(r"[-+]?(\d{1,18}|\d{0,18}\.\d{1,18}|\d{1,18}\.)([eE][-+]?\d{1,2})?", re.ASCII)
+# So many characters of a text decide its position in a list: they also fit into the cursor of a page.
+_KEY_CHARACTERS = 100
+_Scalar = str | bool | int | float
 
 
 def filter_files(actor: Actor, stmt: Select[Row], matching: FileFilter, plan: SearchPlan = NO_PLAN) -> Select[Row]:
@@ -82,13 +91,13 @@ def file_conditions(actor: Actor, matching: FileFilter, plan: SearchPlan = NO_PL
     conditions = _field_conditions(actor, matching) + plan_conditions(plan)
     conditions += [file_contains(actor, plan, word) for word in words]
     if matching.topic or matching.message_type:
-        # As EXISTS, so that PostgreSQL may begin with a rare topic.
+        # As EXISTS, so that PostgreSQL can start from a rare topic.
         conditions.append(topics_of_blob().where(*topic_conditions(matching)).exists())
     return conditions
 
 
 def _field_conditions(actor: Actor, matching: FileFilter) -> Conditions:
-    """Return all conditions of a filter but those on words and topics."""
+    """Return the conditions of a filter except those on words and topics."""
     refuse_metadata(actor, matching.where)
     conditions = place_conditions(matching) + span_conditions(matching, file.c.start_ns, blob.c.end_ns)
     conditions += _start_conditions(matching) + _blob_conditions(matching)
@@ -112,8 +121,8 @@ def filter_files_in_order(
 ) -> Select[Row]:
     """Return the files of a select that match, to be read in the order of an index until a page is full.
 
-    What concerns the mission of a file is evaluated once a mission, which may have thousands of files: behind OFFSET 0
-    and joined laterally, PostgreSQL memoizes it. Without this, a word of topics takes 118 instead of 16 ms (200 000
+    Conditions on the mission of a file are evaluated once per mission, which may have thousands of files: PostgreSQL
+    memoizes a lateral join behind OFFSET 0. Without this, a word of topics takes 118 instead of 16 ms (200 000
     files, the newest mission having 4 000). With `of_one_mission`, the files are those of the `mission` of the
     statement around it.
 
@@ -168,7 +177,7 @@ def refuse_metadata(actor: Actor, expressions: Sequence[str]) -> None:
 
 
 def fails(conditions: Conditions) -> ColumnElement[bool]:
-    """Return the negation: a condition that is unknown, such as one on a missing time, does not hold."""
+    """Return the negation of conditions, which is true where they are unknown, such as of a missing time."""
     return and_(true(), *conditions).is_not(true())
 
 
@@ -183,7 +192,7 @@ def place_conditions(matching: MissionFilter | FileFilter) -> Conditions:
 
 
 def any_of(table: Table, refs: Sequence[str]) -> Conditions:
-    """Return the condition that a project or mission is one of those that are meant: by name, glob or id."""
+    """Return the condition that a project or mission is one of `refs`: names, globs or ids."""
     if not refs:
         return []
     named = (matches_key(table.c.name_key, ref) for ref in refs if not is_id(ref))
@@ -203,7 +212,7 @@ def span_conditions(
 
 
 def _start_conditions(matching: FileFilter) -> Conditions:
-    """Return what a span implies for the start of a file, written as its index has it."""
+    """Return the conditions on the start of a file that a span implies, as the index of times has it."""
     conditions: Conditions = []
     start = func.coalesce(file.c.start_ns, literal(NO_TIME, BigInteger))
     if matching.recorded_before is not None:
@@ -253,3 +262,94 @@ def _has_label(labels: Sequence[str]) -> ColumnElement[bool]:
     labels_of_file = type_coerce(file.c.labels, ARRAY(Text))
     any_of: ColumnElement[bool] = labels_of_file.overlap([normalize("NFC", label) for label in labels])
     return any_of
+
+
+def metadata_condition(expression: str) -> ColumnElement[bool]:
+    """Return the condition of a comparison.
+
+    Raises:
+        InvalidQuery: it is not a comparison, or its value cannot be compared that way.
+    """
+    comparison = WHERE_EXPRESSION.fullmatch(expression.strip())
+    if comparison is None:
+        reason = "it is not a comparison; write FIELD=VALUE, or one of != < <= > >= ~ between them"
+        raise InvalidQuery(expression=expression, reason=reason)
+    path = comparison["field"].split(".")
+    if "" in path:
+        raise InvalidQuery(expression=expression, reason="the field has an empty part; write it like site.latitude")
+    value = comparison["value"].strip()
+    operator = comparison["operator"]
+    if operator == "~":
+        return metadata_text(path).ilike(like_pattern(value), escape="\\")
+    if operator in {"=", "!="}:
+        equal = or_(*(_contains(path, candidate) for candidate in _readings(value)))
+        return equal if operator == "=" else and_(_at(path).is_not(None), not_(equal))
+    return _ordered(expression, path, operator, value)
+
+
+def metadata_text(path: Sequence[str]) -> ColumnElement[str]:
+    """Return a field of the mission's metadata as text, null where it has none."""
+    return mission.c.metadata.op("#>>", return_type=Text())(_keys(path))
+
+
+def metadata_key(path: Sequence[str]) -> ColumnElement[object]:
+    """Return a field of the mission's metadata as a sort key, null where it has none.
+
+    Text comes before numbers, numbers before booleans; lists and locations are ordered as text.
+    """
+    value = _at(path)
+    kind = func.jsonb_typeof(value)
+    text = func.to_jsonb(func.left(metadata_text(path), _KEY_CHARACTERS), type_=JSONB())
+    key = case((kind.in_(["number", "boolean"]), value), (kind == "null", None), else_=text)
+    return type_coerce(key, JSONB())
+
+
+def _keys(path: Sequence[str]) -> ColumnElement[Sequence[str]]:
+    return bindparam(None, list(path), type_=ARRAY(Text))
+
+
+def _at(path: Sequence[str]) -> ColumnElement[object]:
+    return mission.c.metadata.op("#>", return_type=JSONB())(_keys(path))
+
+
+def _contains(path: Sequence[str], value: _Scalar | list[_Scalar]) -> ColumnElement[bool]:
+    document: object = value
+    for key in reversed(path):
+        document = {key: document}
+    return mission.c.metadata.contains(document)
+
+
+def _readings(value: str) -> list[_Scalar | list[_Scalar]]:
+    """Return the possible meanings of a value: text, and a number or boolean where it reads as one."""
+    text = _unquoted(value)
+    scalars: list[_Scalar] = [value if text is None else text]
+    if text is None:
+        canonical = iso_text(value)
+        scalars += [canonical] if canonical else []
+        scalars += [_number(value)] if _NUMBER.fullmatch(value) else []
+        scalars += [value.lower() == "true"] if value.lower() in {"true", "false"} else []
+    return [*scalars, *([scalar] for scalar in scalars)]
+
+
+def _unquoted(value: str) -> str | None:
+    quoted = len(value) > 1 and value.startswith('"') and value.endswith('"')
+    return value[1:-1] if quoted else None
+
+
+def _number(value: str) -> int | float:
+    return int(value) if value.lstrip("+-").isdigit() else float(value)
+
+
+def _ordered(expression: str, path: Sequence[str], operator: str, value: str) -> ColumnElement[bool]:
+    kind = func.jsonb_typeof(_at(path))
+    text = _unquoted(value)
+    if text is None and _NUMBER.fullmatch(value):
+        # jsonb orders numbers as numbers; nothing is cast, so a mission with text there is passed over, not an error.
+        return and_(
+            kind == "number", _at(path).op(operator, is_comparison=True)(bindparam(None, _number(value), JSONB))
+        )
+    if text is None and value.lower() in {"true", "false"}:
+        raise InvalidQuery(expression=expression, reason="true and false have no order; use = or !=")
+    compared = text if text is not None else iso_text(value) or value
+    stored = func.coalesce(metadata_text(path), "").collate("C")
+    return and_(kind == "string", stored.op(operator, is_comparison=True)(compared))

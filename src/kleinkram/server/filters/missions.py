@@ -1,4 +1,4 @@
-"""What filters of missions and projects mean in SQL: conditions on selects that began with `visible_*`."""
+"""Filters of missions and projects as SQL: conditions on selects that began with `visible_*`."""
 
 from dataclasses import replace
 from typing import TypeVar
@@ -10,21 +10,20 @@ from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.query import parse_term
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, shown_files, shown_span, visible_files
-from kleinkram.server.db import Written
+from kleinkram.server.db import Written, matches_key
 from kleinkram.server.filters.files import (
     any_of,
     fails,
     filter_files,
     filter_files_in_order,
+    metadata_condition,
     place_conditions,
     refuse_metadata,
     span_conditions,
     topic_conditions,
 )
-from kleinkram.server.filters.metadata import metadata_condition
-from kleinkram.server.filters.patterns import holds_word, key_holds_word, matches_key
-from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
-from kleinkram.server.filters.text import mission_contains, row_exists, words_of
+from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, SearchWord, words_of
+from kleinkram.server.filters.text import contains, key_contains, mission_contains, row_exists
 from kleinkram.server.tables import blob, file, mission, project, topic
 
 Conditions = list[ColumnElement[bool]]
@@ -39,11 +38,11 @@ _MISSION_FIELDS = frozenset(
 
 
 def filter_projects(actor: Actor, stmt: Select[Row], *, name: str | None, text: str | None) -> Select[Row]:
-    """Return the projects of a select that match; `text` is found in names and descriptions, word by word."""
+    """Return the projects of a select that match; each word of `text` must be in the name or the description."""
     conditions = [matches_key(project.c.name_key, name)] if name is not None else []
     for word in words_of(text):
-        in_name = key_holds_word(project.c.name_key, word)
-        in_text = holds_word(project.c.description, word)
+        in_name = key_contains(project.c.name_key, SearchWord(word))
+        in_text = contains(project.c.description, SearchWord(word))
         conditions.append(or_(in_name, in_text) if sees_whole_missions(actor) else in_name)
     return stmt.where(*conditions)
 

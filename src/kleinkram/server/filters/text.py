@@ -1,7 +1,7 @@
-"""What it means that a file or a mission contains a word: in names, notes, metadata, paths, labels and topics.
+"""Words as SQL: conditions that a file or mission contains a word in names, notes, metadata, paths, labels or topics.
 
-Each place has a trigram index of its own. Names of projects, topics and message types are few: they are looked up once
-for a search, and then compared by value.
+Each of these columns has a trigram index. Names of projects, topics and message types are few: those that contain the
+words are looked up once per search, and then compared by value.
 """
 
 import re
@@ -31,12 +31,9 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import ARRAY, JSONPATH
 
-from kleinkram.contract.errors import InvalidQuery
-from kleinkram.contract.query import phrases
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
-from kleinkram.server.db import Connection, among_parameter
-from kleinkram.server.filters.patterns import ESCAPE
+from kleinkram.server.db import ESCAPE, Connection, among_parameter
 from kleinkram.server.filters.plan import SearchPlan, SearchWord
 from kleinkram.server.tables import (
     MAX_STORED_TOPICS,
@@ -50,31 +47,16 @@ from kleinkram.server.tables import (
 )
 
 Conditions = list[ColumnElement[bool]]
-# Where files without a time stand in the index of times.
+# The value of files without a time in the index of times.
 NO_TIME = -(2**63)
-# Each word is looked for in every place where one can occur.
-MAX_WORDS = 20
-# So many projects, topics and types that contain a word are listed by value.
+# The most projects, topics and types that contain a word and are compared by value.
 _MAX_NAMES = 500
-# A word that is in one of so many paths is not looked for elsewhere, to see whether it occurs at all.
+# A word in one of so many sampled paths is not looked up to find out whether it occurs at all.
 _SAMPLED_PATHS = 300
-# Message types that are searched for a word; those after them in order are found by `type:` alone.
+# Message types that are searched for a word; those after them in order are found only by `type:`.
 _MAX_MESSAGE_TYPES = 5_000
 # A word without three letters or digits in a row has no trigram to be looked up by.
 _TRIGRAM = re.compile(r"[^\W_]{3}")
-
-
-def words_of(text: str | None) -> list[str]:
-    """Return the words of the `text` of a filter.
-
-    Raises:
-        InvalidQuery: there are more than `MAX_WORDS`.
-    """
-    words = phrases(text or "")
-    if len(words) > MAX_WORDS:
-        reason = f"a search has at most {MAX_WORDS} words; put words that belong together in quotes"
-        raise InvalidQuery(expression=words[MAX_WORDS], reason=reason)
-    return words
 
 
 def has_index(word: str) -> bool:
@@ -120,7 +102,7 @@ def word_in_mission(actor: Actor, plan: SearchPlan, text: str) -> WordInMission:
 def mission_may_have_topic(*conditions: ColumnElement[bool]) -> ColumnElement[bool]:
     """Return a condition on `mission` without which no file of it has a topic of which conditions hold.
 
-    `conditions` are on `mission_topic`, the topics kept of each mission; they decide where these are current and whole.
+    `conditions` are on `mission_topic`, the stored topics of each mission, where these are current and complete.
     """
     its_own = select(true()).where(mission_topic.c.mission_id == mission.c.id).correlate(mission)
     current = select(true()).where(
@@ -202,7 +184,7 @@ def _names_of_words(count: int, limit: int) -> Select[tuple[Sequence[Any], ...]]
 def _look_up(
     in_file: Conditions, in_mission: Conditions, in_topics: Conditions, of_all: Conditions
 ) -> CompoundSelect[tuple[object]]:
-    """Return the ids of all files of which one condition holds, each looked up in an index of its own."""
+    """Return the ids of all files that satisfy one of the conditions, each looked up in its own index."""
     by_mission = select(file.c.id).join(mission, mission.c.id == file.c.mission_id)
     by_topic = select(file.c.id).join(topic, topic.c.blob_id == file.c.blob_id)
     lookups = [select(file.c.id).where(condition) for condition in in_file]
@@ -212,10 +194,9 @@ def _look_up(
 
 
 async def occur_somewhere(db: Connection, words: Iterable[SearchWord]) -> bool:
-    """Return False if one of the words occurs in no file or mission, whoever asks. It says nothing of rights.
+    """Return False if one of the words occurs in no file or mission at all, whatever the actor sees.
 
-    Only words are looked for that are in no name of a project, topic or type, in none of some sampled paths, and that
-    the indexes can look up.
+    Only words are looked up that have an index and are in no name of a project, topic or type, and in no sampled path.
     """
     rare = [
         word.text
@@ -235,8 +216,8 @@ def _occurrences(count: int) -> Select[tuple[bool, ...]]:
     columns = []
     for number in range(count):
         word = SearchWord("", number, project_ids=[])
-        # Planned as if all rows were read, but read lazily: with a limit of its own, PostgreSQL would rather read the
-        # table until a row matches, and read all of it where none does.
+        # Planned as if all rows were read, but read lazily: with a limit here, PostgreSQL would read the table until a
+        # row matches, and all of it where none does.
         files = select(file.c.id).where(or_(*_path_or_label_contains(word))).cte(f"files_{number}")
         missions = select(mission.c.id).where(or_(*_whole_mission_conditions(word))).cte(f"missions_{number}")
         ids = (select(rows.prefix_with("MATERIALIZED").c.id) for rows in (files, missions))
@@ -272,7 +253,7 @@ def _whole_mission_conditions(word: SearchWord) -> Conditions:
 
 
 def _path_or_label_contains(word: SearchWord) -> Conditions:
-    # Most files have no label: to see that is quicker than to join none.
+    # Most files have no label: checking that first is faster.
     has_label = and_(func.cardinality(file.c.labels) > 0, contains(func.joined(file.c.labels), word))
     return [path_condition(key_contains(file.c.path_key, word)), has_label]
 
@@ -285,7 +266,7 @@ def _metadata_contains(word: SearchWord) -> ColumnElement[bool]:
     in_values: ColumnElement[bool] = select(entry.c.value).where(contains(as_text, word), scalar).exists()
     if word.is_escaped_in_json:
         return in_values
-    # The whole as text has an index, and is quickly searched; but it contains the names of fields too.
+    # The text of all metadata has an index, but it contains the names of fields too.
     return and_(contains(cast(mission.c.metadata, Text), word), in_values)
 
 
@@ -306,7 +287,7 @@ def _is_one_of(column: ColumnElement[str], word: SearchWord, name: str, every: C
 
 
 def _message_types() -> CTE:
-    """Return all message types, each once, by one probe of their index for each: `DISTINCT` would read every topic."""
+    """Return the distinct message types by one index probe for each: `DISTINCT` would read every topic."""
     first = select(func.min(topic.c.message_type).label("message_type"))
     types = first.cte("message_types", recursive=True)
     following = select(func.min(topic.c.message_type)).where(topic.c.message_type > types.c.message_type)

@@ -1,10 +1,12 @@
 """The home page: recent missions, unfinished uploads, what needs attention, and storage. Every list is bounded."""
 
 import asyncio
+import datetime
 import shutil
-from typing import Any
+import uuid
+from typing import Any, NamedTuple
 
-from sqlalchemy import Row, Select, func, select, text, union
+from sqlalchemy import Select, func, select, text, union
 
 from kleinkram.checks import is_disk_low
 from kleinkram.contract.errors import StoreUnavailable
@@ -26,7 +28,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files, visible_missions, visible_projects
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.missions.amounts import file_amounts
+from kleinkram.server.missions.queries import file_totals, mission_ref
 from kleinkram.server.runs.eligibility import NEEDS_COLUMNS, Needs, known_runners
 from kleinkram.server.runs.queries import visible_runs
 from kleinkram.server.settings import Settings
@@ -51,23 +53,42 @@ _IS_DAMAGED = text("(blob.state IN ('corrupt', 'lost') OR blob.content IN ('brok
 _VERIFICATION_DUE_AFTER = text("interval '2 days'")
 _FAILURES_WITHIN = text("interval '7 days'")
 _FINISHED = (RunState.done.value, RunState.failed.value)
+# The arguments of `mission_ref`.
 _MISSION = (mission.c.id, mission.c.name, mission.c.project_id, project.c.name.label("project_name"))
 _NUMBER = func.count().label("number")
+
+
+class _StartedUpload(NamedTuple):
+    """An unfinished upload of the actor, and its mission."""
+
+    id: uuid.UUID
+    path: str
+    key: str
+    size_bytes: int
+    part_size_bytes: int
+    multipart_id: str | None
+    signed_checksum: bytes | None
+    created_at: datetime.datetime
+    expires_at: datetime.datetime
+    mission_id: uuid.UUID
+    mission_name: str
+    project_id: uuid.UUID
+    project_name: str
 
 
 async def get_home(context: AppContext, actor: Actor) -> HomeRead:
     """Return the home page of an actor. If the store does not answer, only the bytes sent of uploads are missing."""
     async with context.database.begin() as db:
         missions = (await db.execute(_recent_missions(actor))).all()
-        uploads = (await db.execute(_unfinished_uploads(actor))).all()
+        uploads = [_StartedUpload._make(row) for row in await db.execute(_unfinished_uploads(actor))]
         attention = await _attention(db, actor)
         if _sees_server(actor):
             attention = [*await _server_attention(db, context.settings), *attention]
-    sent = await asyncio.gather(*(_sent_bytes(context, row) for row in uploads))
+    sent = await asyncio.gather(*(_sent_bytes(context, one) for one in uploads))
     return HomeRead(
         missions=[
             RecentMission(
-                mission=_to_mission(row),
+                mission=mission_ref(row.id, row.name, row.project_id, row.project_name),
                 active_at=row.active_at,
                 file_count=row.files,
                 size_bytes=int(row.size_bytes),
@@ -76,19 +97,15 @@ async def get_home(context: AppContext, actor: Actor) -> HomeRead:
         ],
         uploads=[
             UnfinishedUpload(
-                id=row.id,
-                mission=MissionRef(
-                    id=row.mission_id,
-                    name=row.mission_name,
-                    project=ProjectRef(id=row.project_id, name=row.project_name),
-                ),
-                path=row.path,
-                size_bytes=row.size_bytes,
+                id=one.id,
+                mission=mission_ref(one.mission_id, one.mission_name, one.project_id, one.project_name),
+                path=one.path,
+                size_bytes=one.size_bytes,
                 sent_bytes=sent_bytes,
-                created_at=row.created_at,
-                expires_at=row.expires_at,
+                created_at=one.created_at,
+                expires_at=one.expires_at,
             )
-            for row, sent_bytes in zip(uploads, sent, strict=True)
+            for one, sent_bytes in zip(uploads, sent, strict=True)
         ],
         attention=attention,
     )
@@ -135,22 +152,22 @@ def _disk(settings: Settings) -> tuple[int, int] | None:
 async def _attention(db: Connection, actor: Actor) -> list[Attention]:
     counts: dict[tuple[AttentionKind, MissionRef], int] = {}
 
-    def count(kind: AttentionKind, row: Row[Any]) -> None:
-        key = (kind, _to_mission(row))
-        counts[key] = counts.get(key, 0) + row.number
+    def count(kind: AttentionKind, number: int, *place: Any) -> None:  # Any: the arguments of `mission_ref`
+        key = (kind, mission_ref(*place))
+        counts[key] = counts.get(key, 0) + number
 
-    for row in await db.execute(_damaged_files(actor)):
-        count(_OF_STATE.get(row.state) or _OF_CONTENT[row.content], row)
+    for *place, state, content, number in await db.execute(_damaged_files(actor)):
+        count(_OF_STATE.get(state) or _OF_CONTENT[content], number, *place)
     queued = (await db.execute(_queued_runs(actor))).all()
     if queued:
         known = await known_runners(db)
         for row in queued:
             if known.reason_never_starts(Needs(*(row._mapping[name] for name in Needs._fields))) is not None:
-                count(AttentionKind.runs_cannot_start, row)
-    for row in await db.execute(_failed_runs(actor)):
-        count(AttentionKind.runs_failed, row)
-    for row in await db.execute(_unsatisfied_missions(actor)):
-        count(AttentionKind.metadata_missing, row)
+                count(AttentionKind.runs_cannot_start, row.number, *row[: len(_MISSION)])
+    for *place, number in await db.execute(_failed_runs(actor)):
+        count(AttentionKind.runs_failed, number, *place)
+    for *place, number in await db.execute(_unsatisfied_missions(actor)):
+        count(AttentionKind.metadata_missing, number, *place)
     items = [Attention(kind=kind, count=number, mission=where) for (kind, where), number in counts.items()]
     order = list(AttentionKind)
     return sorted(items, key=lambda attention: order.index(attention.kind))
@@ -172,19 +189,15 @@ async def _server_attention(db: Connection, settings: Settings) -> list[Attentio
     return [Attention(kind=kind, count=number) for kind, number in counts.items() if number]
 
 
-async def _sent_bytes(context: AppContext, row: Row[Any]) -> int | None:
-    if row.multipart_id is None:
-        return 0 if row.size_bytes > row.part_size_bytes or row.signed_checksum is None else None
+async def _sent_bytes(context: AppContext, started: _StartedUpload) -> int | None:
+    if started.multipart_id is None:
+        return 0 if started.size_bytes > started.part_size_bytes or started.signed_checksum is None else None
     try:
-        parts = await asyncio.wait_for(context.storage.list_parts(row.key, row.multipart_id), _STORE_TIMEOUT_S)
+        parts = await asyncio.wait_for(context.storage.list_parts(started.key, started.multipart_id), _STORE_TIMEOUT_S)
     except (StoreUnavailable, asyncio.TimeoutError):
         return None
     # A part that was sent twice may be listed twice.
     return sum({part.number: part.size_bytes for part in parts or ()}.values())
-
-
-def _to_mission(row: Row[Any]) -> MissionRef:
-    return MissionRef(id=row.id, name=row.name, project=ProjectRef(id=row.project_id, name=row.project_name))
 
 
 def _recent_missions(actor: Actor) -> Select[Any]:
@@ -216,10 +229,11 @@ def _recent_missions(actor: Actor) -> Select[Any]:
 
 
 def _unfinished_uploads(actor: Actor) -> Select[Any]:
-    names = (mission.c.name.label("mission_name"), mission.c.project_id, project.c.name.label("project_name"))
+    own = [upload.c[name] for name in _StartedUpload._fields if name in upload.c]
+    place = (mission.c.name, mission.c.project_id, project.c.name)
     return (
         own_uploads(actor)
-        .add_columns(upload.c.created_at, *names)
+        .with_only_columns(*own, *place, maintain_column_froms=True)
         .join(mission, mission.c.id == upload.c.mission_id)
         .join(project, project.c.id == mission.c.project_id)
         .where(upload.c.state.in_(UNDER_WAY), upload.c.expires_at > func.now())
@@ -270,7 +284,7 @@ def _queued_runs(actor: Actor) -> Select[Any]:
 
 
 def _storage_by_project(actor: Actor) -> Select[Any]:
-    files, in_bytes = file_amounts(actor)
+    files, in_bytes = file_totals(actor)
     inside = visible_missions(actor).with_only_columns(
         mission.c.project_id,
         func.sum(files).label("files"),

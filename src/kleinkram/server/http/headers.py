@@ -11,7 +11,6 @@ from fastapi import Header, Request
 from pydantic import BaseModel, ConfigDict
 from starlette.types import Scope
 
-from kleinkram.contract.errors import EditConflict
 from kleinkram.server.settings import Network, Settings
 
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
@@ -41,10 +40,10 @@ _HSTS: RawHeader = (b"strict-transport-security", f"max-age={_YEAR_S}".encode())
 
 def with_security_headers(headers: Iterable[RawHeader], *, is_https: bool) -> list[RawHeader]:
     """Return a response's headers plus the security headers that it does not set itself."""
-    own = list(headers)
-    own_names = {name.lower() for name, _ in own}
+    own_headers = list(headers)
+    own_names = {name.lower() for name, _ in own_headers}
     defaults = [*_DEFAULTS, _HSTS] if is_https else _DEFAULTS
-    return [*own, *(header for header in defaults if header[0] not in own_names)]
+    return [*own_headers, *(header for header in defaults if header[0] not in own_names)]
 
 
 def client_address(peer: str, forwarded_for: Sequence[str], trusted_proxies: Sequence[Network]) -> str:
@@ -105,18 +104,6 @@ IfMatch = Annotated[
     str | None,
     Header(alias="If-Match", max_length=1000, description="The `etag` of the object that was edited, in quotes."),
 ]
-
-
-def require_match(if_match: str | None, etag: str, *, noun: str, name: str) -> None:
-    """Check that an object still has one of the ETags in an If-Match header; without a header, there is no check.
-
-    Raises EditConflict.
-    """
-    if if_match is None:
-        return
-    expected = {part.strip().removeprefix("W/").strip('"') for part in if_match.split(",")}
-    if not expected & {etag, "*"}:
-        raise EditConflict(noun=noun, name=name, etag=etag)
 
 
 CHECK_HEADER = "X-Kleinkram-Check"

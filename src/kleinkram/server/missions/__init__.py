@@ -1,1 +1,1 @@
-"""Missions, and the metadata that their project requires of them."""
+"""Missions and their metadata."""

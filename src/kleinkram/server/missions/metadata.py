@@ -1,4 +1,4 @@
-"""Metadata of missions: judging it by the fields that a project declares, and the YAML template to fill in. Pure.
+"""Validation of mission metadata by the fields that a project declares, and the YAML template to fill in. Pure.
 
 All problems are found at once. Accepted values are returned as they are stored: numbers without their unit, times in
 UTC, absent fields with their defaults.
@@ -27,9 +27,9 @@ _WITH_UNIT = re.compile(
 _URL: TypeAdapter[HttpUrl] = TypeAdapter(HttpUrl)
 _KINDS: dict[type, str] = {bool: "true or false", int: "a number", float: "a number", str: "text", list: "a list"}
 _MAX_INT = 2**63 - 1
-# Looking for what was meant takes cubic time: it is done for the first problems, and where names are of usual size.
+# Finding similar names takes cubic time: only for the first problems, and for names of usual length.
 _HINTS, _HINT_CHARACTERS, _HINT_CANDIDATES = 10, 40, 200
-# Problems are kept for every mission that has them: a long list of choices is named in part.
+# Problems are stored for every mission, so that they name only part of a long list of choices.
 _LISTED = 20
 
 
@@ -41,7 +41,7 @@ class Suggestion:
     candidates: tuple[str, ...]
 
     def hint(self) -> str:
-        """Return the candidate that is closest, as a question; nothing where none is close, or the text is long."""
+        """Return the closest candidate as a question; empty where none is close, or the text is long."""
         short = [candidate for candidate in self.candidates if len(candidate) <= _HINT_CHARACTERS]
         if len(self.written) > _HINT_CHARACTERS:
             return ""
@@ -50,7 +50,7 @@ class Suggestion:
 
 
 class InvalidValue(ValueError):
-    """A value does not fit its field; the text says why. `path` leads to the part of the value that is meant."""
+    """A value does not fit its field, with the reason. `path` leads to the invalid part of the value."""
 
     def __init__(self, message: str, path: Path = (), near: Suggestion | None = None) -> None:
         super().__init__(message)
@@ -67,7 +67,7 @@ class ValidationResult:
 
 
 class MetadataValidator:
-    """The fields of one project, made ready to judge many missions."""
+    """Validates metadata of many missions by the fields of one project."""
 
     def __init__(self, fields: MetadataFields) -> None:
         """Compile the patterns.
@@ -80,8 +80,8 @@ class MetadataValidator:
         self._undeclared = fields.undeclared
         self._accept = {field.name: _acceptor(field) for field in fields.fields}
 
-    def judge(self, document: Document) -> ValidationResult:
-        """Return what to store of a document whose value is a mapping, and every problem in it, by place."""
+    def validate(self, document: Document) -> ValidationResult:
+        """Return what to store of a document whose value is a mapping, and every problem in it, in its order."""
         values = document.value if isinstance(document.value, dict) else {}
         metadata: Metadata = {}
         problems: list[FieldProblem] = []
@@ -146,7 +146,7 @@ class MetadataValidator:
 
 
 def read_metadata(text: str | None) -> Document:
-    """Return what a metadata document says; without one, or with an empty one, nothing.
+    """Parse a metadata document; without one, or with an empty one, return an empty mapping.
 
     Raises:
         YamlInvalid: it cannot be read, or is not a mapping of fields.
@@ -161,19 +161,19 @@ def read_metadata(text: str | None) -> Document:
 
 
 def satisfying(document: Document, fields: MetadataFields) -> Metadata:
-    """Return what to store of a document that satisfies a project's fields.
+    """Return what to store of a document that must satisfy a project's fields.
 
     Raises:
-        MetadataInvalid: it does not; names everything missing, wrong or unknown.
+        MetadataInvalid: it does not; names every missing, wrong or unknown field.
     """
-    judgement = MetadataValidator(fields).judge(document)
-    if judgement.problems:
-        raise MetadataInvalid(problems=judgement.problems)
-    return judgement.metadata
+    result = MetadataValidator(fields).validate(document)
+    if result.problems:
+        raise MetadataInvalid(problems=result.problems)
+    return result.metadata
 
 
 def describe(field: MetadataField) -> str:
-    """Return in words what a field takes."""
+    """Describe the values that a field takes."""
     if field.type is FieldType.number:
         return f"a number in {field.unit}" if field.unit else "a number"
     if field.type is FieldType.choice:
@@ -305,7 +305,7 @@ def _link(value: JsonValue) -> JsonValue:
 
 
 def _finite(value: JsonValue, path: Path) -> JsonValue:
-    """Return a value that JSON can hold, whatever it is made of."""
+    """Return a value after checking that JSON can represent it, with everything in it."""
     if isinstance(value, float) and not math.isfinite(value):
         raise InvalidValue("is not a finite number", path)
     if isinstance(value, int) and abs(value) > _MAX_INT:
@@ -322,25 +322,25 @@ def _finite(value: JsonValue, path: Path) -> JsonValue:
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*( [A-Za-z0-9_.-]+)*")
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 _DATED = re.compile(r"\d{4}-\d{2}-\d{2}([T ].*)?")
-# Fields that say what differs from one mission to the next, whatever their type.
+# Fields whose values differ from one mission to the next, whatever their type.
 _OF_ONE_MISSION = frozenset({"date", "day", "time", "weather", "operator", "operators", "driver", "pilot"})
 _NAME_PARTS = re.compile(r"[a-z]+|[A-Z][a-z]*")
 
 
 def defaults(fields: MetadataFields) -> Metadata:
-    """Return the values that the project itself says to begin with."""
-    judge = MetadataValidator(fields)
-    values = {field.name: judge.accept_default(field) for field in fields.fields}
+    """Return the default values that the project declares."""
+    validator = MetadataValidator(fields)
+    values = {field.name: validator.accept_default(field) for field in fields.fields}
     return {name: value for name, value in values.items() if value is not None}
 
 
 def carried_over(fields: MetadataFields, last: Metadata) -> Metadata:
-    """Return the values of the last mission that still fit. Whoever makes the next mission has to confirm them.
+    """Return the values of the last mission that are still valid; the author of the next mission has to confirm them.
 
-    Dates, weather and operator are left out: they differ, and a wrong one would look as if somebody had entered it.
+    Dates, weather and operator are left out: they differ, and a wrong one would look as if it had been entered.
     """
-    judge = MetadataValidator(fields)
-    begun = defaults(fields)
+    validator = MetadataValidator(fields)
+    own_defaults = defaults(fields)
     declared = {field.name: field for field in fields.fields}
     known = {name.casefold() for name in declared}
     carried: Metadata = {}
@@ -350,12 +350,12 @@ def carried_over(fields: MetadataFields, last: Metadata) -> Metadata:
             continue
         if field is not None:
             try:
-                carried[name] = judge.accept(name, value)
+                carried[name] = validator.accept(name, value)
             except InvalidValue:
                 continue
         elif fields.undeclared is Undeclared.accept and name.casefold() not in known:
             carried[name] = value
-    return {name: value for name, value in carried.items() if begun.get(name) != value}
+    return {name: value for name, value in carried.items() if own_defaults.get(name) != value}
 
 
 def _differs(name: str, value: JsonValue) -> bool:
@@ -368,8 +368,8 @@ def write_template(
 ) -> str:
     """Return a document that parses, and that satisfies the fields once the required ones are filled in.
 
-    `values` are those to begin with. `carried` are those of the mission called `source`: they stand in comments, so
-    that nothing of an earlier mission is taken over unless somebody writes it.
+    `values` are filled in. `carried` are values of the mission named `source`: they are comments, so that no value of
+    an earlier mission is used unless somebody writes it.
     """
     lines = [f"# Metadata of a mission in project {_comment(project)}."]
     lines.append("# Fill in what is required; what is optional may stay empty or be deleted.")

@@ -1,4 +1,4 @@
-"""What is asked of missions. Functions return selects; they touch no connection."""
+"""Selects of missions and their totals, and what their rows become; they touch no connection."""
 
 import functools
 import json
@@ -7,23 +7,27 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 from sqlalchemy import (
+    ARRAY,
     BigInteger,
     ColumnElement,
     Row,
     Select,
     Update,
+    and_,
     bindparam,
     case,
     func,
     literal,
     null,
     select,
+    true,
+    type_coerce,
     update,
 )
-from sqlalchemy.dialects.postgresql import JSONB
+from sqlalchemy.dialects.postgresql import JSONB, array
 
 from kleinkram.contract.access import Right
-from kleinkram.contract.files import FileFilter
+from kleinkram.contract.files import BlobState, ContentState, FileFilter
 from kleinkram.contract.missions import MissionFilter, MissionOrder, MissionRead, MissionRef, MissionSort
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.server.access.actor import Actor
@@ -31,20 +35,21 @@ from kleinkram.server.access.visible import (
     joined_missions,
     level_on_mission,
     sees_whole_missions,
+    shown_files,
+    shown_recordings,
     shown_span,
     visible_missions,
     visible_projects,
 )
 from kleinkram.server.db import among, by_name
-from kleinkram.server.filters.metadata import metadata_key
+from kleinkram.server.filters.files import metadata_key
 from kleinkram.server.filters.missions import filter_missions, filter_missions_by_files
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
-from kleinkram.server.missions.amounts import amounts
 from kleinkram.server.pagination import Order, PagedQuery
-from kleinkram.server.tables import blob, file, mission, person, project
+from kleinkram.server.tables import blob, file, mission, person, project, recording
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
-_AMOUNTS = ("file_count", "size_bytes", "message_count", "pending_file_count")
+_TOTALS = ("file_count", "size_bytes", "message_count", "pending_file_count")
 
 
 def mission_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
@@ -57,14 +62,9 @@ def mission_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
         level_on_mission(actor).label("level"),
         start_ns.label("shown_start_ns"),
         end_ns.label("shown_end_ns"),
-        amounts(actor).label("amounts"),
+        mission_totals(actor).label("totals"),
     )
     return stmt.add_columns(*extra).join(person, person.c.id == mission.c.created_by_id)
-
-
-def rows_of_found(actor: Actor, mission_id: ColumnElement[uuid.UUID]) -> Select[Any]:
-    """Return the same rows of missions that the very statement around it has found among the visible ones."""
-    return mission_rows(actor, joined_missions().where(mission.c.id == mission_id))
 
 
 def to_missions(rows: Sequence[Row[Any]]) -> list[MissionRead]:
@@ -77,53 +77,137 @@ def _to_mission(values: dict[str, Any]) -> MissionRead:
     values["created_by"] = {"id": values["created_by_id"], "name": values["created_by_name"]}
     if not values["is_whole"]:
         values |= {"metadata": {}, "metadata_yaml": None, "metadata_problems": [], "notes": ""}
-    values |= zip(_AMOUNTS, map(int, values["amounts"]), strict=True)
+    values |= zip(_TOTALS, map(int, values["totals"]), strict=True)
     values["start_ns"], values["end_ns"] = values["shown_start_ns"], values["shown_end_ns"]
     values["recordings_current"] = values["derived_revision"] == values["files_revision"]
     values["right"] = Right.of_level(values["level"])
     return MissionRead.model_validate(values)
 
 
-def to_mission_ref(row: Row[Any]) -> MissionRef:
-    """Return a mission as named beside what it holds."""
-    return MissionRef(id=row.id, name=row.name, project=ProjectRef(id=row.project_id, name=row.project_name))
+_PLACE = (mission.c.id, mission.c.name, mission.c.project_id, project.c.name)
 
 
-def mission_by_id(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
-    """Return a visible mission, with its project's name."""
-    project_name = project.c.name.label("project_name")
-    return visible_missions(actor).add_columns(project_name).where(mission.c.id == mission_id)
+def mission_ref(mission_id: uuid.UUID, name: str, project_id: uuid.UUID, project_name: str) -> MissionRef:
+    """Return the names of a mission and its project, for responses."""
+    return MissionRef(id=mission_id, name=name, project=ProjectRef(id=project_id, name=project_name))
 
 
-def whole_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
+# Content too expensive to summarise is read by the verification; damaged bytes are never read.
+_UNREAD = blob.c.summarised_at.is_(None) | (blob.c.content == ContentState.pending.value)
+_PENDING = blob.c.summarised_at.is_(None) | (
+    (blob.c.content == ContentState.pending.value) & (blob.c.state == BlobState.stored.value)
+)
+_STORED = ("file_count", "size_bytes", "message_count", "unread_count")
+# The totals of a mission without files.
+NO_TOTALS = {"file_count": 0, "size_bytes": 0, "message_count": 0, "unread_count": 0, "duration_ns": 0}
+# The other totals are as old as that one.
+_IS_STORED = mission.c.file_count.is_not(None)
+
+
+def mission_totals(actor: Actor) -> ColumnElement[Any]:
+    """Return number, bytes and messages of each `mission`'s files, and the number of unread ones, as one array.
+
+    They are stored when recordings are derived. A trigger clears the number of files when these change; until it is
+    stored again, the totals are added up from the files. So they are always current, and a list of a thousand missions
+    reads no file.
+    """
+    return _stored_or_added_totals() if sees_whole_missions(actor) else _added_totals(shown_files(actor))
+
+
+@functools.cache
+def _stored_or_added_totals() -> ColumnElement[Any]:
+    stored = _as_integers(*(mission.c[name] for name in _STORED))
+    # A file may be read without its mission being derived again; where none is unread, none becomes so.
+    return case((and_(_IS_STORED, mission.c.unread_count == 0), stored), else_=_added_totals(true()))
+
+
+def _added_totals(shown: ColumnElement[bool]) -> ColumnElement[Any]:
+    numbers = (func.count(), func.sum(blob.c.size_bytes), func.sum(blob.c.message_count), func.count().filter(_PENDING))
+    return _of_files(shown, _as_integers(*numbers))
+
+
+def file_totals(actor: Actor) -> tuple[ColumnElement[Any], ColumnElement[Any]]:
+    """Return number and bytes of each `mission`'s files, to be added up over missions."""
+    shown = shown_files(actor)
+    count, size_bytes = _of_files(shown, func.count()), _of_files(shown, func.coalesce(func.sum(blob.c.size_bytes), 0))
+    if not sees_whole_missions(actor):
+        return count, size_bytes
+    return (
+        case((_IS_STORED, mission.c.file_count), else_=count),
+        case((_IS_STORED, mission.c.size_bytes), else_=size_bytes),
+    )
+
+
+def total_duration(actor: Actor) -> ColumnElement[Any]:
+    """Return the nanoseconds of each `mission`'s recordings, to be added up over missions; null for none."""
+    durations = select(func.sum(recording.c.end_ns - recording.c.start_ns)).where(
+        recording.c.mission_id == mission.c.id
+    )
+    added = durations.where(shown_recordings(actor)).correlate(mission).scalar_subquery()
+    if not sees_whole_missions(actor):
+        return added
+    # Recordings only change when they are derived, which stores this too.
+    return case((mission.c.duration_ns.is_not(None), mission.c.duration_ns), else_=added)
+
+
+def store_totals(mission_id: uuid.UUID, **values: object) -> Update:
+    """Return the statement that stores the totals of a mission, and other derived values."""
+    numbers = (func.count(), func.coalesce(func.sum(blob.c.size_bytes), 0))
+    read = (func.coalesce(func.sum(blob.c.message_count), 0), func.count().filter(_UNREAD))
+    inside = select(_as_integers(*numbers, *read).label("numbers")).join_from(file, blob, blob.c.id == file.c.blob_id)
+    added = inside.where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None)).cte("found")
+    duration = select(func.coalesce(func.sum(recording.c.end_ns - recording.c.start_ns), 0))
+    derived = {name: select(added.c.numbers[index]).scalar_subquery() for index, name in enumerate(_STORED, start=1)}
+    derived["duration_ns"] = duration.where(recording.c.mission_id == mission_id).scalar_subquery()
+    return update(mission).where(mission.c.id == mission_id).values(**values, **derived)
+
+
+def _of_files(shown: ColumnElement[bool], what: ColumnElement[Any]) -> ColumnElement[Any]:
+    inside = (file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown)
+    stmt: Select[Any] = select(what).join_from(file, blob, blob.c.id == file.c.blob_id).where(*inside)
+    return stmt.correlate(mission).scalar_subquery()
+
+
+def _as_integers(*numbers: ColumnElement[Any]) -> ColumnElement[Any]:
+    # One array, so that one pass over a mission's files gives all numbers.
+    return type_coerce(array([func.coalesce(number, 0) for number in numbers]), ARRAY(BigInteger))
+
+
+def mission_place(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
+    """Return the arguments of `mission_ref` for a visible mission."""
+    return (
+        visible_missions(actor).with_only_columns(*_PLACE, maintain_column_froms=True).where(mission.c.id == mission_id)
+    )
+
+
+def complete_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
     """Return a visible mission as `to_missions` reads it."""
     return mission_rows(actor, visible_missions(actor).where(mission.c.id == mission_id))
 
 
 def lock_projects_of(mission_ids: Collection[uuid.UUID]) -> Select[Any]:
-    """Return the select that keeps the projects of missions from being deleted, restored or dropped."""
+    """Lock the projects of missions against being deleted, restored or purged."""
     holding = select(mission.c.project_id).where(among(mission.c.id, mission_ids))
     locked = select(project.c.id).where(project.c.id.in_(holding)).order_by(project.c.id)
     return locked.with_for_update(read=True, key_share=True)
 
 
 def lock_missions(mission_ids: Collection[uuid.UUID]) -> Select[Any]:
-    """Return the select that holds others off changing missions and what they hold."""
+    """Lock missions against changes of them and of their content."""
     locked = select(mission.c.id).where(among(mission.c.id, mission_ids)).order_by(mission.c.id)
     return locked.with_for_update(key_share=True)
 
 
 def fields_of_project(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
-    """Return a visible project's metadata fields, locked so that they stay and the project is not deleted meanwhile."""
+    """Return a visible project's metadata fields, and lock the project against changes and deletion."""
     one = visible_projects(actor).with_only_columns(project.c.name, project.c.metadata_fields)
     return one.where(project.c.id == project_id).with_for_update(read=True)
 
 
 def fields_of_mission(mission_id: uuid.UUID) -> Select[Any]:
-    """Return the metadata fields of the project that a mission is in, locked likewise; for who may write the mission.
+    """Return the metadata fields of the project that a mission is in, and lock the project.
 
-    That is no right on the project, of which they see the name alone: they hear of the fields what their own metadata
-    lacks.
+    For actors who may write the mission, whatever they see of the project: they learn what their metadata lacks.
     """
     one = select(project.c.name, project.c.metadata_fields).join(mission, mission.c.project_id == project.c.id)
     return one.where(mission.c.id == mission_id, project.c.deleted_at.is_(None)).with_for_update(read=True, of=project)
@@ -136,31 +220,22 @@ def mission_listing(
     *,
     plan: SearchPlan = NO_PLAN,
     sort: MissionOrder,
-) -> PagedQuery:
+) -> PagedQuery[MissionRead]:
     """Return the visible missions that match, among those that a filter of files finds, where there is one."""
+
+    def described(mission_id: ColumnElement[uuid.UUID]) -> Select[Any]:
+        return mission_rows(actor, joined_missions().where(mission.c.id == mission_id))
+
     matched = filter_missions(actor, visible_missions(actor), matching, plan)
     if by_files is not None:
         matched = filter_missions_by_files(actor, matched, by_files, plan)
-    return PagedQuery(matched, mission_order(actor, sort), functools.partial(rows_of_found, actor))
-
-
-def sampled_missions(actor: Actor, by_files: FileFilter, *, plan: SearchPlan, size: int) -> Select[Any]:
-    """Return how many of the missions sampled by id match (`hits`), of how many (`sampled`), and the `last_id`."""
-    sample = select(mission.c.id).order_by(mission.c.id).limit(size).cte("sample").prefix_with("MATERIALIZED")
-    within = visible_missions(actor).where(mission.c.id.in_(select(sample.c.id)))
-    matched = filter_missions_by_files(actor, within, by_files, plan)
-    hits = matched.with_only_columns(mission.c.id, maintain_column_froms=True).subquery()
-    return select(
-        select(func.count()).select_from(hits).scalar_subquery().label("hits"),
-        select(func.count()).select_from(sample).scalar_subquery().label("sampled"),
-        select(sample.c.id).order_by(sample.c.id.desc()).limit(1).scalar_subquery().label("last_id"),
-    )
+    return PagedQuery(matched, mission_order(actor, sort), to_missions, described)
 
 
 def mission_order(actor: Actor, sort: MissionOrder) -> Order:
-    """Return a list's order. Missions without a time, or without the field, come last, whichever way the list runs.
+    """Return a list's order. Missions without a time or the field come last in both directions.
 
-    Who sees no metadata sees no order by it either.
+    Actors who do not see metadata get no order by it.
     """
     if not isinstance(sort, MissionSort):
         return _order_by_metadata(sort, is_seen=sees_whole_missions(actor))
@@ -198,20 +273,17 @@ def visible_ids(actor: Actor, *, plan: SearchPlan, limit: int) -> Select[Any]:
 
 
 def last_mission(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
-    """Return the mission of a project that was made last, as `to_mission_ref` reads it."""
-    newest = visible_missions(actor).add_columns(project.c.name.label("project_name"))
-    return (
-        newest.where(mission.c.project_id == project_id)
-        .order_by(mission.c.created_at.desc(), mission.c.id.desc())
-        .limit(1)
-    )
+    """Return the newest visible mission of a project: the arguments of `mission_ref`, and its metadata."""
+    newest = visible_missions(actor).with_only_columns(*_PLACE, mission.c.metadata, maintain_column_froms=True)
+    newest = newest.where(mission.c.project_id == project_id)
+    return newest.order_by(mission.c.created_at.desc(), mission.c.id.desc()).limit(1)
 
 
 def contents(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
     """Return the number and bytes of a visible mission's files."""
-    amounts = select(func.count(file.c.id), func.coalesce(func.sum(blob.c.size_bytes), 0))
+    sums = select(func.count(file.c.id), func.coalesce(func.sum(blob.c.size_bytes), 0))
     inside = visible_missions(actor).with_only_columns(mission.c.id).where(mission.c.id == mission_id)
-    return amounts.join_from(file, blob, blob.c.id == file.c.blob_id).where(
+    return sums.join_from(file, blob, blob.c.id == file.c.blob_id).where(
         file.c.mission_id.in_(inside), file.c.deleted_at.is_(None)
     )
 
@@ -222,12 +294,12 @@ def change_mission(mission_id: uuid.UUID, **values: object) -> Update:
 
 
 def metadata_of_project(project_id: uuid.UUID, *, after: uuid.UUID | None, limit: int) -> Select[Any]:
-    """Return the next missions of a project, by id, with what they carry; those in the trash too."""
+    """Return the next missions of a project, by id, with their metadata; those in the trash too."""
     stmt = select(mission.c.id, mission.c.metadata, mission.c.metadata_problems)
     stmt = stmt.where(mission.c.project_id == project_id).order_by(mission.c.id).limit(limit)
     return stmt if after is None else stmt.where(mission.c.id > after)
 
 
 def set_problems() -> Update:
-    """Return the statement that notes `problems` for the mission `ref`, to be run for many at once."""
+    """Return the statement that stores `problems` of the mission `ref`, for executing with many rows."""
     return update(mission).where(mission.c.id == bindparam("ref")).values(metadata_problems=bindparam("problems"))

@@ -1,4 +1,4 @@
-"""Missions over HTTP."""
+"""Routes of missions."""
 
 import uuid
 from typing import Annotated

@@ -15,8 +15,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.overviews import queries
 from kleinkram.server.pagination import PageRequest, fetch_page
 from kleinkram.server.projects import service as projects
-from kleinkram.server.search import service as search
-from kleinkram.server.search.queries import add_up
+from kleinkram.server.search.statistics import add_up, get_stats
 
 
 async def get_timeline(db: Connection, actor: Actor, *, mission_id: uuid.UUID, page: PageRequest) -> MissionTimeline:
@@ -67,7 +66,7 @@ async def get_overview(
         InvalidQuery: nothing has such a field, it has too many values, or its values are not shown to this actor.
     """
     group = by if by == _MONTH or by.startswith("metadata.") else f"metadata.{by}"
-    stats = await search.get_stats(db, actor, by=group, matching=FileFilter(project_id=project_id))
+    stats = await get_stats(db, actor, by=group, matching=FileFilter(project_id=project_id))
     if field is None and by != _MONTH and stats.rows and all(row.group is None for row in stats.rows):
         raise InvalidQuery(expression=by, reason="no mission has such a field; say month, or the name of a field")
     with_value = [row for row in stats.rows if row.group is not None]

@@ -21,15 +21,14 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.problems import message_of
 from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.rights import admit, grant_first_rights, require_creator, require_project
+from kleinkram.server.access.rights import admit, grant_first_rights, require_creator, require_match, require_project
 from kleinkram.server.access.visible import level_on_project, sees_whole_missions, visible_projects
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, by_name, violated_constraint
 from kleinkram.server.filters.missions import filter_projects
-from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import service as missions
-from kleinkram.server.missions.amounts import duration, file_amounts
 from kleinkram.server.missions.metadata import InvalidValue, MetadataValidator
+from kleinkram.server.missions.queries import file_totals, total_duration
 from kleinkram.server.pagination import Order, PageRequest, fetch_page
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import mission, person, project, upload
@@ -109,7 +108,7 @@ async def update_project(
     except IntegrityError as error:
         raise _name_taken(error, changes.name or old.name) from error
     if fields is not None and "metadata_fields" in after:
-        await missions.rejudge_missions(db, project_id, fields)
+        await missions.revalidate_missions(db, project_id, fields)
     new = await get_project(db, actor, project_id)
     await audit(db, actor, *_events(new, before, after))
     return new
@@ -123,13 +122,13 @@ async def delete_project(db: Connection, actor: Actor, *, project_id: uuid.UUID,
     if not dry_run:
         await db.execute(_lock_project(actor, project_id))
     await require_project(db, actor, "delete_project", project_id)
-    seen = await get_project(db, actor, project_id)
+    old = await get_project(db, actor, project_id)
     if not dry_run:
         marked = update(project).where(project.c.id == project_id)
         await db.execute(marked.values(deleted_at=func.now(), deleted_by_id=actor.person_id))
-        before: Metadata = {"name": seen.name}
-        await audit(db, actor, Event("project.delete", "project", project_id, seen.name, project_id, before))
-    return Deleted(missions=seen.mission_count, files=seen.file_count, size_bytes=seen.size_bytes, dry_run=dry_run)
+        before: Metadata = {"name": old.name}
+        await audit(db, actor, Event("project.delete", "project", project_id, old.name, project_id, before))
+    return Deleted(missions=old.mission_count, files=old.file_count, size_bytes=old.size_bytes, dry_run=dry_run)
 
 
 async def get_template(db: Connection, actor: Actor, project_id: uuid.UUID) -> MissionTemplate:
@@ -287,8 +286,8 @@ def _with_contents(actor: Actor, stmt: Select[Any]) -> Select[Any]:
     unsatisfied: ColumnElement[int] = literal(0)
     if sees_all:
         unsatisfied = func.count().filter(func.jsonb_array_length(mission.c.metadata_problems) > 0)
-    files, size_bytes = file_amounts(actor)
-    contents = _sums(func.count(), unsatisfied, func.sum(files), func.sum(size_bytes), func.sum(duration(actor)))
+    files, size_bytes = file_totals(actor)
+    contents = _sums(func.count(), unsatisfied, func.sum(files), func.sum(size_bytes), func.sum(total_duration(actor)))
     uploads = _sums(func.count(), func.sum(upload.c.size_bytes)).where(
         upload.c.state.in_(UNDER_WAY), upload.c.run_id.is_(None)
     )

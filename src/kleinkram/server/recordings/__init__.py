@@ -1,1 +1,1 @@
-"""Recordings: which files of a mission make one capture, and what that capture spans."""
+"""Recordings: the files of a mission that belong to one capture."""

@@ -1,13 +1,13 @@
-"""Derives the recordings of a mission from its files, and the mission's span and numbers from these."""
+"""Derives the recordings of a mission from its files, and the mission's span and totals from these."""
 
 import uuid
 from collections import defaultdict
 from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import PurePosixPath
-from typing import Any
+from typing import Any, NamedTuple
 
-from sqlalchemy import ARRAY, Integer, Row, Uuid, bindparam, column, delete, func, literal, select, update
+from sqlalchemy import ARRAY, Integer, Uuid, bindparam, column, delete, func, literal, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.audit import ChangeKind
@@ -28,15 +28,15 @@ from kleinkram.recordings.combine_summaries import combine_folder
 from kleinkram.recordings.formats.rosbag2.metadata import Rosbag2Metadata
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection, fit_text
-from kleinkram.server.missions import amounts
+from kleinkram.server.missions.queries import store_totals
 from kleinkram.server.tables import blob, file, mission, recording, topic
 
 _INSERT_BATCH = 1000
 _MAX_BIGINT = 2**63 - 1
-# 1990: no robot recorded before; a clock that starts in 1970 was never set.
+# 1990: earlier times, such as 1970, are of clocks that were never set.
 _CREDIBLE_NS = 631_152_000 * 10**9
-# Of one recording; about 100 MB. Its topics are not compared where it has more.
-_MOST_TOPICS = 100_000
+# Of one recording, about 100 MB. Topics of recordings with more are not compared.
+_MAX_TOPICS = 100_000
 _DERIVED = (
     "missing",
     "unlisted",
@@ -50,8 +50,28 @@ _DERIVED = (
 )
 
 Topics = Mapping[uuid.UUID, Sequence[TopicSummary]]
-# What each metadata.yaml says, by its path: None where it is none. Without an entry: it was not looked at.
+# The content of each metadata.yaml by its path: None where it is invalid, no entry where it was not read.
 Stated = Mapping[str, Rosbag2Metadata | None]
+
+
+class LiveFile(NamedTuple):
+    """A file of a mission that is not in the trash, with what is known of its content."""
+
+    id: uuid.UUID
+    path: str
+    blob_id: uuid.UUID
+    recording_id: uuid.UUID | None
+    key: str
+    size_bytes: int
+    start_ns: int | None
+    end_ns: int | None
+    message_count: int | None
+    format: str | None
+    content: str
+    content_reason: str | None
+    lost: dict[str, int] | None
+    depth: str | None
+    uploaded_by_id: uuid.UUID
 
 
 @dataclass(frozen=True)
@@ -67,57 +87,57 @@ class Derived:
         return self.group.name, self.group.kind.value
 
 
-async def live_files(db: Connection, mission_id: uuid.UUID, *, named: str = "") -> Sequence[Row[Any]]:
-    """Return path and content facts of a mission's files; of those alone whose paths end in a name, if it is given."""
-    known = (blob.c.key, blob.c.size_bytes, blob.c.start_ns, blob.c.end_ns, blob.c.message_count, blob.c.format)
-    state = (blob.c.content, blob.c.content_reason, blob.c.lost, blob.c.depth, blob.c.uploaded_by_id)
+async def live_files(db: Connection, mission_id: uuid.UUID, *, named: str = "") -> list[LiveFile]:
+    """Return the files of a mission; with `named`, only those whose paths end in it."""
+    own = ("id", "path", "blob_id", "recording_id")
+    of_blob = (blob.c[name] for name in LiveFile._fields if name not in own)
     statement = (
-        select(file.c.id, file.c.path, file.c.blob_id, file.c.recording_id, *known, *state)
+        select(*(file.c[name] for name in own), *of_blob)
         .join(blob, blob.c.id == file.c.blob_id)
         .where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None))
     )
     if named:
         statement = statement.where(file.c.path.endswith(named, autoescape=True))
-    return (await db.execute(statement)).all()
+    return [LiveFile._make(row) for row in await db.execute(statement)]
 
 
-async def derive(db: Connection, rows: Sequence[Row[Any]], stated: Stated) -> list[Derived]:
-    """Group files into recordings, and say of each what `klein inspect` says of the same files in a folder.
+async def derive(db: Connection, files: Sequence[LiveFile], stated: Stated) -> list[Derived]:
+    """Group files into recordings, and combine their summaries as `klein inspect` does for the files of a folder.
 
-    One query, whatever the number of files; holds the topics of one recording at a time.
+    One query for any number of files; holds the topics of one recording at a time.
     """
-    by_path = {row.path: row for row in rows}
+    by_path = {one.path: one for one in files}
     groups = group(by_path, {path: parsed for path, parsed in stated.items() if parsed is not None})
     members = [[by_path[path] for path in grouped.members] for grouped in groups]
-    # What one file says of its topics, nothing contradicts, unless there is a metadata.yaml.
+    # The topics of a single file need no comparison, unless there is a metadata.yaml.
     with_topics = [
         own if len(own) > 1 or grouped.metadata_path in stated else []
         for grouped, own in zip(groups, members, strict=True)
     ]
     derived: list[Derived] = []
-    async for topics in _topics(db, [{row.blob_id for row in own} for own in with_topics]):
+    async for topics in _topics(db, [{one.blob_id for one in own} for own in with_topics]):
         grouped, own = groups[len(derived)], members[len(derived)]
         parsed = stated.get(grouped.metadata_path or "")
-        derived.append(
-            Derived(
-                grouped,
-                _values(grouped, parsed, _combined(grouped, own, stated, topics)),
-            )
-        )
+        derived.append(Derived(grouped, _values(grouped, parsed, _combined(grouped, own, stated, topics))))
     return derived
 
 
+# Fields of a `TopicSummary` after its name, in order.
+_TOPIC_TEXTS = ("message_type", "schema_name", "schema_encoding", "message_encoding")
+_TOPIC_NUMBERS = ("count", "first_ns", "last_ns", "rate_hz", "longest_gap_ns", "head_gap_ns", "tail_gap_ns")
+
+
 async def _topics(db: Connection, blob_sets: Sequence[set[uuid.UUID]]) -> AsyncIterator[Topics]:
-    """Yield the topics of each set of blobs, in turn; none where they are too many."""
+    """Yield the topics of each set of blobs; none where they are too many."""
     pairs = [(number, blob_id) for number, ids in enumerate(blob_sets) for blob_id in ids]
     wanted_blobs = func.unnest(
         literal([number for number, _ in pairs], ARRAY(Integer)),
         literal([blob_id for _, blob_id in pairs], ARRAY(Uuid)),
     ).table_valued(column("number", Integer), column("blob_id", Uuid), name="given")
     wanted_blobs = wanted_blobs.render_derived()
-    counted = topic.c.count.label("message_count")
-    columns = [column for column in topic.c if column.name != "density"]
-    statement = select(wanted_blobs.c.number, *columns, counted).join(topic, topic.c.blob_id == wanted_blobs.c.blob_id)
+    texts = (func.coalesce(topic.c[name], "") for name in _TOPIC_TEXTS)
+    columns = (topic.c.blob_id, topic.c.name, *texts, *(topic.c[name] for name in _TOPIC_NUMBERS))
+    statement = select(wanted_blobs.c.number, *columns).join(topic, topic.c.blob_id == wanted_blobs.c.blob_id)
     result = await db.stream(statement.order_by(wanted_blobs.c.number, topic.c.blob_id, topic.c.name))
     row = await result.fetchone()
     for number in range(len(blob_sets)):
@@ -125,33 +145,16 @@ async def _topics(db: Connection, blob_sets: Sequence[set[uuid.UUID]]) -> AsyncI
         count = 0
         while row is not None and row.number == number:
             count += 1
-            if count <= _MOST_TOPICS:
-                topics_by_blob[row.blob_id].append(_topic(row))
+            if count <= _MAX_TOPICS:
+                topics_by_blob[row.blob_id].append(TopicSummary(*row[2:]))
             row = await result.fetchone()
-        yield topics_by_blob if count <= _MOST_TOPICS else {}
+        yield topics_by_blob if count <= _MAX_TOPICS else {}
     await result.close()
 
 
-def _topic(row: Row[Any]) -> TopicSummary:
-    return TopicSummary(
-        name=row.name,
-        message_type=row.message_type or "",
-        schema_name=row.schema_name or "",
-        schema_encoding=row.schema_encoding or "",
-        message_encoding=row.message_encoding or "",
-        count=row.message_count,
-        first_ns=row.first_ns,
-        last_ns=row.last_ns,
-        rate_hz=row.rate_hz,
-        longest_gap_ns=row.longest_gap_ns,
-        head_gap_ns=row.head_gap_ns,
-        tail_gap_ns=row.tail_gap_ns,
-    )
-
-
-def _combined(grouped: RecordingGroup, members: Sequence[Row[Any]], stated: Stated, topics: Topics) -> RecordingSummary:
+def _combined(grouped: RecordingGroup, members: Sequence[LiveFile], stated: Stated, topics: Topics) -> RecordingSummary:
     names = [PurePosixPath(path).name for path in grouped.members]
-    summaries = [_summary(row, topics.get(row.blob_id, ())) for row in members]
+    summaries = [_summary(one, topics.get(one.blob_id, ())) for one in members]
     if grouped.kind is not RecordingGroupKind.rosbag2:
         return combine(summaries, names)
     path = grouped.metadata_path or ""
@@ -163,31 +166,31 @@ def _combined(grouped: RecordingGroup, members: Sequence[Row[Any]], stated: Stat
     return replace(summary, problems=(Problem("metadata-unread", "metadata.yaml", message), *summary.problems))
 
 
-def _summary(row: Row[Any], topics: Sequence[TopicSummary]) -> RecordingSummary:
-    """Return what is known of one file. What is odd inside it, its own row says."""
+def _summary(one: LiveFile, topics: Sequence[TopicSummary]) -> RecordingSummary:
+    """Return the summary of one file, without the problems, which stay with the file."""
     return RecordingSummary(
-        format=RecordingFormat(row.format) if row.format else RecordingFormat.unknown,
-        content=Content(row.content),
-        reason=row.content_reason,
-        message_count=row.message_count,
-        start_ns=row.start_ns,
-        end_ns=row.end_ns,
+        format=RecordingFormat(one.format) if one.format else RecordingFormat.unknown,
+        content=Content(one.content),
+        reason=one.content_reason,
+        message_count=one.message_count,
+        start_ns=one.start_ns,
+        end_ns=one.end_ns,
         topics=tuple(topics),
-        depth=Depth(row.depth) if row.depth else Depth.summary,
-        lost=Lost(**row.lost) if row.lost else None,
+        depth=Depth(one.depth) if one.depth else Depth.summary,
+        lost=Lost(**one.lost) if one.lost else None,
     )
 
 
 def _values(grouped: RecordingGroup, parsed: Rosbag2Metadata | None, summary: RecordingSummary) -> dict[str, Any]:
     count = summary.message_count
-    # As dictionaries: in order, and quick to look into.
-    here = dict.fromkeys(PurePosixPath(path).name for path in grouped.members)
-    named = dict.fromkeys(PurePosixPath(path).name for path in parsed.files) if parsed else here
+    # Dictionaries as ordered sets.
+    present = dict.fromkeys(PurePosixPath(path).name for path in grouped.members)
+    named = dict.fromkeys(PurePosixPath(path).name for path in parsed.files) if parsed else present
     return {
         "name": grouped.name,
         "kind": grouped.kind.value,
-        "missing": [fit_text(name) for name in named if name not in here],
-        "unlisted": [fit_text(name) for name in here if name not in named],
+        "missing": [fit_text(name) for name in named if name not in present],
+        "unlisted": [fit_text(name) for name in present if name not in named],
         "problems": [{key: fit_text(value) for key, value in asdict(one).items()} for one in summary.problems],
         "message_count": count if count is not None and count <= _MAX_BIGINT else None,
         "start_ns": summary.start_ns,
@@ -198,33 +201,35 @@ def _values(grouped: RecordingGroup, parsed: Rosbag2Metadata | None, summary: Re
     }
 
 
-async def keep(db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived], rows: Sequence[Row[Any]]) -> None:
-    """Make a mission's recordings and span those derived; recordings that stay keep their ids.
+async def store(db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived], files: Sequence[LiveFile]) -> None:
+    """Store the derived recordings and span of a mission; recordings that continue to exist keep their ids.
 
-    Only what changed is written: of ten thousand recordings, one does with each file that is read.
+    Only changes are written: of ten thousand recordings, one changes with each file that is read.
     """
     stored = await _stored_recordings(db, mission_id)
-    ids = {key: row.id for key, row in stored.items()}
-    new = [item for item in derived if not _is_unchanged(item, stored.get(item.key))]
+    ids = {key: recording_id for key, (recording_id, _) in stored.items()}
+    new = [
+        item for item in derived if item.key not in stored or stored[item.key][1] != [*map(item.values.get, _DERIVED)]
+    ]
     for start in range(0, len(new), _INSERT_BATCH):
         ids |= await _upsert(db, mission_id, new[start : start + _INSERT_BATCH])
     ids = {item.key: ids[item.key] for item in derived}
     gone = delete(recording).where(recording.c.mission_id == mission_id, recording.c.id.not_in(list(ids.values())))
     await db.execute(gone)
     owner = {path: ids[item.key] for item in derived for path in _paths(item.group)}
-    moved = [row for row in rows if row.recording_id != owner.get(row.path)]
-    links = [{"b_file": row.id, "b_recording": owner.get(row.path)} for row in moved]
+    moved = [one for one in files if one.recording_id != owner.get(one.path)]
+    links = [{"b_file": one.id, "b_recording": owner.get(one.path)} for one in moved]
     if links:
         statement = update(file).where(file.c.id == bindparam("b_file"))
         await db.execute(statement.values(recording_id=bindparam("b_recording")), links)
     start_ns, end_ns = _span(derived)
     derived_revision = mission.c.files_revision
-    await db.execute(amounts.keep(mission_id, start_ns=start_ns, end_ns=end_ns, derived_revision=derived_revision))
+    await db.execute(store_totals(mission_id, start_ns=start_ns, end_ns=end_ns, derived_revision=derived_revision))
     await publish(db, [ChangeEvent("recording", ChangeKind.changed, mission_id=mission_id)])
 
 
 def _span(derived: Sequence[Derived]) -> tuple[int | None, int | None]:
-    """Return from when to when a mission's recordings last. One from a clock that was never set does not stretch it."""
+    """Return start and end of a mission's recordings, without those whose clock was never set if there are others."""
     spans = [
         (item.values["start_ns"], item.values["end_ns"]) for item in derived if item.values["start_ns"] is not None
     ]
@@ -236,14 +241,13 @@ def _paths(grouped: RecordingGroup) -> list[str]:
     return [*grouped.members, *([grouped.metadata_path] if grouped.metadata_path else [])]
 
 
-async def _stored_recordings(db: Connection, mission_id: uuid.UUID) -> dict[tuple[str, str], Row[Any]]:
-    columns = (recording.c[name] for name in ("id", "name", "kind", *_DERIVED))
+async def _stored_recordings(
+    db: Connection, mission_id: uuid.UUID
+) -> dict[tuple[str, str], tuple[uuid.UUID, list[object]]]:
+    """Return id and derived values of each recording of a mission, by name and kind."""
+    columns = (recording.c[name] for name in ("name", "kind", "id", *_DERIVED))
     rows = await db.execute(select(*columns).where(recording.c.mission_id == mission_id))
-    return {(row.name, row.kind): row for row in rows}
-
-
-def _is_unchanged(item: Derived, row: Row[Any] | None) -> bool:
-    return row is not None and all(row._mapping[name] == item.values[name] for name in _DERIVED)
+    return {(name, kind): (recording_id, values) for name, kind, recording_id, *values in rows}
 
 
 async def _upsert(

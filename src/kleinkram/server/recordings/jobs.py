@@ -1,7 +1,7 @@
 """Jobs that derive the recordings of missions from their files.
 
-A mission of ten thousand files changes with each that is read, and deriving it takes half a second: `Rests` debounces.
-`Understanding` reads each metadata.yaml of a mission in a child process, and caches it by the object's key.
+A mission of ten thousand files changes with each that is read, and deriving it takes half a second: `RegroupDebounce`
+delays it. `MetadataCache` reads each metadata.yaml of a mission in a child process, and caches it by the object's key.
 """
 
 import datetime
@@ -9,10 +9,8 @@ import math
 import time
 import uuid
 from collections.abc import Sequence
-from typing import Any
 
 from procrastinate import JobContext
-from sqlalchemy import Row
 
 from kleinkram.contract.names import file_name
 from kleinkram.recordings import SummaryFailed
@@ -31,16 +29,17 @@ from kleinkram.server.jobs.queue import Job, enqueued_at, queue
 from kleinkram.server.missions import service as missions
 from kleinkram.server.overviews.topics import keep_topics
 from kleinkram.server.recordings import derive
+from kleinkram.server.recordings.derive import LiveFile
 from kleinkram.server.recordings.service import awaits_regrouping, regroup_later
 
-# What takes less is derived at once: people look at what they bring.
+# A mission that takes less is derived at once, because people look at what they upload.
 _LONG_S = 0.1
-# So many times as long as it took, for each that rests; a change is seen after so long at the latest.
-_TIMES, _MOST_S = 4.0, 30.0
+# The delay: so many times as long as deriving took, for each delayed mission; and its limit.
+_DELAY_FACTOR, _MAX_DELAY_S = 4.0, 30.0
 
 
 class RegroupDebounce:
-    """Until when each mission rests that took long. One a worker."""
+    """Delays of the missions that took long to derive. One per worker."""
 
     def __init__(self) -> None:
         self._until: dict[uuid.UUID, float] = {}
@@ -48,53 +47,53 @@ class RegroupDebounce:
     def took(self, mission_id: uuid.UUID, seconds: float) -> None:
         """Note how long it took to derive a mission."""
         now = time.monotonic()
-        self._until = {resting_id: until for resting_id, until in self._until.items() if until > now}
+        self._until = {delayed_id: until for delayed_id, until in self._until.items() if until > now}
         if seconds >= _LONG_S:
-            at_rest = len({*self._until, mission_id})
-            self._until[mission_id] = now + min(seconds * _TIMES * at_rest, _MOST_S)
+            count = len({*self._until, mission_id})
+            self._until[mission_id] = now + min(seconds * _DELAY_FACTOR * count, _MAX_DELAY_S)
 
     def left(self, mission_id: uuid.UUID) -> datetime.timedelta:
-        """Return how long a mission rests from now; nothing or less when it does not."""
+        """Return the remaining delay of a mission; zero or negative where there is none."""
         now = time.monotonic()
         return datetime.timedelta(seconds=self._until.get(mission_id, now) - now)
 
 
-# About 1400 topics. Untrusted YAML takes 18 s a megabyte; what is larger is not looked at.
+# About 1400 topics. Untrusted YAML takes 18 s per megabyte; larger files are not read.
 _LIMIT_BYTES = 256 * 1024
 _LIMIT_S = 60.0
-# Of text; understood it takes some five times as much.
-_REMEMBERED_BYTES = 8 * 1024 * 1024
+# Of text; parsed, it takes about five times as much memory.
+_CACHED_BYTES = 8 * 1024 * 1024
 
 
 class MetadataCache:
-    """Understands metadata.yaml files, and remembers them up to a bound. One a worker."""
+    """Parses metadata.yaml files, and caches them up to a limit. One per worker."""
 
     def __init__(self, readers: ReaderProcesses) -> None:
         self._readers = readers
         self._known: dict[str, Rosbag2Metadata | SummaryFailed | None] = {}
         self._size_bytes = 0
 
-    async def of(self, context: AppContext, rows: Sequence[Row[Any]]) -> dict[str, Rosbag2Metadata | None]:
-        """Return by path what the metadata.yaml files among these say; None for one that is no such thing.
+    async def of(self, context: AppContext, files: Sequence[LiveFile]) -> dict[str, Rosbag2Metadata | None]:
+        """Return the content of the metadata.yaml files among these, by path; None for an invalid one.
 
-        Those that are too large, cost too much to read, or are gone from the store, are left out.
+        Those that are too large, too expensive to read, or missing from the store are left out.
         """
         stated: dict[str, Rosbag2Metadata | None] = {}
-        for row in rows:
-            if file_name(row.path) != METADATA_NAME or row.size_bytes > _LIMIT_BYTES:
+        for one in files:
+            if file_name(one.path) != METADATA_NAME or one.size_bytes > _LIMIT_BYTES:
                 continue
-            if row.key not in self._known:
+            if one.key not in self._known:
                 try:
-                    await self._learn(context, row)
+                    await self._parse(context, one)
                 except FileNotFoundError:
                     continue
-            metadata = self._known[row.key]
+            metadata = self._known[one.key]
             if not isinstance(metadata, SummaryFailed):
-                stated[row.path] = metadata
+                stated[one.path] = metadata
         return stated
 
-    async def _learn(self, context: AppContext, row: Row[Any]) -> None:
-        body = b"".join([piece async for piece in context.storage.read(row.key)])
+    async def _parse(self, context: AppContext, one: LiveFile) -> None:
+        body = b"".join([piece async for piece in context.storage.read(one.key)])
         timeout_s = min(_LIMIT_S, context.settings.summary_timeout_s)
         request = request_bytes(
             MetadataRequest(body.decode("utf-8", "replace")),
@@ -103,24 +102,25 @@ class MetadataCache:
         )
         metadata: Rosbag2Metadata | SummaryFailed | None
         try:
-            metadata = await self._readers.metadata(request, owner=row.uploaded_by_id, timeout_s=timeout_s)
-        except SummaryFailed as failure:  # it would cost as much the next time
+            metadata = await self._readers.metadata(request, owner=one.uploaded_by_id, timeout_s=timeout_s)
+        except SummaryFailed as failure:  # cached, because it would fail again
             metadata = failure
-        if self._size_bytes + len(body) > _REMEMBERED_BYTES:
+        if self._size_bytes + len(body) > _CACHED_BYTES:
             self._known, self._size_bytes = {}, 0
-        self._known[row.key] = metadata
+        self._known[one.key] = metadata
         self._size_bytes += len(body)
 
 
+# The topics of a mission with more files are not stored for a state that has changed already.
 _MAX_UNHURRIED_FILES = 50
 
 
 @queue.task(name=Job.group_recordings.value, pass_context=True, retry=RETRY_STRATEGY)
 async def group_recordings(job_context: JobContext, ref: str) -> None:
-    """Derive a mission's recordings; whatever changes meanwhile asks for another round."""
-    context, rests = app_context(job_context), worker_resource(job_context, "rests", RegroupDebounce)
+    """Derive a mission's recordings; a change in the meantime enqueues another job."""
+    context, debounce = app_context(job_context), worker_resource(job_context, "regroup_debounce", RegroupDebounce)
     mission_id = uuid.UUID(ref)
-    if (left := rests.left(mission_id)) > datetime.timedelta():
+    if (left := debounce.left(mission_id)) > datetime.timedelta():
         async with context.database.begin() as db:
             await regroup_later(db, mission_id, left)
         return
@@ -130,15 +130,14 @@ async def group_recordings(job_context: JobContext, ref: str) -> None:
     began = time.monotonic()
     async with context.database.begin() as db:
         await missions.lock_mission(db, mission_id)
-        rows = await derive.live_files(db, mission_id, named=METADATA_NAME)
-    stated = await worker_resource(job_context, "understanding", MetadataCache).of(context, rows)
+        files = await derive.live_files(db, mission_id, named=METADATA_NAME)
+    stated = await worker_resource(job_context, "metadata_cache", MetadataCache).of(context, files)
     async with context.database.begin() as db:
         if not await missions.lock_mission(db, mission_id):
             return
-        rows = await derive.live_files(db, mission_id)
-        await derive.keep(db, mission_id, await derive.derive(db, rows, stated), rows)
-    rests.took(mission_id, time.monotonic() - began)
+        files = await derive.live_files(db, mission_id)
+        await derive.store(db, mission_id, await derive.derive(db, files, stated), files)
+    debounce.took(mission_id, time.monotonic() - began)
     async with context.database.begin() as db:
-        # Of many files that takes a while: not for a state that is over already.
-        if len(rows) <= _MAX_UNHURRIED_FILES or not await awaits_regrouping(db, mission_id):
+        if len(files) <= _MAX_UNHURRIED_FILES or not await awaits_regrouping(db, mission_id):
             await keep_topics(db, mission_id)

@@ -1,4 +1,4 @@
-"""What is asked of recordings. Functions return selects; they touch no connection."""
+"""Selects of recordings, and what their rows become; they touch no connection."""
 
 import uuid
 from collections.abc import Sequence
@@ -8,11 +8,10 @@ from sqlalchemy import ColumnElement, Row, Select, func, select
 from sqlalchemy.dialects.postgresql import aggregate_order_by
 
 from kleinkram.contract.files import FileProblem, RecordingRead
-from kleinkram.contract.missions import MissionRef
-from kleinkram.contract.projects import ProjectRef
 from kleinkram.recordings import group
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import shown_recordings, visible_missions
+from kleinkram.server.missions.queries import mission_ref
 from kleinkram.server.pagination import Order
 from kleinkram.server.tables import blob, file, mission, project, recording
 
@@ -53,23 +52,19 @@ RECORDING_ORDER = Order([recording.c.name, recording.c.id])
 
 
 def _in_order(paths: Sequence[str]) -> list[int]:
-    """Return the places of paths such that data files come in the order of recording, `run_2` before `run_10`."""
-    place = {path: number for number, path in enumerate(paths)}
-    members = [place[path] for statement in group(paths) for path in statement.members]
+    """Return the indices of paths with data files in the order of recording: `run_2` before `run_10`."""
+    indices = {path: index for index, path in enumerate(paths)}
+    members = [indices[path] for recording in group(paths) for path in recording.members]
     ordered, are_members = iter(members), set(members)
-    return [next(ordered) if number in are_members else number for number in range(len(paths))]
+    return [next(ordered) if index in are_members else index for index in range(len(paths))]
 
 
 def to_recording(row: Row[Any]) -> RecordingRead:
-    """Return the recording that a row stands for, its data files in the order of recording."""
+    """Return the recording in a row, with its data files in the order of recording."""
     order = _in_order(row.paths or [])
     return RecordingRead(
         id=row.id,
-        mission=MissionRef(
-            id=row.mission_id,
-            name=row.mission_name,
-            project=ProjectRef(id=row.project_id, name=row.project_name),
-        ),
+        mission=mission_ref(row.mission_id, row.mission_name, row.project_id, row.project_name),
         name=row.name,
         kind=row.kind,
         file_ids=[row.file_ids[number] for number in order],

@@ -1,4 +1,4 @@
-"""Recordings over HTTP."""
+"""Routes of recordings."""
 
 import uuid
 

@@ -1,4 +1,4 @@
-"""Recordings: reading them, and having them derived anew. Never by hand: whatever changes files asks for it."""
+"""Recordings: reading them, and requesting that they are derived again, which every change of files does."""
 
 import datetime
 import uuid
@@ -12,7 +12,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.db import Connection
 from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pagination import PageRequest, fetch_page
+from kleinkram.server.pagination import PageRequest, read_page
 from kleinkram.server.recordings import queries
 from kleinkram.server.tables import mission, mission_topics
 
@@ -22,10 +22,10 @@ _WAITING = text(
 
 
 async def regroup(db: Connection, mission_id: uuid.UUID) -> None:
-    """See to it that a mission's recordings are derived again, once this transaction is through.
+    """Have a mission's recordings derived again after this transaction.
 
-    A job that waits already will do. It cannot miss this change: it begins by taking the lock on the mission that is
-    taken here, so it looks after this transaction has ended.
+    A queued job suffices. It cannot miss this change, because it begins by acquiring the lock on the mission that this
+    transaction holds.
     """
     changed = update(mission).where(mission.c.id == mission_id).values(files_revision=mission.c.files_revision + 1)
     await db.execute(changed)
@@ -34,19 +34,19 @@ async def regroup(db: Connection, mission_id: uuid.UUID) -> None:
 
 
 async def regroup_later(db: Connection, mission_id: uuid.UUID, later: datetime.timedelta) -> None:
-    """See to it that a mission's recordings are derived in a while, together with what changes until then."""
+    """Have a mission's recordings derived after a delay, together with later changes."""
     if not await awaits_regrouping(db, mission_id):
         await enqueue(db, Job.group_recordings, ids=[str(mission_id)], priority=Priority.high, later=later)
 
 
 async def awaits_regrouping(db: Connection, mission_id: uuid.UUID) -> bool:
-    """Say whether a job that derives a mission's recordings waits."""
+    """Return whether a job that derives a mission's recordings is queued."""
     waiting = await db.execute(_WAITING, {"task": Job.group_recordings.value, "ref": str(mission_id)})
     return waiting.first() is not None
 
 
 async def regroup_forgotten(db: Connection, *, limit: int) -> None:
-    """See to missions whose recordings or topics are not those of their files, and for which no job waits or runs."""
+    """Enqueue jobs for missions whose recordings or topics are outdated, and that have no queued or running job."""
     current = select(mission_topics.c.mission_id).where(mission_topics.c.revision == mission.c.files_revision)
     stale = select(cast(mission.c.id, Text)).where(
         (mission.c.derived_revision != mission.c.files_revision)
@@ -61,7 +61,7 @@ async def get_recording(db: Connection, actor: Actor, recording_id: uuid.UUID) -
     """Return one recording.
 
     Raises:
-        NotFound: it is not there, or not for this actor.
+        NotFound: it does not exist, or is not visible.
     """
     row = (await db.execute(queries.recording_by_id(actor, recording_id))).one_or_none()
     if row is None:
@@ -75,9 +75,9 @@ async def list_recordings(
     """Return a page of a mission's recordings, by name.
 
     Raises:
-        NotFound: the mission is not there, or not for this actor.
+        NotFound: the mission does not exist, or is not visible.
         InvalidCursor: the cursor is not of this list.
     """
-    await missions.get_mission_row(db, actor, mission_id)
-    rows = await fetch_page(db, queries.recordings_of(actor, mission_id), queries.RECORDING_ORDER, page)
-    return Page(items=[queries.to_recording(row) for row in rows.items], next=rows.next, total=rows.total)
+    await missions.get_mission_ref(db, actor, mission_id)
+    statement = queries.recordings_of(actor, mission_id)
+    return await read_page(db, statement, queries.RECORDING_ORDER, page, queries.to_recording)

@@ -10,8 +10,7 @@ from kleinkram.contract.access import Scope
 from kleinkram.contract.runs import MAX_LISTED_METRICS, ReportFilter, RunFilter
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import level_on_mission, visible_files, visible_missions
-from kleinkram.server.db import among
-from kleinkram.server.filters.patterns import matches, matches_key
+from kleinkram.server.db import among, matches, matches_key
 from kleinkram.server.pagination import Order
 from kleinkram.server.tables import (
     action,

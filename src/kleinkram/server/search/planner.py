@@ -1,7 +1,7 @@
 """Planning a search: a sample of files tells whether a filter is common or rare, and which of its words is rarest.
 
-Ids are random, so the files with the lowest ids are a sample. Common filters are answered from lists read in their
-order, with estimated totals; rare ones by looking all their files up once. Rights are checked by every statement.
+Ids are random, so the files with the lowest ids are a sample. For a common filter, lists are read in their order until
+a page is full, and totals are estimates; for a rare one, all files are looked up once. Every statement checks rights.
 """
 
 import uuid
@@ -12,31 +12,37 @@ from sqlalchemy import ARRAY, CTE, ColumnElement, Select, Text, and_, cast, func
 
 from kleinkram.contract.files import FileFilter, FileSort
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import visible_files
+from kleinkram.server.access.visible import visible_files, visible_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.files.queries import file_order, matching_files
 from kleinkram.server.filters.files import file_conditions
-from kleinkram.server.filters.plan import ID_COUNT, MatchedFiles, SearchPlan, rounded
-from kleinkram.server.filters.prepared import prepare
-from kleinkram.server.filters.text import file_contains, has_index, look_up_words, occur_somewhere, words_of
+from kleinkram.server.filters.missions import filter_missions_by_files
+from kleinkram.server.filters.plan import ID_COUNT, MatchedFiles, SearchPlan, prepare, rounded, words_of
+from kleinkram.server.filters.text import file_contains, has_index, look_up_words, occur_somewhere
 from kleinkram.server.missions.service import find_visible_mission_ids
 from kleinkram.server.pagination import in_order
-from kleinkram.server.tables import file
+from kleinkram.server.tables import file, mission
 
 # Files sampled, and how many of them make a filter common: with those, an estimate is off by a third.
 SAMPLED_FILES, COMMON = 500, 10
-# Where each of several words is common by itself, no index leads to the files that contain all: common already here.
+SAMPLED_MISSIONS = 100
+# Lower where each of several words is common by itself: no index leads to the files that contain all of them.
 _COMMON_TOGETHER = 3
-# A word is common in paths if so many of the sampled ones contain it.
+# A word is common in paths if so many of the sampled paths contain it.
 _COMMON_PATHS = 15
-# So many files of a rare filter are looked up at once.
+# The most files of a rare filter that are looked up.
 _MAX_MATCHED = 50_000
-# Until the transaction ends. PostgreSQL expects rights to cost the more the more rows it reads one by one, and would
-# rather read all missions to join 500 files with (two million files, somebody with many grants: 244 instead of 12 ms).
+# Until the transaction ends. PostgreSQL overestimates the cost of checking rights row by row, and would read all
+# missions to join 500 files with them (two million files, somebody with many grants: 244 instead of 12 ms).
 _AVOID_HASH_JOINS, _ALLOW_HASH_JOINS = (
     text(f"SELECT set_config('enable_hashjoin', '{value}', true), set_config('enable_mergejoin', '{value}', true)")
     for value in ("off", "on")
 )
+
+
+# Until the transaction ends: enough memory to count many topics; lists are read in the order of an index.
+ENLARGE_WORK_MEMORY = text("SELECT set_config('work_mem', '32MB', true)")
+AVOID_SORTING = text("SELECT set_config('enable_sort', 'off', true)")
 
 
 @dataclass(frozen=True)
@@ -48,7 +54,7 @@ class Sample:
         size: files in the sample; fewer than `SAMPLED_FILES` where these are all there are.
         file_count: about how many files there are in all.
         blob_ids: the blobs of the files that the first filter finds, as PostgreSQL writes arrays.
-        common: from so many hits on, a filter is common.
+        common: the number of hits from which a filter is common.
     """
 
     hits: Sequence[int]
@@ -58,11 +64,11 @@ class Sample:
     common: int
 
     def is_common(self, number: int = 0) -> bool:
-        """Return whether a filter finds too many files to look at all of them."""
+        """Return whether a filter finds too many files to look all of them up."""
         return self.size == SAMPLED_FILES and self.hits[number] >= self.common
 
     def estimate(self) -> int:
-        """Return about how many files the first filter finds, in two digits."""
+        """Return an estimate of the files that the first filter finds, in two digits."""
         return rounded(self.hits[0] * self.file_count // max(self.size, 1))
 
 
@@ -74,7 +80,7 @@ def sampled_files() -> CTE:
 async def plan_search(
     db: Connection, actor: Actor, *filters: FileFilter, sort: FileSort | None = None
 ) -> tuple[SearchPlan, Sample]:
-    """Return the plan for the first filter, and the sample that all of them were tried on; they share its words.
+    """Return the plan for the first filter, and the result of a sample for all filters, whose words are the same.
 
     Raises:
         InvalidQuery: a `where` cannot be used, or there are too many words.
@@ -112,7 +118,7 @@ async def plan_search(
     if not actor.is_admin:
         await db.execute(_ALLOW_HASH_JOINS)
         if rarest is not None and plan.word(rarest).sampled_paths >= _COMMON_PATHS and is_led:
-            rarest = None  # common, but not in what they see: its index leads to everybody's files
+            rarest = None  # common, but not in what the actor sees: its index leads to everybody's files
     return replace(plan, leading_word=rarest), sample
 
 
@@ -123,9 +129,9 @@ def _one_match(actor: Actor, matching: FileFilter, *, plan: SearchPlan) -> Selec
 
 
 def _sampled(actor: Actor, *filters: FileFilter, plan: SearchPlan) -> Select[tuple[object, ...]]:
-    """Return in how many sampled files each filter holds, and each word of the first where it has several.
+    """Return the number of sampled files that match each filter, and each word of the first where it has several.
 
-    Then `size`, `last_id` and the `blob_ids` of the first.
+    Then the attributes of `Sample`, and `timed`: the files that match the first filter and have a time.
     """
     conditions = [and_(true(), *file_conditions(actor, matching, plan)) for matching in filters]
     words = [*dict.fromkeys(words_of(filters[0].text))]
@@ -152,11 +158,7 @@ def _sampled(actor: Actor, *filters: FileFilter, plan: SearchPlan) -> Select[tup
 async def find_matched(
     db: Connection, actor: Actor, matching: FileFilter, plan: SearchPlan, *, sort: FileSort, limit: int
 ) -> SearchPlan:
-    """Return the plan with all files that a filter finds, where these are few; the first `limit` and one in order.
-
-    Raises:
-        InvalidQuery: a `where` cannot be used.
-    """
+    """Return the plan with all files that a filter finds, unless these are too many, and the first ones in order."""
     row = (await db.execute(*prepare(_matched, actor, matching, plan=plan, sort=sort, limit=limit + 1))).one()
     return plan if row.file_count > _MAX_MATCHED else replace(plan, matched=MatchedFiles(**row._mapping))
 
@@ -169,7 +171,7 @@ def _matched(
     matched = matching_files(actor, matching, plan)
     matched = matched.with_only_columns(file.c.mission_id, file.c.blob_id, *keys, maintain_column_froms=True)
     every = matched.cte("matched").prefix_with("MATERIALIZED")
-    # The limit stands outside: with a limit of its own, PostgreSQL would plan to meet that many soon.
+    # The limit is outside: inside, PostgreSQL would expect to reach it soon.
     some = select(every).limit(_MAX_MATCHED + 1).cte("some").prefix_with("MATERIALIZED")
     file_id = some.c[keys[-1].name]
     first = in_order(select(file_id), [some.c[key.name] for key in keys], order).limit(limit)
@@ -184,3 +186,27 @@ def _matched(
 
 def _array(rows: Select[tuple[object]]) -> ColumnElement[str]:
     return cast(func.array(rows.scalar_subquery(), type_=ARRAY(Text)), Text)
+
+
+async def estimate_missions(db: Connection, actor: Actor, by_files: FileFilter, plan: SearchPlan) -> int | None:
+    """Estimate from a sample how many missions a filter of files finds; exact where the sample holds all missions.
+
+    None where no sampled mission matches, and others may.
+    """
+    statement = prepare(_sampled_missions, actor, by_files, plan=plan, size=SAMPLED_MISSIONS)
+    row = (await db.execute(*statement)).one()
+    if row.sampled < SAMPLED_MISSIONS:
+        return int(row.hits)
+    return rounded(row.hits * ID_COUNT // max(row.last_id.int, 1)) or None
+
+
+def _sampled_missions(actor: Actor, by_files: FileFilter, *, plan: SearchPlan, size: int) -> Select[tuple[object, ...]]:
+    sample = select(mission.c.id).order_by(mission.c.id).limit(size).cte("sample").prefix_with("MATERIALIZED")
+    sampled = visible_missions(actor).where(mission.c.id.in_(select(sample.c.id)))
+    matched = filter_missions_by_files(actor, sampled, by_files, plan)
+    hits = matched.with_only_columns(mission.c.id, maintain_column_froms=True).subquery()
+    return select(
+        select(func.count()).select_from(hits).scalar_subquery().label("hits"),
+        select(func.count()).select_from(sample).scalar_subquery().label("sampled"),
+        select(sample.c.id).order_by(sample.c.id.desc()).limit(1).scalar_subquery().label("last_id"),
+    )

@@ -1,4 +1,4 @@
-"""Search over HTTP: one query over everything, its facets, topics and statistics."""
+"""Routes of the search: missions, files and topics of a query, its facets and statistics."""
 
 from typing import Annotated
 
@@ -12,7 +12,7 @@ from kleinkram.contract.query import combined_filter
 from kleinkram.contract.search import FacetsRead, FileQuery, QueryText, SearchRead, StatsRead
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
 from kleinkram.server.pagination import PageRequest
-from kleinkram.server.search import facets, service
+from kleinkram.server.search import facets, service, statistics
 
 router = APIRouter(prefix="/api/v1", tags=["search"])
 
@@ -65,4 +65,4 @@ async def list_topics(
 @router.get("/stats", operation_id="get_stats")
 async def get_stats(query: Annotated[StatsQuery, Query()], db: Transaction, actor: CurrentActor) -> StatsRead:
     """Return hours, bytes, files and messages of the files that match."""
-    return await service.get_stats(db, actor, by=query.by, matching=combined_filter(query))
+    return await statistics.get_stats(db, actor, by=query.by, matching=combined_filter(query))

@@ -1,28 +1,28 @@
-"""What is asked across missions and files."""
+"""A search across missions, files and topics. Where very many files match, totals are estimates."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from sqlalchemy import Integer, Select, bindparam, case, func, literal, select, true
 
 from kleinkram.contract.base import Page
-from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter, FileRead, FileSort, TopicRead
 from kleinkram.contract.missions import MissionFilter, MissionRead, MissionSort
 from kleinkram.contract.query import parse, render
-from kleinkram.contract.search import SearchRead, StatsRead, TopicFound
+from kleinkram.contract.search import SearchRead, TopicFound
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import sees_whole_missions
-from kleinkram.server.db import Connection
+from kleinkram.server.access.visible import visible_files
+from kleinkram.server.db import Connection, Written
 from kleinkram.server.files import service as files
-from kleinkram.server.files.queries import TOPIC_ORDER, to_topics
-from kleinkram.server.filters.plan import SearchPlan
-from kleinkram.server.filters.prepared import prepare
+from kleinkram.server.files.queries import topic_listing, topic_rows
+from kleinkram.server.filters.files import filter_files, filter_topics
+from kleinkram.server.filters.plan import SearchPlan, prepare, rounded, words_of
+from kleinkram.server.filters.text import contains
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pagination import PageRequest, fetch_page
-from kleinkram.server.search import queries
-from kleinkram.server.search.planner import Sample, find_matched, plan_search
+from kleinkram.server.pagination import PageRequest, read_listing
+from kleinkram.server.search.planner import AVOID_SORTING, Sample, estimate_missions, find_matched, plan_search
+from kleinkram.server.tables import file, topic
 
-# More rows than anybody reads, and few enough to answer with at once.
-MAX_GROUPS = 10_000
 _LATEST = MissionSort.start_desc
 
 
@@ -38,7 +38,7 @@ async def search(db: Connection, actor: Actor, *, text: str, sort: FileSort, lim
     Where very many files match, the numbers are estimates, and the topics are those of a sample of files.
 
     Raises:
-        InvalidQuery: the query cannot be read; says which word, at which column.
+        InvalidQuery: the query cannot be read; names the word and its column.
     """
     matching = parse(text)
     plan, sample = await plan_search(db, actor, matching, sort=sort)
@@ -85,9 +85,9 @@ async def _search_common(
     """Read the first of very many from lists in their order; totals and topics come from the sample."""
     files_per_sampled = sample.file_count / sample.size
     topics = await _topics(db, actor, matching, plan, sample.blob_ids, limit=limit, files_per_row=files_per_sampled)
-    total = await missions.estimate_matching(db, actor, matching, plan)
+    total = await estimate_missions(db, actor, matching, plan)
     # A sort would need all rows that match, of which PostgreSQL expects too few.
-    await db.execute(queries.AVOID_SORTING)
+    await db.execute(AVOID_SORTING)
     # Where no sampled mission matches, missions are found by their files: one by one, nearly all would be looked into.
     missions_found = await missions.list_missions(
         db,
@@ -105,6 +105,14 @@ async def _search_common(
     return _SearchResults(missions_found, files_found, topics)
 
 
+class _TopicRow(NamedTuple):
+    name: str
+    message_type: str | None
+    file_count: int
+    message_count: int | None
+    total: int
+
+
 async def _topics(
     db: Connection,
     actor: Actor,
@@ -115,48 +123,62 @@ async def _topics(
     limit: int,
     files_per_row: float = 1,
 ) -> Page[TopicFound]:
-    by_blobs = blob_ids is not None
-    stmt, values = prepare(queries.topics_found, actor, matching, plan=plan, by_blobs=by_blobs, limit=limit)
-    rows = (await db.execute(stmt, values | {"topic_blob_ids": blob_ids})).all()
-    items = [queries.to_topic_found(row, files_per_row) for row in rows]
+    stmt, values = prepare(topics_found, actor, matching, plan=plan, by_blobs=blob_ids is not None, limit=limit)
+    result = await db.execute(stmt, values | {"topic_blob_ids": blob_ids})
+    rows = [_TopicRow._make(row) for row in result]
+
+    def estimate(number: int) -> int:
+        return number if files_per_row == 1 else rounded(round(float(number) * files_per_row))
+
+    items = [
+        TopicFound(
+            name=row.name,
+            message_type=row.message_type,
+            file_count=estimate(row.file_count),
+            message_count=None if row.message_count is None else estimate(row.message_count),
+        )
+        for row in rows
+    ]
     return Page(items=items, total=rows[0].total if rows else 0)
 
 
+def topics_found(actor: Actor, matching: FileFilter, *, plan: SearchPlan, by_blobs: bool, limit: int) -> Select[Any]:
+    """Return the first topics of the files that match, each name and type once, as `_TopicRow`.
+
+    With `by_blobs`, the files are given as `topic_blob_ids`, which this request has found before. Topics whose names
+    contain the most words of the filter come first, then those of the most files.
+    """
+    if by_blobs:
+        files = select(func.unnest(bindparam("topic_blob_ids", type_=Written("UUID"))).label("blob_id"))
+    else:
+        files = filter_files(actor, visible_files(actor), matching, plan)
+        files = files.with_only_columns(file.c.blob_id, maintain_column_froms=True)
+    files_found = files.cte("found").prefix_with("MATERIALIZED")
+    # A blob names each topic once, so that there is a row for each of its files. OFFSET 0 keeps PostgreSQL from
+    # reading all topics there are instead of those of each blob.
+    its_topics = filter_topics(select(topic).where(topic.c.blob_id == files_found.c.blob_id), matching)
+    one_topic = its_topics.offset(0).lateral("file_topic")
+    name, message_type, file_count = one_topic.c.name, one_topic.c.message_type, func.count()
+    columns = (
+        name,
+        message_type,
+        file_count.label("file_count"),
+        func.sum(one_topic.c.count).label("message_count"),
+        func.count().over().label("total"),
+    )
+    label = name.concat(func.coalesce(literal(" ").concat(message_type), ""))
+    words = map(plan.word, words_of(matching.text))
+    word_count = sum((case((contains(label, word), 1), else_=0) for word in words), literal(0, Integer))
+    grouped = select(*columns).join_from(files_found, one_topic, true()).group_by(name, message_type)
+    return grouped.order_by(word_count.desc(), file_count.desc(), name, message_type).limit(limit)
+
+
 async def list_topics(db: Connection, actor: Actor, *, matching: FileFilter, page: PageRequest) -> Page[TopicRead]:
-    """Return a page of the topics of files that match, by name.
+    """Return a page of the topics of files that match, by name; topic and type globs select the topics as well.
 
     Raises:
         InvalidQuery: a `where` cannot be used.
         InvalidCursor: the cursor is not of this list.
     """
-    rows = await fetch_page(db, queries.matching_topics(actor, matching), TOPIC_ORDER, page)
-    return Page(items=to_topics(rows.items), next=rows.next, total=rows.total)
-
-
-async def get_stats(db: Connection, actor: Actor, *, by: str, matching: FileFilter) -> StatsRead:
-    """Return statistics of the files that match, grouped by `by`, and in all.
-
-    Raises:
-        InvalidQuery: there is no such grouping, it has more than `MAX_GROUPS` groups, or a `where` cannot be used.
-    """
-    group = queries.group_column(by)
-    if group is None:
-        reason = "statistics go by project, mission, topic, type, month, format or metadata.FIELD"
-        raise InvalidQuery(expression=by, reason=reason)
-    if by.startswith("metadata.") and not sees_whole_missions(actor):
-        raise InvalidQuery(expression=by, reason="your token or link does not include the metadata of missions")
-    if by.startswith("metadata.") and not (await db.execute(queries.has_field(actor, by))).scalar_one():
-        names = ", ".join((await db.execute(queries.field_names(actor))).scalars()) or "none"
-        reason = f"no mission has such a field; say project, mission, topic, type, month, format or a field: {names}"
-        raise InvalidQuery(expression=by.removeprefix("metadata."), reason=reason)
-    by_topic = by in {"topic", "type"}
-    await db.execute(queries.ENLARGE_WORK_MEMORY)
-    grouped = queries.statistics(actor, matching, group=group, by_topic=by_topic, whole=False)
-    rows = [queries.to_stats(row) for row in await db.execute(grouped.limit(MAX_GROUPS + 1))]
-    if len(rows) > MAX_GROUPS:
-        reason = f"these files make more than {MAX_GROUPS} groups; narrow the filter, or group by something coarser"
-        raise InvalidQuery(expression=by, reason=reason)
-    if queries.shares_no_mission(by):
-        return StatsRead(by=by, rows=rows, total=queries.add_up(rows))
-    whole = queries.statistics(actor, matching, group=group, by_topic=by_topic, whole=True)
-    return StatsRead(by=by, rows=rows, total=queries.to_stats((await db.execute(whole)).one_or_none()))
+    files_found = filter_files(actor, visible_files(actor), matching)
+    return await read_listing(db, topic_listing(filter_topics(topic_rows(files_found), matching)), page)

@@ -1,1 +1,1 @@
-"""Shares: links for people without an account. What one shows is decided in `access`."""
+"""Share links for people without an account."""

@@ -10,22 +10,27 @@ from kleinkram.contract.access import Right
 from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FieldProblem, InvalidRequest, NotFound
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.tokens import SHARE_PAGE, SecretKind, ShareCreate, SharedRead, ShareMade, ShareRead
 from kleinkram.server.access.actor import Actor, new_secret
 from kleinkram.server.access.rights import ensure_active_person, require_mission
 from kleinkram.server.access.visible import visible_files, visible_missions
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, among
+from kleinkram.server.missions.queries import mission_ref
 from kleinkram.server.missions.service import lock_mission
 from kleinkram.server.pagination import Order, PageRequest, read_page
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import blob, file, mission, person, project, share, share_file
 
 _SHARE_ORDER = Order([share.c.created_at, share.c.id], descending=True)
-_PLACE = (mission.c.name.label("mission_name"), project.c.id.label("project_id"), project.c.name.label("project_name"))
+# The arguments of `mission_ref`.
+_PLACE = (
+    mission.c.id.label("mission_id"),
+    mission.c.name.label("mission_name"),
+    project.c.id.label("project_id"),
+    project.c.name.label("project_name"),
+)
 
 
 async def create_share(
@@ -94,7 +99,6 @@ async def get_shared(db: Connection, actor: Actor) -> SharedRead:
         share.c.name,
         share.c.is_whole_mission,
         share.c.expires_at,
-        mission.c.id,
         *_PLACE,
         *amounts,
         maintain_column_froms=True,
@@ -107,7 +111,7 @@ async def get_shared(db: Connection, actor: Actor) -> SharedRead:
         raise NotFound(noun="link", ref="of this request")
     return SharedRead(
         name=row.name,
-        mission=_to_mission(row, row.id),
+        mission=mission_ref(row.mission_id, row.mission_name, row.project_id, row.project_name),
         is_whole_mission=row.is_whole_mission,
         file_count=row.file_count,
         size_bytes=int(row.bytes),
@@ -131,7 +135,7 @@ def _known_shares(actor: Actor, right: Right) -> Select[Any]:
     Actors find their own links whatever happened to the mission or their rights, but not with a limited token.
     """
     files = select(func.count()).where(share_file.c.share_id == share.c.id).correlate(share).scalar_subquery()
-    own = [column for column in share.c if column is not share.c.secret_sha256]
+    own = [column for column in share.c if column.name not in {"secret_sha256", "mission_id"}]
     count = case((share.c.is_whole_mission, None), else_=files).label("file_count")
     joined = (
         select(*own, *_PLACE, person.c.name.label("created_by_name"), count)
@@ -155,7 +159,7 @@ def _to_share(row: Row[Any]) -> ShareRead:
     return ShareRead(
         id=row.id,
         name=row.name,
-        mission=_to_mission(row, row.mission_id),
+        mission=mission_ref(row.mission_id, row.mission_name, row.project_id, row.project_name),
         file_count=row.file_count,
         prefix=row.prefix,
         created_by=PersonRef(id=row.created_by_id, name=row.created_by_name),
@@ -165,12 +169,6 @@ def _to_share(row: Row[Any]) -> ShareRead:
         last_used_at=row.last_used_at,
         download_count=row.download_count,
         download_bytes=row.download_bytes,
-    )
-
-
-def _to_mission(row: Row[Any], mission_id: uuid.UUID) -> MissionRef:
-    return MissionRef(
-        id=mission_id, name=row.mission_name, project=ProjectRef(id=row.project_id, name=row.project_name)
     )
 
 

@@ -1,1 +1,1 @@
-"""The trash: what was deleted, and how it comes back."""
+"""The trash: deleted projects, missions and files, until they are purged."""

@@ -1,13 +1,12 @@
-"""The trash: listing it, restoring trashed from it, and deleting permanently what has been in it for long enough."""
+"""The trash: listing it, restoring from it, and deleting permanently what has been in it for long enough."""
 
 import datetime
 import uuid
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import (
     ColumnElement,
-    Row,
     Select,
     Table,
     and_,
@@ -51,8 +50,12 @@ async def list_trash(
     stmt = stmt.join_from(trashed, person, person.c.id == trashed.c.deleted_by_id)
     order = Order([trashed.c.deleted_at, trashed.c.noun, trashed.c.id], descending=True)
 
-    def read(row: Row[Any]) -> TrashRead:
-        return TrashRead(
+    return await read_page(
+        db,
+        stmt,
+        order,
+        page,
+        lambda row: TrashRead(
             noun=row.noun,
             id=row.id,
             name=row.name,
@@ -62,9 +65,8 @@ async def list_trash(
             deleted_at=row.deleted_at,
             deleted_by=PersonRef(id=row.deleted_by_id, name=row.deleted_by_name),
             purged_after=row.deleted_at + datetime.timedelta(days=trash_days),
-        )
-
-    return await read_page(db, stmt, order, page, read)
+        ),
+    )
 
 
 async def restore(db: Connection, actor: Actor, *, noun: TrashNoun, noun_id: uuid.UUID, trash_days: int) -> None:
@@ -82,53 +84,49 @@ async def restore(db: Connection, actor: Actor, *, noun: TrashNoun, noun_id: uui
 
 async def _restore_project(db: Connection, actor: Actor, project_id: uuid.UUID, trash_days: int) -> None:
     stmt = trashed_projects(actor).where(project.c.id == project_id, _is_restorable(project, trash_days))
-    row = await _get_row(db, stmt.with_for_update(), TrashNoun.project, project_id)
-    await _undelete(db, project, row, name=row.name)
-    await audit(db, actor, Event("project.restore", "project", project_id, row.name, project_id))
+    stmt = stmt.with_only_columns(project.c.name).with_for_update()
+    (name,) = await _get_row(db, stmt, TrashNoun.project, project_id)
+    await _undelete(db, project, project_id, name)
+    await audit(db, actor, Event("project.restore", "project", project_id, name, project_id))
 
 
 async def _restore_mission(db: Connection, actor: Actor, mission_id: uuid.UUID, trash_days: int) -> None:
     await lock_mission(db, mission_id)
     stmt = trashed_missions(actor).where(mission.c.id == mission_id, _is_restorable(mission, trash_days))
-    stmt = stmt.add_columns(project.c.name.label("project_name"), project.c.deleted_at.label("project_deleted_at"))
-    row = await _get_row(db, stmt, TrashNoun.mission, mission_id)
-    _require_parent("project", row.project_name, row.project_deleted_at)
-    await require_room_for_mission(db, actor, project_id=row.project_id, mission_id=mission_id)
-    await _undelete(db, mission, row, name=row.name)
-    event = Event("mission.restore", "mission", mission_id, row.name, row.project_id, mission_id=mission_id)
-    await audit(db, actor, event)
+    columns = (mission.c.name, mission.c.project_id, project.c.name, project.c.deleted_at)
+    stmt = stmt.with_only_columns(*columns, maintain_column_froms=True)
+    name, project_id, *parent = await _get_row(db, stmt, TrashNoun.mission, mission_id)
+    _require_parent("project", *parent)
+    await require_room_for_mission(db, actor, project_id=project_id, mission_id=mission_id)
+    await _undelete(db, mission, mission_id, name)
+    await audit(db, actor, Event("mission.restore", "mission", mission_id, name, project_id, mission_id=mission_id))
 
 
 async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID, trash_days: int) -> None:
-    parents = (
-        mission.c.name.label("mission_name"),
-        mission.c.deleted_at.label("mission_deleted_at"),
-        mission.c.project_id,
-        blob.c.size_bytes,
-        project.c.name.label("project_name"),
-        project.c.deleted_at.label("project_deleted_at"),
-    )
-    stmt = trashed_files(actor).where(file.c.id == file_id, _is_restorable(file, trash_days)).add_columns(*parents)
-    row = await _get_row(db, stmt, TrashNoun.file, file_id)
-    await lock_mission(db, row.mission_id)
-    project_id = await project_of(db, row.mission_id)
-    await require_room(db, actor, project_id=project_id, requested=Amount(1, row.size_bytes))
+    parents = (mission.c.name, mission.c.deleted_at, project.c.id, project.c.name, project.c.deleted_at)
+    columns = (file.c.path, file.c.mission_id, blob.c.size_bytes, *parents)
+    stmt = trashed_files(actor).where(file.c.id == file_id, _is_restorable(file, trash_days))
+    stmt = stmt.with_only_columns(*columns, maintain_column_froms=True)
+    path, mission_id, size_bytes, *_ = await _get_row(db, stmt, TrashNoun.file, file_id)
+    await lock_mission(db, mission_id)
+    project_id = await project_of(db, mission_id)
+    await require_room(db, actor, project_id=project_id, requested=Amount(1, size_bytes))
     # Again, now that the mission is locked. `empty_trash` locks no mission for single files, so lock the file too.
     row = await _get_row(db, stmt.with_for_update(of=file), TrashNoun.file, file_id)
-    _require_parent("project", row.project_name, row.project_deleted_at)
-    _require_parent("mission", row.mission_name, row.mission_deleted_at)
-    await check_path_free(db, row.mission_id, row.path)
-    await regroup(db, row.mission_id)
-    await _undelete(db, file, row, name=row.path)
-    event = Event("file.restore", "file", file_id, row.path, row.project_id, mission_id=row.mission_id)
-    await audit(db, actor, event)
+    path, mission_id, _, mission_name, mission_deleted_at, project_id, project_name, project_deleted_at = row
+    _require_parent("project", project_name, project_deleted_at)
+    _require_parent("mission", mission_name, mission_deleted_at)
+    await check_path_free(db, mission_id, path)
+    await regroup(db, mission_id)
+    await _undelete(db, file, file_id, path)
+    await audit(db, actor, Event("file.restore", "file", file_id, path, project_id, mission_id=mission_id))
 
 
-async def _get_row(db: Connection, stmt: Select[Any], noun: TrashNoun, noun_id: uuid.UUID) -> Row[Any]:
+async def _get_row(db: Connection, stmt: Select[Any], noun: TrashNoun, noun_id: uuid.UUID) -> tuple[Any, ...]:
     row = (await db.execute(stmt)).one_or_none()
     if row is None:
         raise NotFound(noun=f"{noun.value} in the trash", ref=str(noun_id))
-    return row
+    return tuple(row)
 
 
 def _require_parent(noun: str, name: str, deleted_at: datetime.datetime | None) -> None:
@@ -136,9 +134,9 @@ def _require_parent(noun: str, name: str, deleted_at: datetime.datetime | None) 
         raise NotFound(noun=noun, ref=f"{name} (it is in the trash too; restore it first)")
 
 
-async def _undelete(db: Connection, table: Table, row: Row[Any], *, name: str) -> None:
+async def _undelete(db: Connection, table: Table, row_id: uuid.UUID, name: str) -> None:
     try:
-        await db.execute(update(table).where(table.c.id == row.id).values(deleted_at=None, deleted_by_id=None))
+        await db.execute(update(table).where(table.c.id == row_id).values(deleted_at=None, deleted_by_id=None))
     except IntegrityError as error:
         if violated_constraint(error) in _NAME_RULES:
             raise NameTaken(noun=table.name, name=name) from error
@@ -146,7 +144,7 @@ async def _undelete(db: Connection, table: Table, row: Row[Any], *, name: str) -
 
 
 def _is_restorable(table: Table, trash_days: int) -> ColumnElement[bool]:
-    # What is due may be half deleted already: it is out of reach from then on, whenever `empty_trash` runs.
+    # What is due may be half deleted already: it cannot be restored any more, whenever `empty_trash` runs.
     return table.c.deleted_at > func.now() - datetime.timedelta(days=trash_days)
 
 
@@ -193,8 +191,8 @@ async def empty_trash(db: Connection, *, older_than_days: int, limit: int) -> No
     """Delete at most `limit` uploads, files, missions and projects each that have been in the trash for so many days.
 
     A mission is deleted after its files and uploads, a project after its missions; the rest waits for the next round.
-    Rows are locked first, so that nobody restores them meanwhile; locked ones are skipped. Objects are deleted later
-    by garbage collection.
+    Rows are locked first, so that nobody restores them in the meantime; locked ones are skipped. Objects are deleted
+    later by garbage collection.
     """
     before = func.now() - datetime.timedelta(days=older_than_days)
     in_due_mission = (mission.c.deleted_at < before) | (project.c.deleted_at < before)
@@ -224,7 +222,8 @@ async def empty_trash(db: Connection, *, older_than_days: int, limit: int) -> No
 
 async def _delete_uploads(db: Connection, in_due_mission: ColumnElement[bool], limit: int) -> None:
     """Expire the uploads into missions that are due, and delete those that left nothing in the store."""
-    uploads = select(upload.c.id).join_from(upload, mission).join(project).where(in_due_mission)
+    columns = (upload.c.id, upload.c.path, upload.c.mission_id, mission.c.project_id)
+    uploads = select(*columns).join_from(upload, mission).join(project).where(in_due_mission)
     still_open = uploads.where(upload.c.state == UploadState.open.value)
     ids = [row.id for row in await _lock(db, still_open, limit, upload, mission, project)]
     await db.execute(update(upload).where(upload.c.id.in_(ids)).values(state=UploadState.expired.value))
@@ -233,12 +232,20 @@ async def _delete_uploads(db: Connection, in_due_mission: ColumnElement[bool], l
     await db.execute(delete(upload).where(upload.c.id.in_(ids)))
 
 
-async def _lock(db: Connection, due: Select[Any], limit: int, *tables: Table) -> Sequence[Row[Any]]:
-    # Conditions are checked again once a row is locked: one that was restored meanwhile is left out.
-    return (await db.execute(due.limit(limit).with_for_update(of=tables, key_share=True, skip_locked=True))).all()
+class _DueRow(NamedTuple):
+    id: uuid.UUID
+    name: str
+    mission_id: uuid.UUID | None
+    project_id: uuid.UUID
 
 
-async def _delete(db: Connection, table: Table, rows: Sequence[Row[Any]], *conditions: ColumnElement[bool]) -> None:
+async def _lock(db: Connection, due: Select[Any], limit: int, *tables: Table) -> list[_DueRow]:
+    # Conditions are checked again once a row is locked: one that was restored in the meantime is left out.
+    locked = due.limit(limit).with_for_update(of=tables, key_share=True, skip_locked=True)
+    return [_DueRow._make(row) for row in await db.execute(locked)]
+
+
+async def _delete(db: Connection, table: Table, rows: Sequence[_DueRow], *conditions: ColumnElement[bool]) -> None:
     stmt = delete(table).where(table.c.id.in_([row.id for row in rows]), *conditions).returning(table.c.id)
     deleted = set((await db.execute(stmt)).scalars())
     noun = table.name

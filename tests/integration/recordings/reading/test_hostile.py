@@ -200,7 +200,7 @@ def test_a_database_whose_index_is_not_in_order_is_read_without_it(tmp_path: Pat
     assert len(actual) == 4000
 
 
-def test_a_bag_whose_chunk_info_is_longer_than_its_count_is_read_without_index() -> None:
+def test_a_bag_with_too_long_chunk_info_is_read_without_index() -> None:
     whole = FILES["bag"]
     info_at = whole.rfind(b"op=\x06")
     length_at = whole.find(struct.pack("<I", 16), info_at)
@@ -209,9 +209,7 @@ def test_a_bag_whose_chunk_info_is_longer_than_its_count_is_read_without_index()
 
 
 @pytest.mark.parametrize("kind", ["mcap", "bag"])
-def test_a_file_without_index_is_read_over_a_network_only_if_that_is_allowed(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_remote_file_without_index_is_scanned_only_if_allowed(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     cut = Watched(MemorySource(FILES[kind][:-60], f"far.{kind}"))
     monkeypatch.setattr("kleinkram.recordings.formats.base.MAX_REMOTE_SCAN_BYTES", cut.size_bytes - 1)
     with pytest.raises(TooCostly, match=f"far.{kind}: .* max_bytes={cut.size_bytes}") as refused:

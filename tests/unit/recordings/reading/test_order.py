@@ -123,7 +123,7 @@ def test_channels_written_in_every_chunk() -> None:
     assert messages[0].schema.data == b"uint8 x"
 
 
-def test_a_chunk_that_begins_before_the_time_in_the_index_leaves_the_order_as_it_is() -> None:
+def test_a_chunk_earlier_than_its_index_does_not_change_the_order() -> None:
     late = [("/t", T0 + 50, b"b"), ("/t", T0 + 95, b"c")]
     whole = bag_of([[("/t", T0 + n, b"a") for n in range(0, 101, 10)], late])
     data = whole.read(0, whole.size_bytes)

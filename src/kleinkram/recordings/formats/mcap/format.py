@@ -386,7 +386,7 @@ def _salvage(source: Source, gaps: Iterable[FileGap], channels: Mapping[int, Cha
     return salvage_by_scan(source, gaps, MAGIC, lambda reader, builder: scan_records(reader, builder, known))
 
 
-MCAP_CHUNKS = ChunkFormat(chunks.open_chunk, chunks.parse_messages, _salvage, chunks.read_message_index)
+MCAP_CHUNKS = ChunkFormat(chunks.parse_messages, chunks.open_chunk, _salvage, chunks.read_message_index)
 MCAP = Format(
     RecordingFormat.mcap,
     lambda head: head.data.startswith(MAGIC),

@@ -229,7 +229,7 @@ def _salvage(source: Source, gaps: Iterable[FileGap], channels: Mapping[int, Cha
     return salvage_by_scan(source, gaps, records.MAGIC, scan_bag_records)
 
 
-BAG_CHUNKS = ChunkFormat(records.open_chunk, chunks.parse_messages, _salvage, chunks.read_message_index)
+BAG_CHUNKS = ChunkFormat(chunks.parse_messages, records.open_chunk, _salvage, chunks.read_message_index)
 ROSBAG1 = Format(
     RecordingFormat.rosbag1,
     lambda head: head.data.startswith(records.MAGIC),
