@@ -13,7 +13,7 @@ PART, RANGE = 5 * MIB, 8 * MIB  # of uploads and of downloads
 
 
 def random_file(path: Path, size: int) -> Path:
-    """Write a file nobody has, as if a while ago: what was written just now is watched for a second."""
+    """Write a new file with an old time: recently written files are watched for a second."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(os.urandom(size))
     os.utime(path, (1_700_000_000, 1_700_000_000))

@@ -47,7 +47,7 @@ class Behind:
 
 
 class Shown(Watcher):
-    """What a progress bar is told."""
+    """Records the steps of a progress bar."""
 
     def __init__(self) -> None:
         self.steps: list[int] = []
@@ -110,7 +110,7 @@ def test_a_followed_event_stream_is_complete(behind: Behind) -> None:
                 return
 
     def is_received() -> bool:
-        """Nobody is told from when on they are listened to: who changes things until one is received knows."""
+        """The stream does not announce its start, so create projects until an event arrives."""
         behind.api.project()
         return bool(received)
 

@@ -39,7 +39,7 @@ class History:
     """What happens to the parts of one upload, round by round; the sends of one round overlap."""
 
     rounds: tuple[tuple[Sent, ...], ...]
-    is_joined_early: bool  # somebody asks for the end of it after the first round, when parts are missing
+    is_joined_early: bool  # it is completed after the first round, when parts are missing
     callers: int  # who ask for the end of it at the same moment
     tail_bytes: int = 1000  # of the last part
 
@@ -66,7 +66,7 @@ def _draw(chance: random.Random) -> History:
     for number in numbers:
         left[number] -= 1
         sent = (number, left[number] == 0 or chance.random() < 0.6)
-        # Overlapping sends of one part are of the same bytes: else nobody could say which of them is the last.
+        # Overlapping sends of one part have the same bytes, since their order is unknown.
         fits = rounds and len(rounds[-1]) < _AT_ONCE and (number, not sent[1]) not in rounds[-1]
         if fits and chance.random() < 0.5:
             rounds[-1].append(sent)

@@ -2,9 +2,10 @@
 import { basename } from "node:path";
 
 const BANNED = new Set([
-  "asked", "asking", "beat", "beats", "doom", "doomed", "door", "doors", "few", "given", "held", "hold", "keeping", "kept", "lapse", "lapsed", "lapses",
-  "leaving", "letgo", "looked", "mended", "obey", "obeyed", "odd", "oddities", "oddity", "proven", "said", "tell", "told", "trouble", "troubles",
-  "twin", "twins", "ward", "warden", "wardens", "whoever",
+  "anew", "asked", "asking", "asks", "beat", "beats", "breath", "came", "deed", "doer", "doom", "doomed", "door", "doors", "few", "given", "heard",
+  "held", "hold", "judge", "judged", "keeping", "kept", "lapse", "lapsed", "lapses", "leaving", "letgo", "look", "looked", "mended", "obey", "obeyed",
+  "odd", "oddities", "oddity", "patience", "proven", "said", "somebody", "standing", "tell", "there", "told", "trouble", "troubles", "twin", "twins",
+  "ward", "warden", "wardens", "whoever",
 ]);
 /** Not as the whole name of a variable. */
 const VAGUE = new Set(["each", "found", "goOn", "ground", "letGo", "stuff", "these", "thing", "things", "those", "wanted", "whom"]);

@@ -7,10 +7,10 @@ import "@/css/tokens.css";
 import "@/css/base.css";
 import "@/css/quasar.css";
 import App from "./App.vue";
-import { openQueries } from "@/api/queries";
+import { createQueries } from "@/api/queries";
 import { openRouter } from "@/router";
 
-const queries = openQueries();
+const queries = createQueries();
 createApp(App)
   .use(VueQueryPlugin, { queryClient: queries })
   .use(Quasar, { iconSet: icons })

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
+from functools import partial
 
 import kleinkram
 from kleinkram.standalone import http_client, object_store, postgres
@@ -287,17 +288,23 @@ class Supervisor:
 
     def _wait(self, is_ready: Callable[[], bool], service: ServiceProcess) -> None:
         """Wait for a service while all others run."""
-        deadline = time.monotonic() + _START_TIMEOUT_S
-        while not is_ready():
-            for other in self.services.values():
-                if other.exit_reason():
-                    raise _ended_early(other)
+        if not self._becomes_true(is_ready, _START_TIMEOUT_S):
+            raise ServiceFailed(
+                f"The service '{service.name}' was not ready after {_START_TIMEOUT_S:.0f} s: "
+                f"see {service.log}; its last line: {last_line(service.log)}"
+            )
+
+    def _becomes_true(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait for a condition while all services run; return whether it came true in time."""
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            for service in self.services.values():
+                if service.exit_reason():
+                    raise _ended_early(service)
             if time.monotonic() > deadline:
-                raise ServiceFailed(
-                    f"The service '{service.name}' was not ready after {_START_TIMEOUT_S:.0f} s: "
-                    f"see {service.log}; its last line: {last_line(service.log)}"
-                )
+                return False
             pause(0.02)
+        return True
 
     def _wait_for_store(self) -> None:
         """Wait until the store returns what was written, and restart it if it listens but accepts no writes.
@@ -309,24 +316,13 @@ class Supervisor:
         for attempt in range(_STORE_STARTS):
             self._wait(lambda: http_client.responds(access.endpoint), store)
             timeout_s = _STORE_TIMEOUT_S * 2**attempt  # increasing: the machine may be slow
-            if self._store_is_ready_within(timeout_s):
+            is_ready = partial(object_store.is_ready, access, object_store.BUCKET, timeout_s=timeout_s)
+            if self._becomes_true(is_ready, timeout_s):
                 return
             _log(f"the store listens but accepts no writes: restarting it; log: {store.log}")
             stop(store.child, sign=signal.SIGKILL, timeout_s=10)
             store.launch()
         self._wait(lambda: object_store.is_ready(access, object_store.BUCKET, timeout_s=30), store)
-
-    def _store_is_ready_within(self, timeout_s: float) -> bool:
-        deadline = time.monotonic() + timeout_s
-        is_ready = False
-
-        def is_ready_or_late() -> bool:
-            nonlocal is_ready
-            is_ready = object_store.is_ready(self.plan.store.access, object_store.BUCKET, timeout_s=timeout_s)
-            return is_ready or time.monotonic() > deadline
-
-        self._wait(is_ready_or_late, self.services["store"])
-        return is_ready
 
     def _migrate(self) -> None:
         command = self.plan.server_command("migrate")

@@ -9,7 +9,7 @@ import urllib3
 from kleinkram.client.sign_in import Loopback
 from kleinkram.contract.errors import SignInDenied, SignInExpired
 
-STATE = "a-state-nobody-guesses"
+STATE = "a-secret-state"
 
 
 @pytest.fixture

@@ -76,7 +76,7 @@ def test_polling_waits_for_the_requested_interval() -> None:
     ]
     with scripted(*answers) as server:
         assert wait_for_device(server.url, CODE, waited.append) == SIGNED_IN
-    assert waited == [5, 5, 10, 10, 7, 10, 20], "not sooner after it was slowed down, longer while nobody answers"
+    assert waited == [5, 5, 10, 10, 7, 10, 20], "longer after SlowDown, and while the server does not answer"
     assert {(request.path, request.body["device_code"]) for request in server.requests} == {
         ("/api/v1/auth/device/token", CODE.device_code)
     }

@@ -58,6 +58,10 @@ def test_up_answers_and_ctrl_c_ends_everything(shared_instance: Instance) -> Non
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
     assert (process.returncode, out, _unexpected(err)) == (0, "", "")
+    ports = json.loads((shared_instance.data_dir / "ports.json").read_text()).values()
+    numbers = {str(number) for port in ports for number in (port, port + 10_000)}
+    sockets = [path for path in Path("/tmp").glob("seaweedfs-*.sock") if path.stem.rpartition("-")[2] in numbers]
+    assert sockets == []
     assert shared_instance.processes == []
     assert not (shared_instance.data_dir / "instance.json").exists()
 

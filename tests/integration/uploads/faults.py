@@ -33,11 +33,11 @@ class Fault:
 
 @contextmanager
 def planted(fault: Fault) -> Iterator[None]:
-    """Have a function of the server do the wrong thing until the block ends, whoever calls it by whatever name."""
+    """Replace the code of a server function until the block ends, for all its callers."""
     function = fault.function
     assert isinstance(function, FunctionType)
     source = textwrap.dedent(inspect.getsource(function))
-    assert source.count(fault.right) == 1, f"{function.__qualname__} has changed: plant {fault.name!r} anew"
+    assert source.count(fault.right) == 1, f"{function.__qualname__} has changed: adapt {fault.name!r}"
     made: dict[str, Any] = {}
     exec(source.replace(fault.right, fault.wrong), {**vars(sys.modules[function.__module__])}, made)
     sound, function.__code__ = function.__code__, made[function.__name__].__code__
@@ -59,7 +59,7 @@ def live(life: Machine, history: str) -> None:
         "abort": lambda: life.abort(announced[0]),
         "complete": lambda: life.complete(announced[0]),
         "bring": lambda: life.bring("a.bin", b"one"),
-        "bring twin": lambda: life.bring("b.bin", b"one"),
+        "bring duplicate": lambda: life.bring("b.bin", b"one"),
         "delete": lambda: life.delete(0),
         "restore": lambda: life.restore(0),
         **{f"object {what}": partial(life.lie, 0, what) for what in ("gone", "cut", "altered", "whole")},
@@ -157,7 +157,7 @@ FAULTS = [
         _FILES_REFER,
         "exists().where(file.c.blob_id == blob.c.id, file.c.origin == 'upload')",
         "collect_garbage",
-        "bring, bring twin, delete, empty trash",
+        "bring, bring duplicate, delete, empty trash",
     ),
     Fault(
         "garbage collection leaves the object",
@@ -173,7 +173,7 @@ FAULTS = [
         "& (verified | own)",
         "",
         "_see_that_it_can_be_read",
-        "bring, object gone, verify, bring twin",
+        "bring, object gone, verify, bring duplicate",
     ),
     Fault(
         "what is lost counts as being there",

@@ -21,7 +21,7 @@ _PAGE = Path(__file__).parents[3] / "docs" / "states.md"
 _PATHS = ("a.bin", "b.bin", "c/d.bin")
 _BODIES = (b"one", b"another", b"the third one")
 
-# What the server told of an upload, if it is to be sent, and what to send.
+# The server's answer about an upload, if it must be sent, and the bytes to send.
 Upload = tuple[dict[str, Any], bytes]
 
 
@@ -76,14 +76,14 @@ class Machine(RuleBasedStateMachine):
         decision = begin(self.api, self.mission_id, {path: body}, hashed=hashed)[0]
         if decision["decision"] == "refused":
             assert decision["problem"]["code"] in {"name_leased", "file_exists"}
-            assert self._holds(path), "refused, although nobody holds the name"
+            assert self._holds(path), "refused, although the name is free"
         if decision["decision"] in {"deduplicated", "already_present"}:
             self._see_that_it_can_be_read(path, body)
         return decision.get("upload") or {}, body
 
     @rule(path=st.sampled_from(_PATHS), body=st.sampled_from(_BODIES))
     def bring(self, path: str, body: bytes) -> None:
-        """Upload a file from beginning to end, where nobody holds the name; a damaged one is mended by that."""
+        """Upload a file completely, if its name is free; this repairs a damaged one."""
         upload = self._begin(path, body, hashed=True)
         self._send(upload)
         self._complete(upload)
@@ -229,7 +229,7 @@ class Machine(RuleBasedStateMachine):
 
     @invariant()
     def every_file_is_readable_or_says_that_it_is_not(self) -> None:
-        """No row that lies: an object that nobody harmed is there, whole, and not said to be lost."""
+        """An undamaged object is complete, and its row does not say that it is lost."""
         listed = self._keys()
         for state, key, size_bytes, _ in self._blobs():
             harm = self.done_to.get(key)
@@ -312,7 +312,7 @@ class Machine(RuleBasedStateMachine):
         return bool(self.api.sql(locked, self.mission_id, path)) or path in {file["path"] for file in self._files()}
 
     def _see_that_it_can_be_read(self, path: str, body: bytes) -> None:
-        """As far as is known: nobody is told that a file is there which is known to be lost or corrupt."""
+        """No response presents a file as present that is known to be lost or corrupt."""
         [file] = [item for item in self._files() if item["path"] == path]
         assert (file["sha256"], file["state"] in {"stored", "verified"}) == (sha256(body), True)
 

@@ -29,7 +29,7 @@ def lab(start_api: StartApi) -> Api:
 
 
 def _preflight(url: str, origin: str, method: str, headers: str = "") -> Mapping[str, str] | None:
-    """Ask as a browser does; returns what it is told, in small letters, or None where it would go no further."""
+    """Send a preflight request as a browser does; return the lower-case headers, or None if it is refused."""
     requested = {"Origin": origin, "Access-Control-Request-Method": method}
     requested |= {"Access-Control-Request-Headers": headers} if headers else {}
     answer = urllib3.request("OPTIONS", url, headers=requested, retries=False)

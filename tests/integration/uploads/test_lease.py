@@ -21,7 +21,7 @@ _LEASE_S = 8.0
 
 
 class _Listening(Watcher):
-    """Keeps what a person would read meanwhile."""
+    """Records the messages for the user."""
 
     def __init__(self) -> None:
         self.received: list[str] = []
@@ -38,7 +38,7 @@ def _api(start_api: StartApi) -> Api:
 
 @pytest.fixture(name="client")
 def _client(api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Client]:
-    """Somebody without a journal of what is under way."""
+    """A client without a journal of the uploads under way."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     with connect(api.url, api.token) as client:
         yield client
@@ -79,7 +79,7 @@ def test_a_live_client_keeps_its_reserved_name(api: Api, client: Client, mission
     with ThreadPoolExecutor(1) as pool:
         sending = pool.submit(_send, client, mission_id, file, watcher)
         wait_until(lambda: bool(watcher.received))
-        # Leases are told to the second: a renewal within the same one would not be seen.
+        # Leases are reported in whole seconds: a renewal in the same second would not be visible.
         late = "SELECT lease_ends_at - now() < interval '6.5 s' FROM upload WHERE id = %s"
         wait_until(lambda: api.sql(late, alive["id"]) == [(True,)])
         send(api, alive, theirs)  # asking where to send renews the lease

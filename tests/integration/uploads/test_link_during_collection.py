@@ -25,7 +25,7 @@ _LOCK_NAME = (
 )
 _USED = "SELECT b.key FROM file f JOIN blob b ON b.id = f.blob_id"
 _LOCK_BLOB = "SELECT 1 FROM blob WHERE id = %s FOR UPDATE"
-# Whether somebody waits for this very transaction.
+# Whether another transaction waits for this one.
 _IS_AWAITED = text(
     "SELECT EXISTS (SELECT FROM pg_locks WHERE NOT granted AND pg_backend_pid() = ANY (pg_blocking_pids(pid)))"
     " FROM pg_sleep(0.01)"
@@ -35,7 +35,7 @@ _GATE = 7
 
 @pytest.fixture(name="api", scope="module")
 def _api(start_api: StartApi) -> Api:
-    """An API of its own, whose sweep lets go at once."""
+    """An API of its own, whose garbage collection has no grace period."""
     return start_api(trash_days=0, garbage_grace_s=0)
 
 
@@ -44,25 +44,25 @@ class _Duplicate:
 
     def __init__(self, api: Api) -> None:
         self.api, self.body = api, os.urandom(1000)
-        self.file = upload(api, api.mission(api.project()["id"])["id"], "twin.bin", self.body)
+        self.file = upload(api, api.mission(api.project()["id"])["id"], "copy.bin", self.body)
         [[self.blob_id, self.key]] = api.sql(
             "SELECT b.id, b.key FROM blob b JOIN file f ON f.blob_id = b.id WHERE f.id = %s", self.file["id"]
         )
 
     def leave(self) -> None:
-        """Delete the file, and let it be collected from the trash: the next sweep dooms what it referred to."""
+        """Delete the file and its row, so that the next garbage collection marks its blob for deletion."""
         self.api.delete(f"/files/{self.file['id']}").ok()
         self.api.sql("DELETE FROM file WHERE id = %s", self.file["id"])
 
 
 @pytest.fixture(name="other", scope="module")
 def _other(api: Api) -> _Duplicate:
-    """One that nobody links to, and that stays."""
+    """A blob without links that is not collected."""
     return _Duplicate(api)
 
 
 def _collect(api: Api, rounds: int = 2) -> set[str]:
-    """Sweep, and return what is at the store then: one round dooms what the next one takes."""
+    """Collect garbage and return the keys left at the store: one round marks what the next one deletes."""
 
     async def work(context: AppContext) -> set[str]:
         for _ in range(rounds):
@@ -73,7 +73,7 @@ def _collect(api: Api, rounds: int = 2) -> set[str]:
 
 
 def _see_that_all_have_bytes(api: Api, mission_id: str, bodies: dict[str, bytes]) -> None:
-    """Once more after the sweep: these files, and no row of any other refers to what is gone or goes."""
+    """Once more after the garbage collection: these files, and no row of any other refers to what is gone or goes."""
     there = _collect(api)
     assert {row[0] for row in api.sql(_USED)} <= there
     assert api.sql(f"{_USED} WHERE b.marked_for_deletion_at IS NOT NULL") == []

@@ -74,7 +74,7 @@ def test_bytes_that_only_others_claim_are_not_linked(api: Api, mission_id: str) 
     body = os.urandom(1000)
     file = upload(api, mission_id, "theirs.bin", body)
     stranger = uuid.uuid4()
-    api.sql("INSERT INTO person (id, name) VALUES (%s, 'somebody else')", stranger)
+    api.sql("INSERT INTO person (id, name) VALUES (%s, 'another person')", stranger)
     api.sql(
         "UPDATE blob SET uploaded_by_id = %s WHERE id = (SELECT blob_id FROM file WHERE id = %s)", stranger, file["id"]
     )
@@ -252,11 +252,11 @@ def test_a_part_that_the_file_does_not_have_is_refused(api: Api, mission_id: str
 
 
 def test_an_unknown_upload_is_gone(api: Api) -> None:
-    nobody = {"id": str(uuid.uuid4()), "checksum": "crc64nvme"}
-    sign(api, nobody, [(1, b"")]).refused(410, "upload_gone")
-    assert complete(api, nobody, b"")["problem"]["code"] == "upload_gone"
-    api.get(f"/uploads/{nobody['id']}").refused(404, "not_found")
-    api.delete(f"/uploads/{nobody['id']}").refused(404, "not_found")
+    unknown = {"id": str(uuid.uuid4()), "checksum": "crc64nvme"}
+    sign(api, unknown, [(1, b"")]).refused(410, "upload_gone")
+    assert complete(api, unknown, b"")["problem"]["code"] == "upload_gone"
+    api.get(f"/uploads/{unknown['id']}").refused(404, "not_found")
+    api.delete(f"/uploads/{unknown['id']}").refused(404, "not_found")
 
 
 @pytest.mark.parametrize("path", ["../x", "/x", "a//b", "nul\0", "line\nbreak", "x" * 300])
@@ -308,7 +308,7 @@ def test_a_signed_url_writes_once(api: Api, mission_id: str, one: bytes) -> None
     started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
     signed = sign(api, started, [(1, one)]).ok()["items"][0]
     assert put(signed, one) == 200
-    assert put(signed, one) == 412, "so that nobody can replace what is verified by then"
+    assert put(signed, one) == 412, "so that nobody can replace verified bytes"
     assert complete(api, started, one)["outcome"] == "completed"
 
 

@@ -19,7 +19,7 @@ _BLOCK = "SELECT 1 FROM mission WHERE id = %s FOR UPDATE"
 def _duplicate(api: Api) -> bytes:
     """What is in a file of another mission already, so that it is linked and not sent."""
     body = os.urandom(1000)
-    upload(api, api.mission(api.project()["id"])["id"], "twin.bin", body)
+    upload(api, api.mission(api.project()["id"])["id"], "copy.bin", body)
     return body
 
 

@@ -90,7 +90,7 @@ def test_an_unavailable_store_does_not_end_an_upload(
 def test_a_404_of_a_proxy_does_not_end_an_upload(
     api: Api, middleman: Middleman, mission_id: str, size_bytes: int
 ) -> None:
-    """An answer to HEAD says nothing but its status, whoever gives it."""
+    """A response to HEAD has only a status, whether a proxy or the store sends it."""
     body = os.urandom(size_bytes)
     started = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     send(api, started, body)
@@ -167,7 +167,7 @@ def test_an_unknown_upload_is_reported_to_the_client(
     middleman.rule = _once(lambda requested: requested.method == "PUT", [Reply(404, "NoSuchUpload")])
     result = _sent(client, mission_id, file)
     assert (result.outcome, type(result.error)) == (Outcome.refused, UploadGone)
-    assert _sent(client, mission_id, file).outcome is Outcome.uploaded, "the same again begins anew"
+    assert _sent(client, mission_id, file).outcome is Outcome.uploaded, "the same command starts a new upload"
     assert api.all(f"/missions/{mission_id}/uploads") == []
 
 

@@ -210,7 +210,7 @@ await look(page, "mission-problems", { path: ofMission("tab=problems"), shows: [
 await look(page, "mission-access", { path: ofMission("tab=access"), shows: [texts.share, texts.group] });
 await look(page, "file-recording", { path: `/files/${ids.recording}`, shows: [texts.recording, texts.topic, texts.type, texts.label] });
 await look(page, "file-drive", { path: `/files/${ids.drive}`, ready: "[data-log-time]" });
-await look(page, "file-plot", { path: `/files/${ids.drive}?topic=/imu/data`, ready: "[data-plot-look][data-messages]" });
+await look(page, "file-plot", { path: `/files/${ids.drive}?topic=/imu/data`, ready: "[data-plot-viewer][data-messages]" });
 await look(page, "file-broken", { path: `/files/${ids.broken}`, shows: [texts.broken] });
 await look(page, "file-text", { path: `/files/${ids.text}`, shows: [texts.text] });
 await look(page, "mission-runs", { path: ofMission("tab=runs"), shows: [texts.action] });
@@ -230,7 +230,7 @@ await page.getByLabel("Project").selectOption({ label: project });
 await page.getByLabel("Mission").selectOption({ label: "New mission" });
 await page.getByLabel(/^robot/).waitFor();
 await look(page, "upload-form", { shows: [texts.recording, texts.description] });
-const searched = { ready: "[data-found]" };
+const searched = { ready: "[data-results]" };
 await look(page, "search", { path: "/search", ...searched, shows: [texts.recording, texts.label] });
 await look(page, "search-missions", { path: "/search?tab=missions", ...searched, shows: [mission] });
 await look(page, "search-topics", { path: "/search?tab=topics", ...searched, shows: [texts.topic, texts.type] });

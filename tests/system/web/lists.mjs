@@ -12,13 +12,13 @@ await context.addInitScript(() => (window.showDirectoryPicker = () => navigator.
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
 
-const names = async () => (await page.locator("main [data-index] [data-way]").allInnerTexts()).map((each) => each.trim());
+const names = async () => (await page.locator("main [data-index] [data-row-link]").allInnerTexts()).map((each) => each.trim());
 await page.goto(`${address}/projects/${project}`);
 await page.getByRole("row", { name: /mild/ }).waitFor();
 for (const order of ["ascending", "descending"]) {
   await page.getByRole("button", { name: "temperature" }).click();
   await page.locator(`[aria-sort=${order}]`, { hasText: "temperature" }).waitFor();
-  await page.waitForFunction(() => document.querySelector("main [aria-busy=true], .going.busy") === null);
+  await page.waitForFunction(() => document.querySelector("main [aria-busy=true], .progress.busy") === null);
   seen[order] = await names();
 }
 await page.getByRole("button", { name: "Filter by metadata" }).click();
@@ -73,7 +73,7 @@ await page.goto(share);
 for (let times = 0; times < 2; times += 1) {
   await page.evaluate(() => (document.getElementById("progress").textContent = "")); // not the first download's result
   await page.getByRole("button", { name: /^Download all/ }).click();
-  await page.locator("#progress", { hasText: "in the folder" }).waitFor();
+  await page.locator("#progress", { hasText: "downloaded" }).waitFor();
 }
 seen.shared = await page.locator("#progress").innerText();
 await look(page, "lists-share");

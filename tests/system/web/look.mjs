@@ -21,12 +21,12 @@ page.on("console", (message) => {
 });
 page.on("pageerror", (error) => complaints.push(error.message));
 
-const picture = page.locator("[data-picture-look]");
+const picture = page.locator("[data-image-viewer]");
 const logTime = () => picture.getAttribute("data-log-time");
 
 /** The grey values of the picture in sight, in base64, with its size. */
 async function seen() {
-  return page.locator("[data-picture-look] canvas").evaluate((canvas) => {
+  return page.locator("[data-image-viewer] canvas").evaluate((canvas) => {
     const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
     copy.drawImage(canvas, 0, 0);
     const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
@@ -51,24 +51,24 @@ async function bytesRead() {
 
 async function press(key) {
   const before = await logTime();
-  await page.locator("[data-picture-look] input[type=range]").press(key);
+  await page.locator("[data-image-viewer] input[type=range]").press(key);
   await page.waitForFunction((time) => document.querySelector("[data-log-time]")?.getAttribute("data-log-time") !== time, before);
   return { ...(await seen()), logTime: await logTime() };
 }
 
 async function curve(fileId, query) {
   await page.goto(`${address}/files/${fileId}?${query}`);
-  await page.locator("[data-plot-look][data-messages]").waitFor();
-  const asks = page.locator("[data-asks]");
+  await page.locator("[data-plot-viewer][data-messages]").waitFor();
+  const asks = page.locator("[data-partial]");
   const asked = (await asks.count()) > 0 ? await asks.innerText() : null;
   if (asked !== null) {
     await asks.getByRole("button").click();
     await asks.waitFor({ state: "detached" });
-    await page.locator("[data-plot-look][data-messages]").waitFor();
+    await page.locator("[data-plot-viewer][data-messages]").waitFor();
   }
-  const label = await page.locator("[data-plot-look] [role=img]").getAttribute("aria-label");
+  const label = await page.locator("[data-plot-viewer] [role=img]").getAttribute("aria-label");
   await page.getByRole("button", { name: "Show values" }).click();
-  const cell = await page.locator("[data-plot-look] tbody td").first().textContent();
+  const cell = await page.locator("[data-plot-viewer] tbody td").first().textContent();
   const [download] = await Promise.all([page.waitForEvent("download"), page.getByRole("button", { name: "Save as CSV" }).click()]);
   return { asked, label, cell, csv: await readFile(await download.path(), "utf8") };
 }

@@ -31,11 +31,11 @@ await page.getByRole("button", { name: /^Upload \d+ file/ }).click();
 await page.locator("[data-phase=over]").waitFor();
 seen.over = await page.locator("[data-phase=over]").innerText();
 await page.getByRole("link", { name: "Home" }).first().click();
-await page.locator("[data-recent] [data-way]").first().waitFor();
+await page.locator("[data-recent] [data-row-link]").first().waitFor();
 await unfinished.waitFor({ state: "detached" });
 
 // Another name: one that is taken is refused, in words; then one that is not.
-await page.locator("[data-recent] [data-way]").filter({ hasText: "ridge" }).click();
+await page.locator("[data-recent] [data-row-link]").filter({ hasText: "ridge" }).click();
 await page.getByRole("heading", { level: 1, name: "ridge" }).waitFor();
 await page.getByRole("button", { name: "Rename" }).click();
 await dialog("Rename mission").getByLabel("New name").fill("night");

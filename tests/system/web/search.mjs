@@ -12,18 +12,18 @@ const { page } = await somebody(() => isMeantToFail);
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
 
-const box = page.getByRole("textbox", { name: "Search files, missions and topics" });
-const query = () => page.locator("[data-found]").getAttribute("data-query");
-const tabs = () => page.locator("[data-found] nav a").allInnerTexts();
-const rows = () => page.locator("[data-found] [data-way]").allInnerTexts();
+const box = page.getByRole("textbox", { name: "Search files, missions, and topics" });
+const query = () => page.locator("[data-results]").getAttribute("data-query");
+const tabs = () => page.locator("[data-results] nav a").allInnerTexts();
+const rows = () => page.locator("[data-results] [data-row-link]").allInnerTexts();
 const asked = () => new URL(page.url()).searchParams.get("q");
 
 async function searched(wanted) {
-  await page.waitForFunction((text) => document.querySelector("[data-found]")?.getAttribute("data-query") === text, wanted);
-  await page.waitForFunction(() => document.querySelector("[data-found] [aria-busy]") === null);
+  await page.waitForFunction((text) => document.querySelector("[data-results]")?.getAttribute("data-query") === text, wanted);
+  await page.waitForFunction(() => document.querySelector("[data-results] [aria-busy]") === null);
 }
 
-await page.locator("[data-recent] [data-way]").first().waitFor();
+await page.locator("[data-recent] [data-row-link]").first().waitFor();
 await page.locator("[data-attention] li").first().waitFor();
 seen.home = await page.locator("main").innerText();
 
@@ -42,8 +42,8 @@ const held = [];
 const searches = /\/api\/v1\/search\?/;
 await page.route(searches, (route) => held.push(route));
 await box.fill("alps");
-await page.locator("[data-found].old").waitFor();
-await look(page, "search-old");
+await page.locator("[data-results].stale").waitFor();
+await look(page, "search-stale");
 for (const route of held) await route.continue();
 await page.unroute(searches);
 await searched("alps");
@@ -51,7 +51,7 @@ await box.fill("alps topic:/imu/* format:mcap");
 await searched("alps topic:/imu/* format:mcap");
 
 await box.press("ArrowDown");
-await page.waitForFunction(() => document.activeElement?.hasAttribute("data-way"));
+await page.waitForFunction(() => document.activeElement?.hasAttribute("data-row-link"));
 await page.keyboard.press("ArrowDown");
 await page.waitForFunction(() => document.activeElement?.closest("[data-index]")?.getAttribute("data-index") === "1");
 const second = (await rows())[1].split("\n")[0];
@@ -63,7 +63,7 @@ await searched("alps topic:/imu/* format:mcap");
 seen.back = { asked: asked(), box: await box.inputValue() };
 
 await page.getByRole("region", { name: "Month" }).getByRole("link").first().click();
-await page.waitForFunction(() => document.querySelector("[data-found]")?.getAttribute("data-query").includes("month:"));
+await page.waitForFunction(() => document.querySelector("[data-results]")?.getAttribute("data-query").includes("month:"));
 seen.faceted = { query: await query(), box: await box.inputValue() };
 await page.getByRole("region", { name: "Month" }).getByRole("link", { name: /^selected/ }).click();
 await searched("alps topic:/imu/* format:mcap");
@@ -81,14 +81,14 @@ await box.press("Enter");
 await searched('mission:"Wet *"');
 await page.getByRole("link", { name: /^Missions/ }).click();
 await page.waitForURL((url) => url.searchParams.get("tab") === "missions");
-await page.locator("[data-found] [data-way]").first().waitFor();
-seen.markup = { rows: await rows(), elements: await page.locator("[data-found] img, [data-found] b").count() };
+await page.locator("[data-results] [data-row-link]").first().waitFor();
+seen.markup = { rows: await rows(), elements: await page.locator("[data-results] img, [data-results] b").count() };
 await page.getByRole("link", { name: /^Topics/ }).click();
 await page.waitForURL((url) => url.searchParams.get("tab") === "topics");
 await page.getByRole("link", { name: "/imu/data" }).first().waitFor();
-await page.locator("[data-found] [data-way]", { hasText: "/imu/data" }).click();
+await page.locator("[data-results] [data-row-link]", { hasText: "/imu/data" }).click();
 await page.waitForURL((url) => url.searchParams.get("tab") === "files");
-await page.waitForFunction(() => document.querySelector("[data-found]")?.getAttribute("data-query").includes("topic:/imu/data"));
+await page.waitForFunction(() => document.querySelector("[data-results]")?.getAttribute("data-query").includes("topic:/imu/data"));
 seen.topic = await query();
 
 await box.fill("alps format:mcap");
@@ -129,10 +129,10 @@ seen.script = await readFile(await script.path(), "utf8");
 const { page: stranger } = await somebody(() => true); // that they are nobody, they are told at once
 await stranger.goto(`${address}/public`);
 await stranger.getByRole("link", { name: "Lakes" }).waitFor();
-seen.public = await stranger.locator("[data-way]").allInnerTexts();
+seen.public = await stranger.locator("[data-row-link]").allInnerTexts();
 await stranger.getByRole("link", { name: "Search public projects" }).click();
-await stranger.locator("[data-found] [data-way]").first().waitFor();
-seen.publicRows = await stranger.locator("[data-found] [data-way]").allInnerTexts();
+await stranger.locator("[data-results] [data-row-link]").first().waitFor();
+seen.publicRows = await stranger.locator("[data-results] [data-row-link]").allInnerTexts();
 seen.publicBoxes = await stranger.getByRole("checkbox").count();
 
 // With the link they see the one file that was selected.

@@ -55,7 +55,7 @@ def test_missions_are_sorted_filtered_changed_and_downloaded_many_at_once(
     ]
     assert seen["left"] == ["hot"]
     assert "21 degC" in seen["details"]
-    assert seen["shared"].startswith("2 of 3 files are in the folder. Not: ")
+    assert seen["shared"].startswith("2 of 3 files downloaded. Failed: ")
     assert "another file has the same name on this computer" in seen["shared"]
     assert "You have no access yet" in seen["noAccess"][0]
     assert "grace@example.org" in seen["noAccess"][0]

@@ -55,7 +55,7 @@ def test_missions_changed(cluster: Cluster, act: Act, pictures: Path, tmp_path: 
     assert seen["notesElements"] == 0
     assert [row.split()[0] for row in seen["shared"]] == ["drive.mcap"]
     assert "1 file · until" in seen["link"]
-    assert seen["ended"] == "This link has ended, or was not copied whole."
+    assert seen["ended"] == "This link has ended, or the URL is incomplete."
     assert seen["verified"]["after"] > seen["verified"]["before"]
     assert "second line" in seen["back"]
     assert "2 missions" in seen["goesWithIt"], "it says what goes with the project"

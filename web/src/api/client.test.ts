@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, describe, expect, it, test, vi } from "vitest";
-import { api, call, ifMatch, isSignInRequired, noteNewEtag, noteSignedIn, settle, signInAddress } from "./client";
+import { api, call, ifMatch, isSignInRequired, noteNewEtag, noteSignedIn, finishSignIn, signInAddress } from "./client";
 import { Problem } from "./problem";
 
 const ENDED = { type: "x", title: "x", status: 401, detail: "The session has ended.", code: "not_authenticated" };
@@ -12,7 +12,7 @@ function json(status: number, body: unknown): Response {
 beforeEach(() => vi.stubGlobal("fetch", fetched));
 afterEach(() => {
   noteSignedIn(false);
-  settle(false);
+  finishSignIn(false);
   fetched.mockReset();
   vi.unstubAllGlobals();
 });
@@ -31,7 +31,7 @@ describe("a session that ends while somebody works", () => {
     });
     const made = make();
     await vi.waitFor(() => expect(isSignInRequired.value).toBe(true));
-    settle(true);
+    finishSignIn(true);
     expect(await made).toEqual({ id: "1" });
     expect(bodies[1]).toBe(bodies[0]);
     expect(JSON.parse(bodies[1] ?? "")).toEqual({ name: "Alps", description: "" });
@@ -42,7 +42,7 @@ describe("a session that ends while somebody works", () => {
     fetched.mockImplementation(() => Promise.resolve(json(401, ENDED)));
     const made = make();
     await vi.waitFor(() => expect(isSignInRequired.value).toBe(true));
-    settle(false);
+    finishSignIn(false);
     await expect(made).rejects.toMatchObject({ code: "not_authenticated" });
   });
 });

@@ -8,7 +8,7 @@ import { readonly, ref } from "vue";
 const NOT_AUTHENTICATED = 401;
 const FORBIDDEN = 403;
 
-/** Sends a request; where it takes to sign in again, waits until that is done, then sends it anew. */
+/** Sends a request. If the user must sign in again, waits for that, then sends the request again. */
 async function send(request: Request): Promise<Response> {
   const again = request.clone();
   const answer = await fetch(request);
@@ -37,7 +37,7 @@ interface ApiResponse<Data> {
 }
 
 /**
- * Returns what a request was answered with.
+ * Returns the body of a response.
  *
  * @throws {Problem} it failed, or nothing answered.
  */
@@ -81,8 +81,8 @@ export function signInAgain(why: "ended" | "too old" = "ended"): Promise<boolean
   return new Promise((resolve) => waiting.push(resolve));
 }
 
-/** Lets the requests that wait go on, or fail. */
-export function settle(isSignedIn: boolean): void {
+/** Continues or fails the waiting requests. */
+export function finishSignIn(isSignedIn: boolean): void {
   const waited = waiting;
   waiting = [];
   signInRequired.value = false;
@@ -98,19 +98,19 @@ export function announceSignedIn(): void {
   channel.close();
 }
 
-/** Calls back whenever another window has signed in; returns what ends that. */
+/** Calls back when another window has signed in; returns a function that stops that. */
 export function onSignedIn(callback: () => void): () => void {
   const channel = new BroadcastChannel(CHANNEL);
   channel.addEventListener("message", callback);
   return () => channel.close();
 }
 
-/** Returns where one signs in, and comes back from to a page of the app. */
+/** Returns the URL of the sign-in page, which returns to a page of the app. */
 export function signInAddress(returnTo: string, again = false): string {
   return `/sign-in?${new URLSearchParams({ return_to: returnTo, ...(again ? { again: "1" } : {}) }).toString()}`;
 }
 
-/** What goes with a change that was made by looking at something. */
+/** The ETag of the version that a change is based on. */
 export interface EtagCarrier {
   readonly etag?: string | undefined;
 }
@@ -118,14 +118,14 @@ export interface EtagCarrier {
 // ETags replaced by changes of this page: of two open forms, saving one does not invalidate the other.
 const own = new Map<string, string>();
 
-/** Notes that a change of one's own led from one etag to another. */
+/** Records that a change of this page replaced one ETag by another. */
 export function noteNewEtag(from: string | undefined, to: string | undefined): void {
   if (from === undefined || to === undefined || from === to) return;
   own.delete(to); // it is the newest now, also where it was there before
   own.set(latest(from), to);
 }
 
-/** Returns the header by which the server refuses a change to anything but that etag, or what we made of it. */
+/** Returns the header that makes the server reject a change of any version but this one and those that this page made of it. */
 export function ifMatch(etag: string | undefined): { readonly "If-Match"?: string } {
   return etag === undefined ? {} : { "If-Match": `"${latest(etag)}"` };
 }

@@ -8,9 +8,9 @@ import { useMe } from "./session";
 /** Changes within this time cause one refetch. */
 const GATHER_MS = 250;
 /** The minimum time between refetches during constant changes. */
-const LEAST_MS = 2000;
+const MIN_MS = 2000;
 /** The time after which a rejected stream is tried again: the user may have signed in. */
-const AGAIN_MS = 5000;
+const POLL_MS = 5000;
 
 export interface LiveOptions {
   /** The query keys that an event invalidates. */
@@ -39,7 +39,7 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
   let source: EventSource | null = null;
   let timer: ReturnType<typeof setTimeout> | undefined;
   let again: ReturnType<typeof setTimeout> | undefined;
-  let refreshedAt = -LEAST_MS;
+  let refreshedAt = -MIN_MS;
   let isBroken = false;
   const old = new Map<string, readonly unknown[]>();
 
@@ -52,7 +52,7 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
 
   function note(event: MessageEvent<string>): void {
     for (const key of options.keysOf(event.type, parsed(event.data))) old.set(JSON.stringify(key), key);
-    if (old.size > 0) timer ??= setTimeout(refresh, Math.max(GATHER_MS, refreshedAt + LEAST_MS - performance.now()));
+    if (old.size > 0) timer ??= setTimeout(refresh, Math.max(GATHER_MS, refreshedAt + MIN_MS - performance.now()));
   }
 
   function connected(): void {
@@ -65,7 +65,7 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
     breaks.value += 1;
     isBroken = true;
     clearTimeout(again);
-    if (source?.readyState === EventSource.CLOSED) again = setTimeout(() => isSignInRequired.value || open(at), AGAIN_MS);
+    if (source?.readyState === EventSource.CLOSED) again = setTimeout(() => isSignInRequired.value || open(at), POLL_MS);
   }
 
   function close(): void {
@@ -145,8 +145,8 @@ export function keysOf(kind: string, data: unknown): readonly Key[] {
 export function useChanges(): Live {
   const { me } = useMe();
   const isSeen = ref(document.visibilityState === "visible");
-  const look = () => (isSeen.value = document.visibilityState === "visible");
-  document.addEventListener("visibilitychange", look);
-  onScopeDispose(() => document.removeEventListener("visibilitychange", look));
+  const updateVisibility = () => (isSeen.value = document.visibilityState === "visible");
+  document.addEventListener("visibilitychange", updateVisibility);
+  onScopeDispose(() => document.removeEventListener("visibilitychange", updateVisibility));
   return useLive(() => (me.value !== null && isSeen.value ? "/api/v1/events" : null), { kinds: ["change", "refetch"], keysOf });
 }

@@ -6,7 +6,7 @@ export type ErrorCode = components["schemas"]["ErrorCode"];
 export type FieldProblem = components["schemas"]["FieldProblem"];
 type ProblemDocument = components["schemas"]["ProblemDocument"];
 
-/** A failure with a name. `code` is the server's own, or `unreachable` where nothing of ours answered. */
+/** A failed request. `code` is the code of the server, or `unreachable` if the server did not respond. */
 export class Problem extends Error {
   override readonly name = "Problem";
 

@@ -20,15 +20,15 @@ declare module "@tanstack/vue-query" {
   }
 }
 
-/** Returns a store of answers. */
-export function openQueries(): QueryClient {
+/** Returns the query client with the defaults of the app. */
+export function createQueries(): QueryClient {
   return new QueryClient({
     defaultOptions: {
       queries: {
         staleTime: FRESH_MS,
         retry: shouldRetry,
         retryDelay: (failures) => Math.min(8000, 500 * 2 ** failures),
-        // An answer is replaced as a whole, never changed: to watch each number in it makes lists slow.
+        // Responses are replaced, never modified. Deep reactivity would make long lists slow.
         shallow: true,
       },
       mutations: { networkMode: "always" },
@@ -82,45 +82,46 @@ export const keys = {
   trash: (query: Query = {}) => ["trash", "list", query],
 } as const;
 
-export interface Rows<Item> {
+export interface List<Item> {
   readonly rows: ComputedRef<readonly Item[]>;
   /** The total, if the request included a count; null until it is known. */
   readonly total: ComputedRef<number | null>;
-  /** Whether the rows are of an earlier question, and stay in sight until those of this one are there. */
-  readonly isOld: ComputedRef<boolean>;
+  /** Whether the rows are results of the previous query, shown until those of the current one arrive. */
+  readonly isStale: ComputedRef<boolean>;
   readonly hasMore: ComputedRef<boolean>;
   readonly isLoading: ComputedRef<boolean>;
   readonly isLoadingMore: ComputedRef<boolean>;
   readonly problem: ComputedRef<Problem | null>;
-  readonly more: () => void;
-  readonly again: () => void;
+  readonly loadMore: () => void;
+  readonly reload: () => void;
 }
 
-/** Returns the rows of a list. `fetchPage` gets the cursor of the page that is wanted, undefined for the first. */
-export function usePages<Item>(
-  key: MaybeRefOrGetter<readonly unknown[]>,
-  fetchPage: (cursor: string | undefined, signal: AbortSignal) => Promise<Page<Item>>,
-  options: { readonly enabled?: MaybeRefOrGetter<boolean> } = {},
-): Rows<Item> {
-  const query = useInfiniteQuery({
-    queryKey: computed(() => toValue(key)),
-    queryFn: ({ pageParam, signal }) => fetchPage(pageParam, signal),
+/** Loads a list page by page. `fetchPage` gets the query with the cursor of the page, which is undefined for the first one. */
+export function useList<Item, Filters extends object>(
+  key: (query: Filters) => readonly unknown[],
+  query: MaybeRefOrGetter<Filters>,
+  fetchPage: (query: Filters & { cursor?: string | undefined }, signal: AbortSignal) => Promise<Page<Item>>,
+  enabled: () => boolean = () => true,
+): List<Item> {
+  const result = useInfiniteQuery({
+    queryKey: computed(() => key(toValue(query))),
+    queryFn: ({ pageParam, signal }) => fetchPage({ ...toValue(query), cursor: pageParam }, signal),
     initialPageParam: undefined as string | undefined,
     getNextPageParam: (last: Page<Item>) => last.next ?? undefined,
     placeholderData: keepPreviousData,
-    enabled: () => toValue(options.enabled) ?? true,
+    enabled,
   });
   return {
-    rows: computed(() => query.data.value?.pages.flatMap((page) => page.items) ?? []),
-    total: computed(() => (query.isPlaceholderData.value ? null : (query.data.value?.pages[0]?.total ?? null))),
-    isOld: computed(() => query.isPlaceholderData.value),
-    hasMore: computed(() => query.hasNextPage.value),
-    isLoading: computed(() => query.isPending.value),
-    isLoadingMore: computed(() => query.isFetchingNextPage.value),
-    problem: computed(() => (query.error.value === null ? null : toProblem(query.error.value))),
-    more: () => {
-      if (query.hasNextPage.value && !query.isFetchingNextPage.value) void query.fetchNextPage();
+    rows: computed(() => result.data.value?.pages.flatMap((page) => page.items) ?? []),
+    total: computed(() => (result.isPlaceholderData.value ? null : (result.data.value?.pages[0]?.total ?? null))),
+    isStale: computed(() => result.isPlaceholderData.value),
+    hasMore: computed(() => result.hasNextPage.value),
+    isLoading: computed(() => result.isPending.value),
+    isLoadingMore: computed(() => result.isFetchingNextPage.value),
+    problem: computed(() => (result.error.value === null ? null : toProblem(result.error.value))),
+    loadMore: () => {
+      if (result.hasNextPage.value && !result.isFetchingNextPage.value) void result.fetchNextPage();
     },
-    again: () => void query.refetch(),
+    reload: () => void result.refetch(),
   };
 }

@@ -20,7 +20,7 @@ export async function fetchMe(): Promise<Me | null> {
 
 export const meQuery = { queryKey: keys.me, queryFn: fetchMe, staleTime: 5 * 60_000 } as const;
 
-export interface WhoIsHere {
+export interface CurrentUser {
   /** Null for a stranger, and while it is not known yet. */
   readonly me: ComputedRef<Me | null>;
   readonly isAdmin: ComputedRef<boolean>;
@@ -28,7 +28,7 @@ export interface WhoIsHere {
 }
 
 /** Returns who is here, kept current. */
-export function useMe(): WhoIsHere {
+export function useMe(): CurrentUser {
   const query = useQuery(meQuery);
   return {
     me: computed(() => query.data.value ?? null),

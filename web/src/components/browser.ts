@@ -7,7 +7,7 @@ export async function copyText(text: string): Promise<boolean> {
       await navigator.clipboard.writeText(text);
       return true;
     } catch (thrown) {
-      if (!(thrown instanceof DOMException)) throw thrown; // refused: the old way may still do
+      if (!(thrown instanceof DOMException)) throw thrown; // blocked: try the older API
     }
   }
   return copyBySelection(text);
@@ -18,7 +18,7 @@ function copyBySelection(text: string): boolean {
   const before = document.activeElement;
   area.value = text;
   area.className = "visually-hidden";
-  // Within an open dialog, since all else cannot be selected then.
+  // Inside an open dialog, because other content cannot be selected.
   (document.querySelector("dialog[open]") ?? document.body).append(area);
   area.select();
   // eslint-disable-next-line @typescript-eslint/no-deprecated -- there is no other way without TLS

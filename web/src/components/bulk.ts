@@ -1,6 +1,6 @@
-// One change for many items. Failures are reported per item; the others still succeed.
+// A change of many items. An item that fails does not stop the others.
 import { ref, type Ref } from "vue";
-import { toProblem } from "@/api/problem";
+import { toProblem, type Problem } from "@/api/problem";
 
 export interface Item {
   readonly id: string;
@@ -8,7 +8,7 @@ export interface Item {
 }
 
 export interface Failure extends Item {
-  readonly detail: string;
+  readonly problem: Problem;
 }
 
 export interface BulkChange {
@@ -36,7 +36,7 @@ export function useBulkChange(): BulkChange {
         try {
           await act(item.id);
         } catch (thrown) {
-          failures.value = [...failures.value, { ...item, detail: toProblem(thrown).message }];
+          failures.value = [...failures.value, { ...item, problem: toProblem(thrown) }];
         }
         finished.value += 1;
       }

@@ -39,7 +39,7 @@ export {
   mdiPlay as iconRun,
   mdiPlus as iconAdd,
   mdiPuzzleOutline as iconAction,
-  mdiProgressClock as iconUnderWay,
+  mdiProgressClock as iconProgress,
   mdiPulse as iconTopic,
   mdiRestart as iconRetry,
   mdiShieldCheckOutline as iconVerified,

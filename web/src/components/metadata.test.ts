@@ -1,5 +1,5 @@
 import { describe, expect, it, test } from "vitest";
-import { beginning, changes, judge, judgeField, shownValue, undeclared, type Values } from "./metadata";
+import { beginning, changes, validateValues, validateField, shownValue, undeclared, type Values } from "./metadata";
 import type { MetadataField, MetadataFields } from "@/api/types";
 import { texts } from "@/texts/metadata";
 import { mount } from "@vue/test-utils";
@@ -32,18 +32,18 @@ describe("one field", () => {
     [field("string", { pattern: "[A-Z]{2}\\d+" }), "AB12", null],
     [field("string", { pattern: "[A-Z]{2}\\d+" }), "xAB12", texts.wantsPattern("[A-Z]{2}\\d+")],
     [field("string", { pattern: "(?x) a b" }), "whatever: the server judges", null],
-  ] as const)("%o takes %o", (of, value, wrong) => expect(judgeField(of, value)).toBe(wrong));
+  ] as const)("%o takes %o", (of, value, wrong) => expect(validateField(of, value)).toBe(wrong));
 
   it("may be empty unless it is required and has no default", () => {
-    expect(judgeField(field("number"), null)).toBeNull();
-    expect(judgeField(field("number", { required: true }), "")).toBe(texts.required);
-    expect(judgeField(field("number", { required: true, default: 3 }), "")).toBeNull();
+    expect(validateField(field("number"), null)).toBeNull();
+    expect(validateField(field("number", { required: true }), "")).toBe(texts.required);
+    expect(validateField(field("number", { required: true, default: 3 }), "")).toBeNull();
   });
 });
 
 describe("a form", () => {
   const fields: MetadataFields = { undeclared: "accept", fields: [field("number", { name: "speed", required: true })] };
-  it("names all that is wrong", () => expect(judge(fields, { other: 1 })).toEqual([{ field: "speed", message: texts.required }]));
+  it("names all that is wrong", () => expect(validateValues(fields, { other: 1 })).toEqual([{ field: "speed", message: texts.required }]));
   it("knows what nobody declared", () => expect(undeclared(fields, { speed: 1, other: 2 })).toEqual(["other"]));
   it("sends what changed, and null for what is to go", () => {
     expect(changes({ a: 1, b: "x", c: [1] }, { a: 1, b: "", c: [1, 2], d: false })).toEqual({ b: null, c: [1, 2], d: false });

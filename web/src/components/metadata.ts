@@ -13,7 +13,7 @@ export interface Place {
   readonly name?: string | null;
 }
 
-type Judge = (value: unknown, field: MetadataField) => string | null;
+type Validator = (value: unknown, field: MetadataField) => string | null;
 
 const DATE = /^\d{4}-\d{2}-\d{2}([T ]\d{2}:\d{2}(:\d{2}(\.\d+)?)?\s?(Z|[+-]\d{2}:?\d{2})?)?$/i;
 
@@ -22,28 +22,28 @@ export function isEmpty(value: unknown): boolean {
   return value === undefined || value === null || value === "";
 }
 
-function judgeText(value: unknown, field: MetadataField): string | null {
+function validateText(value: unknown, field: MetadataField): string | null {
   if (typeof value !== "string") return texts.wantsText;
   if (typeof field.pattern !== "string") return null;
   try {
     return new RegExp(`^(?:${field.pattern})$`, "u").test(value) ? null : texts.wantsPattern(field.pattern);
   } catch (thrown) {
-    if (thrown instanceof SyntaxError) return null; // Rust's words, not ours: the server judges
+    if (thrown instanceof SyntaxError) return null; // Rust syntax that JavaScript lacks: the server validates
     throw thrown;
   }
 }
 
-function judgeDate(value: unknown): string | null {
+function validateDate(value: unknown): string | null {
   const isDate = typeof value === "string" && DATE.test(value.trim()) && !Number.isNaN(Date.parse(value.trim().slice(0, 10)));
   return isDate ? null : texts.wantsDate;
 }
 
-function judgeLink(value: unknown): string | null {
+function validateLink(value: unknown): string | null {
   const isLink = typeof value === "string" && /^https?:\/\//i.test(value) && URL.canParse(value);
   return isLink ? null : texts.wantsLink;
 }
 
-function judgePlace(value: unknown): string | null {
+function validatePlace(value: unknown): string | null {
   if (typeof value === "string") return null;
   if (typeof value !== "object" || value === null) return texts.wantsPlace;
   const { latitude, longitude } = value as Place;
@@ -51,26 +51,26 @@ function judgePlace(value: unknown): string | null {
   return typeof longitude !== "number" || Math.abs(longitude) > 180 ? texts.wantsLongitude : null;
 }
 
-const JUDGES: Readonly<Record<MetadataField["type"], Judge>> = {
-  string: judgeText,
+const VALIDATORS: Readonly<Record<MetadataField["type"], Validator>> = {
+  string: validateText,
   number: (value, field) => (typeof value === "number" && Number.isFinite(value) ? null : texts.wantsNumber(field.unit ?? "")),
   boolean: (value) => (typeof value === "boolean" ? null : texts.wantsBoolean),
-  date: judgeDate,
-  link: judgeLink,
-  location: judgePlace,
+  date: validateDate,
+  link: validateLink,
+  location: validatePlace,
   choice: (value, field) => ((field.choices ?? []).some((item) => item === value) ? null : texts.wantsChoice),
 };
 
-/** Returns what is wrong with the value of one field; null where nothing is. */
-export function judgeField(field: MetadataField, value: unknown): string | null {
-  if (!isEmpty(value)) return JUDGES[field.type](value, field);
+/** Returns the error of one value; null if it is valid. */
+export function validateField(field: MetadataField, value: unknown): string | null {
+  if (!isEmpty(value)) return VALIDATORS[field.type](value, field);
   return field.required && isEmpty(field.default) ? texts.required : null;
 }
 
 /** Returns all that is wrong with a form. */
-export function judge(fields: MetadataFields, values: Values): FieldProblem[] {
+export function validateValues(fields: MetadataFields, values: Values): FieldProblem[] {
   return fields.fields.flatMap((field) => {
-    const message = judgeField(field, values[field.name]);
+    const message = validateField(field, values[field.name]);
     return message === null ? [] : [{ field: field.name, message }];
   });
 }
@@ -93,7 +93,7 @@ export function undeclared(fields: MetadataFields, values: Values): string[] {
   return Object.keys(values).filter((name) => !declared.has(name));
 }
 
-/** Returns what to send to change one set of values into another: what differs, and null for what is to go. */
+/** Returns the changes between two sets of values; null removes a value. */
 export function changes(before: Values, after: Values): Record<string, unknown> {
   const filled: Record<string, unknown> = {};
   for (const name of new Set([...Object.keys(before), ...Object.keys(after)])) {

@@ -1,6 +1,6 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
 import { effectScope, type EffectScope } from "vue";
-import { nameOf, shortcuts, turnShortcuts, useShortcuts } from "./shortcuts";
+import { nameOf, shortcuts, setShortcutsOn, useShortcuts } from "./shortcuts";
 
 let scope: EffectScope;
 const run = { search: vi.fn(), palette: vi.fn(), projects: vi.fn() };
@@ -21,7 +21,7 @@ beforeEach(() => {
 });
 afterEach(() => {
   scope.stop();
-  turnShortcuts(true);
+  setShortcutsOn(true);
   for (const item of Object.values(run)) item.mockClear();
   document.body.replaceChildren();
 });
@@ -50,7 +50,7 @@ describe("keys", () => {
     expect(run.palette).toHaveBeenCalledTimes(1);
   });
   it("can be turned off, except with Ctrl", () => {
-    turnShortcuts(false);
+    setShortcutsOn(false);
     press("/");
     press("k", { ctrlKey: true });
     expect(run.search).not.toHaveBeenCalled();

@@ -27,7 +27,7 @@ function read(): boolean {
 }
 
 /** Turns the keys without Ctrl on or off, here and at the next visit. */
-export function turnShortcuts(isOn: boolean): void {
+export function setShortcutsOn(isOn: boolean): void {
   areShortcutsOn.value = isOn;
   try {
     localStorage.setItem(STORAGE_KEY, isOn ? "on" : "off");
@@ -42,7 +42,7 @@ function isTyping(target: EventTarget | null): boolean {
   return target instanceof HTMLInputElement && !["checkbox", "radio", "button", "submit"].includes(target.type);
 }
 
-/** Returns the name of what was pressed; of two keys after each other where the first one begins such a pair. */
+/** Returns the name of a key press: `n`, `mod+k`, or `g p` if `before` is the first key of a pair. */
 export function nameOf(event: Pick<KeyboardEvent, "key" | "ctrlKey" | "metaKey" | "altKey">, before: string): string {
   if (event.altKey) return "";
   if (event.ctrlKey || event.metaKey) return `mod+${event.key.toLowerCase()}`;

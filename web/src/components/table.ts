@@ -18,14 +18,14 @@ export interface Column<Row> {
 
 const OVERSCAN = 4;
 /** Of a column that shares what room is left. */
-const LEAST_WIDTH = 80;
+const MIN_WIDTH = 80;
 /** What boxes and the button for details take. */
 const BESIDE = 80;
 const WIDTHS = { tablet: 560, desktop: 900 } as const;
 
 /** Returns the least width of a column, in pixels: the first number of its track. */
 function leastWidth({ width }: Pick<Column<unknown>, "width">): number {
-  return Math.max(LEAST_WIDTH, Number(/\d+/.exec(width ?? "")?.[0] ?? 0));
+  return Math.max(MIN_WIDTH, Number(/\d+/.exec(width ?? "")?.[0] ?? 0));
 }
 
 /** Returns the columns that a table of some width shows. Columns with `from` go, the last ones first, where all do not fit. */
@@ -125,7 +125,7 @@ export function drawnAfter(before: readonly number[], target: readonly number[],
   return [...staying, ...drawn, ...gone].sort((one, other) => one - other);
 }
 
-/** Returns the place of each row that is drawn: rows that stay keep theirs, those that come take those of rows that went. */
+/** Assigns an element to each rendered row: rows that stay keep theirs, new rows take those of rows that left. */
 export function placesOf(indexes: readonly number[], before: ReadonlyMap<number, number>): ReadonlyMap<number, number> {
   const places = new Map<number, number>();
   for (const index of indexes) {
@@ -156,7 +156,7 @@ function read(key: string): readonly string[] | null {
     const stored: unknown = JSON.parse(localStorage.getItem(key) ?? "null");
     return Array.isArray(stored) ? stored.filter((item): item is string => typeof item === "string") : null;
   } catch {
-    return null; // no storage, or not what was written: the usual columns are shown
+    return null; // no storage, or an invalid value: the default columns are shown
   }
 }
 

@@ -5,11 +5,11 @@ import { texts } from "@/texts/common";
 /** The announcement to screen readers. */
 export const announced = ref("");
 
-let isArriving = false;
+let isFocusPending = false;
 
-/** Notes that another page is about to be shown, whose heading is to have the focus. */
-export function arrive(): void {
-  isArriving = true;
+/** Moves the focus to the heading of the next page. */
+export function focusNextHeading(): void {
+  isFocusPending = true;
 }
 
 /** Names the window after the page. */
@@ -17,10 +17,10 @@ export function nameWindow(title: string): void {
   document.title = title === "" ? texts.product : `${title} · ${texts.product}`;
 }
 
-/** Gives the focus to a page's heading, once for each page that one comes to. */
+/** Focuses and announces the heading of a page, once after each navigation. */
 export function focusHeading(heading: HTMLElement | null, title: string): void {
-  if (!isArriving || heading === null || title === "") return;
-  isArriving = false;
+  if (!isFocusPending || heading === null || title === "") return;
+  isFocusPending = false;
   announced.value = title;
   heading.focus({ preventScroll: true });
 }

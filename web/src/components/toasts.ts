@@ -14,7 +14,7 @@ interface Shown extends Toast {
 
 const SHOWN_MS = 6000;
 const WITH_BUTTON_MS = 12_000;
-const MOST = 4;
+const MAX = 4;
 let last = 0;
 
 export const toasts = reactive<Shown[]>([]);
@@ -30,6 +30,6 @@ export function showToast(toast: Toast): void {
   last += 1;
   const id = last;
   toasts.push({ ...toast, id });
-  if (toasts.length > MOST) toasts.shift();
+  if (toasts.length > MAX) toasts.shift();
   if (toast.tone !== "bad") setTimeout(() => dismiss(id), toast.act ? WITH_BUTTON_MS : SHOWN_MS);
 }

@@ -1,16 +1,16 @@
 // The visible rows of a long table, which scrolls with the page or in a container.
 // When many rows appear at once (dragging the scroll bar), each frame renders some of them.
 // While it scrolls, no element is reordered among its siblings, which would be slow.
-import { onMounted, onScopeDispose, readonly, ref, shallowRef, watch, type Ref } from "vue";
+import { onScopeDispose, readonly, ref, shallowRef, watch, type Ref } from "vue";
 import { drawnAfter, inSight } from "./table";
 
-const MOST_A_FRAME = 6;
+const MAX_A_FRAME = 6;
 const REST_MS = 150;
 /** What the head of a table covers of the rows beneath it. */
 const HEAD = 37;
 
 export interface VirtualRows {
-  /** The rows that are drawn: those in sight, and at times some that went, in whose place one is drawn soon. */
+  /** The rendered rows: the visible ones, and temporarily some that left the view. */
   readonly drawn: Readonly<Ref<readonly number[]>>;
   /** Whether it scrolls: rows need not be in document order then. */
   readonly isMoving: Readonly<Ref<boolean>>;
@@ -31,7 +31,7 @@ export interface VirtualOptions {
   readonly extra: () => number;
 }
 
-/** Returns the rows in sight. */
+/** Returns the rows to render. */
 export function useVirtualRows({ body, scroller, count, pinned, rowHeight, isOwnScroller, extra }: VirtualOptions): VirtualRows {
   const width = ref(1024);
   const drawn = shallowRef<readonly number[]>([]);
@@ -47,9 +47,9 @@ export function useVirtualRows({ body, scroller, count, pinned, rowHeight, isOwn
     const { top, height } = seen();
     // Rows below an expanded one are lower than their number implies, so more rows above are rendered.
     const visible = inSight(top - extra(), height + extra(), rowHeight(), count(), pinned());
-    drawn.value = drawnAfter(drawn.value, visible, pinned(), MOST_A_FRAME);
-    const there = new Set(drawn.value);
-    frame = visible.every((index) => there.has(index)) ? null : requestAnimationFrame(draw);
+    drawn.value = drawnAfter(drawn.value, visible, pinned(), MAX_A_FRAME);
+    const rendered = new Set(drawn.value);
+    frame = visible.every((index) => rendered.has(index)) ? null : requestAnimationFrame(draw);
   }
 
   function follow(): void {
@@ -85,17 +85,19 @@ export function useVirtualRows({ body, scroller, count, pinned, rowHeight, isOwn
   }
 
   const observer = new ResizeObserver(measure);
-  let heard: HTMLElement | Window | null = null;
-  onMounted(() => {
-    heard = isOwnScroller ? scroller.value : window;
-    heard?.addEventListener("scroll", onScroll, { passive: true });
+  watch(body, (element, _previous, onCleanup) => {
+    const source = isOwnScroller ? scroller.value : window;
+    if (element === null || source === null) return;
+    source.addEventListener("scroll", onScroll, { passive: true });
     measure();
     observer.observe(document.body); // content above the table moves it
-    if (body.value !== null) observer.observe(body.value);
-  });
+    observer.observe(element);
+    onCleanup(() => {
+      source.removeEventListener("scroll", onScroll);
+      observer.disconnect();
+    });
+  }, { flush: "post" });
   onScopeDispose(() => {
-    heard?.removeEventListener("scroll", onScroll);
-    observer.disconnect();
     clearTimeout(resting);
     if (frame !== null) cancelAnimationFrame(frame);
   });

@@ -4,7 +4,7 @@ import { McapIndexedReader } from "@mcap/core";
 import { describe, expect, it } from "vitest";
 import { openRecording } from "./formats/open";
 import { joined } from "./formats/recording";
-import { MOST_WHOLE_PACKED } from "./limits";
+import { MAX_WHOLE_PACKED } from "./limits";
 import type { CurvesRequest } from "./protocol";
 import { Session } from "./session";
 import { madeBag, madeMcap, storeOf } from "./testing/recordings";
@@ -12,7 +12,7 @@ import { madeBag, madeMcap, storeOf } from "./testing/recordings";
 const COUNT = 1000;
 const VECTOR = "float64 x\n";
 const timeOf = (number: number): bigint => 1_700_000_000_000_000_000n + BigInt(number) * 10_000_000n;
-const ALL: CurvesRequest = { topic: "/wave", fields: ["x"], fromNs: 0n, toNs: timeOf(COUNT), mostBytes: Infinity };
+const ALL: CurvesRequest = { topic: "/wave", fields: ["x"], fromNs: 0n, toNs: timeOf(COUNT), maxBytes: Infinity };
 const quiet = { signal: new AbortController().signal, onCurves: () => undefined };
 
 function mcap(): Promise<Uint8Array> {
@@ -115,7 +115,7 @@ describe("a file that is compressed as a whole", () => {
 
   it("says what to do instead where it is too large to hold", async () => {
     const packed = zstd(await mcap());
-    const source = { sizeBytes: MOST_WHOLE_PACKED + 1, ahead: 0, read: (at: number, length: number) => Promise.resolve(packed.subarray(at, at + length)) };
+    const source = { sizeBytes: MAX_WHOLE_PACKED + 1, ahead: 0, read: (at: number, length: number) => Promise.resolve(packed.subarray(at, at + length)) };
     await expect(openRecording("mcap", source)).rejects.toThrow(/compressed_whole/);
   });
 

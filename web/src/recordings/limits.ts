@@ -5,37 +5,37 @@ const MIB = 2 ** 20;
 /** What one block of the cache holds; reads are rounded to it. */
 export const BLOCK = 128 * 1024;
 /** What the cache keeps of one recording. */
-export const MOST_CACHED = 48 * MIB;
+export const MAX_CACHED = 48 * MIB;
 /** The longest piece that is read at once: an index, or a chunk with its index. */
-export const MOST_READ_AT_ONCE = 96 * MIB;
+export const MAX_READ_AT_ONCE = 96 * MIB;
 /** The largest chunk once it is decompressed. */
-export const MOST_UNPACKED = 128 * MIB;
+export const MAX_UNPACKED = 128 * MIB;
 /** Decompressed chunks that overlap in time and are in memory at once. */
-export const MOST_OVERLAPPING = 384 * MIB;
+export const MAX_OVERLAPPING = 384 * MIB;
 /** A file that is compressed as a whole, as it is stored, and decompressed into memory. */
-export const MOST_WHOLE_PACKED = 64 * MIB;
-export const MOST_WHOLE_UNPACKED = 256 * MIB;
+export const MAX_WHOLE_PACKED = 64 * MIB;
+export const MAX_WHOLE_UNPACKED = 256 * MIB;
 /** Damaged parts that are named. */
-export const MOST_DAMAGED = 100;
+export const MAX_DAMAGED = 100;
 /** Read ahead while a curve reads chunk after chunk. */
 export const READ_AHEAD = 4 * MIB;
 /** Data that a plot reads without confirmation. */
-export const MOST_UNASKED = 32 * MIB;
+export const MAX_BYTES_UNCONFIRMED = 32 * MIB;
 /** The largest picture, in pixels. */
-export const MOST_PIXELS = 64 * 1_000_000;
+export const MAX_PIXELS = 64 * 1_000_000;
 /** Values inside one message that are decoded, such as elements of arrays of messages. */
-export const MOST_VALUES = 200_000;
+export const MAX_VALUES = 200_000;
 /** How deep messages may nest. */
-export const MOST_DEPTH = 40;
+export const MAX_DEPTH = 40;
 /** A definition of a message, in characters or bytes. */
-export const MOST_DEFINITION = 4 * MIB;
+export const MAX_DEFINITION = 4 * MIB;
 /** Elements of an array that are offered as fields of a plot. */
-export const MOST_ELEMENTS = 16;
+export const MAX_ELEMENTS = 16;
 /** Fields that are offered for plotting. */
-export const MOST_FIELDS = 600;
+export const MAX_FIELDS = 600;
 /** Curves in one plot. */
-export const MOST_CURVES = 6;
+export const MAX_CURVES = 6;
 /** The store must send something within this time. */
-export const STORE_PATIENCE_MS = 30_000;
+export const STORE_TIMEOUT_MS = 30_000;
 /** The worker must send a message within this time. */
-export const WORKER_PATIENCE_MS = 45_000;
+export const WORKER_TIMEOUT_MS = 45_000;

@@ -27,8 +27,8 @@ export interface CurvesRequest {
   fields: string[];
   fromNs: bigint;
   toNs: bigint;
-  /** Byte limit; a recording that needs more is shown up to the time that the limit reaches. */
-  mostBytes: number;
+  /** Byte limit; a recording that needs more is shown up to the time that the limit hasRight. */
+  maxBytes: number;
 }
 
 export interface Opened {

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { BLOCK, MOST_READ_AT_ONCE } from "./limits";
+import { BLOCK, MAX_READ_AT_ONCE } from "./limits";
 import { storeOf } from "./testing/recordings";
 
 const BYTES = Uint8Array.from({ length: 5 * BLOCK + 17 }, (_, at) => (at * 7 + (at >> 8)) & 255);
@@ -56,8 +56,8 @@ describe("Ranges", () => {
     for (const [offset, length] of [[-1, 2], [0, BYTES.length + 1], [NaN, 1], [1, -1]] as const) {
       await expect(ranges.read(offset, length)).rejects.toMatchObject({ code: "index_damaged" });
     }
-    const large = storeOf(new Uint8Array(MOST_READ_AT_ONCE + BLOCK));
-    await expect(large.ranges.read(0, MOST_READ_AT_ONCE + 1)).rejects.toMatchObject({ code: "too_large" });
+    const large = storeOf(new Uint8Array(MAX_READ_AT_ONCE + BLOCK));
+    await expect(large.ranges.read(0, MAX_READ_AT_ONCE + 1)).rejects.toMatchObject({ code: "too_large" });
   });
 
   it("ends when it is told to", async () => {

@@ -1,7 +1,7 @@
 /** Byte ranges of one stored file over HTTP, with a small cache. Expired URLs are renewed. */
 
 import { ReadFailure } from "./failures";
-import { BLOCK, MOST_CACHED, MOST_READ_AT_ONCE, STORE_PATIENCE_MS } from "./limits";
+import { BLOCK, MAX_CACHED, MAX_READ_AT_ONCE, STORE_TIMEOUT_MS } from "./limits";
 
 /** Where to read a file for a while. The URL is a secret: it grants access to the file. */
 export interface Address {
@@ -56,7 +56,7 @@ export class Ranges implements Source {
     if (!(offset >= 0 && length >= 0 && end <= this.sizeBytes)) {
       throw new ReadFailure("index_damaged", `${length} bytes at ${offset} of ${this.sizeBytes}`);
     }
-    if (length > MOST_READ_AT_ONCE) throw new ReadFailure("too_large", String(length));
+    if (length > MAX_READ_AT_ONCE) throw new ReadFailure("too_large", String(length));
     const whole = new Uint8Array(length);
     const last = Math.ceil(end / BLOCK);
     for (let block = Math.floor(offset / BLOCK); block < last; ) {
@@ -92,7 +92,7 @@ export class Ranges implements Source {
   private cache(block: number, bytes: Uint8Array): void {
     this.blocks.set(block, bytes);
     for (const oldest of this.blocks.keys()) {
-      if (this.blocks.size * BLOCK <= MOST_CACHED) break;
+      if (this.blocks.size * BLOCK <= MAX_CACHED) break;
       this.blocks.delete(oldest);
     }
   }
@@ -111,8 +111,8 @@ export class Ranges implements Source {
   }
 
   private async request(url: string, start: number, end: number): Promise<Response> {
-    const patience = AbortSignal.timeout(STORE_PATIENCE_MS);
-    const signal = this.signal === undefined ? patience : AbortSignal.any([this.signal, patience]);
+    const timeout = AbortSignal.timeout(STORE_TIMEOUT_MS);
+    const signal = this.signal === undefined ? timeout : AbortSignal.any([this.signal, timeout]);
     try {
       // The store's answers are for this reader alone: credentials of ours are never sent there.
       return await (this.options.fetch ?? fetch)(url, {

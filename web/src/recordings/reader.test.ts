@@ -8,12 +8,12 @@ class ScriptedWorker implements WorkerLike {
   onerror: WorkerLike["onerror"] = null;
   onmessageerror: WorkerLike["onmessageerror"] = null;
   isEnded = false;
-  readonly heard: ToWorker[] = [];
+  readonly received: ToWorker[] = [];
 
   constructor(private readonly act: (worker: ScriptedWorker, message: ToWorker) => void) {}
 
   postMessage(message: ToWorker): void {
-    this.heard.push(message);
+    this.received.push(message);
     this.act(this, message);
   }
 
@@ -34,7 +34,7 @@ function answering(worker: ScriptedWorker, message: ToWorker): void {
   else worker.say({ type: "answer", id: message.id, answer: { fields: [] } });
 }
 
-function reader(acts: ((worker: ScriptedWorker, message: ToWorker) => void)[], more: { patienceMs?: number; onRead?: (bytes: number) => void } = {}) {
+function reader(acts: ((worker: ScriptedWorker, message: ToWorker) => void)[], more: { timeoutMs?: number; onRead?: (bytes: number) => void } = {}) {
   const workers: ScriptedWorker[] = [];
   const made = new RecordingReader({
     file: { format: "mcap", sizeBytes: 10 },
@@ -53,7 +53,7 @@ describe("RecordingReader", () => {
   it("opens once, then asks", async () => {
     const { made, workers } = reader([]);
     await Promise.all([made.request("fields", { topic: "/a" }), made.request("fields", { topic: "/b" })]);
-    const kinds = workers.flatMap(({ heard }) => heard).map((message) => (message.type === "request" ? message.request.kind : message.type));
+    const kinds = workers.flatMap(({ received }) => received).map((message) => (message.type === "request" ? message.request.kind : message.type));
     expect(kinds).toEqual(["open", "fields", "fields"]);
   });
 
@@ -71,7 +71,7 @@ describe("RecordingReader", () => {
 
   it("ends a worker that owes an answer and says nothing", async () => {
     vi.useFakeTimers();
-    const { made, workers } = reader([() => undefined], { patienceMs: 1000 });
+    const { made, workers } = reader([() => undefined], { timeoutMs: 1000 });
     const expectation = expect(made.open()).rejects.toMatchObject({ code: "worker_silent" });
     await vi.advanceTimersByTimeAsync(1001);
     await expectation;
@@ -84,7 +84,7 @@ describe("RecordingReader", () => {
     const { made, workers } = reader([]);
     await made.open();
     workers[0]?.say({ type: "renew", id: 0 });
-    await vi.waitFor(() => expect(workers[0]?.heard.at(-1)).toMatchObject({ type: "address", address: { url: "http://store.test/x" } }));
+    await vi.waitFor(() => expect(workers[0]?.received.at(-1)).toMatchObject({ type: "address", address: { url: "http://store.test/x" } }));
   });
 
   it("passes cancelling on, and counts what was read over workers", async () => {
@@ -98,7 +98,7 @@ describe("RecordingReader", () => {
     workers[0]?.say({ type: "read", bytes: 100 });
     const ending = new AbortController();
     const fields = made.request("fields", { topic: "/a" }, { signal: ending.signal });
-    await vi.waitFor(() => expect(workers[0]?.heard).toHaveLength(2));
+    await vi.waitFor(() => expect(workers[0]?.received).toHaveLength(2));
     ending.abort();
     await expect(fields).rejects.toMatchObject({ code: "cancelled" });
     workers[0]?.onerror?.(new ErrorEvent("error"));

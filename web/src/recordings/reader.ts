@@ -1,7 +1,7 @@
 /** The page's client of the reading worker. It starts another worker after one crashed or stopped responding. */
 
 import { ReadFailure, type FailureCode } from "./failures";
-import { WORKER_PATIENCE_MS } from "./limits";
+import { WORKER_TIMEOUT_MS } from "./limits";
 import type { Answer, DrawnCurves, FromWorker, RecordingFile, Request, RequestKind, Requests, ToWorker } from "./protocol";
 import type { Address } from "./ranges";
 
@@ -20,7 +20,7 @@ export interface ReaderOptions {
   address: () => Promise<Address>;
   start: () => WorkerLike;
   onRead?: (bytes: number) => void;
-  patienceMs?: number;
+  timeoutMs?: number;
 }
 
 interface Waiting {
@@ -120,7 +120,7 @@ export class RecordingReader {
   private watchOver(): void {
     clearTimeout(this.watch);
     if (this.waiting.size === 0) return;
-    this.watch = setTimeout(() => this.end("worker_silent"), this.options.patienceMs ?? WORKER_PATIENCE_MS);
+    this.watch = setTimeout(() => this.end("worker_silent"), this.options.timeoutMs ?? WORKER_TIMEOUT_MS);
   }
 
   private end(code: FailureCode): void {

@@ -74,7 +74,7 @@ async function opened(format: keyof typeof MADE): Promise<{ session: Session; re
 }
 
 function request(more: Partial<CurvesRequest> = {}): CurvesRequest {
-  return { topic: "/wave", fields: ["x", "y"], fromNs: START, toNs: timeOf(COUNT), mostBytes: Infinity, ...more };
+  return { topic: "/wave", fields: ["x", "y"], fromNs: START, toNs: timeOf(COUNT), maxBytes: Infinity, ...more };
 }
 
 const quiet = { signal: new AbortController().signal, onCurves: () => undefined };
@@ -115,7 +115,7 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
 
   it("reads no more than it may, and says what the whole costs", async () => {
     const { session, size } = await opened(format);
-    const { seconds, wholeBytes, untilNs } = await session.curves(request({ mostBytes: size / 4 }), quiet);
+    const { seconds, wholeBytes, untilNs } = await session.curves(request({ maxBytes: size / 4 }), quiet);
     expect(wholeBytes).toBeGreaterThan(size / 2);
     expect(untilNs).toBeLessThan(timeOf(COUNT / 2));
     expect(seconds.at(-1)).toBeGreaterThan(3);

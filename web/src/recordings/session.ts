@@ -5,7 +5,7 @@ import { decoderOf, type Decode, type Value } from "./decoding/decoder";
 import { fieldTree, numberAt, stepsOf } from "./decoding/fields";
 import { ReadFailure } from "./failures";
 import { cost, type Message, type OnDamage, type Order, type Piece, type Recording, type Schema, type Span } from "./formats/recording";
-import { MOST_DAMAGED, READ_AHEAD } from "./limits";
+import { MAX_DAMAGED, READ_AHEAD } from "./limits";
 import { pictureOf, type Picture } from "./pictures/picture";
 import type { CurvesRequest, DamagedPart, DrawnCurves, OfferedFields, Opened, PictureRequest } from "./protocol";
 
@@ -60,17 +60,17 @@ export class Session {
     for await (const message of this.recording.messages(topic, span, "forward", noticed.note)) {
       const value = this.decodeOrNote(message, noticed);
       if (value !== null) return { fields: fieldTree(value) };
-      if (noticed.parts.length >= MOST_DAMAGED) break;
+      if (noticed.parts.length >= MAX_DAMAGED) break;
     }
     throw noticed.first ?? new ReadFailure("topic_silent");
   }
 
-  /** Curves of fields against seconds since the start of the recording, as far as `mostBytes` reach. */
+  /** Curves of fields against seconds since the start of the recording, as far as `maxBytes` reach. */
   async curves(request: CurvesRequest, { signal, onCurves }: Observer): Promise<DrawnCurves> {
     const start = this.span(request.topic).fromNs;
     const requested = { fromNs: request.fromNs, toNs: request.toNs };
     const pieces = this.recording.pieces(request.topic, requested);
-    const span = affordable(requested, pieces, request.mostBytes);
+    const span = affordable(requested, pieces, request.maxBytes);
     const paths = request.fields.map((field) => stepsOf(field) ?? []);
     const seconds = (timeNs: bigint): number => Number(timeNs - start) / SECOND_NS;
     const collector = new CurveCollector(paths.length, seconds(span.fromNs), seconds(span.toNs));
@@ -84,7 +84,7 @@ export class Session {
         collector.add(seconds(message.logTimeNs), paths.map((path) => (value === null ? null : numberAt(value, path))));
         if (Date.now() - reportedAt < REPORT_EVERY_MS) continue;
         onCurves(drawn());
-        await breath(); // lets a cancellation in
+        await yieldToEvents(); // lets a cancellation in
         if (signal.aborted) throw new ReadFailure("cancelled");
         reportedAt = Date.now();
       }
@@ -149,20 +149,20 @@ class Damages {
     const [fromSeconds, toSeconds] = [fromNs, toNs].map((timeNs) => Number(timeNs - this.startNs) / SECOND_NS) as [number, number];
     const part = { fromSeconds, toSeconds };
     this.onPart(part);
-    if (this.parts.length < MOST_DAMAGED) this.parts.push(part);
+    if (this.parts.length < MAX_DAMAGED) this.parts.push(part);
   };
 }
 
-/** The beginning of the span that fits into `mostBytes`: at least one piece. */
-function affordable(span: Span, pieces: readonly Piece[], mostBytes: number): Span {
+/** The beginning of the span that fits into `maxBytes`: at least one piece. */
+function affordable(span: Span, pieces: readonly Piece[], maxBytes: number): Span {
   let bytes = 0;
   for (const [number, piece] of pieces.entries()) {
     bytes += piece.bytes;
-    if (bytes > mostBytes && number > 0 && piece.fromNs > span.fromNs) return { fromNs: span.fromNs, toNs: piece.fromNs - 1n };
+    if (bytes > maxBytes && number > 0 && piece.fromNs > span.fromNs) return { fromNs: span.fromNs, toNs: piece.fromNs - 1n };
   }
   return span;
 }
 
-function breath(): Promise<void> {
+function yieldToEvents(): Promise<void> {
   return new Promise((resolve) => setTimeout(resolve));
 }

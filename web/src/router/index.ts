@@ -6,12 +6,12 @@ import { routes } from "./routes";
 import { toProblem } from "@/api/problem";
 import { meQuery } from "@/api/session";
 import { signInAddress } from "@/api/client";
-import { arrive } from "@/components/titles";
+import { focusNextHeading } from "@/components/titles";
 import { showToast } from "@/components/toasts";
 import { texts } from "@/texts/shell";
 
 /** Returns whether the user is signed in; if the server does not respond, the page reports it. */
-async function isSomebodyHere(queries: QueryClient): Promise<boolean> {
+async function isSignedIn(queries: QueryClient): Promise<boolean> {
   try {
     return (await queries.query(meQuery)) !== null;
   } catch (thrown) {
@@ -34,18 +34,18 @@ export function openRouter(queries: QueryClient): Router {
   discardOnNavigation(router);
   router.beforeEach(async (to) => {
     if (to.meta.guests === true) return true;
-    if (await isSomebodyHere(queries)) {
-      if (to.meta.asksFirst !== undefined) queries.query(to.meta.asksFirst).catch(noop); // shown by the page
+    if (await isSignedIn(queries)) {
+      if (to.meta.prefetch !== undefined) queries.query(to.meta.prefetch).catch(noop); // shown by the page
       return true;
     }
     globalThis.location.assign(signInAddress(to.fullPath));
     return false;
   });
   router.afterEach((to, from) => {
-    if (to.path !== from.path && from.matched.length > 0) arrive();
+    if (to.path !== from.path && from.matched.length > 0) focusNextHeading();
   });
   router.onError((_error, to) => {
-    // A new version was installed, and this one's pages are gone: the new one is fetched, once.
+    // After an update of the server, the old pages no longer exist: reload once.
     const key = `kleinkram.reloaded ${to.fullPath}`;
     if (sessionStorage.getItem(key) === null) {
       sessionStorage.setItem(key, "yes");

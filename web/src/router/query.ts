@@ -1,13 +1,13 @@
 // View state in the URL: filters, orders, tabs. So each view has a link, and the back button works.
-import { computed, onScopeDispose, ref, watch, type Ref, type WritableComputedRef } from "vue";
+import { computed, onScopeDispose, reactive, ref, watch, type ComputedRef, type Ref, type WritableComputedRef } from "vue";
 import { useRoute, useRouter, type LocationQueryRaw, type Router } from "vue-router";
 
-export type Way = "push" | "replace";
+type HistoryChange = "push" | "replace";
 
 let isNavigating = false;
-let pending: { readonly query: LocationQueryRaw; readonly way: Way; readonly path: string } | null = null;
+let pending: { readonly query: LocationQueryRaw; readonly history: HistoryChange; readonly path: string } | null = null;
 
-/** Follows where a router goes, so that a late change of a view's address does not call one back who is leaving it. */
+/** Tracks navigation, so that a late change of the URL does not return the user to a page that they are leaving. */
 export function discardOnNavigation(router: Router): void {
   router.beforeEach((to, from) => {
     isNavigating = to.path !== from.path;
@@ -17,14 +17,14 @@ export function discardOnNavigation(router: Router): void {
   });
 }
 
-/** Changes one part of the address; changes of several parts at once become one step. */
-function change(router: Router, name: string, value: string | readonly string[] | undefined, way: Way): void {
+/** Changes one URL parameter. Changes of the same tick become one history entry. */
+function change(router: Router, name: string, value: string | readonly string[] | undefined, history: HistoryChange): void {
   const now = router.currentRoute.value;
   const isFirst = pending === null;
-  const before = pending ?? { query: now.query, way: "replace" as const, path: now.path };
+  const before = pending ?? { query: now.query, history: "replace" as const, path: now.path };
   pending = {
     query: { ...before.query, [name]: typeof value === "object" ? [...value] : value },
-    way: way === "push" ? way : before.way,
+    history: history === "push" ? history : before.history,
     path: before.path,
   };
   if (!isFirst) return;
@@ -33,12 +33,12 @@ function change(router: Router, name: string, value: string | readonly string[] 
     pending = null;
     const route = router.currentRoute.value;
     if (changes === null || isNavigating || changes.path !== route.path) return;
-    void router[changes.way]({ path: route.path, query: changes.query, hash: route.hash });
+    void router[changes.history]({ path: route.path, query: changes.query, hash: route.hash });
   });
 }
 
-/** Returns a part of the address as text. What equals `fallback` is not written there. */
-export function useQueryText(name: string, fallback = "", way: Way = "replace"): WritableComputedRef<string> {
+/** Returns a URL parameter as text. The URL omits a value that equals `fallback`. */
+export function useQueryText(name: string, fallback = "", history: HistoryChange = "replace"): WritableComputedRef<string> {
   const route = useRoute();
   const router = useRouter();
   return computed({
@@ -46,12 +46,12 @@ export function useQueryText(name: string, fallback = "", way: Way = "replace"):
       const value = route.query[name];
       return (Array.isArray(value) ? value[0] : value) ?? fallback;
     },
-    set: (value) => change(router, name, value === fallback ? undefined : value, way),
+    set: (value) => change(router, name, value === fallback ? undefined : value, history),
   });
 }
 
-/** Returns a part of the address that may be there several times. */
-export function useQueryList(name: string, way: Way = "replace"): WritableComputedRef<readonly string[]> {
+/** Returns a URL parameter that can occur several times. */
+export function useQueryList(name: string, history: HistoryChange = "replace"): WritableComputedRef<readonly string[]> {
   const route = useRoute();
   const router = useRouter();
   return computed({
@@ -59,8 +59,27 @@ export function useQueryList(name: string, way: Way = "replace"): WritableComput
       const value = route.query[name];
       return (Array.isArray(value) ? value : [value]).filter((item): item is string => typeof item === "string");
     },
-    set: (value) => change(router, name, value.length === 0 ? undefined : value, way),
+    set: (value) => change(router, name, value.length === 0 ? undefined : value, history),
   });
+}
+
+export interface Filters<Name extends string> {
+  /** The values by name, to be read and written. */
+  readonly values: Record<Name, string>;
+  readonly isActive: ComputedRef<boolean>;
+  readonly clear: () => void;
+}
+
+/** Returns the filters of a list, one URL parameter each. An empty value does not filter. */
+export function useFilters<Name extends string>(...names: readonly Name[]): Filters<Name> {
+  const values = reactive(Object.fromEntries(names.map((name) => [name, useQueryText(name)]))) as unknown as Record<Name, string>;
+  return {
+    values,
+    isActive: computed(() => names.some((name) => values[name] !== "")),
+    clear: () => {
+      for (const name of names) values[name] = "";
+    },
+  };
 }
 
 export interface Typed {
@@ -70,7 +89,7 @@ export interface Typed {
   readonly onInput: () => void;
 }
 
-/** Returns what is typed; `text` becomes it after a pause. A text that comes from elsewhere takes its place. */
+/** Binds an input to `text`, which is updated after a pause in typing. A change of `text` by others replaces the input. */
 export function useTyped(text: Ref<string>, pauseMs: number): Typed {
   const typed = ref(text.value);
   /** The last submitted text; the user may have typed more since. */

@@ -5,19 +5,19 @@ import { homeQuery } from "@/features/home/queries";
 
 declare module "vue-router" {
   interface RouteMeta {
-    /** Whether people without an account may come: what is public may be seen there. */
+    /** Whether the page is open to visitors without an account. */
     guests?: boolean;
     /** Shown without the app around it. */
     bare?: boolean;
     /** A query of the page, started while its chunk loads. */
-    asksFirst?: typeof homeQuery;
+    prefetch?: typeof homeQuery;
   }
 }
 
 const guests = { guests: true };
 
 export const routes: RouteRecordRaw[] = [
-  { path: "/", name: "home", meta: { asksFirst: homeQuery }, component: () => import("@/features/home/HomePage.vue") },
+  { path: "/", name: "home", meta: { prefetch: homeQuery }, component: () => import("@/features/home/HomePage.vue") },
   { path: "/public", name: "public", meta: guests, component: () => import("@/features/share/PublicPage.vue") },
   { path: "/projects", name: "projects", component: () => import("@/features/project/ProjectsPage.vue") },
   { path: "/projects/:projectId", name: "project", meta: guests, component: () => import("@/features/project/ProjectPage.vue") },

@@ -43,7 +43,7 @@ export interface Viewer {
   readonly isAdmin: boolean;
 }
 
-/** Returns whether all letters of what was typed occur in a text, in their order. */
+/** Returns whether a text contains all typed letters in their order. */
 export function matches(text: string, typed: string): boolean {
   const within = text.toLocaleLowerCase();
   let at = 0;
@@ -54,11 +54,11 @@ export function matches(text: string, typed: string): boolean {
   return true;
 }
 
-function going(place: Place): Command {
+function placeCommand(place: Place): Command {
   return { id: `place ${place.name}`, label: place.label, hint: texts.kinds.place, icon: place.icon, to: place.to };
 }
 
-function acts(): readonly Command[] {
+function appCommands(): readonly Command[] {
   const hint = texts.kinds.act;
   return [
     ...THEMES.map((theme) => ({
@@ -69,16 +69,16 @@ function acts(): readonly Command[] {
   ];
 }
 
-/** Returns the pages and acts whose names match. */
+/** Returns the pages and commands whose names match. */
 export function commandsFor(typed: string, viewer: Viewer): readonly Command[] {
-  const places = placesFor(viewer.isSignedIn, viewer.isAdmin).map(going);
-  const further = viewer.isSignedIn ? [...furtherPlaces.map(going), ...acts()] : [];
+  const places = placesFor(viewer.isSignedIn, viewer.isAdmin).map(placeCommand);
+  const further = viewer.isSignedIn ? [...furtherPlaces.map(placeCommand), ...appCommands()] : [];
   if (typed === "") return [...places, ...further.slice(0, furtherPlaces.length)];
   return [...places, ...further].filter((item) => matches(item.label, typed));
 }
 
 /** Returns projects and missions as places to go to. */
-export function foundCommands(projects: readonly Project[], missions: readonly Mission[]): readonly Command[] {
+export function objectCommands(projects: readonly Project[], missions: readonly Mission[]): readonly Command[] {
   return [
     ...projects.map((project) => ({
       id: project.id, label: project.name, hint: texts.kinds.project, icon: iconFolder,
@@ -91,7 +91,7 @@ export function foundCommands(projects: readonly Project[], missions: readonly M
   ];
 }
 
-/** Returns the way to a search for what was typed. */
+/** Returns a command that searches for the typed text. */
 export function searchCommand(typed: string): Command {
   return { id: "search", label: texts.searchFor(typed), hint: texts.kinds.place, icon: iconSearch, to: { name: "search", query: { q: typed } } };
 }
@@ -99,7 +99,7 @@ export function searchCommand(typed: string): Command {
 export const isShowingKeys = ref(false);
 export const isShowingPalette = ref(false);
 
-/** Signs out, and goes to the page on which one signs in. */
+/** Signs out, and opens the sign-in page. */
 export async function signOut(): Promise<void> {
   try {
     await call(api.POST("/api/v1/auth/sign-out"));
@@ -114,7 +114,7 @@ export interface Place {
   readonly label: string;
   readonly icon: string;
   readonly to: RouteLocationRaw;
-  /** Names of the other pages that belong to it. */
+  /** Names of other routes that belong to it. */
   readonly also: readonly string[];
   /** The second key after `g` that leads there. */
   readonly key: string;
@@ -147,7 +147,7 @@ export const furtherPlaces: readonly Place[] = [
   place("public", iconPublic, "b"),
 ];
 
-/** What strangers may go to. */
+/** The pages for visitors without an account. */
 export const publicPlaces: readonly Place[] = [place("public", iconPublic, "b"), place("search", iconSearch, "s")];
 
 /** Returns the places in the navigation. */
@@ -155,7 +155,7 @@ export function placesFor(isSignedIn: boolean, isAdmin: boolean): readonly Place
   return isSignedIn ? places.filter((item) => isAdmin || item.forAdmins !== true) : publicPlaces;
 }
 
-/** Returns whether the page of that name belongs to a place. */
-export function isAt(where: Place, routeName: unknown): boolean {
+/** Whether a route belongs to a page of the navigation. */
+export function belongsTo(where: Place, routeName: unknown): boolean {
   return typeof routeName === "string" && (where.name === routeName || where.also.includes(routeName));
 }

@@ -1,31 +1,31 @@
-// Whether the server responds, judged by the latest requests and probed after a failure.
+// Whether the server responds, according to the latest requests; probed after a failure.
 import { useQueryClient } from "@tanstack/vue-query";
 import { onScopeDispose, readonly, ref, watch, type Ref } from "vue";
 import { Problem } from "@/api/problem";
 
-const AGAIN_MS = 5000;
+const POLL_MS = 5000;
 
 /** Returns whether the server responds. When it recovers, failed queries are refetched. */
 export function useOnline(breaks: Readonly<Ref<number>>): Readonly<Ref<boolean>> {
   const queries = useQueryClient();
-  const isAnswered = ref(true);
+  const isReachable = ref(true);
   let timer: ReturnType<typeof setInterval> | undefined;
 
-  function away(): void {
-    isAnswered.value = false;
-    timer ??= setInterval(() => void look(), AGAIN_MS);
+  function noteFailure(): void {
+    isReachable.value = false;
+    timer ??= setInterval(() => void check(), POLL_MS);
   }
 
-  async function look(): Promise<void> {
+  async function check(): Promise<void> {
     const answer = await fetch("/health/live").catch(() => null);
     if (answer?.ok !== true) {
-      away();
+      noteFailure();
       return;
     }
-    if (isAnswered.value) return;
+    if (isReachable.value) return;
     clearInterval(timer);
     timer = undefined;
-    isAnswered.value = true;
+    isReachable.value = true;
     void queries.invalidateQueries();
   }
 
@@ -33,12 +33,12 @@ export function useOnline(breaks: Readonly<Ref<number>>): Readonly<Ref<boolean>>
     if (event.type !== "updated" || event.query.state.fetchFailureCount === 0) return;
     const reason: unknown = event.query.state.fetchFailureReason;
     if (!(reason instanceof Problem) || reason.code !== "unreachable") return;
-    away();
+    noteFailure();
   });
-  watch(breaks, look);
+  watch(breaks, check);
   onScopeDispose(() => {
     stop();
     clearInterval(timer);
   });
-  return readonly(isAnswered);
+  return readonly(isReachable);
 }

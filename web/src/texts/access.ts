@@ -1,4 +1,15 @@
-// Texts of the access panel.
+// Texts of the access to projects and missions.
+import type { components } from "@/api/schema";
+
+type AccessThrough = components["schemas"]["AccessThrough"];
+
+const through: Readonly<Record<AccessThrough, string>> = {
+  "project grant": "Right on the project",
+  "mission grant": "Right on the mission",
+  public: "The project is public",
+  admin: "Admins have access to everything",
+};
+
 export const texts = {
   grants: { project: "Granted on this project", mission: "Granted on this mission" },
   grantsWhy: {
@@ -6,19 +17,17 @@ export const texts = {
     mission: "These rights add to the rights on the project.",
   },
   noGrants: "No rights granted here.",
-  to: "Who",
   right: "Right",
   until: "Until",
-  forever: "no expiry",
   noEnd: "No expiry",
   expired: "expired",
   rightOf: (name: string) => `Right of ${name}`,
   endOf: (name: string) => `Expiry of the right of ${name}`,
-  take: (name: string) => `Revoke the right of ${name}`,
-  takeTitle: "Revoke this right?",
-  takeWhy: (name: string) => `${name} loses access immediately.`,
-  takeIt: "Revoke",
-  taken: (name: string) => `Right of ${name} revoked.`,
+  revokeOf: (name: string) => `Revoke the right of ${name}`,
+  revokeTitle: "Revoke this right?",
+  revokeWhy: (name: string) => `${name} loses access immediately.`,
+  revoke: "Revoke",
+  revoked: (name: string) => `Right of ${name} revoked.`,
   changed: "Right changed.",
   kinds: { person: "Person", group: "Group", email: "Email address" },
 
@@ -28,23 +37,18 @@ export const texts = {
   chooseOne: "Choose someone from the list, or enter a complete email address.",
   candidates: "Matches",
   untilHint: "Leave empty for no expiry.",
-  give: "Grant",
+  grant: "Grant",
   granted: (name: string) => `Right granted to ${name}.`,
 
   access: "Effective access",
   accessWhy: "If a person has several rights, the highest applies.",
   accessOwn: "You see your own access. People who can change rights see everyone’s.",
-  from: "Source",
-  everybody: "Everyone",
+  columns: { who: "Who", right: "Right", from: "Source", until: "Expires" },
+  through,
+  everybody: "Everyone, without an account",
   admins: "All admins",
   members: (group: string) => `Members of ${group}`,
-  through: {
-    "project grant": "granted on the project",
-    "mission grant": "granted on the mission",
-    public: "the project is public",
-    admin: "admin",
-  },
-  via: (group: string) => `through the group ${group}`,
-  viaAddress: (address: string) => `through the address ${address}`,
-  nobody: "Admins only.",
+  address: (email: string) => `Owner of ${email}`,
+  byGroup: (group: string) => `as a member of ${group}`,
+  nobody: "No access that you can see.",
 } as const;

@@ -21,7 +21,7 @@ export const texts = {
   archiveWhy: "It is no longer listed and cannot start new runs. Its existing runs stay. You can restore it later.",
   unarchive: "Restore",
   unarchived: "Action restored.",
-  run: "Run …",
+  run: "Run…",
   versions: "Versions",
   version: (number: number) => `Version ${number}`,
   latest: "latest",
@@ -51,7 +51,7 @@ export const texts = {
     go: (missions: number) => (missions > 1 ? `Run on ${missions} missions` : "Run"),
     made: (count: number) => `${counted(count, "run")} started`,
     refused: (count: number) => `${counted(count, "mission")} rejected`,
-    toRuns: "Show runs", openRun: "Open run", yes: "Yes", no: "No", notSet: "not set",
+    toRuns: "Show runs", yes: "Yes", no: "No", notSet: "not set",
     wants: {
       must: "Required.", integer: "Enter an integer.", number: "Enter a number.",
       atLeast: (value: number) => `Enter at least ${value}.`, atMost: (value: number) => `Enter at most ${value}.`,

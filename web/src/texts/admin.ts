@@ -36,10 +36,10 @@ export const texts = {
     begin: "Scrub now",
     begun: "Scrub queued.",
     never: "No scrub yet.",
-    states: { waits: "Queued", on: "Running", stopped: "Stopped", done: "Done" },
+    states: { queued: "Queued", running: "Running", stopped: "Stopped", done: "Done" },
     statesWhy: {
-      waits: "A worker starts it soon",
-      on: "Results so far",
+      queued: "A worker starts it soon",
+      running: "Results so far",
       stopped: "The scrub ended early",
       done: "All objects were compared",
     },

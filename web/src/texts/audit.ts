@@ -148,10 +148,10 @@ export const texts = {
   since: "From",
   until: "To",
   asAdmin: "With admin rights",
-  narrowed: {
+  idFilters: {
     person_id: "One person", token_id: "One token", share_id: "One link", noun_id: "One object", mission_id: "One mission",
   } as const,
-  unnarrow: (what: string) => `Remove filter: ${what}`,
+  removeFilter: (what: string) => `Remove filter: ${what}`,
   server: "Kleinkram",
   stranger: "Unknown person",
   byToken: (name: string) => `with the token ${name}`,

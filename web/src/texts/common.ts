@@ -83,7 +83,7 @@ export const trashTexts = {
   title: "Trash",
   lead: "Deleted objects that you can restore. On the date shown, they are deleted permanently.",
   label: "Trash",
-  what: "Type",
+  type: "Type",
   everything: "All types",
   only: { project: "Projects", mission: "Missions", file: "Files" },
   nouns,

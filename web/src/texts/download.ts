@@ -4,7 +4,7 @@ import { counted, formatShare, formatSize } from "@/components/format";
 export const texts = {
   title: "Download",
   amount: (files: number, bytes: number) => `${counted(files, "file")}, ${formatSize(bytes)}`,
-  folder: "Choose a folder …",
+  folder: "Choose a folder…",
   folderWhy: "Each file is verified. Files that are already in the folder are not downloaded again. To resume an interrupted download, choose the same folder.",
   zip: "Download as ZIP",
   zipWhy: "This browser cannot write to a folder. You get one ZIP file.",

@@ -16,7 +16,7 @@ export const texts = {
   notRead: "not yet",
   uploaded: "Uploaded",
   uploadedBy: (name: string) => `by ${name}`,
-  origin: "From",
+  origin: "Origin",
   labels: "Labels",
   lost: "Missing data",
   lostAmount: (bytes: number, chunks: number, messages: number | null) =>
@@ -87,7 +87,7 @@ export const lineageTexts = {
   made: "Created by",
   read: "Used by",
   from: "Inputs",
-  cameOf: "Results",
+  results: "Results",
   more: (count: number) => `and ${count} more`,
   truncated: "Earlier runs are not shown.",
 } as const;

@@ -17,7 +17,6 @@ export const texts = {
   find: "Filter by name",
   create: "New group",
   createTitle: "New group",
-  createWhy: "You become its first member and editor.",
   name: "Name",
   make: "Create group",
   empty: "No groups",

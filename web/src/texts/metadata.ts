@@ -23,7 +23,6 @@ export const texts = {
   unconfirmed: "Confirm or change this value.",
   place: { name: "Place name", latitude: "Latitude (degrees)", longitude: "Longitude (degrees)", byName: "By name", byDegrees: "By coordinates" },
   further: "Additional values",
-  furtherHint: "Values that the project does not define.",
   add: "Add value",
   addName: "Name",
   addValue: "Value",

@@ -42,7 +42,7 @@ export const texts = {
   renameTitle: "Rename mission",
   renamed: (name: string) => `Renamed to ${name}.`,
   removeTitle: "Delete this mission?",
-  removeWhy: (files: number, bytes: number) => `${counted(files, "file")} (${formatSize(bytes)}) move to the trash. You can restore them for a limited time.`,
+  removeWhy: (files: number, bytes: number) => `The mission and its ${counted(files, "file")} (${formatSize(bytes)}) move to the trash. You can restore them for a limited time.`,
   removed: (name: string) => `${name} moved to the trash.`,
   restored: (name: string) => `${name} restored.`,
 
@@ -58,8 +58,6 @@ export const texts = {
   noFiles: "No files yet",
   noFilesWhy: "Upload a folder on the upload page or from the robot:",
   noneMatch: "No matching files.",
-  branchFiles: (files: number) => counted(files, "file"),
-  missingMembers: (count: number) => `${counted(count, "member")} missing`,
 
   axis: "When the files were recorded",
   axisSays: (files: number, mostAtOnce: number, covered: string) =>
@@ -78,7 +76,6 @@ export const texts = {
   count: "Messages",
   rate: "Rate",
   gap: "Longest gap",
-  inRecordings: "Recordings",
   density: "Messages over time",
   shownTopics: (shown: number, all: number) => (shown === all ? counted(all, "topic") : `${formatCount(shown)} of ${counted(all, "topic")}`),
   noTopics: "No topics",

@@ -2,15 +2,7 @@
 import type { components } from "@/api/schema";
 import { counted } from "@/components/format";
 
-type AccessThrough = components["schemas"]["AccessThrough"];
 type Departure = components["schemas"]["Departure"];
-
-const through: Readonly<Record<AccessThrough, string>> = {
-  "project grant": "Right on the project",
-  "mission grant": "Right on the mission",
-  public: "The project is public",
-  admin: "Admins have access to everything",
-};
 
 function ended(departure: Departure): string {
   const parts = [counted(departure.sessions, "session"), counted(departure.tokens, "token"), counted(departure.links, "link")];
@@ -32,7 +24,7 @@ export const texts = {
     admin: "Admin",
     left: "Deactivated",
     status: "Status",
-    whoms: { "": "All", active: "Active", left: "Deactivated" } as const,
+    statuses: { "": "All", active: "Active", left: "Deactivated" } as const,
     shown: (count: number) => counted(count, "person", "people"),
   },
   invite: {
@@ -90,22 +82,11 @@ export const texts = {
   access: {
     title: "Access",
     lead: "Current rights on a project or mission and their sources. If a person has several rights, the highest applies.",
-    label: "Effective access",
     project: "Project",
     mission: "Mission",
     choose: "Choose a project",
     wholeProject: "Entire project",
     chooseText: "People who can write see everyone’s access. Others see their own.",
-    empty: "No access that you can see.",
-    columns: { who: "Who", right: "Right", from: "Source", until: "Expires" },
-    everybody: "Everyone, without an account",
-    admins: "All admins",
-    members: (group: string) => `Members of ${group}`,
-    address: (email: string) => `Owner of ${email}`,
-    byGroup: (group: string) => `as a member of ${group}`,
-    oneself: "granted directly",
-    through,
-    noEnd: "No expiry",
     manage: "Manage in the project",
   },
 } as const;

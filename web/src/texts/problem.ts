@@ -27,5 +27,4 @@ export const texts = {
   notUnderstood: (status: number) => `The server returned status ${status} without an explanation.`,
   requestId: "Request ID",
   again: "Try again",
-  showTechnical: "Details",
 } as const;

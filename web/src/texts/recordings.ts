@@ -57,13 +57,13 @@ export const failures: Readonly<Record<FailureCode, FailureText>> = {
   cancelled: { title: () => "Reading was cancelled", remedy: "" },
 };
 
-/** Failures that may be gone when one tries again. */
+/** Failures that can be temporary. */
 export const worthAnotherTry: ReadonlySet<FailureCode> = new Set<FailureCode>([
   "store_unreachable", "store_refused", "file_changed", "link_refused", "worker_ended", "worker_silent", "cancelled",
 ]);
 
-/** Why files of a format cannot be looked into; null for formats that can. */
-export function whyNot(format: string | null): string | null {
+/** Why files of a format have no preview; null for formats that have one. */
+export function whyNoPreview(format: string | null): string | null {
   if (format === "mcap" || format === "rosbag1") return null;
   if (format === "db3") {
     return "A rosbag2 database (db3) has no index that supports remote reading. Download the file, or record MCAP, which supports previews.";

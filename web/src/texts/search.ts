@@ -7,7 +7,7 @@ const facets: Readonly<Record<string, string>> = {
 
 export const texts = {
   title: "Search",
-  box: "Search files, missions and topics",
+  box: "Search files, missions, and topics",
   placeholder: "alps topic:/imu/* size>1GB -label:draft",
   try: "Examples",
   examples: ["topic:/camera/*", "size>1GB", "content:broken", "after:2026", "-label:draft"],

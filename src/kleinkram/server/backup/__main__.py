@@ -180,8 +180,7 @@ def _settings() -> Settings:
 
 
 def _print(request: BackupRequest, result: object, text: str) -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write("\r\033[K")  # in the place of progress
+    _clear_progress()
     print(json.dumps(result, indent=2) if request.as_json else text)  # noqa: T201  (this program's output)
 
 
@@ -196,7 +195,13 @@ def _print_problems(text: str, problems: Messages) -> int:
     return _DAMAGED
 
 
+def _clear_progress() -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write("\r\033[K")
+
+
 def _fail(request: BackupRequest, text: str, code: str, exit_code: int) -> NoReturn:
+    _clear_progress()
     print(failure_line(text, code=code, exit_code=exit_code, as_json=request.as_json), file=sys.stderr)  # noqa: T201
     sys.exit(exit_code)
 

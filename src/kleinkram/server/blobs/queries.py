@@ -106,11 +106,6 @@ def databases_with_logs(blob_ids: Iterable[uuid.UUID]) -> Select[Any]:
     )
 
 
-def small_among(blob_ids: Iterable[uuid.UUID]) -> Select[Any]:
-    """Select the ids of the small blobs among these."""
-    return select(blob.c.id).where(among(blob.c.id, blob_ids), is_small())
-
-
 def is_small() -> ColumnElement[bool]:
     """Return the condition that a blob is small."""
     return blob.c.size_bytes <= SMALL_BYTES
@@ -141,32 +136,6 @@ def is_unverified() -> ColumnElement[bool]:
     """Return the condition that a blob arrived over ten minutes ago and is not verified yet."""
     late = blob.c.created_at < func.now() - text("interval '10 minutes'")
     return (blob.c.state == BlobState.stored.value) & late
-
-
-COUNT_REVERIFICATIONS = text(
-    "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'verify_blob' AND status = 'todo' AND priority < 0"
-)
-
-
-def counts_by_state() -> Select[Any]:
-    """Select number and bytes of blobs by state; of damaged blobs, only those that something still refers to."""
-    total = func.coalesce(func.sum(blob.c.size_bytes), 0).label("size_bytes")
-    is_sound = blob.c.state.in_((BlobState.stored.value, BlobState.verified.value))
-    statement = select(blob.c.state, func.count().label("number"), total)
-    statement = statement.where(blob.c.marked_for_deletion_at.is_(None), or_(is_sound, is_referenced()))
-    return statement.group_by(blob.c.state).order_by(blob.c.state)
-
-
-def oldest_verification() -> Select[Any]:
-    """Return the oldest `verified_at` of all blobs."""
-    verified = (blob.c.state == BlobState.verified.value, blob.c.marked_for_deletion_at.is_(None))
-    return select(func.min(blob.c.verified_at)).where(*verified)
-
-
-def verified_before(at: ColumnElement[datetime.datetime]) -> Select[Any]:
-    """Select the ids of blobs that were verified before a time, the oldest first."""
-    old = (blob.c.state == BlobState.verified.value, blob.c.verified_at < at)
-    return select(blob.c.id).where(blob.c.marked_for_deletion_at.is_(None), *old).order_by(blob.c.verified_at)
 
 
 def expected_between(

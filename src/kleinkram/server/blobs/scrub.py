@@ -21,7 +21,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job
 from kleinkram.server.settings import Settings
-from kleinkram.server.tables import scrub
+from kleinkram.server.tables import blob, scrub
 
 _log = logging.getLogger("kleinkram.blobs")
 _BATCH = 1000
@@ -120,13 +120,22 @@ async def last_scrub(db: Connection, store_id: str) -> ScrubRow | None:
 
 async def blobs_by_state(db: Connection) -> Sequence[StateCount]:
     """Return number and bytes of blobs by state; of damaged blobs, only those that something still refers to."""
-    rows = await db.execute(queries.counts_by_state())
+    total = func.coalesce(func.sum(blob.c.size_bytes), 0).label("size_bytes")
+    is_intact = blob.c.state.in_((BlobState.stored.value, BlobState.verified.value))
+    counts = (
+        select(blob.c.state, func.count().label("number"), total)
+        .where(blob.c.marked_for_deletion_at.is_(None), is_intact | queries.is_referenced())
+        .group_by(blob.c.state)
+        .order_by(blob.c.state)
+    )
+    rows = await db.execute(counts)
     return [StateCount(row.state, row.number, int(row.size_bytes)) for row in rows]
 
 
 async def oldest_verification(db: Connection) -> datetime.datetime | None:
     """Return the oldest `verified_at` of all blobs."""
-    oldest: datetime.datetime | None = (await db.execute(queries.oldest_verification())).scalar_one()
+    is_verified = (blob.c.state == BlobState.verified.value) & blob.c.marked_for_deletion_at.is_(None)
+    oldest: datetime.datetime | None = await db.scalar(select(func.min(blob.c.verified_at)).where(is_verified))
     return oldest
 
 

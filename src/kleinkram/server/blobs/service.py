@@ -4,7 +4,7 @@ import datetime
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
 
-from sqlalchemy import func, select, update
+from sqlalchemy import func, select, text, update
 
 from kleinkram.contract.files import BlobState
 from kleinkram.recordings import RecordingSummary
@@ -17,6 +17,9 @@ from kleinkram.server.jobs.queue import Job, Priority, delete_waiting, enqueue, 
 from kleinkram.server.tables import blob, file, mission
 
 _TOMORROW = datetime.timedelta(days=1)
+_COUNT_REVERIFICATIONS = text(
+    "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'verify_blob' AND status = 'todo' AND priority < 0"
+)
 
 
 # -- queueing jobs ----------------------------------------------------------------------------------------------------
@@ -29,7 +32,8 @@ async def examine_blobs(db: Connection, blob_ids: Sequence[uuid.UUID]) -> None:
     """
     databases = (await db.execute(queries.databases_with_logs(blob_ids))).scalars()
     blob_ids = [*dict.fromkeys([*blob_ids, *databases])]
-    small_ids = set((await db.execute(queries.small_among(blob_ids))).scalars())
+    are_small = select(blob.c.id).where(among(blob.c.id, blob_ids), queries.is_small())
+    small_ids = set((await db.execute(are_small)).scalars())
     small = [str(blob_id) for blob_id in blob_ids if blob_id in small_ids]
     large = [str(blob_id) for blob_id in blob_ids if blob_id not in small_ids]
     await enqueue(db, Job.examine_blob, ids=small, priority=Priority.high)
@@ -66,11 +70,21 @@ async def examine_old(db: Connection, *, store_id: str, older_than_days: int, li
 
     At most `limit` are queued at a time.
     """
-    room = limit - (await db.execute(queries.COUNT_REVERIFICATIONS)).scalar_one()
+    room = limit - (await db.execute(_COUNT_REVERIFICATIONS)).scalar_one()
     if older_than_days == 0 or room <= 0:
         return
-    old = queries.verified_before(func.now() - datetime.timedelta(days=older_than_days))
-    due = old.where(blob.c.store_id == store_id, ~has_job(Job.verify_blob, blob.c.id)).limit(room)
+    due = (
+        select(blob.c.id)
+        .where(
+            blob.c.marked_for_deletion_at.is_(None),
+            blob.c.state == BlobState.verified.value,
+            blob.c.verified_at < func.now() - datetime.timedelta(days=older_than_days),
+            blob.c.store_id == store_id,
+            ~has_job(Job.verify_blob, blob.c.id),
+        )
+        .order_by(blob.c.verified_at)
+        .limit(room)
+    )
     ids = [str(blob_id) for blob_id in (await db.execute(due)).scalars()]
     await enqueue(db, Job.verify_blob, ids=ids, priority=Priority.low)
 

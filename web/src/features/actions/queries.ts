@@ -1,29 +1,21 @@
 // Queries of actions, and texts of their definitions.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client";
-import { keys, usePages } from "@/api/queries";
-import type { Action, ActionVersion, Definition, Parameter } from "@/api/types";
+import { keys, useList } from "@/api/queries";
+import type { Definition, Parameter } from "@/api/types";
 import { formatDuration, formatSize, globOf } from "@/components/format";
 import { texts as all } from "@/texts/actions";
 
-const MOST_CHOICES = 500;
+const MAX_CHOICES = 500;
 
-export interface ActionQuery {
-  readonly name: string;
-  readonly archived: boolean;
+export function useActions(name: () => string, archived: () => boolean) {
+  const filters = () => ({ archived: archived(), name: globOf(name()) || undefined });
+  return useList(keys.actions, filters, (query, signal) => call(api.GET("/api/v1/actions", { params: { query }, signal })));
 }
 
-export function useActions(filters: () => ActionQuery) {
-  const query = () => ({ archived: filters().archived, ...(filters().name !== "" && { name: globOf(filters().name) }) });
-  return usePages<Action>(
-    () => keys.actions(query()),
-    (cursor, signal) => call(api.GET("/api/v1/actions", { params: { query: { ...query(), ...(cursor !== undefined && { cursor }) } }, signal })),
-  );
-}
-
-/** The actions among which one is chosen. */
+/** The actions to choose from. */
 export function useActionChoice() {
-  const query = { limit: MOST_CHOICES };
+  const query = { limit: MAX_CHOICES };
   return useQuery({
     queryKey: keys.actions(query),
     queryFn: ({ signal }) => call(api.GET("/api/v1/actions", { params: { query }, signal })),
@@ -40,9 +32,8 @@ export function useAction(actionId: () => string) {
 
 export function useVersions(actionId: string) {
   const path = { action_id: actionId };
-  return usePages<ActionVersion>(
-    () => [...keys.action(actionId), "versions"],
-    (cursor, signal) => call(api.GET("/api/v1/actions/{action_id}/versions", { params: { path, query: cursor === undefined ? {} : { cursor } }, signal })),
+  return useList(() => [...keys.action(actionId), "versions"], {}, (query, signal) =>
+    call(api.GET("/api/v1/actions/{action_id}/versions", { params: { path, query }, signal })),
   );
 }
 
@@ -61,7 +52,7 @@ export function useArchiving(actionId: string) {
 const texts = all.definition;
 const NS_PER_S = 1_000_000_000;
 
-/** Which files it reads. */
+/** The input files as text. */
 export function inputsOf({ inputs }: Definition): string {
   const parts = [
     inputs.paths.length > 0 ? texts.paths(inputs.paths.join(", ")) : "",
@@ -71,7 +62,7 @@ export function inputsOf({ inputs }: Definition): string {
   return parts.length === 0 ? texts.all : parts.join(", ");
 }
 
-/** What it may use at most. */
+/** The resource limits as text. */
 export function resourcesOf({ resources }: Definition): string {
   return [
     texts.cores(resources.cores),

@@ -1,17 +1,17 @@
 import { expect, it } from "vitest";
-import { isOn, matching, standingOf, valueOf, type Setting } from "./queries";
+import { isUnfinished, matching, scrubStateOf, valueOf, type Setting } from "./queries";
 
 const [began, ended] = ["2026-05-01T00:00:00Z", "2026-05-01T00:01:00Z"];
 
-it("tells how a scrub stands", () => {
-  expect(standingOf({ started_at: null, ended_at: null, aborted_reason: null })).toBe("waits");
-  expect(standingOf({ started_at: began, ended_at: null, aborted_reason: null })).toBe("on");
-  expect(standingOf({ started_at: began, ended_at: ended, aborted_reason: null })).toBe("done");
-  expect(standingOf({ started_at: began, ended_at: ended, aborted_reason: "It looks like another store." })).toBe("stopped");
+it("returns the state of a scrub", () => {
+  expect(scrubStateOf({ started_at: null, ended_at: null, aborted_reason: null })).toBe("queued");
+  expect(scrubStateOf({ started_at: began, ended_at: null, aborted_reason: null })).toBe("running");
+  expect(scrubStateOf({ started_at: began, ended_at: ended, aborted_reason: null })).toBe("done");
+  expect(scrubStateOf({ started_at: began, ended_at: ended, aborted_reason: "It looks like another store." })).toBe("stopped");
 });
 
-it("knows of one that another would only repeat", () => {
-  expect([null, { ended_at: null }, { ended_at: ended }].map(isOn)).toEqual([false, true, false]);
+it("an unfinished scrub is one that has not ended", () => {
+  expect([null, { ended_at: null }, { ended_at: ended }].map(isUnfinished)).toEqual([false, true, false]);
 });
 
 const setting = (name: string, value: unknown, more: Partial<Setting> = {}): Setting => ({ name, value, is_set: false, is_secret: false, ...more });

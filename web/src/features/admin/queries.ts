@@ -10,11 +10,11 @@ export type FailedJob = components["schemas"]["FailedJob"];
 export type JobAmount = components["schemas"]["JobAmount"];
 export type Storage = components["schemas"]["AdminStorage"];
 
-const AGAIN_MS = 10_000;
-const SOON_MS = 1_000;
+const POLL_MS = 10_000;
+const FAST_POLL_MS = 1_000;
 
 export function useStorage() {
-  return useQuery({ queryKey: ["admin", "storage"], queryFn: ({ signal }) => call(api.GET("/api/v1/admin/storage", { signal })), refetchInterval: AGAIN_MS });
+  return useQuery({ queryKey: ["admin", "storage"], queryFn: ({ signal }) => call(api.GET("/api/v1/admin/storage", { signal })), refetchInterval: POLL_MS });
 }
 
 /** The last scrub; polls while it runs. */
@@ -22,7 +22,7 @@ export function useScrub() {
   return useQuery({
     queryKey: ["admin", "scrub"],
     queryFn: ({ signal }) => call(api.GET("/api/v1/admin/scrub", { signal })),
-    refetchInterval: (running) => (isOn(running.state.data?.last ?? null) ? SOON_MS : AGAIN_MS),
+    refetchInterval: (running) => (isUnfinished(running.state.data?.last ?? null) ? FAST_POLL_MS : POLL_MS),
   });
 }
 
@@ -36,11 +36,11 @@ export function useScrubbing() {
 }
 
 export function useJobs() {
-  return useQuery({ queryKey: ["admin", "jobs"], queryFn: ({ signal }) => call(api.GET("/api/v1/admin/jobs", { signal })), refetchInterval: AGAIN_MS });
+  return useQuery({ queryKey: ["admin", "jobs"], queryFn: ({ signal }) => call(api.GET("/api/v1/admin/jobs", { signal })), refetchInterval: POLL_MS });
 }
 
 export function useHealth() {
-  return useQuery({ queryKey: ["admin", "health"], queryFn: ({ signal }) => call(api.GET("/api/v1/admin/health", { signal })), refetchInterval: AGAIN_MS });
+  return useQuery({ queryKey: ["admin", "health"], queryFn: ({ signal }) => call(api.GET("/api/v1/admin/health", { signal })), refetchInterval: POLL_MS });
 }
 
 export function useSettings() {
@@ -56,25 +56,25 @@ export function useRetry() {
 }
 
 export type Scrub = components["schemas"]["ScrubRead"];
-export type Standing = "waits" | "on" | "stopped" | "done";
+export type ScrubState = "queued" | "running" | "stopped" | "done";
 
-export const standingTones: Readonly<Record<Standing, Tone>> = { waits: "plain", on: "accent", stopped: "bad", done: "good" };
+export const scrubTones: Readonly<Record<ScrubState, Tone>> = { queued: "plain", running: "accent", stopped: "bad", done: "good" };
 
-/** Returns whether a scrub waits, goes on, was stopped or is done. */
-export function standingOf(scrub: Pick<Scrub, "started_at" | "ended_at" | "aborted_reason">): Standing {
+/** Returns the state of a scrub. */
+export function scrubStateOf(scrub: Pick<Scrub, "started_at" | "ended_at" | "aborted_reason">): ScrubState {
   if (scrub.aborted_reason !== null) return "stopped";
   if (scrub.ended_at !== null) return "done";
-  return scrub.started_at === null ? "waits" : "on";
+  return scrub.started_at === null ? "queued" : "running";
 }
 
-/** Returns whether there is a scrub that has not come to its end: another one would be the same. */
-export function isOn(scrub: Pick<Scrub, "ended_at"> | null): boolean {
+/** Whether a scrub is queued or running. */
+export function isUnfinished(scrub: Pick<Scrub, "ended_at"> | null): boolean {
   return scrub !== null && scrub.ended_at === null;
 }
 
 const texts = all.settings;
 
-/** Returns what a setting is set to, in words; a secret only whether it is set. */
+/** Returns the value of a setting as text; for a secret, only whether it is set. */
 export function valueOf(setting: Setting): string {
   if (setting.is_secret) return setting.is_set ? texts.secret : texts.noSecret;
   const value: unknown = setting.value;
@@ -83,7 +83,7 @@ export function valueOf(setting: Setting): string {
   return Array.isArray(value) && value.length === 0 ? texts.empty : JSON.stringify(value);
 }
 
-/** Returns the settings whose names hold what was typed, in any spelling of words: `trash days`, `TRASH_DAYS`. */
+/** Returns the settings whose names contain all words of a text: `trash days`, `TRASH_DAYS`. */
 export function matching(settings: readonly Setting[], typed: string, isOnlySet: boolean): readonly Setting[] {
   const words = typed.toLowerCase().split(/[\s_]+/).filter((word) => word !== "");
   return settings.filter((setting) => (!isOnlySet || setting.is_set) && words.every((word) => setting.name.toLowerCase().includes(word)));

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { deedOf, differences, doerOf, exportAddress, objectOf, placeOf, queryOf } from "./queries";
+import { eventTextOf, differences, actorOf, exportAddress, objectNameOf, placeOf, queryOf } from "./queries";
 import type { AuditEvent } from "@/api/types";
 import { globOf } from "@/components/format";
 import { startOfDay } from "@/components/time";
@@ -33,22 +33,22 @@ describe("differences", () => {
 });
 
 it("says who did it, where that is known", () => {
-  expect(doerOf(event)).toBe("Ada");
-  expect(doerOf({ ...event, actor: null, share: { id: "s", name: "review" } })).toBe("Link review");
-  expect(doerOf({ ...event, actor: null, request_id: null })).toBe("Kleinkram");
-  expect(doerOf({ ...event, actor: null, address: "10.0.0.1" })).toBe("Unknown person");
+  expect(actorOf(event)).toBe("Ada");
+  expect(actorOf({ ...event, actor: null, share: { id: "s", name: "review" } })).toBe("Link review");
+  expect(actorOf({ ...event, actor: null, request_id: null })).toBe("Kleinkram");
+  expect(actorOf({ ...event, actor: null, address: "10.0.0.1" })).toBe("Unknown person");
 });
 
 it("says what was done, and the name of an act that it does not know", () => {
-  expect(deedOf(event)).toBe("changed");
-  expect(deedOf({ ...event, operation: "toString" })).toBe("toString");
+  expect(eventTextOf(event)).toBe("changed");
+  expect(eventTextOf({ ...event, operation: "toString" })).toBe("toString");
 });
 
 it("says what an admin saw of the whole server", () => {
   const look = { ...event, operation: "admin.look", noun: "server", noun_name: "list_people" };
-  expect(`${deedOf(look)} ${objectOf(look)}`).toBe("viewed as an admin the list of people");
-  expect(objectOf({ ...look, noun: "project", noun_name: "list_people" })).toBe("list_people");
-  expect(objectOf({ ...look, noun_name: "get_what_is_new" })).toBe("get_what_is_new");
+  expect(`${eventTextOf(look)} ${objectNameOf(look)}`).toBe("viewed as an admin the list of people");
+  expect(objectNameOf({ ...look, noun: "project", noun_name: "list_people" })).toBe("list_people");
+  expect(objectNameOf({ ...look, noun_name: "get_what_is_new" })).toBe("get_what_is_new");
 });
 
 it("finds parts of names, and leaves patterns alone", () => {
@@ -62,8 +62,8 @@ it("leads to what has a page", () => {
 });
 
 it("does not say a name twice of who signs in", () => {
-  expect(objectOf(event)).toBe("alpine");
-  expect(objectOf({ ...event, noun: "session", noun_name: "Ada" })).toBe("");
+  expect(objectNameOf(event)).toBe("alpine");
+  expect(objectNameOf({ ...event, noun: "session", noun_name: "Ada" })).toBe("");
 });
 
 it("asks for what the address says, and for nothing that says nothing", () => {

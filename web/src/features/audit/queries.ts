@@ -3,7 +3,7 @@ import { useQuery } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
 import { useRoute, type LocationQuery } from "vue-router";
 import { api, call } from "@/api/client";
-import { keys, usePages } from "@/api/queries";
+import { keys, useList } from "@/api/queries";
 import type { operations } from "@/api/schema";
 import { globOf } from "@/components/format";
 import { startOfDay } from "@/components/time";
@@ -14,10 +14,10 @@ export type AuditQuery = NonNullable<operations["export_audit_events"]["paramete
 
 export const IDS = ["person_id", "token_id", "share_id", "noun_id", "mission_id"] as const;
 export const NOUNS = ["project", "mission", "file", "grant", "group", "person", "share", "token", "session"] as const;
-/** Which acts of a thing are offered; the server takes any pattern. */
-export const ACTS = ["*.create", "*.update", "*.delete", "*.restore", "file.upload", "file.download", "file.preview", "grant.*", "token.*", "share.*", "session.*", "access.denied", "auth.refused"] as const;
+/** The event types that the filter lists. The server accepts any pattern. */
+export const OPERATIONS = ["*.create", "*.update", "*.delete", "*.restore", "file.upload", "file.download", "file.preview", "grant.*", "token.*", "share.*", "session.*", "access.denied", "auth.refused"] as const;
 const DAY = /^\d{4}-\d{2}-\d{2}$/;
-const MOST_PROJECTS = 200;
+const MAX_PROJECTS = 200;
 
 /** Returns the filters in the URL. */
 export function queryOf(address: LocationQuery): AuditQuery {
@@ -41,7 +41,7 @@ export function queryOf(address: LocationQuery): AuditQuery {
   return Object.fromEntries(Object.entries(filters).filter(([, value]) => value !== undefined));
 }
 
-/** Returns where all that matches is had as a file. */
+/** Returns the URL of the export of the matching events. */
 export function exportAddress(query: AuditQuery): string {
   const pairs = Object.entries(query).map(([name, value]) => [name, String(value)]);
   return `/api/v1/audit/export?${new URLSearchParams(pairs).toString()}`;
@@ -53,15 +53,12 @@ export function useAuditQuery(): ComputedRef<AuditQuery> {
 }
 
 export function useEvents(filters: ComputedRef<AuditQuery>) {
-  return usePages(
-    () => keys.audit(filters.value),
-    (cursor, signal) => call(api.GET("/api/v1/audit", { params: { query: { ...filters.value, ...(cursor !== undefined && { cursor }) } }, signal })),
-  );
+  return useList(keys.audit, filters, (query, signal) => call(api.GET("/api/v1/audit", { params: { query }, signal })));
 }
 
 /** The projects to choose from; the URL accepts any. */
 export function useProjectChoice() {
-  const query = { limit: MOST_PROJECTS };
+  const query = { limit: MAX_PROJECTS };
   return useQuery({
     queryKey: keys.projects(query),
     queryFn: ({ signal }) => call(api.GET("/api/v1/projects", { params: { query }, signal })),
@@ -95,40 +92,39 @@ function valueText(value: Json): string {
   return JSON.stringify(value);
 }
 
-/** Returns what is not the same before and after, field by field, in the order of their names. */
+/** Returns the changed fields, by name. */
 export function differences(before: Values, after: Values): readonly Difference[] {
-  const was = flattened(before);
-  const is = flattened(after);
-  const fields = [...new Set([...was.keys(), ...is.keys()])].sort();
+  const [oldValues, newValues] = [flattened(before), flattened(after)];
+  const fields = [...new Set([...oldValues.keys(), ...newValues.keys()])].sort();
   return fields
-    .map((field) => ({ field, before: was.get(field) ?? null, after: is.get(field) ?? null }))
+    .map((field) => ({ field, before: oldValues.get(field) ?? null, after: newValues.get(field) ?? null }))
     .filter((item) => item.before !== item.after);
 }
 
-/** Returns who did it. */
-export function doerOf(event: AuditEvent): string {
+/** Returns the name of the actor. */
+export function actorOf(event: AuditEvent): string {
   if (event.actor !== null) return event.actor.name;
   if (event.share !== null) return texts.byLink(event.share.name);
   return event.address === null && event.session_id === null && event.request_id === null ? texts.server : texts.stranger;
 }
 
-/** Returns what was done, as it follows who did it. */
-export function deedOf(event: AuditEvent): string {
-  return worded(texts.operations, event.operation);
+/** Returns the text of an event, which follows the name of the actor. */
+export function eventTextOf(event: AuditEvent): string {
+  return textOf(texts.operations, event.operation);
 }
 
-/** Returns the words for a name; the name itself where there are none, as of a newer server. */
-function worded(words: Readonly<Record<string, string>>, name: string): string {
+/** Returns the text for a name; the name itself if there is none, as with a newer server. */
+function textOf(words: Readonly<Record<string, string>>, name: string): string {
   return Object.hasOwn(words, name) ? (words[name] ?? "") : name;
 }
 
 /** Returns the name of the target; empty if the target is the actor, as in a sign-in. */
-export function objectOf(event: AuditEvent): string {
-  if (event.operation === "admin.look" && event.noun === "server") return worded(texts.reads, event.noun_name);
+export function objectNameOf(event: AuditEvent): string {
+  if (event.operation === "admin.look" && event.noun === "server") return textOf(texts.reads, event.noun_name);
   return event.noun === "session" && event.noun_name === event.actor?.name ? "" : event.noun_name;
 }
 
-/** Where the thing of an event is shown; null where nothing shows it. */
+/** The page of the target of an event; null if it has none. */
 export function placeOf(event: AuditEvent) {
   const id = event.noun_id;
   if (id === null) return null;

@@ -28,7 +28,7 @@ export interface Failed {
 
 export interface Saved {
   readonly written: number;
-  /** Files that were there already, whole. */
+  /** Files that were already complete. */
   readonly skipped: number;
   readonly failures: readonly Failed[];
 }
@@ -52,7 +52,7 @@ const PART_BYTES = 8 * 2 ** 20;
 const TRIES = 4;
 const AT_ONCE = 3;
 /** Beyond this a zip is not made: the browser would have to hold all of it. */
-export const MOST_ZIP_BYTES = 1_000_000_000;
+export const MAX_ZIP_BYTES = 1_000_000_000;
 
 class FileFailed extends Error {}
 
@@ -106,7 +106,7 @@ function isMissing(thrown: unknown): boolean {
 }
 
 /** Returns whether a existing file is the expected one; other files are never replaced. */
-async function isThere(existing: File, target: Target, sha256: string | null): Promise<boolean> {
+async function isDownloaded(existing: File, target: Target, sha256: string | null): Promise<boolean> {
   if (existing.size !== target.sizeBytes) {
     if (existing.size === 0) return false; // what a download that was broken off leaves
     throw new FileFailed(reasons.inTheWay);
@@ -128,7 +128,7 @@ async function saveFile(root: FileSystemDirectoryHandle, target: Target, source:
   try {
     const existing = await (await folder.getFileHandle(name)).getFile();
     const { sha256 } = existing.size === target.sizeBytes ? await source.linkOf(target, progress.signal) : { sha256: null };
-    if (await isThere(existing, target, sha256)) {
+    if (await isDownloaded(existing, target, sha256)) {
       progress.onBytes(target.sizeBytes);
       return "skipped";
     }

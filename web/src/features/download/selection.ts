@@ -3,7 +3,7 @@ import { safePath, type Source, type Target } from "./save";
 import { api, call } from "@/api/client";
 import type { operations } from "@/api/schema";
 import type { Mission } from "@/api/types";
-import { quoted } from "@/features/file/commands";
+import { fileArguments, missionArguments, quoted } from "@/components/commands";
 
 export interface ChosenFile {
   readonly id: string;
@@ -19,12 +19,7 @@ export type Selection =
 
 const PAGE = 500;
 /** More files than these at once are for the command line. */
-export const MOST_FILES = 20_000;
-const GLOB = /[*?[\]]/;
-
-function placeOf(mission: ChosenFile["mission"]): string {
-  return GLOB.test(mission.project.name + mission.name) ? `-m ${mission.id}` : `-p ${quoted(mission.project.name)} -m ${quoted(mission.name)}`;
-}
+export const MAX_FILES = 20_000;
 
 function missionsOf(selection: Exclude<Selection, { kind: "query" }>): readonly ChosenFile["mission"][] {
   const all = selection.kind === "missions" ? selection.missions : selection.files.map(({ mission }) => mission);
@@ -43,8 +38,7 @@ export function commandOf(selection: Selection): string {
   return missionsOf(selection)
     .map((mission) => {
       const files = selection.kind === "files" ? selection.files.filter((file) => file.mission.id === mission.id) : [];
-      const names = files.map(({ path, id }) => (GLOB.test(path) || path.startsWith("-") ? id : quoted(path)));
-      return `klein download ${nested}${[...names, placeOf(mission)].join(" ")}`;
+      return `klein download ${nested}${[...fileArguments(files), missionArguments(mission)].join(" ")}`;
     })
     .join("\n");
 }
@@ -59,13 +53,13 @@ export function targetsOf(files: readonly ChosenFile[], nested: boolean): readon
 
 type FileQuery = NonNullable<operations["list_files"]["parameters"]["query"]>;
 
-/** Returns the files of a selection, at most one more than `MOST_FILES`. */
+/** Returns the files of a selection, at most one more than `MAX_FILES`. */
 export async function filesOf(selection: Selection, signal: AbortSignal): Promise<readonly ChosenFile[]> {
   if (selection.kind === "files") return selection.files;
   const queries: FileQuery[] = selection.kind === "query" ? [{ query: selection.query }] : selection.missions.map(({ id }) => ({ mission_id: id }));
   const files: ChosenFile[] = [];
   for (const query of queries) {
-    for (let cursor: string | null = ""; cursor !== null && files.length <= MOST_FILES; ) {
+    for (let cursor: string | null = ""; cursor !== null && files.length <= MAX_FILES; ) {
       const pageQuery: FileQuery = { ...query, sort: "path", limit: PAGE, ...(cursor !== "" && { cursor }) };
       const page = await call(api.GET("/api/v1/files", { params: { query: pageQuery }, signal }));
       files.push(...page.items);

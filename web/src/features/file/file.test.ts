@@ -1,10 +1,10 @@
 import { describe, expect, it, vi } from "vitest";
-import { commandsOf, quoted, viewerAddress } from "./commands";
-import { coverage, reaches } from "./queries";
+import { coverage, hasRight, viewerAddress } from "./queries";
 import { chosenFields, csvOf, rangeOf, rowsOf, shortNumber } from "./viewer/plot";
 import { defaultTopic } from "./viewer/viewers";
 import { latest } from "./viewer/useReader";
 import type { File, Topic } from "@/api/types";
+import { fileCommands, quoted } from "@/components/commands";
 import { fieldTree } from "@/recordings/decoding/fields";
 
 function topic(name: string, messageType: string, count: number | null, more: Partial<Topic> = {}): Topic {
@@ -16,7 +16,7 @@ const FILE = { id: "1", path: "a b/it's.mcap", mission: { name: "day", project: 
 describe("commands", () => {
   it("quotes what a shell would take apart", () => {
     expect(quoted("plain/drive-1.mcap")).toBe("plain/drive-1.mcap");
-    expect(commandsOf(FILE).cli).toBe(`klein download 'a b/it'\\''s.mcap' -p Alps -m day`);
+    expect(fileCommands(FILE).cli).toBe(`klein download 'a b/it'\\''s.mcap' -p Alps -m day`);
     expect(quoted("$(rm -rf ~)")).toBe("'$(rm -rf ~)'");
     expect(quoted("")).toBe("''");
   });
@@ -72,9 +72,9 @@ describe("coverage", () => {
 
 describe("rights", () => {
   it("reach what is below them", () => {
-    expect(reaches("DELETE", "WRITE")).toBe(true);
-    expect(reaches("CREATE", "WRITE")).toBe(false);
-    expect(reaches(undefined, "READ")).toBe(false);
+    expect(hasRight("DELETE", "WRITE")).toBe(true);
+    expect(hasRight("CREATE", "WRITE")).toBe(false);
+    expect(hasRight(undefined, "READ")).toBe(false);
   });
 });
 

@@ -7,15 +7,15 @@ import type { components } from "@/api/schema";
 import type { File, Topic } from "@/api/types";
 import { showToast } from "@/components/toasts";
 import { texts } from "@/texts/file";
-import type { Problem } from "@/components/warnings";
+import type { Warning } from "@/components/warnings";
 import { blobTexts, contentTexts } from "@/texts/states";
 
 type Change = components["schemas"]["FileUpdate"];
 
 const PAGE = 500;
 /** Topics of one file that are shown; a recording with more of them is a fault. */
-const MOST_TOPICS = 5_000;
-const SOON_MS = 2_000;
+const MAX_TOPICS = 5_000;
+const FAST_POLL_MS = 2_000;
 const ALL_RIGHTS = ["READ", "CREATE", "WRITE", "DELETE"] as const;
 
 /** Whether the file is about to change, because it is being indexed or verified. */
@@ -27,17 +27,17 @@ export function useFile(fileId: string, isVerifying: () => boolean) {
   return useQuery({
     queryKey: keys.file(fileId),
     queryFn: ({ signal }) => call(api.GET("/api/v1/files/{file_id}", { params: { path: { file_id: fileId } }, signal })),
-    refetchInterval: (query) => (isComing(query.state.data, isVerifying()) ? SOON_MS : false),
+    refetchInterval: (query) => (isComing(query.state.data, isVerifying()) ? FAST_POLL_MS : false),
   });
 }
 
-/** All topics of the file, by name; `version` changes when the server has read it anew. */
+/** All topics of the file, by name; `version` changes when the server has read the file again. */
 export function useFileTopics(fileId: string, version: () => string | null | undefined) {
   return useQuery({
     queryKey: [...keys.fileTopics(fileId), version],
     queryFn: async ({ signal }) => {
       const topics: Topic[] = [];
-      for (let cursor: string | null | undefined; cursor !== null && topics.length < MOST_TOPICS; ) {
+      for (let cursor: string | null | undefined; cursor !== null && topics.length < MAX_TOPICS; ) {
         const query = cursor === undefined ? { limit: PAGE } : { limit: PAGE, cursor };
         const params = { path: { file_id: fileId }, query };
         const page = await call(api.GET("/api/v1/files/{file_id}/topics", { params, signal }));
@@ -58,7 +58,7 @@ export function useMissionOf(missionId: () => string | undefined) {
 }
 
 /** Whether a right is at least as much as another. */
-export function reaches(right: (typeof ALL_RIGHTS)[number] | undefined, needed: (typeof ALL_RIGHTS)[number]): boolean {
+export function hasRight(right: (typeof ALL_RIGHTS)[number] | undefined, needed: (typeof ALL_RIGHTS)[number]): boolean {
   return right !== undefined && ALL_RIGHTS.indexOf(right) >= ALL_RIGHTS.indexOf(needed);
 }
 
@@ -122,14 +122,19 @@ export function coverage(topic: Topic, file: File): number[] {
   });
 }
 
-/** Returns all problems of a file. */
-export function warningsOfFile(file: File): readonly Problem[] {
-  const problems: Problem[] = [];
-  const add = (code: string, message: string, where = "") => problems.push({ code, message, where, source: file.path, fileId: file.id });
+/** Returns all warnings of a file. */
+export function warningsOfFile(file: File): readonly Warning[] {
+  const warnings: Warning[] = [];
+  const add = (code: string, message: string, where = "") => warnings.push({ code, message, where, source: file.path, fileId: file.id });
   if (file.state === "lost" || file.state === "corrupt") add(`bytes-${file.state}`, file.state_reason ?? blobTexts[file.state].why);
   if (file.content === "broken" || file.content === "error") add("unreadable", file.content_reason ?? contentTexts[file.content].why);
   if (file.content === "recovered") add("recovered", file.content_reason ?? contentTexts.recovered.why);
   if (file.lost !== null) add("data-lost", texts.lostAmount(file.lost.bytes, file.lost.chunks, file.lost.messages));
   for (const { code, message, where } of file.problems) add(code, message, where);
-  return problems;
+  return warnings;
+}
+
+/** Returns the URL of a viewer that opens the recording at another URL. */
+export function viewerAddress(template: string, recording: string): string {
+  return template.replaceAll("{url}", encodeURIComponent(recording));
 }

@@ -1,7 +1,7 @@
 // Queries and mutations of groups.
 import { useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call, ifMatch, noteNewEtag } from "@/api/client";
-import { keys, usePages } from "@/api/queries";
+import { keys, useList } from "@/api/queries";
 import type { components } from "@/api/schema";
 import { globOf } from "@/components/format";
 
@@ -10,11 +10,8 @@ export type MemberSet = components["schemas"]["MemberSet"];
 const OFFERED = 8;
 
 export function useGroups(name: () => string) {
-  const query = () => (name() === "" ? {} : { name: globOf(name()) });
-  return usePages(
-    () => keys.groups(query()),
-    (cursor, signal) => call(api.GET("/api/v1/groups", { params: { query: { ...query(), ...(cursor !== undefined && { cursor }) } }, signal })),
-  );
+  const filters = () => ({ name: globOf(name()) || undefined });
+  return useList(keys.groups, filters, (query, signal) => call(api.GET("/api/v1/groups", { params: { query }, signal })));
 }
 
 export function useGroup(groupId: string) {
@@ -25,10 +22,10 @@ export function useGroup(groupId: string) {
 }
 
 export function useMembers(groupId: string) {
-  return usePages(keys.members(groupId), (cursor, signal) => {
-    const query = { count: true, ...(cursor !== undefined && { cursor }) };
-    return call(api.GET("/api/v1/groups/{group_id}/members", { params: { path: { group_id: groupId }, query }, signal }));
-  });
+  const path = { group_id: groupId };
+  return useList(() => keys.members(groupId), { count: true }, (query, signal) =>
+    call(api.GET("/api/v1/groups/{group_id}/members", { params: { path, query }, signal })),
+  );
 }
 
 /** People who can be added, by name. */

@@ -24,7 +24,7 @@ export function useHome() {
   return useQuery(homeQuery);
 }
 
-/** What is kept, by project. */
+/** The storage use by project. */
 export function useHomeStorage() {
   return useQuery({
     queryKey: keys.missions({ home: "storage" }),
@@ -60,7 +60,7 @@ export const attentionTones: Readonly<Record<AttentionKind, Tone>> = {
   disk_low: "bad",
 };
 
-/** Returns the view in which something is seen and mended: the mission's own, or for the whole server the admin's. */
+/** Returns the page where an item can be resolved: the mission, or the admin page for the server. */
 export function placeOf({ kind, mission }: Attention): RouteLocationRaw {
   if (mission === null || mission === undefined) return { name: "admin", query: kind === "scrub_stopped" ? { tab: "scrub" } : {} };
   if (kind === "runs_cannot_start" || kind === "runs_failed") {

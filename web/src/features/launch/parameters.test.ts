@@ -1,5 +1,5 @@
 import { expect, it } from "vitest";
-import { judgeAll, judgeParameter, sent } from "./queries";
+import { validateParameters, validateParameter, sent } from "./queries";
 import type { Parameter } from "@/api/types";
 
 function parameter(name: string, type: Parameter["type"], more: Partial<Parameter> = {}): Parameter {
@@ -8,18 +8,18 @@ function parameter(name: string, type: Parameter["type"], more: Partial<Paramete
 
 it("a number is within its bounds, which belong to it", () => {
   const speed = parameter("speed", "number", { minimum: 0, maximum: 10 });
-  expect([0, 10].map((value) => judgeParameter(speed, value))).toEqual([null, null]);
-  expect([-0.1, 10.1, Number.NaN, "fast"].every((value) => judgeParameter(speed, value) !== null)).toBe(true);
+  expect([0, 10].map((value) => validateParameter(speed, value))).toEqual([null, null]);
+  expect([-0.1, 10.1, Number.NaN, "fast"].every((value) => validateParameter(speed, value) !== null)).toBe(true);
 });
 
 it("a whole number has no fraction", () => {
-  expect(judgeParameter(parameter("count", "integer"), 2.5)).not.toBeNull();
-  expect(judgeParameter(parameter("count", "integer"), 2)).toBeNull();
+  expect(validateParameter(parameter("count", "integer"), 2.5)).not.toBeNull();
+  expect(validateParameter(parameter("count", "integer"), 2)).toBeNull();
 });
 
 it("what has no default must be said, also where it is false or zero", () => {
   const all = [parameter("a", "string"), parameter("b", "string", { default: "x" }), parameter("c", "boolean"), parameter("d", "integer")];
-  expect([...judgeAll(all, { a: "", c: false, d: 0 }).keys()]).toEqual(["a"]);
+  expect([...validateParameters(all, { a: "", c: false, d: 0 }).keys()]).toEqual(["a"]);
 });
 
 it("only what was given is sent", () => {

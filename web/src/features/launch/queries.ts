@@ -6,9 +6,9 @@ import { keys } from "@/api/queries";
 import type { Mission, Parameter } from "@/api/types";
 import { texts as all } from "@/texts/actions";
 
-const MOST_TOPICS = 500;
+const MAX_TOPICS = 500;
 
-/** The missions that the address names; those that are gone, or not for the asker, are left out. */
+/** The missions in the URL, without those that do not exist or that the user cannot see. */
 export function useMissionsNamed(ids: () => readonly string[]) {
   return useQuery({
     queryKey: ["missions", "named", ids],
@@ -25,7 +25,7 @@ export function useTopicNames(missionId: () => string | undefined): ComputedRef<
   const matching = useQuery({
     queryKey: computed(() => [...keys.mission(missionId() ?? ""), "topic-names"]),
     queryFn: ({ signal }) => {
-      const params = { path: { mission_id: missionId() ?? "" }, query: { limit: MOST_TOPICS, bins: 0 } };
+      const params = { path: { mission_id: missionId() ?? "" }, query: { limit: MAX_TOPICS, bins: 0 } };
       return call(api.GET("/api/v1/missions/{mission_id}/topics", { params, signal }));
     },
     enabled: () => missionId() !== undefined,
@@ -39,8 +39,8 @@ export type ParameterValues = Readonly<Record<string, Value | null>>;
 
 const texts = all.launch.wants;
 
-/** Returns what is wrong with a value; null where nothing is. */
-export function judgeParameter(parameter: Parameter, value: Value | null | undefined): string | null {
+/** Returns the error of a value; null if it is valid. */
+export function validateParameter(parameter: Parameter, value: Value | null | undefined): string | null {
   if (value === null || value === undefined || value === "") {
     return (parameter.default ?? null) === null ? texts.must : null;
   }
@@ -52,15 +52,15 @@ export function judgeParameter(parameter: Parameter, value: Value | null | undef
   return most !== null && value > most ? texts.atMost(most) : null;
 }
 
-/** Returns what is wrong with each parameter. */
-export function judgeAll(parameters: readonly Parameter[], values: ParameterValues): ReadonlyMap<string, string> {
+/** Returns the errors by parameter. */
+export function validateParameters(parameters: readonly Parameter[], values: ParameterValues): ReadonlyMap<string, string> {
   return new Map(parameters.flatMap((item) => {
-    const wrong = judgeParameter(item, values[item.name]);
+    const wrong = validateParameter(item, values[item.name]);
     return wrong === null ? [] : [[item.name, wrong] as const];
   }));
 }
 
-/** Returns what is sent: the values that were given, no defaults. */
+/** Returns the values to send: those that were entered, no defaults. */
 export function sent(parameters: readonly Parameter[], values: ParameterValues): Record<string, Value> {
   return Object.fromEntries(parameters.flatMap(({ name }) => {
     const value = values[name] ?? null;

@@ -1,10 +1,10 @@
 // The logic behind the page of a mission: the tree, the axis, the topics, the commands.
 import { expect, it } from "vitest";
-import { commandsOf } from "./commands";
-import { barsPath, COLUMNS, fileAt, firstFiles, firstPlace, lanesOf, matching, MOST_LANES, silences, sorted } from "./timeline";
+import { barsPath, COLUMNS, fileAt, firstFiles, firstPlace, lanesOf, matching, MAX_LANES, silences, sorted } from "./timeline";
 import type { MissionTopic, TimelineFile } from "./queries";
 import { rowsOf, treeOf, withBranches } from "./tree";
 import type { Mission, Recording } from "@/api/types";
+import { missionCommands } from "@/components/commands";
 
 const S = 1e9;
 
@@ -40,20 +40,20 @@ it("chooses all files of a folder with it, and the folder with all of its files"
 
 it("puts files that overlap above each other, and finds where nothing was recorded", () => {
   const axis = { startNs: 0, endNs: 100 * S };
-  const { lanes, gaps, mostAtOnce, coveredNs, without } = lanesOf(
+  const { lanes, gaps, maxSimultaneous, coveredNs, without } = lanesOf(
     [file("b", 5, 20), file("a", 0, 10), file("c", 20, 30), file("d", 60, 100), file("e"), file("f", -900, -800)], axis,
   );
   expect(lanes.map((lane) => lane.map((item) => item.file.path))).toEqual([["a", "c", "d"], ["b"]]);
   expect(gaps).toEqual([{ startNs: 30 * S, endNs: 60 * S }]);
-  expect([mostAtOnce, coveredNs / S, without]).toEqual([2, 70, 2]);
+  expect([maxSimultaneous, coveredNs / S, without]).toEqual([2, 70, 2]);
 });
 
 it("does not take more room for ten thousand files at once", () => {
   const many = Array.from({ length: 10_000 }, (_, at) => file(String(at), at, at + 5000));
   const axis = { startNs: 0, endNs: 15_000 * S };
-  const { lanes, mostAtOnce } = lanesOf(many, axis);
-  expect(lanes.length).toBe(MOST_LANES);
-  expect(mostAtOnce).toBe(5000);
+  const { lanes, maxSimultaneous } = lanesOf(many, axis);
+  expect(lanes.length).toBe(MAX_LANES);
+  expect(maxSimultaneous).toBe(5000);
   for (const lane of lanes) expect(barsPath(lane, axis, () => true).length).toBeLessThan(40 * COLUMNS);
 });
 
@@ -95,7 +95,7 @@ it("leads from a topic to the first file that has times", () => {
 
 it("writes commands that a shell and Python take literally", () => {
   const mission = { id: "m", name: "it's; rm -rf", project: { id: "p", name: "Alps" } } as unknown as Mission;
-  expect(commandsOf(mission, []).cli).toBe("klein download -p Alps -m 'it'\\''s; rm -rf'");
-  expect(commandsOf(mission, [file("a b.bag"), file("x[1].bag")]).cli).toBe("klein download 'a b.bag' id of x[1].bag -p Alps -m 'it'\\''s; rm -rf'");
-  expect(commandsOf({ ...mission, name: "*" }, []).cli).toBe("klein download -m m");
+  expect(missionCommands(mission, []).cli).toBe("klein download -p Alps -m 'it'\\''s; rm -rf'");
+  expect(missionCommands(mission, [file("a b.bag"), file("x[1].bag")]).cli).toBe("klein download 'a b.bag' id of x[1].bag -p Alps -m 'it'\\''s; rm -rf'");
+  expect(missionCommands({ ...mission, name: "*" }, []).cli).toBe("klein download -m m");
 });

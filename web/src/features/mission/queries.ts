@@ -4,7 +4,7 @@ import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client"
 import { keys } from "@/api/queries";
 import type { components } from "@/api/schema";
 import type { File, Mission, Recording } from "@/api/types";
-import type { Problem } from "@/components/warnings";
+import type { Warning } from "@/components/warnings";
 import { warningsOfFile } from "@/features/file/queries";
 import { texts } from "@/texts/mission";
 
@@ -33,20 +33,20 @@ const RECORDINGS_PAGE = 500;
 const TOPICS_PAGE = 1000;
 /** Topics with a drawn density. The server stores at most 20,000. */
 const BINS = 192;
-const SOON_MS = 2_000;
-const MOST_FILES_WITH_WARNINGS = 500;
+const FAST_POLL_MS = 2_000;
+const MAX_FILES_WITH_WARNINGS = 500;
 
 export const missionKeys = {
   timeline: (id: string) => [...keys.mission(id), "timeline"],
   topics: (id: string) => [...keys.mission(id), "topics"],
-  withWarnings: (id: string) => [...keys.mission(id), "odd"],
+  withWarnings: (id: string) => [...keys.mission(id), "with-warnings"],
 } as const;
 
 /** Loads all pages. */
-async function all<Part extends { readonly next?: string | null | undefined }>(ask: (cursor: string | undefined) => Promise<Part>): Promise<Part[]> {
+async function all<Part extends { readonly next?: string | null | undefined }>(fetchPage: (cursor: string | undefined) => Promise<Part>): Promise<Part[]> {
   const parts: Part[] = [];
   for (let cursor: string | null | undefined; cursor !== null; ) {
-    const part = await ask(cursor);
+    const part = await fetchPage(cursor);
     parts.push(part);
     cursor = part.next ?? null;
   }
@@ -73,7 +73,7 @@ export function useTimeline(missionId: string) {
       const [first] = parts;
       return { startNs: first?.start_ns ?? null, endNs: first?.end_ns ?? null, files: parts.flatMap((part) => part.items) };
     },
-    structuralSharing: false, // comparing ten thousand files costs more than drawing those in sight anew
+    structuralSharing: false, // comparing ten thousand files is slower than rendering the visible ones
   });
 }
 
@@ -91,7 +91,7 @@ export function useRecordings(missionId: string) {
 }
 
 /** The topics of all recordings; refetched until they are current. */
-export function useMissionTopics(missionId: string, isWanted: () => boolean) {
+export function useMissionTopics(missionId: string, isEnabled: () => boolean) {
   const path = { mission_id: missionId };
   return useQuery({
     queryKey: missionKeys.topics(missionId),
@@ -108,19 +108,19 @@ export function useMissionTopics(missionId: string, isWanted: () => boolean) {
         isCurrent: parts.every((part) => part.is_current),
       };
     },
-    enabled: isWanted,
+    enabled: isEnabled,
     structuralSharing: false,
     placeholderData: keepPreviousData,
-    refetchInterval: (running) => (running.state.data?.isCurrent === false ? SOON_MS : false),
+    refetchInterval: (running) => (running.state.data?.isCurrent === false ? FAST_POLL_MS : false),
   });
 }
 
-/** The files with problems, the first ones by path; `isCut` where there are more. */
+/** The first files with warnings, by path. `isCut`: there are more. */
 export function useFilesWithWarnings(missionId: string) {
   return useQuery({
     queryKey: missionKeys.withWarnings(missionId),
     queryFn: async ({ signal }): Promise<{ readonly files: readonly File[]; readonly isCut: boolean }> => {
-      const common = { mission_id: missionId, sort: "path", limit: MOST_FILES_WITH_WARNINGS } as const;
+      const common = { mission_id: missionId, sort: "path", limit: MAX_FILES_WITH_WARNINGS } as const;
       const [inside, bytes, noted] = await Promise.all([
         call(api.GET("/api/v1/files", { params: { query: { ...common, content: ["recovered", "broken", "error"] } }, signal })),
         call(api.GET("/api/v1/files", { params: { query: { ...common, state: ["lost", "corrupt"] } }, signal })),
@@ -165,7 +165,7 @@ export function useMissionChanges(missionId: string) {
   return { update, remove, restore, old };
 }
 
-function ofRecording(recording: Recording): Problem[] {
+function ofRecording(recording: Recording): Warning[] {
   const place = { source: recording.name, fileId: null };
   return [
     ...recording.missing.map((path) => ({ code: "member-missing", message: texts.missingFile(path), where: "", ...place })),
@@ -174,8 +174,8 @@ function ofRecording(recording: Recording): Problem[] {
   ];
 }
 
-/** Returns all problems of a mission. */
-export function warningsOfMission(mission: Mission | undefined, recordings: readonly Recording[], files: readonly File[]): readonly Problem[] {
+/** Returns all warnings of a mission. */
+export function warningsOfMission(mission: Mission | undefined, recordings: readonly Recording[], files: readonly File[]): readonly Warning[] {
   const ofMetadata = (mission?.metadata_problems ?? []).map(({ field, message }) => (
     { code: "metadata", message: texts.metadataProblem(field, message), where: "", source: "", fileId: null }
   ));

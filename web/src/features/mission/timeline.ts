@@ -15,14 +15,14 @@ export interface Lanes {
   /** Files above each other do not overlap; those that found no room any more are in the last one. */
   readonly lanes: readonly (readonly Placed[])[];
   readonly gaps: readonly Span[];
-  readonly mostAtOnce: number;
+  readonly maxSimultaneous: number;
   readonly coveredNs: number;
   /** Files that have no time, or one that cannot be true. */
   readonly without: number;
 }
 
-export const MOST_LANES = 8;
-const LEAST_GAP_NS = 1e9;
+export const MAX_LANES = 8;
+const MIN_GAP_NS = 1e9;
 /** The resolution of the drawing. */
 export const COLUMNS = 1600;
 
@@ -38,22 +38,22 @@ export function lanesOf(files: readonly TimelineFile[], axis: Span): Lanes {
   const gaps: Span[] = [];
   let [reached, coveredNs] = [axis.startNs, 0];
   for (const item of placed) {
-    if (item.startNs - reached >= LEAST_GAP_NS) gaps.push({ startNs: reached, endNs: item.startNs });
+    if (item.startNs - reached >= MIN_GAP_NS) gaps.push({ startNs: reached, endNs: item.startNs });
     coveredNs += Math.max(0, item.endNs - Math.max(item.startNs, reached));
     reached = Math.max(reached, item.endNs);
     place(lanes, item);
   }
-  return { lanes, gaps, mostAtOnce: mostOf(placed), coveredNs, without: files.length - placed.length };
+  return { lanes, gaps, maxSimultaneous: mostOf(placed), coveredNs, without: files.length - placed.length };
 }
 
 function place(lanes: Placed[][], item: Placed): void {
   const free = lanes.find((lane) => (lane.at(-1)?.endNs ?? -Infinity) <= item.startNs);
   if (free !== undefined) free.push(item);
-  else if (lanes.length < MOST_LANES) lanes.push([item]);
+  else if (lanes.length < MAX_LANES) lanes.push([item]);
   else lanes.at(-1)?.push(item);
 }
 
-/** How many files go on at once, at most. `placed` come by their beginning. */
+/** The largest number of simultaneous files. `placed` is sorted by start. */
 function mostOf(placed: readonly Placed[]): number {
   const ends = placed.map((item) => item.endNs).sort((one, other) => one - other);
   let [most, over] = [0, 0];
@@ -64,8 +64,8 @@ function mostOf(placed: readonly Placed[]): number {
   return most;
 }
 
-/** Returns the bars of one lane as a path in a box of `COLUMNS` by 1, those of which `isWanted`; neighbours become one. */
-export function barsPath(lane: readonly Placed[], axis: Span, isWanted: (file: TimelineFile) => boolean): string {
+/** Returns the bars of one lane that pass a filter as a path in a box of `COLUMNS` by 1. Adjacent bars are merged. */
+export function barsPath(lane: readonly Placed[], axis: Span, isIncluded: (file: TimelineFile) => boolean): string {
   const scale = COLUMNS / Math.max(1, axis.endNs - axis.startNs);
   let path = "";
   let [from, to] = [-1, -1];
@@ -73,7 +73,7 @@ export function barsPath(lane: readonly Placed[], axis: Span, isWanted: (file: T
     if (to > from) path += `M${from} 0H${to}V1H${from}Z`;
   };
   for (const item of lane) {
-    if (!isWanted(item.file)) continue;
+    if (!isIncluded(item.file)) continue;
     const start = Math.min(COLUMNS - 1, Math.max(0, Math.floor((item.startNs - axis.startNs) * scale)));
     const end = Math.max(start + 1, Math.min(COLUMNS, Math.round((item.endNs - axis.startNs) * scale)));
     if (start <= to - 1 || (start === to && end - start <= 1)) to = Math.max(to, end);
@@ -99,7 +99,7 @@ export function fileAt(lane: readonly Placed[], atNs: number, withinNs: number):
   return nearest;
 }
 
-/** Returns how many stretches without messages lie between a topic's first and last, and their share of all of it. */
+/** Returns the number and the share of gaps between the first and the last message of a topic. */
 export function silences(counts: readonly number[]): { readonly count: number; readonly share: number } {
   const first = counts.findIndex((item) => item > 0);
   const last = counts.findLastIndex((item) => item > 0);
@@ -119,20 +119,20 @@ export function matching(topics: readonly MissionTopic[], text: string): readonl
   return topics.filter(({ name, message_type: type }) => name.toLocaleLowerCase().includes(lowered) || type?.toLocaleLowerCase().includes(lowered));
 }
 
-/** Returns an order of topics: `name`, `count`, `rate` or `gap`, turned round by a minus before it. */
+/** Sorts topics by `name`, `count`, `rate` or `gap`; a minus sign reverses the order. */
 export function sorted(topics: readonly MissionTopic[], order: string): readonly MissionTopic[] {
-  const [key, turn] = order.startsWith("-") ? [order.slice(1), -1] : [order, 1];
+  const [key, direction] = order.startsWith("-") ? [order.slice(1), -1] : [order, 1];
   const values: Readonly<Record<string, (topic: MissionTopic) => number | null>> = {
     count: (topic) => topic.count,
     rate: (topic) => topic.rate_hz,
     gap: (topic) => topic.longest_gap_ns,
   };
   const value = values[key];
-  if (value === undefined) return turn === 1 ? topics : [...topics].reverse();
-  return [...topics].sort((one, other) => turn * ((value(one) ?? -1) - (value(other) ?? -1)));
+  if (value === undefined) return direction === 1 ? topics : [...topics].reverse();
+  return [...topics].sort((one, other) => direction * ((value(one) ?? -1) - (value(other) ?? -1)));
 }
 
-/** Returns the page of the first file in which a topic can be looked at; null where none is known. */
+/** Returns the page of the first file that contains a topic; null if none is known. */
 export function firstPlace(topic: MissionTopic, { recordings }: Topics, files: ReadonlyMap<string, TimelineFile>): RouteLocationRaw | null {
   const [first] = topic.recordings;
   const recording = recordings[first?.[0] ?? -1];

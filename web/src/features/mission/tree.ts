@@ -144,13 +144,13 @@ export function withBranches(before: ReadonlySet<string>, after: ReadonlySet<str
       else result.delete(file.id);
     }
   }
-  function settle(node: Node): boolean {
+  function updateBranch(node: Node): boolean {
     if (node.kind === "file") return result.has(node.key);
-    const isWhole = node.children.map(settle).every(Boolean);
+    const isWhole = node.children.map(updateBranch).every(Boolean);
     if (isWhole) result.add(node.key);
     else result.delete(node.key);
     return isWhole;
   }
-  for (const { node, depth } of rows) if (depth === 0) settle(node);
+  for (const { node, depth } of rows) if (depth === 0) updateBranch(node);
   return result;
 }

@@ -1,26 +1,24 @@
 // Queries and mutations of people.
 import { useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
-import { keys, usePages } from "@/api/queries";
+import { keys, useList } from "@/api/queries";
 import type { operations } from "@/api/schema";
 import type { Access, Project } from "@/api/types";
 import { texts } from "@/texts/people";
 
+/** The tabs of the pages for people, groups and access. */
+export const peopleTabs = (["people", "groups", "access"] as const).map((key) => ({ key, label: texts.tabs[key], to: { name: key } }));
+
 export type PeopleQuery = NonNullable<operations["list_people"]["parameters"]["query"]>;
 
 /** Projects in which a person's rights are resolved. */
-const MOST_PROJECTS = 200;
+const MAX_PROJECTS = 200;
 const AT_ONCE = 4;
 const PAGE = 500;
 
 export function usePeople(query: () => PeopleQuery) {
-  return usePages(
-    () => keys.people(query()),
-    (cursor, signal) => {
-      const filters = { ...query(), count: true, ...(cursor !== undefined && { cursor }) };
-      return call(api.GET("/api/v1/people", { params: { query: filters }, signal }));
-    },
-  );
+  const filters = () => ({ ...query(), count: true });
+  return useList(keys.people, filters, (page, signal) => call(api.GET("/api/v1/people", { params: { query: page }, signal })));
 }
 
 export function usePerson(personId: string) {
@@ -52,7 +50,7 @@ export function usePersonChanges(personId: string) {
 
 /** The projects to choose from. */
 export function useProjects() {
-  const query = { limit: MOST_PROJECTS };
+  const query = { limit: MAX_PROJECTS };
   return useQuery({
     queryKey: keys.projects(query),
     queryFn: ({ signal }) => call(api.GET("/api/v1/projects", { params: { query }, signal })),
@@ -62,24 +60,9 @@ export function useProjects() {
 export function useMissionsOf(projectId: () => string) {
   return useQuery({
     queryKey: ["missions", "list", "of", projectId],
-    queryFn: ({ signal }) => call(api.GET("/api/v1/missions", { params: { query: { project_id: projectId(), limit: MOST_PROJECTS } }, signal })),
+    queryFn: ({ signal }) => call(api.GET("/api/v1/missions", { params: { query: { project_id: projectId(), limit: MAX_PROJECTS } }, signal })),
     enabled: () => projectId() !== "",
   });
-}
-
-/** Who gets what on a project, or on one of its missions. */
-export function useAccess(projectId: () => string, missionId: () => string) {
-  return usePages(
-    () => (missionId() === "" ? keys.projectAccess(projectId()) : keys.missionAccess(missionId())),
-    (cursor, signal) => {
-      const query = cursor === undefined ? {} : { cursor };
-      if (missionId() !== "") {
-        return call(api.GET("/api/v1/missions/{mission_id}/access", { params: { path: { mission_id: missionId() }, query }, signal }));
-      }
-      return call(api.GET("/api/v1/projects/{project_id}/access", { params: { path: { project_id: projectId() }, query }, signal }));
-    },
-    { enabled: () => projectId() !== "" },
-  );
 }
 
 export interface Reach extends Access {
@@ -103,7 +86,7 @@ export function useReach(personId: string) {
   return useQuery({
     queryKey: ["access", "person", personId],
     queryFn: async ({ signal }) => {
-      const { items: projects } = await call(api.GET("/api/v1/projects", { params: { query: { limit: MOST_PROJECTS } }, signal }));
+      const { items: projects } = await call(api.GET("/api/v1/projects", { params: { query: { limit: MAX_PROJECTS } }, signal }));
       const rows: Reach[] = [];
       for (let at = 0; at < projects.length; at += AT_ONCE) {
         const several = await Promise.all(projects.slice(at, at + AT_ONCE).map((project) => accessOf(project, personId, signal)));
@@ -112,20 +95,4 @@ export function useReach(personId: string) {
       return { rows, projects: projects.length };
     },
   });
-}
-
-/** Returns who has it by that. */
-export function holderOf(access: Access): string {
-  if (access.person !== null) return access.person.name;
-  if (access.to === null) return access.through === "admin" ? texts.access.admins : texts.access.everybody;
-  if (access.to.kind === "email") return texts.access.address(access.to.name);
-  return access.to.kind === "group" ? texts.access.members(access.to.name) : access.to.name;
-}
-
-/** Returns what gives it to them. */
-export function sourceOf(access: Access): string {
-  const through = texts.access.through[access.through];
-  if (access.to === null) return through;
-  const how = access.to.kind === "group" && access.person !== null ? texts.access.byGroup(access.to.name) : "";
-  return how === "" ? through : `${through}, ${how}`;
 }

@@ -22,9 +22,9 @@ export interface Draft {
   choices: string;
   pattern: string;
   description: string;
-  /** Of a field that was there before: what no form here shows. */
+  /** Of a field that originalType there before: what no form here shows. */
   readonly fallback: MetadataField["default"];
-  readonly was: MetadataField["type"] | null;
+  readonly originalType: MetadataField["type"] | null;
 }
 
 export const TYPES = ["string", "number", "boolean", "date", "location", "link", "choice"] as const;
@@ -43,21 +43,21 @@ export function draftsOf({ fields }: MetadataFields): Draft[] {
     pattern: field.pattern ?? "",
     description: field.description,
     fallback: field.default,
-    was: field.type,
+    originalType: field.type,
   }));
 }
 
 /** Returns an empty field. */
 export function emptyDraft(): Draft {
-  return { key: (last += 1), name: "", type: "string", required: false, unit: "", choices: "", pattern: "", description: "", fallback: null, was: null };
+  return { key: (last += 1), name: "", type: "string", required: false, unit: "", choices: "", pattern: "", description: "", fallback: null, originalType: null };
 }
 
 function choicesOf(draft: Draft): string[] {
   return [...new Set(draft.choices.split("\n").map((item) => item.trim()).filter((item) => item !== ""))];
 }
 
-/** Returns what is wrong, by the key of the field and the name of what is typed. */
-export function wrongWith(drafts: readonly Draft[]): ReadonlyMap<string, string> {
+/** Returns the errors by field key and input: `3 name`. */
+export function validateDrafts(drafts: readonly Draft[]): ReadonlyMap<string, string> {
   const wrong = new Map<string, string>();
   const seen = new Set<string>();
   for (const draft of drafts) {
@@ -81,7 +81,7 @@ export function fieldsOf(drafts: readonly Draft[], refusesUndeclared: boolean): 
     ...(draft.type === "number" && draft.unit.trim() !== "" && { unit: draft.unit.trim() }),
     ...(draft.type === "choice" && { choices: choicesOf(draft) }),
     ...(draft.type === "string" && draft.pattern !== "" && { pattern: draft.pattern }),
-    ...(draft.type === draft.was && draft.fallback !== null && draft.fallback !== undefined && { default: draft.fallback }),
+    ...(draft.type === draft.originalType && draft.fallback !== null && draft.fallback !== undefined && { default: draft.fallback }),
   }));
   return { fields, undeclared: refusesUndeclared ? "refuse" : "accept" };
 }
@@ -183,7 +183,7 @@ export function fieldColumns(fields: readonly MetadataField[]): readonly Column<
 }
 
 /** Returns the columns shown by default: the first fields, required ones first. */
-export function usualFields(fields: readonly MetadataField[]): readonly string[] {
+export function defaultFields(fields: readonly MetadataField[]): readonly string[] {
   const [required, optional] = [fields.filter((field) => field.required), fields.filter((field) => !field.required)];
   return [...required, ...optional].slice(0, USUAL).map((field) => PREFIX + field.name);
 }

@@ -10,9 +10,9 @@ import {
   operatorsOf,
   readRefusal,
   sortOf,
-  usualFields,
+  defaultFields,
   valueText,
-  wrongWith,
+  validateDrafts,
 } from "./fields";
 import { barsOf, csvOf, type Overview, type StatsRow } from "./queries";
 import type { MetadataField, MetadataFields, Mission } from "@/api/types";
@@ -38,7 +38,7 @@ it("gives fields back as they were, and drops what belongs to another type", () 
 it("says what is wrong beside the field", () => {
   const [robot, speed] = draftsOf(fields);
   if (robot === undefined || speed === undefined) throw new Error("two fields were given");
-  const wrong = wrongWith([{ ...robot, choices: " \n" }, { ...speed, name: "Robot" }, emptyDraft(), { ...emptyDraft(), name: "1st" }]);
+  const wrong = validateDrafts([{ ...robot, choices: " \n" }, { ...speed, name: "Robot" }, emptyDraft(), { ...emptyDraft(), name: "1st" }]);
   expect([...wrong.keys()].map((key) => key.split(" ")[1])).toEqual(["choices", "name", "name", "name"]);
   expect(moved([robot, speed], 0, 1).map(({ name }) => name)).toEqual(["speed", "robot"]);
   expect(moved([robot, speed], 0, -1).map(({ name }) => name)).toEqual(["robot", "speed"]);
@@ -54,7 +54,7 @@ it("shows groups with what is left and what says nothing last, and saves no form
     buckets: [{ value: null, low: null, high: null, stats: row(1) }, { value: null, low: 0, high: 5, stats: row(2) }, { value: '=1+"1"', low: null, high: null, stats: row(4) }],
   };
   const bars = barsOf(overview, "duration_ns");
-  expect(bars.map(({ label, share }) => [label, share])).toEqual([["0 – 5 m/s", 0.5], ['=1+"1"', 1], ["all others", 0.25], ["not set", 0.25]]);
+  expect(bars.map(({ label, share }) => [label, share])).toEqual([["0 – 5 m/s", 0.5], ['=1+"1"', 1], ["All others", 0.25], ["Not set", 0.25]]);
   expect(csvOf(bars, overview.total).split("\n")[2]).toBe(`"'=1+""1""",1,2,1,4,5,7`);
 });
 
@@ -100,7 +100,7 @@ it("makes a column of each field, sorted by the server, with its unit", () => {
 
 it("shows required fields first until somebody chooses", () => {
   const fields = [field("a", "string"), field("b", "string", { required: true }), field("c", "string"), field("d", "string")];
-  expect(usualFields(fields)).toEqual(["meta.b", "meta.a"]);
+  expect(defaultFields(fields)).toEqual(["meta.b", "meta.a"]);
 });
 
 it("writes places, lists and missing values as text", () => {

@@ -2,9 +2,9 @@
 import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed } from "vue";
 import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client";
-import { keys, usePages } from "@/api/queries";
+import { keys, useList } from "@/api/queries";
 import type { components, operations } from "@/api/schema";
-import type { Mission, Project } from "@/api/types";
+import type { Mission } from "@/api/types";
 import { formatCount, formatHours, formatSize } from "@/components/format";
 import { texts as all } from "@/texts/project";
 
@@ -16,18 +16,13 @@ export type MissionQuery = NonNullable<operations["list_missions"]["parameters"]
 export type ProjectSort = Schemas["ProjectSort"];
 
 const PAGE = 100;
-const MOST_BUCKETS = 60;
+const MAX_BUCKETS = 60;
 /** Missions that are drawn on one axis. */
-export const MOST_ON_AXIS = 1000;
+export const MAX_ON_AXIS = 1000;
 
 export function useProjects(text: () => string, sort: () => ProjectSort) {
-  return usePages<Project>(
-    () => keys.projects({ text: text(), sort: sort() }),
-    (cursor, signal) => {
-      const query = { limit: PAGE, sort: sort(), count: true, ...(text() !== "" && { text: text() }), ...(cursor !== undefined && { cursor }) };
-      return call(api.GET("/api/v1/projects", { params: { query }, signal }));
-    },
-  );
+  const filters = () => ({ limit: PAGE, sort: sort(), count: true, text: text() || undefined });
+  return useList(keys.projects, filters, (query, signal) => call(api.GET("/api/v1/projects", { params: { query }, signal })));
 }
 
 export function useProject(projectId: string) {
@@ -37,22 +32,18 @@ export function useProject(projectId: string) {
   });
 }
 
-export function useMissions(query: () => MissionQuery, isWanted: () => boolean) {
-  return usePages<Mission>(
-    () => keys.missions(query()),
-    (cursor, signal) =>
-      call(api.GET("/api/v1/missions", { params: { query: { limit: PAGE, count: true, ...query(), ...(cursor !== undefined && { cursor }) } }, signal })),
-    { enabled: isWanted },
-  );
+export function useMissions(query: () => MissionQuery, isEnabled: () => boolean) {
+  const filters = () => ({ limit: PAGE, count: true, ...query() });
+  return useList(keys.missions, filters, (page, signal) => call(api.GET("/api/v1/missions", { params: { query: page }, signal })), isEnabled);
 }
 
 /** The missions that were recorded first, for the axis. */
-export function useMissionsOnAxis(query: () => MissionQuery, isWanted: () => boolean) {
+export function useMissionsOnAxis(query: () => MissionQuery, isEnabled: () => boolean) {
   return useQuery({
     queryKey: computed(() => [...keys.missions(query()), "axis"]),
     queryFn: async ({ signal }): Promise<readonly Mission[]> => {
       const timed: Mission[] = [];
-      for (let cursor: string | null | undefined; cursor !== null && timed.length < MOST_ON_AXIS; ) {
+      for (let cursor: string | null | undefined; cursor !== null && timed.length < MAX_ON_AXIS; ) {
         const pageQuery = { ...query(), sort: "start" as const, limit: 500, ...(cursor && { cursor }) };
         const page = await call(api.GET("/api/v1/missions", { params: { query: pageQuery }, signal }));
         timed.push(...page.items);
@@ -60,7 +51,7 @@ export function useMissionsOnAxis(query: () => MissionQuery, isWanted: () => boo
       }
       return timed;
     },
-    enabled: isWanted,
+    enabled: isEnabled,
     placeholderData: keepPreviousData,
   });
 }
@@ -69,7 +60,7 @@ export function useProjectStats(projectId: string, by: () => string) {
   return useQuery({
     queryKey: computed(() => [...keys.project(projectId), "stats", by()]),
     queryFn: ({ signal }) =>
-      call(api.GET("/api/v1/projects/{project_id}/stats", { params: { path: { project_id: projectId }, query: { by: by(), max_buckets: MOST_BUCKETS } }, signal })),
+      call(api.GET("/api/v1/projects/{project_id}/stats", { params: { path: { project_id: projectId }, query: { by: by(), max_buckets: MAX_BUCKETS } }, signal })),
     placeholderData: keepPreviousData,
   });
 }

@@ -4,12 +4,12 @@ import { computed, onScopeDispose, readonly, ref, shallowRef, watch, type Ref } 
 import { api, call } from "@/api/client";
 import { toProblem, type Problem } from "@/api/problem";
 
-export const MOST_LINES = 1_000_000;
-const MOST_SHOWN = 2_000;
+export const MAX_LINES = 1_000_000;
+const MAX_SHOWN = 2_000;
 /** A line that does not end is ended. */
 const LONGEST = 65_536;
-const MOST_FOUND = 10_000;
-// eslint-disable-next-line no-control-regex -- which are what is taken out
+const MAX_FOUND = 10_000;
+// eslint-disable-next-line no-control-regex -- these are removed
 const ESCAPES = /\u001b\[[0-9;?]*[A-Za-z]|[\u0000-\u0008\u000b-\u001f]/g;
 
 interface Piece {
@@ -29,11 +29,11 @@ function startsOf(text: string): Uint32Array {
   return Uint32Array.from(starts);
 }
 
-/** Returns a line as a terminal would leave it: what it overwrote is gone, colours are not shown. */
+/** Returns a line as a terminal shows it in the end: without overwritten text and without colours. */
 export function shownLine(line: string, cut: string): string {
   const whole = line.endsWith("\r") ? line.slice(0, -1) : line;
   const last = whole.slice(whole.lastIndexOf("\r") + 1).replaceAll(ESCAPES, "");
-  return last.length > MOST_SHOWN ? last.slice(0, MOST_SHOWN) + cut : last;
+  return last.length > MAX_SHOWN ? last.slice(0, MAX_SHOWN) + cut : last;
 }
 
 /** A growing log. Line numbers start at 0 and stay when earlier lines are dropped. */
@@ -44,7 +44,7 @@ export class LogLines {
   private next = 0;
   private least = 0;
 
-  constructor(private readonly most = MOST_LINES) {}
+  constructor(private readonly most = MAX_LINES) {}
 
   /** The number of the earliest line that is kept. */
   get first(): number {
@@ -76,7 +76,7 @@ export class LogLines {
     return piece.text.slice(piece.starts[at], (piece.starts[at + 1] ?? piece.text.length) - 1);
   }
 
-  /** Returns the numbers of the lines from `from` on in which a text is, whatever its case; and where to go on. */
+  /** Finds a text, ignoring case, from line `from` on. Returns the matching lines and the line to continue at. */
   find(text: string, from: number): { readonly matches: readonly number[]; readonly upTo: number } {
     const lowered = text.toLocaleLowerCase();
     const matches: number[] = [];
@@ -84,7 +84,7 @@ export class LogLines {
     const piece = this.pieces[this.pieceOf(Math.max(from, this.least))];
     if (piece === undefined || lowered === "") return { matches, upTo: this.next };
     const within = piece.text.toLocaleLowerCase();
-    for (let at = within.indexOf(lowered); at >= 0 && matches.length < MOST_FOUND; ) {
+    for (let at = within.indexOf(lowered); at >= 0 && matches.length < MAX_FOUND; ) {
       const line = lastAtMost(piece.starts, at);
       if (piece.first + line >= from) matches.push(piece.first + line);
       at = within.indexOf(lowered, piece.starts[line + 1] ?? within.length);
@@ -114,7 +114,7 @@ function lastAtMost(starts: Uint32Array, at: number): number {
 }
 
 const WAIT_S = 20;
-const AGAIN_MS = 3_000;
+const POLL_MS = 3_000;
 
 export interface Log {
   readonly lines: LogLines;
@@ -158,7 +158,7 @@ export function useLog(runId: string): Log {
         if (thrown instanceof DOMException && thrown.name === "AbortError") return;
         problem.value = toProblem(thrown);
         if (!problem.value.isPassing) return;
-        await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
+        await new Promise((resolve) => setTimeout(resolve, POLL_MS));
       }
     }
   }
@@ -175,7 +175,7 @@ export function useLog(runId: string): Log {
   };
 }
 
-const MOST = 10_000;
+const MAX = 10_000;
 
 export function useFinding(log: Log) {
   const text = ref("");
@@ -184,20 +184,20 @@ export function useFinding(log: Log) {
   let from = 0;
   let timer: ReturnType<typeof setTimeout> | undefined;
 
-  function look(): void {
+  function searchNext(): void {
     clearTimeout(timer);
-    if (text.value === "" || matches.value.length >= MOST || from >= log.lines.end) return;
+    if (text.value === "" || matches.value.length >= MAX || from >= log.lines.end) return;
     const next = log.lines.find(text.value, Math.max(from, log.lines.first));
     if (next.matches.length > 0) matches.value = [...matches.value, ...next.matches];
     if (next.upTo <= from) return;
     from = next.upTo;
-    timer = setTimeout(look);
+    timer = setTimeout(searchNext);
   }
 
   function begin(): void {
     matches.value = [];
     [from, at.value] = [0, 0];
-    look();
+    searchNext();
   }
 
   /** Goes to the next place or the one before; returns its line. */
@@ -209,7 +209,7 @@ export function useFinding(log: Log) {
   }
 
   watch(text, begin);
-  watch(log.version, look);
+  watch(log.version, searchNext);
   onScopeDispose(() => clearTimeout(timer));
-  return { text, count: computed(() => matches.value.length), at, isMore: computed(() => matches.value.length >= MOST), line: computed(() => matches.value[at.value] ?? null), step };
+  return { text, count: computed(() => matches.value.length), at, isMore: computed(() => matches.value.length >= MAX), line: computed(() => matches.value[at.value] ?? null), step };
 }

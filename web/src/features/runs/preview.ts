@@ -4,8 +4,8 @@ import { addressOf, type Sample } from "./queries";
 import type { Artifact } from "@/api/types";
 
 const PICTURES: Readonly<Record<string, string>> = { png: "image/png", jpg: "image/jpeg", jpeg: "image/jpeg", svg: "image/svg+xml" };
-const MOST_BYTES = 20_000_000;
-const MOST_ROWS = 200;
+const MAX_BYTES = 20_000_000;
+const MAX_ROWS = 200;
 
 export type Shown =
   | { readonly kind: "picture"; readonly address: string }
@@ -38,11 +38,11 @@ export async function previewOf(artifact: Artifact, signal: AbortSignal): Promis
   const ending = endingOf(artifact.path);
   const picture = PICTURES[ending];
   if (picture === undefined && !["csv", "geojson", "json"].includes(ending)) return { kind: "unknown" };
-  if (artifact.size_bytes > MOST_BYTES) return { kind: "tooLarge" };
+  if (artifact.size_bytes > MAX_BYTES) return { kind: "tooLarge" };
   const bytes = await read(artifact, signal);
   if (picture !== undefined) return { kind: "picture", address: URL.createObjectURL(new Blob([bytes], { type: picture })) };
   const text = await bytes.text();
-  return ending === "csv" ? { kind: "table", ...rowsOf(text, MOST_ROWS + 1) } : drawn(text);
+  return ending === "csv" ? { kind: "table", ...rowsOf(text, MAX_ROWS + 1) } : drawn(text);
 }
 
 /** Returns the rows of a text, the first `most` of them, and how many there are. */
@@ -97,7 +97,7 @@ export interface Track {
 type Position = readonly [number, number];
 
 const METRES_PER_DEGREE = 111_320;
-const MOST_POINTS = 20_000;
+const MAX_POINTS = 20_000;
 const DEEPEST = 8;
 
 function isPosition(value: unknown): value is Position {
@@ -127,7 +127,7 @@ export function trackOf(document: unknown): Track | null {
   const count = positions.reduce((sum, line) => sum + line.length, 0);
   const [origin] = positions[0] ?? [];
   if (origin === undefined) return null;
-  const step = Math.ceil(count / MOST_POINTS);
+  const step = Math.ceil(count / MAX_POINTS);
   const narrowing = Math.cos((origin[1] * Math.PI) / 180);
   const lines = positions.map((line) =>
     line

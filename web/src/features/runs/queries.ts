@@ -2,67 +2,62 @@
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed } from "vue";
 import { api, call } from "@/api/client";
-import { keys, usePages } from "@/api/queries";
+import { keys, useList } from "@/api/queries";
 import type { components, operations } from "@/api/schema";
-import type { Artifact, Run, RunState } from "@/api/types";
+import type { Artifact, RunState } from "@/api/types";
 
 type Schemas = components["schemas"];
 export type RunQuery = NonNullable<operations["list_runs"]["parameters"]["query"]>;
 export type Finding = Schemas["FindingRead"];
 export type Metric = Schemas["MetricRead"];
+export type Input = Schemas["RunInput"];
 export type Preview = Schemas["Preview"];
 export type Sample = Schemas["UsageSample"];
-export type LogChunkRead = Schemas["LogChunkRead"];
 
 const PAGE = 500;
 const ACTIVE: readonly RunState[] = ["queued", "preparing", "running", "collecting"];
 /** No event reports resource use, so it is polled. */
-const LOOK_MS = 5_000;
+const POLL_MS = 5_000;
 
 export function isActive(state: RunState): boolean {
   return ACTIVE.includes(state);
 }
 
 export function useRuns(query: () => RunQuery) {
-  return usePages<Run>(
-    () => keys.runs(query()),
-    (cursor, signal) => call(api.GET("/api/v1/runs", { params: { query: { ...query(), ...(cursor !== undefined && { cursor }) } }, signal })),
-  );
+  return useList(keys.runs, query, (page, signal) => call(api.GET("/api/v1/runs", { params: { query: page }, signal })));
 }
 
 export function useRun(runId: string) {
   return useQuery({
     queryKey: keys.run(runId),
     queryFn: ({ signal }) => call(api.GET("/api/v1/runs/{run_id}", { params: { path: { run_id: runId } }, signal })),
-    refetchInterval: (running) => (running.state.data !== undefined && isActive(running.state.data.state) ? LOOK_MS : false),
+    refetchInterval: (running) => (running.state.data !== undefined && isActive(running.state.data.state) ? POLL_MS : false),
   });
 }
 
-export function useFindings(runId: () => string) {
-  return usePages<Finding>(
-    () => [...keys.run(runId()), "findings"],
-    (cursor, signal) => call(api.GET("/api/v1/findings", { params: { query: { run_id: runId(), ...(cursor !== undefined && { cursor }) } }, signal })),
+export function useFindings(runId: () => string, enabled: () => boolean) {
+  return useList(({ run_id: id }) => [...keys.run(id), "findings"], () => ({ run_id: runId() }), (query, signal) =>
+    call(api.GET("/api/v1/findings", { params: { query }, signal })), enabled,
   );
 }
 
-export function useMetrics(runId: () => string) {
-  return usePages<Metric>(
-    () => [...keys.run(runId()), "metrics"],
-    (cursor, signal) => call(api.GET("/api/v1/run-metrics", { params: { query: { run_id: runId(), ...(cursor !== undefined && { cursor }) } }, signal })),
+export function useMetrics(runId: () => string, enabled: () => boolean) {
+  return useList(({ run_id: id }) => [...keys.run(id), "metrics"], () => ({ run_id: runId() }), (query, signal) =>
+    call(api.GET("/api/v1/run-metrics", { params: { query }, signal })), enabled,
   );
 }
 
 export function useInputs(runId: string) {
-  return usePages<Schemas["RunInput"]>(
-    () => [...keys.run(runId), "inputs"],
-    (cursor, signal) => call(api.GET("/api/v1/runs/{run_id}/inputs", { params: { path: { run_id: runId }, query: { limit: PAGE, ...(cursor !== undefined && { cursor }) } }, signal })),
+  const path = { run_id: runId };
+  return useList(() => [...keys.run(runId), "inputs"], { limit: PAGE }, (query, signal) =>
+    call(api.GET("/api/v1/runs/{run_id}/inputs", { params: { path, query }, signal })),
   );
 }
 
 export function useArtifacts(runId: string) {
-  return usePages<Artifact>(
-    () => [...keys.run(runId), "artifacts"],
-    (cursor, signal) => call(api.GET("/api/v1/runs/{run_id}/artifacts", { params: { path: { run_id: runId }, query: { limit: PAGE, ...(cursor !== undefined && { cursor }) } }, signal })),
+  const path = { run_id: runId };
+  return useList(() => [...keys.run(runId), "artifacts"], { limit: PAGE }, (query, signal) =>
+    call(api.GET("/api/v1/runs/{run_id}/artifacts", { params: { path, query }, signal })),
   );
 }
 

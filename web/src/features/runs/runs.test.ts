@@ -45,7 +45,7 @@ it("a rate is what a sum grew by, over the time that took", () => {
   expect(rates(samples, "cpu_s")).toEqual({ at: [3, 5], values: [2, 0.5] });
 });
 
-it("an area reaches from the first moment to the last, and as high as the most", () => {
+it("an area hasRight from the first moment to the last, and as high as the most", () => {
   expect(most(levels(samples, "memory_bytes"))).toBe(30);
   expect(areaOf({ at: [1, 3, 5], values: [1, 2, 0] })).toBe("M0 1L0.00 0.5000L50.00 0.0000L100.00 1.0000L100 1Z");
   expect(areaOf({ at: [], values: [] })).toBe("");

@@ -27,18 +27,6 @@ export function tookOf(run: Run, now: Date): string {
   return formatDuration(milliseconds < MS_PER_S ? milliseconds * NS_PER_MS : Math.round(milliseconds / MS_PER_S) * MS_PER_S * NS_PER_MS);
 }
 
-export interface Commands {
-  readonly cli: string;
-  readonly sdk: string;
-}
-
-/** The commands that do what the page of a run does. */
-export function commandsOf(run: Run): Commands {
-  const cli = [`klein run info ${run.id}`, `klein run logs ${run.id} -f`, `klein run artifacts ${run.id} --download DIRECTORY`].join("\n");
-  const sdk = ["import kleinkram", "", "with kleinkram.connect() as client:", `    run = client.runs.get(${JSON.stringify(run.id)})`, "    print(run.state, run.message)"].join("\n");
-  return { cli, sdk };
-}
-
 const SEVERITIES = ["error", "warning", "info"] as const;
 
 export interface Findings {

@@ -2,12 +2,12 @@
 import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed } from "vue";
 import { api, call } from "@/api/client";
-import { keys, usePages } from "@/api/queries";
+import { keys, useList } from "@/api/queries";
 import type { Problem } from "@/api/problem";
 import type { components } from "@/api/schema";
 import type { File, Mission } from "@/api/types";
 import { useRoute, type RouteLocationRaw } from "vue-router";
-import { quoted, type Commands } from "@/features/file/commands";
+import { quoted } from "@/components/commands";
 
 type Schemas = components["schemas"];
 export type Found = Schemas["SearchRead"];
@@ -25,7 +25,7 @@ export function sortOf(text: string): Sort {
   return SORTS.includes(text) ? (text as Sort) : "-start";
 }
 
-function parameters(query: string, sort: Sort) {
+function searchOptions(query: string, sort: Sort) {
   return {
     queryKey: keys.files({ search: query, sort }),
     queryFn: ({ signal }: { signal: AbortSignal }): Promise<Found> =>
@@ -33,26 +33,28 @@ function parameters(query: string, sort: Sort) {
   };
 }
 
-/** What a text finds: the first of each, and how many there are. */
-export function useFound(query: () => string, sort: () => Sort) {
-  return useQuery(computed(() => ({ ...parameters(query(), sort()), placeholderData: keepPreviousData })));
+/** The results of a query: the first files, missions and topics, and how many there are. */
+export function useSearch(query: () => string, sort: () => Sort) {
+  return useQuery(computed(() => ({ ...searchOptions(query(), sort()), placeholderData: keepPreviousData })));
 }
 
-/** The files that a text finds, from the first that came with the search on. */
-export function useFilesFound(query: () => string, sort: () => Sort, enabled: () => boolean) {
+/** The matching files. The response to the search contains the first page. */
+export function useMatchingFiles(text: () => string, sort: () => Sort, enabled: () => boolean) {
   const queries = useQueryClient();
-  return usePages<File>(() => keys.files({ results: query(), sort: sort() }), async (cursor, signal) => {
-    if (cursor === undefined) return (await queries.query(parameters(query(), sort()))).files;
-    return call(api.GET("/api/v1/files", { params: { query: { query: query(), sort: sort(), limit: PAGE, cursor } }, signal }));
-  }, { enabled });
+  const filters = () => ({ query: text(), sort: sort(), limit: PAGE });
+  return useList<File, ReturnType<typeof filters>>((query) => keys.files({ results: query }), filters, async (query, signal) => {
+    if (query.cursor === undefined) return (await queries.query(searchOptions(query.query, query.sort))).files;
+    return call(api.GET("/api/v1/files", { params: { query }, signal }));
+  }, enabled);
 }
 
-export function useMissionsFound(query: () => string, enabled: () => boolean) {
+export function useMatchingMissions(text: () => string, enabled: () => boolean) {
   const queries = useQueryClient();
-  return usePages<Mission>(() => keys.files({ missions: query() }), async (cursor, signal) => {
-    if (cursor === undefined) return (await queries.query(parameters(query(), "-start"))).missions;
-    return call(api.GET("/api/v1/missions", { params: { query: { query: query(), sort: "-start", limit: PAGE, cursor } }, signal }));
-  }, { enabled });
+  const filters = () => ({ query: text(), sort: "-start" as const, limit: PAGE });
+  return useList<Mission, ReturnType<typeof filters>>((query) => keys.files({ missions: query }), filters, async (query, signal) => {
+    if (query.cursor === undefined) return (await queries.query(searchOptions(query.query, query.sort))).missions;
+    return call(api.GET("/api/v1/missions", { params: { query }, signal }));
+  }, enabled);
 }
 
 export function useFacets(query: () => string, enabled: () => boolean) {
@@ -73,39 +75,27 @@ export function useLabelling() {
   });
 }
 
-export interface Wrong {
+export interface SyntaxFault {
   readonly column: number;
   readonly expression: string;
   readonly reason: string;
 }
 
-/** Returns what is wrong with the text itself; null for any other failure. */
-export function wrongOf(problem: Problem | null): Wrong | null {
+/** Returns the syntax error in a query; null for any other error. */
+export function syntaxErrorOf(problem: Problem | null): SyntaxFault | null {
   if (problem?.code !== "invalid_query") return null;
   const { column, expression, reason } = problem.document;
   if (typeof column !== "number" || typeof expression !== "string" || typeof reason !== "string") return null;
   return { column, expression, reason };
 }
 
-/** Returns what gives the address of this view with another text, or of another tab of it. */
-export function useAddress(): (query: string, tab?: string) => RouteLocationRaw {
+/** Returns a function for the address of this page with another query or tab. */
+export function useSearchAddress(): (query: string, tab?: string) => RouteLocationRaw {
   const route = useRoute();
   return (query, tab) => ({
     name: "search",
     query: { ...route.query, ...(tab !== undefined && { tab }), q: query === "" ? undefined : query },
   });
-}
-
-/** Returns the commands that search by a text. */
-export function searchCommands(query: string): Commands {
-  const sdk = [
-    "import kleinkram",
-    "",
-    "with kleinkram.connect() as client:",
-    `    for file in client.files.list(${JSON.stringify(query)}):`,
-    "        print(file.mission.name, file.path, file.size_bytes)",
-  ].join("\n");
-  return { cli: `klein search ${query.startsWith("-") ? "-- " : ""}${quoted(query)}`, sdk };
 }
 
 /** Returns a script that downloads the results of a query. All user input in it is quoted. */
@@ -120,7 +110,7 @@ export function downloadScript(query: string, server: string, head: string): str
   ].join("\n");
 }
 
-/** Returns a text with one term more. */
+/** Adds a term to a query. */
 export function withTerm(query: string, key: string, value: string): string {
   const isPlain = value !== "" && !/[\s"\\]/.test(value);
   const term = isPlain ? value : `"${value.replaceAll("\\", "\\\\").replaceAll('"', '\\"')}"`;
@@ -133,7 +123,7 @@ export interface Marked {
   readonly after: string;
 }
 
-/** Returns a text parted at what is wrong in it. The server counts columns from 1, by characters. */
+/** Splits a query at its syntax error. The server counts columns from 1, in characters. */
 export function markedAt(text: string, column: number, expression: string): Marked {
   const characters = Array.from(text);
   const rest = characters.slice(column - 1).join("");

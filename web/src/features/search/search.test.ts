@@ -4,13 +4,14 @@ import SearchBox from "./SearchBox.vue";
 import { QueryClient, VueQueryPlugin } from "@tanstack/vue-query";
 import { createMemoryHistory, createRouter } from "vue-router";
 import SearchPage from "./SearchPage.vue";
-import { downloadScript, markedAt, searchCommands, withTerm } from "./queries";
+import { downloadScript, markedAt, withTerm } from "./queries";
+import { searchCommands } from "@/components/commands";
 
 beforeEach(() => vi.useFakeTimers());
 afterEach(() => vi.useRealTimers());
 
 function box(text: string) {
-  const wrapper = mount(SearchBox, { props: { modelValue: text, wrong: null } });
+  const wrapper = mount(SearchBox, { props: { modelValue: text, syntaxError: null } });
   const input = wrapper.get<HTMLInputElement>("input");
   const lastQuery = () => wrapper.emitted<[string]>("update:modelValue")?.at(-1)?.[0];
   return { wrapper, input, lastQuery };
@@ -78,8 +79,8 @@ async function page() {
     global: { plugins: [router, [VueQueryPlugin, { queryClient: client }]], stubs: { DataTable: true, RouterLink: { template: "<a><slot /></a>" } } },
   });
   await settled();
-  const results = () => wrapper.find("[data-found]");
-  const counts = () => wrapper.findAll("[data-found] nav .count").map((item) => item.text());
+  const results = () => wrapper.find("[data-results]");
+  const counts = () => wrapper.findAll("[data-results] nav .count").map((item) => item.text());
   const type = async (text: string) => wrapper.get("input").setValue(text);
   return { wrapper, results, counts, type };
 }
@@ -105,18 +106,18 @@ afterEach(() => {
 test("results are greyed and uncounted as soon as something else is typed, until its own are there", async () => {
   const { results, counts, type, wrapper } = await page();
   expect(counts()).toEqual(["7", "7", "7"]);
-  expect(results().classes()).not.toContain("old");
+  expect(results().classes()).not.toContain("stale");
   await type("lakes");
-  expect(results().classes()).toContain("old");
-  expect(wrapper.get("[data-facet-groups]").classes()).toContain("old");
+  expect(results().classes()).toContain("stale");
+  expect(wrapper.get("[data-facet-groups]").classes()).toContain("stale");
   expect(counts()).toEqual([]);
   await settled(); // asked for, not answered
   expect(waiting.map(({ query }) => query)).toEqual(["lakes"]);
-  expect(results().classes()).toContain("old");
+  expect(results().classes()).toContain("stale");
   expect(counts()).toEqual([]);
   waiting[0]?.resolve(answered(searchAnswer("lakes", 2)));
   await settled();
-  expect(results().classes()).not.toContain("old");
+  expect(results().classes()).not.toContain("stale");
   expect(results().attributes("data-query")).toBe("lakes");
   expect(counts()).toEqual(["2", "2", "2"]);
 });

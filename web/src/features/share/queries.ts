@@ -2,9 +2,9 @@
 import { useMutation, useQueryClient } from "@tanstack/vue-query";
 import { computed } from "vue";
 import { api, call } from "@/api/client";
-import { keys, usePages, type Rows } from "@/api/queries";
+import { keys, useList, type List } from "@/api/queries";
 import type { components } from "@/api/schema";
-import type { Project, Share } from "@/api/types";
+import type { Project } from "@/api/types";
 
 export type ShareCreate = components["schemas"]["ShareCreate"];
 const PAGE = 50;
@@ -12,10 +12,7 @@ const PUBLIC_PAGE = 100;
 
 /** Links to the mission that the viewer may end, those that have ended too. */
 export function useShares(missionId: string) {
-  const query = { mission_id: missionId, ended: true, limit: PAGE };
-  return usePages<Share>(keys.shares({ mission: missionId }), (cursor, signal) =>
-    call(api.GET("/api/v1/shares", { params: { query: { ...query, ...(cursor !== undefined && { cursor }) } }, signal })),
-  );
+  return useList(keys.shares, { mission_id: missionId, ended: true, limit: PAGE }, (query, signal) => call(api.GET("/api/v1/shares", { params: { query }, signal })));
 }
 
 export function useShareChanges(missionId: string) {
@@ -34,10 +31,11 @@ export function useShareChanges(missionId: string) {
   return { create, revoke };
 }
 
-export function usePublicProjects(text: () => string): Rows<Project> {
-  const pages = usePages<Project>(() => keys.projects({ public: text() }), (cursor, signal) => {
-    const query = { limit: PUBLIC_PAGE, ...(text() !== "" && { text: text() }), ...(cursor !== undefined && { cursor }) };
-    return call(api.GET("/api/v1/projects", { params: { query }, signal }));
-  });
-  return { ...pages, rows: computed(() => pages.rows.value.filter((project) => project.is_public)) };
+export function usePublicProjects(text: () => string): List<Project> {
+  const projects = useList(
+    (query) => keys.projects({ public: true, ...query }),
+    () => ({ limit: PUBLIC_PAGE, text: text() || undefined }),
+    (query, signal) => call(api.GET("/api/v1/projects", { params: { query }, signal })),
+  );
+  return { ...projects, rows: computed(() => projects.rows.value.filter((project) => project.is_public)) };
 }

@@ -2,7 +2,7 @@
 import { keepPreviousData, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
 import { api, call } from "@/api/client";
-import { keys, usePages } from "@/api/queries";
+import { keys, useList } from "@/api/queries";
 import type { components } from "@/api/schema";
 import type { Token } from "@/api/types";
 import { globOf } from "@/components/format";
@@ -12,19 +12,8 @@ export type TokenCreate = components["schemas"]["TokenCreate"];
 export type Scope = components["schemas"]["Scope"];
 export type TokenKind = components["schemas"]["TokenKind"];
 
-export interface TokenQuery {
-  readonly everybody: boolean;
-  readonly ended: boolean;
-}
-
-export function useTokens(query: () => TokenQuery) {
-  return usePages(
-    () => keys.tokens({ ...query() }),
-    (cursor, signal) => {
-      const filters = { ...query(), ...(cursor !== undefined && { cursor }) };
-      return call(api.GET("/api/v1/tokens", { params: { query: filters }, signal }));
-    },
-  );
+export function useTokens(filters: () => { readonly everybody: boolean; readonly ended: boolean }) {
+  return useList((query) => keys.tokens({ ...query }), filters, (query, signal) => call(api.GET("/api/v1/tokens", { params: { query }, signal })));
 }
 
 export function useTokenChanges() {
@@ -49,14 +38,14 @@ export interface PlaceOffer {
   readonly label: string;
 }
 
-const MOST_SUGGESTIONS = 8;
+const MAX_SUGGESTIONS = 8;
 
 /** The first projects and missions whose names contain a text. */
 export function usePlaces(typed: () => string, nouns: "missions" | "places"): ComputedRef<readonly PlaceOffer[] | undefined> {
   const offers = useQuery({
     queryKey: ["missions", nouns, typed],
     queryFn: async ({ signal }) => {
-      const query = { limit: MOST_SUGGESTIONS, ...(typed() !== "" && { name: globOf(typed()) }) };
+      const query = { limit: MAX_SUGGESTIONS, ...(typed() !== "" && { name: globOf(typed()) }) };
       const [projects, missions] = await Promise.all([
         nouns === "missions" ? { items: [] } : call(api.GET("/api/v1/projects", { params: { query }, signal })),
         call(api.GET("/api/v1/missions", { params: { query }, signal })),

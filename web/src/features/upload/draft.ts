@@ -13,7 +13,7 @@ export type Layout = "tree" | "contents";
 export interface Draft {
   plan: UploadPlan | null;
   layout: Layout;
-  /** What was chosen: names of folders, or of files. */
+  /** The names of the selected folders or files. */
   roots: readonly string[];
   isLooking: boolean;
   /** How many files were found so far. */
@@ -35,9 +35,9 @@ interface Chosen {
 export interface OpenDraft extends Draft {
   /** Take files that were chosen. */
   take(files: Iterable<File>): Promise<void>;
-  /** Take what was dropped; called while the drop is being handled. */
+  /** Add dropped items. Must be called in the handler of the drop event. */
   drop(transfer: DataTransfer): Promise<void>;
-  /** Plan anew with other paths. */
+  /** Plan again with other paths. */
   arrange(layout: Layout): Promise<void>;
   clear(): void;
 }

@@ -6,7 +6,7 @@ import { api, call } from "@/api/client";
 import { keys } from "@/api/queries";
 import { toProblem, type Problem } from "@/api/problem";
 import type { MetadataFields, Mission, Page, Project } from "@/api/types";
-import { beginning, judge, type Values } from "@/components/metadata";
+import { beginning, validateValues, type Values } from "@/components/metadata";
 import { carriedBy, useTemplate } from "@/features/project/fields";
 import { texts } from "@/texts/upload";
 import type { MissionPlace } from "./engine/types";
@@ -48,8 +48,8 @@ export interface PlaceChoice {
   readonly problem: Ref<Problem | null>;
   readonly wrong: ComputedRef<Readonly<Partial<Record<keyof PlaceForm, string>>>>;
   readonly pickProject: (id: string) => void;
-  /** Make what is to be made, and return where files go; null where something is wrong with the form. */
-  readonly settle: () => Promise<MissionPlace | null>;
+  /** Create the project and mission if needed, and return the destination; null if the form has errors. */
+  readonly createDestination: () => Promise<MissionPlace | null>;
 }
 
 const form = reactive<PlaceForm>({ projectId: "", projectName: "", missionId: "", missionName: "", values: {}, unconfirmed: new Set() });
@@ -94,7 +94,7 @@ export function usePlace(): PlaceChoice {
   const isPreselected = preselect(mission ?? "", project ?? "", left.signal).catch((thrown: unknown) => {
     problem.value = toProblem(thrown);
   });
-  const isThere = computed(() => form.projectId !== "" && form.projectId !== NEW);
+  const isExistingProject = computed(() => form.projectId !== "" && form.projectId !== NEW);
 
   const projects = useQuery({
     queryKey: computed(() => keys.projects({ upload: true, text: find.project })),
@@ -110,14 +110,14 @@ export function usePlace(): PlaceChoice {
       const query = { project_id: form.projectId, sort: "-created", limit: LISTED, text: find.mission || null } as const;
       return call<Page<Mission>>(api.GET("/api/v1/missions", { params: { query }, signal }));
     },
-    enabled: isThere,
+    enabled: isExistingProject,
     placeholderData: keepPreviousData,
   });
-  const template = useTemplate(() => (isThere.value ? form.projectId : ""));
+  const template = useTemplate(() => (isExistingProject.value ? form.projectId : ""));
   const writable = computed(() => projects.data.value?.items.filter(({ right }) => right !== "READ") ?? []);
   const projectOptions = computed(() => withKnown(known.project, writable.value));
   const missionOptions = computed(() => withKnown(known.mission, missions.data.value?.items ?? []));
-  const fields = computed(() => (isThere.value ? template.data.value?.fields : undefined) ?? NO_FIELDS);
+  const fields = computed(() => (isExistingProject.value ? template.data.value?.fields : undefined) ?? NO_FIELDS);
 
   watch([template.data, () => form.missionId], ([loaded]) => {
     const isUntouched = form.missionId === NEW && Object.keys(form.values).length === 0;
@@ -160,11 +160,11 @@ export function usePlace(): PlaceChoice {
     return { id: made.id, name: made.name, ...at };
   }
 
-  async function settle(): Promise<MissionPlace | null> {
+  async function createDestination(): Promise<MissionPlace | null> {
     await isPreselected;
     isShown.value = true;
     problem.value = null;
-    const isFormGood = form.missionId !== NEW || (judge(fields.value, form.values).length === 0 && form.unconfirmed.size === 0);
+    const isFormGood = form.missionId !== NEW || (validateValues(fields.value, form.values).length === 0 && form.unconfirmed.size === 0);
     if (Object.keys(wrong.value).length > 0 || !isFormGood) return null;
     try {
       return await missionToUse(await projectToUse());
@@ -175,7 +175,7 @@ export function usePlace(): PlaceChoice {
   }
 
   return {
-    form, find, fields, isShown, problem, wrong, pickProject, settle,
+    form, find, fields, isShown, problem, wrong, pickProject, createDestination,
     projects: computed(() => {
       const loaded = projects.data.value;
       return loaded && { items: projectOptions.value, hasMore: loaded.next != null };

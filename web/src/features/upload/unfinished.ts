@@ -1,9 +1,9 @@
 // Unfinished uploads of earlier visits from this browser's journal, and how newly chosen files match them.
 import { shallowRef, type Ref } from "vue";
-import { lockName, type Journal, type JournalFile, type JournalHead } from "./engine/journal";
+import { lockName, openJournal, type Journal, type JournalFile, type JournalHead } from "./engine/journal";
 import { partSizeBytes, type PlannedFile } from "./engine/types";
 
-/** An upload that did not come to its end. */
+/** An upload that did not complete. */
 export interface Unfinished {
   readonly head: JournalHead;
   readonly left: readonly JournalFile[];
@@ -15,17 +15,17 @@ export interface Unfinished {
   readonly isElsewhere: boolean;
 }
 
-/** How files chosen anew fit what was unfinished. */
+/** How newly selected files match an unfinished upload. */
 export interface Fit {
   /** As they were, or not begun then. */
   readonly same: number;
-  /** Another size or time than when they were chosen: they are read and sent anew where they differ. */
+  /** Files with a different size or time than before: differing parts are sent again. */
   readonly changed: readonly string[];
-  /** Unfinished, and not among what was chosen now. */
+  /** Unfinished files that are not in the selection. */
   readonly missing: readonly string[];
 }
 
-/** Return what is left of an upload. */
+/** Return the remaining files of an upload. */
 async function summarised(journal: Journal, head: JournalHead, isElsewhere: boolean): Promise<Unfinished> {
   const files = await journal.files(head.id);
   const left = files.filter((file) => file.state !== "done");
@@ -38,7 +38,7 @@ async function summarised(journal: Journal, head: JournalHead, isElsewhere: bool
   return { head, left, doneCount: files.length - left.length, leftBytes, storedBytes, isElsewhere };
 }
 
-/** Return how files chosen anew fit what is left. */
+/** Compare newly selected files with the remaining files. */
 export function fitOf(unfinished: Unfinished, files: readonly PlannedFile[]): Fit {
   const chosen = new Map(files.map((file) => [file.path, file.identity]));
   const changed: string[] = [];
@@ -60,7 +60,7 @@ let opening: Promise<Journal | null> | null = null;
 
 /** Return the journal; null where this browser keeps nothing for the page. */
 function journal(): Promise<Journal | null> {
-  opening ??= import("./engine/journal").then(({ openJournal }) => openJournal()).catch(() => null);
+  opening ??= openJournal().catch(() => null);
   return opening;
 }
 
@@ -73,17 +73,17 @@ async function activeLocks(): Promise<Set<string | undefined>> {
 
 export interface UnfinishedUploads {
   readonly all: Ref<readonly Unfinished[]>;
-  /** False where a reload would lose what is under way. */
+  /** False if a reload loses uploads in progress. */
   readonly isPersistent: Ref<boolean>;
-  look(personId: string): Promise<void>;
-  forget(unfinished: Unfinished): Promise<void>;
+  load(personId: string): Promise<void>;
+  discard(unfinished: Unfinished): Promise<void>;
 }
 
 export function useUnfinished(): UnfinishedUploads {
   const all = shallowRef<readonly Unfinished[]>([]);
   const isPersistent = shallowRef(true);
 
-  async function look(personId: string): Promise<void> {
+  async function load(personId: string): Promise<void> {
     const opened = await journal();
     isPersistent.value = opened !== null;
     if (opened === null) return;
@@ -93,7 +93,7 @@ export function useUnfinished(): UnfinishedUploads {
     all.value = uploads.filter(({ left }) => left.length > 0);
   }
 
-  async function forget({ head, left }: Unfinished): Promise<void> {
+  async function discard({ head, left }: Unfinished): Promise<void> {
     const opened = await journal();
     await opened?.drop(head.id);
     all.value = all.value.filter((item) => item.head.id !== head.id);
@@ -103,5 +103,5 @@ export function useUnfinished(): UnfinishedUploads {
     for (const { uploadId } of left) if (uploadId !== null) await api.abort(uploadId);
   }
 
-  return { all, isPersistent, look, forget };
+  return { all, isPersistent, load, discard };
 }

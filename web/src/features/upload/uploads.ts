@@ -38,13 +38,13 @@ export function isActive(run: Run): boolean {
   return ACTIVE.has(run.phase);
 }
 
-/** Call back with every upload that has come to its end; returns what ends that. */
+/** Call back with each upload that has ended; returns a function that stops that. */
 export function onOver(callback: (run: Run) => void): () => void {
   listeners.add(callback);
   return () => listeners.delete(callback);
 }
 
-/** Upload files into a mission; after what is being uploaded into it already. */
+/** Upload files into a mission, after its running upload. */
 export function start(head: JournalHead, files: readonly PlannedFile[]): void {
   const now = runs.get(head.id);
   if (now !== undefined && isActive(now)) {
@@ -62,7 +62,7 @@ export function start(head: JournalHead, files: readonly PlannedFile[]): void {
   warn();
 }
 
-/** Upload again what did not come in. */
+/** Upload the missing files again. */
 export function retry(run: Run): void {
   const missing = new Set(run.files.filter(({ state }) => state === "refused" || state === "left").map(({ path }) => path));
   start(run.head, run.planned.filter(({ path }) => missing.has(path)));
@@ -82,7 +82,7 @@ export function cancel(id: string): void {
   ask({ kind: "cancel", id });
 }
 
-/** Take an upload that is over off the page. */
+/** Remove an ended upload from the page. */
 export function dismiss(id: string): void {
   runs.delete(id);
   byPath.delete(id);
@@ -113,7 +113,7 @@ function note({ id, phase, failure, snapshot }: Report): void {
   if (!isActive(run)) ended(run);
 }
 
-/** The worker is gone, or never came: as where the server has another version since, and no longer this one's files. */
+/** The worker stopped or could not be loaded, as after an update of the server. */
 function broke(): void {
   worker?.terminate();
   worker = null;

@@ -6,7 +6,7 @@
 const BLOCK_MAGIC = 0x314159265359;
 const END_MAGIC = 0x177245385090;
 const SYMBOLS_PER_SELECTOR = 50;
-const MOST_BITS = 20;
+const MAX_BITS = 20;
 const RUN_A = 0;
 const RUN_B = 1;
 
@@ -97,7 +97,7 @@ function toFront(order: number[], place: number): number {
 
 /** Canonical Huffman codes: by length, the first code, and where its symbols begin. */
 class Codes {
-  private readonly counts = new Uint16Array(MOST_BITS + 2);
+  private readonly counts = new Uint16Array(MAX_BITS + 2);
   private readonly symbols: number[] = [];
 
   constructor(bits: Bits, size: number) {
@@ -105,10 +105,10 @@ class Codes {
     let length = bits.take(5);
     for (let symbol = 0; symbol < size; symbol++) {
       while (bits.take(1) === 1) length += bits.take(1) === 0 ? 1 : -1;
-      if (length < 1 || length > MOST_BITS) throw new RangeError("a bzip2 code of a wrong length");
+      if (length < 1 || length > MAX_BITS) throw new RangeError("a bzip2 code of a wrong length");
       lengths.push(length);
     }
-    for (let bitLength = 1; bitLength <= MOST_BITS; bitLength++) {
+    for (let bitLength = 1; bitLength <= MAX_BITS; bitLength++) {
       for (let symbol = 0; symbol < size; symbol++) if (lengths[symbol] === bitLength) this.symbols.push(symbol);
       this.counts[bitLength] = lengths.filter((item) => item === bitLength).length;
     }
@@ -118,7 +118,7 @@ class Codes {
     let code = 0;
     let first = 0;
     let begin = 0;
-    for (let length = 1; length <= MOST_BITS; length++) {
+    for (let length = 1; length <= MAX_BITS; length++) {
       code = code * 2 + bits.take(1);
       const count = this.counts[length] ?? 0;
       const symbol = this.symbols[begin + code - first];

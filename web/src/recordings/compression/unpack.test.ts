@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import { ReadFailure } from "../failures";
-import { MOST_UNPACKED } from "../limits";
+import { MAX_UNPACKED } from "../limits";
 import { unpack } from "./unpack";
 
 // What the tools of each format (bzip2, lz4, zstd) make of these bytes.
@@ -52,7 +52,7 @@ describe("unpack", () => {
   });
 
   it("refuses what is larger than anybody should hold, and what it does not know", () => {
-    expect(codeOf(() => unpack("zstd", packed("zstd"), MOST_UNPACKED + 1))).toBe("too_large");
+    expect(codeOf(() => unpack("zstd", packed("zstd"), MAX_UNPACKED + 1))).toBe("too_large");
     expect(codeOf(() => unpack("brotli", packed("zstd"), 10))).toBe("compression_unknown");
   });
 

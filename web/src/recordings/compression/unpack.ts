@@ -2,7 +2,7 @@
 
 import { decompress } from "fzstd";
 import { ReadFailure } from "../failures";
-import { MOST_UNPACKED } from "../limits";
+import { MAX_UNPACKED } from "../limits";
 import { unpackBzip2 } from "./bzip2";
 
 type Unpack = (packed: Uint8Array, size: number) => Uint8Array;
@@ -17,7 +17,7 @@ export function isZstd(bytes: Uint8Array): boolean {
 
 /** Return the `size` bytes of a chunk; "" and "none" mean that it is not compressed. */
 export function unpack(compression: string, packed: Uint8Array, size: number): Uint8Array {
-  if (size > MOST_UNPACKED) throw new ReadFailure("too_large", String(size));
+  if (size > MAX_UNPACKED) throw new ReadFailure("too_large", String(size));
   const unpacker = compression === "" || compression === "none" ? asItIs : UNPACK[compression];
   if (unpacker === undefined) throw new ReadFailure("compression_unknown", compression.slice(0, 40));
   try {

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { CurveCollector, MOST_POINTS } from "./curves";
+import { CurveCollector, MAX_POINTS } from "./curves";
 
 function collect(count: number, hz: number, value: (at: number) => number | null): CurveCollector {
   const collector = new CurveCollector(1, 0, count / hz);
@@ -9,9 +9,9 @@ function collect(count: number, hz: number, value: (at: number) => number | null
 
 describe("CurveCollector", () => {
   it("keeps every point while they are few", () => {
-    const { seconds, values, isWhole } = collect(MOST_POINTS, 100, (at) => at * 2).curves();
+    const { seconds, values, isWhole } = collect(MAX_POINTS, 100, (at) => at * 2).curves();
     expect(isWhole).toBe(true);
-    expect(seconds).toHaveLength(MOST_POINTS);
+    expect(seconds).toHaveLength(MAX_POINTS);
     expect(values[0]?.[4321]).toBe(8642);
   });
 

@@ -26,9 +26,9 @@ interface Gap {
   length: number;
 }
 
-export const MOST_POINTS = 8_000;
+export const MAX_POINTS = 8_000;
 const SLICES = 1_500;
-const MOST_GAPS = 300;
+const MAX_GAPS = 300;
 const STEPS_SAMPLED = 2_000;
 /** A silence this many times as long as usual is a gap. */
 const GAP_FACTOR = 5;
@@ -57,7 +57,7 @@ export class CurveCollector {
   add(seconds: number, values: readonly (number | null)[]): void {
     this.messages += 1;
     this.noteStep(seconds);
-    if (this.messages <= MOST_POINTS) {
+    if (this.messages <= MAX_POINTS) {
       this.seconds.push(seconds);
       this.points.forEach((points, curve) => points.push(values[curve] ?? null));
     }
@@ -70,12 +70,12 @@ export class CurveCollector {
 
   /** Break the curves at a time at which something could not be read. */
   breakAt(seconds: number): void {
-    if (this.breaks.length < MOST_GAPS) this.breaks.push(seconds);
+    if (this.breaks.length < MAX_GAPS) this.breaks.push(seconds);
   }
 
   /** What there is so far. */
   curves(): Curves {
-    const isWhole = this.messages <= MOST_POINTS;
+    const isWhole = this.messages <= MAX_POINTS;
     const gaps = this.realGaps();
     const values = isWhole ? this.all(gaps) : this.extremes(gaps);
     return { ...values, messages: this.messages, isWhole };
@@ -86,7 +86,7 @@ export class CurveCollector {
       const length = seconds - this.last;
       if (this.steps.length < STEPS_SAMPLED) this.steps.push(length);
       this.gaps.push({ from: this.last, length });
-      if (this.gaps.length > 2 * MOST_GAPS) this.gaps = longest(this.gaps);
+      if (this.gaps.length > 2 * MAX_GAPS) this.gaps = longest(this.gaps);
     }
     this.last = seconds;
   }
@@ -131,5 +131,5 @@ function noteExtreme(slices: Map<number, Slice>, place: number, point: Extreme):
 }
 
 function longest(gaps: readonly Gap[]): Gap[] {
-  return gaps.toSorted((a, b) => b.length - a.length).slice(0, MOST_GAPS);
+  return gaps.toSorted((a, b) => b.length - a.length).slice(0, MAX_GAPS);
 }

@@ -3,7 +3,7 @@
 import { isZstd, unpack, zstdContentSize } from "../compression/unpack";
 import { failureOf, ReadFailure } from "../failures";
 import type { Schema } from "../formats/recording";
-import { MOST_DEFINITION } from "../limits";
+import { MAX_DEFINITION } from "../limits";
 import { protobufDecoder } from "./protobuf";
 import { rosDecoder } from "./ros";
 
@@ -15,7 +15,7 @@ const TEXT = new TextDecoder();
  */
 export function decoderOf(schema: Schema): Decode {
   const { encoding, messageEncoding, definition } = schema;
-  if (definition.length > MOST_DEFINITION) throw new ReadFailure("too_large", String(definition.length));
+  if (definition.length > MAX_DEFINITION) throw new ReadFailure("too_large", String(definition.length));
   if (messageEncoding === "json") return fromJson;
   if (messageEncoding === "protobuf" && encoding === "protobuf") return protobufDecoder(definition, schema.name);
   if (messageEncoding === "ros1" && encoding === "ros1msg") return rosDecoder(TEXT.decode(definition), 1, false);

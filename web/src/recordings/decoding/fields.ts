@@ -1,6 +1,6 @@
 /** The numeric fields of a message: the tree of fields, their paths, and access by path. */
 
-import { MOST_DEPTH, MOST_ELEMENTS, MOST_FIELDS } from "../limits";
+import { MAX_DEPTH, MAX_ELEMENTS, MAX_FIELDS } from "../limits";
 import { isFields, isNumbers, type Value } from "./decoder";
 
 export type Step = string | number;
@@ -18,10 +18,10 @@ export interface FieldNode {
 const PLAIN = /^[A-Za-z_][A-Za-z0-9_]*$/;
 const STEP = /\.?([A-Za-z_][A-Za-z0-9_]*)|\[(\d{1,9})\]|\[("(?:[^"\\]|\\.)*")\]/y;
 
-/** Return the numeric fields of a message, up to MOST_FIELDS; arrays with their first elements. */
+/** Return the numeric fields of a message, up to MAX_FIELDS; arrays with their first elements. */
 export function fieldTree(value: Value): FieldNode[] {
-  const budget = { fields: MOST_FIELDS };
-  return children(value, "", MOST_DEPTH, budget).nodes;
+  const budget = { fields: MAX_FIELDS };
+  return children(value, "", MAX_DEPTH, budget).nodes;
 }
 
 function children(value: Value, prefix: string, depth: number, budget: { fields: number }): { nodes: FieldNode[]; hidden: number } {
@@ -44,7 +44,7 @@ function children(value: Value, prefix: string, depth: number, budget: { fields:
 
 function entriesOf(value: Value): [[Step, Value][], number] {
   if (isNumbers(value) || Array.isArray(value)) {
-    const shown = Math.min(value.length, MOST_ELEMENTS);
+    const shown = Math.min(value.length, MAX_ELEMENTS);
     const entries = Array.from({ length: shown }, (_, place): [Step, Value] => [place, value[place] ?? null]);
     return [entries, value.length - shown];
   }

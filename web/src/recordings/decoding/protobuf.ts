@@ -4,7 +4,7 @@
  */
 
 import { ReadFailure } from "../failures";
-import { MOST_DEPTH, MOST_VALUES } from "../limits";
+import { MAX_DEPTH, MAX_VALUES } from "../limits";
 import type { Decode, Value } from "./decoder";
 
 interface Field {
@@ -32,7 +32,7 @@ export function protobufDecoder(descriptors: Uint8Array, name: string): Decode {
   for (const [number, file] of new WireReader(descriptors).records()) if (number === 1) addFile(types, bytesOf(file));
   const root = types.get(`.${name.replace(/^\./, "")}`);
   if (root === undefined) throw new ReadFailure("definition_unreadable", name.slice(0, 100));
-  return (data) => decode(data, root, types, { values: MOST_VALUES, depth: MOST_DEPTH });
+  return (data) => decode(data, root, types, { values: MAX_VALUES, depth: MAX_DEPTH });
 }
 
 function addFile(types: Map<string, Fields>, file: Uint8Array): void {
@@ -40,7 +40,7 @@ function addFile(types: Map<string, Fields>, file: Uint8Array): void {
   const text = (number: number): string => textOf(records.find(([decoded]) => decoded === number)?.[1]);
   const prefix = text(2) === "" ? "" : `.${text(2)}`;
   const isProto3 = text(12) === "proto3";
-  for (const [number, record] of records) if (number === 4) addType(types, bytesOf(record), prefix, isProto3, MOST_DEPTH);
+  for (const [number, record] of records) if (number === 4) addType(types, bytesOf(record), prefix, isProto3, MAX_DEPTH);
 }
 
 function addType(types: Map<string, Fields>, type: Uint8Array, prefix: string, isProto3: boolean, depth: number): void {
@@ -164,7 +164,7 @@ export class WireReader {
     while (this.at < this.bytes.length) {
       const tag = Number(this.varint());
       const wire = tag % 8;
-      yield [Math.floor(tag / 8), wire === WIRE.startGroup ? this.group(Math.floor(tag / 8), MOST_DEPTH) : this.body(wire)];
+      yield [Math.floor(tag / 8), wire === WIRE.startGroup ? this.group(Math.floor(tag / 8), MAX_DEPTH) : this.body(wire)];
     }
   }
 

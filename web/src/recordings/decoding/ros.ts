@@ -3,7 +3,7 @@
 import type { MessageDefinition, MessageDefinitionField } from "@foxglove/message-definition";
 import { parse } from "@foxglove/rosmsg";
 import { failureOf, ReadFailure } from "../failures";
-import { MOST_DEPTH, MOST_VALUES } from "../limits";
+import { MAX_DEPTH, MAX_VALUES } from "../limits";
 import type { Decode, Numbers, Value } from "./decoder";
 
 interface Field {
@@ -31,7 +31,7 @@ export function rosDecoder(definition: string, ros: 1 | 2, aligned: boolean): De
   const [root] = definitions;
   if (root === undefined) throw new ReadFailure("definition_unreadable", "it is empty");
   const structure = new Structures(definitions, aligned).of(root);
-  return (data) => structure(new RosReader(data, aligned), { values: MOST_VALUES, depth: MOST_DEPTH });
+  return (data) => structure(new RosReader(data, aligned), { values: MAX_VALUES, depth: MAX_DEPTH });
 }
 
 /** Readers of structures, each made once; a type may hold itself only in arrays that end. */

@@ -33,17 +33,17 @@ interface Connection {
   schema: Schema;
 }
 
-/** Open a bag: reads its header and the index at its end; where there is none, up to `mostBytes` to make one.
+/** Open a bag: reads its header and the index at its end; where there is none, up to `maxBytes` to make one.
  *
  * @throws ReadFailure no_index where nothing is there that an index could be made of; index_damaged.
  */
-export async function openBag(source: Source, mostBytes: number): Promise<Recording> {
+export async function openBag(source: Source, maxBytes: number): Promise<Recording> {
   const front = await source.read(0, Math.min(HEADER, source.sizeBytes));
   if (text(front.subarray(0, MAGIC.length)) !== MAGIC) throw new ReadFailure("not_readable_here");
   const header = headAt(front, MAGIC.length);
   const indexAt = uint64(header.fields.get("index_pos"));
   if (header.op !== Op.header) throw new ReadFailure("index_damaged", "it begins with no header");
-  if (indexAt === 0 || indexAt >= source.sizeBytes) return scan(source, header.dataAt + header.length, mostBytes);
+  if (indexAt === 0 || indexAt >= source.sizeBytes) return scan(source, header.dataAt + header.length, maxBytes);
   const index = await source.read(indexAt, source.sizeBytes - indexAt);
   const connections = new Map<number, Connection>();
   const chunks: Chunk[] = [];
@@ -57,14 +57,14 @@ export async function openBag(source: Source, mostBytes: number): Promise<Record
   return new BagRecording(source, connections, placed(chunks, indexAt), null);
 }
 
-/** Walk the chunks from `start`, each with the index behind it, as far as `mostBytes` reach or they are whole. */
-async function scan(source: Source, start: number, mostBytes: number): Promise<Recording> {
+/** Walk the chunks from `start`, each with the index behind it, as far as `maxBytes` reach or they are whole. */
+async function scan(source: Source, start: number, maxBytes: number): Promise<Recording> {
   const connections = new Map<number, Connection>();
   const chunks: Chunk[] = [];
   let at = start;
   source.ahead = READ_AHEAD;
   try {
-    while (at < mostBytes || chunks.length === 0) {
+    while (at < maxBytes || chunks.length === 0) {
       const chunk = await wholeChunk(source, at, connections);
       if (chunk === null) break;
       if (chunk.counts.size > 0) chunks.push(chunk);

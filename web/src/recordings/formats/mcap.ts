@@ -4,7 +4,7 @@ import { crc32 } from "@foxglove/crc";
 import { McapIndexedReader } from "@mcap/core";
 import { unpack } from "../compression/unpack";
 import { failureOf, ReadFailure } from "../failures";
-import { MOST_OVERLAPPING, MOST_READ_AT_ONCE, READ_AHEAD } from "../limits";
+import { MAX_OVERLAPPING, MAX_READ_AT_ONCE, READ_AHEAD } from "../limits";
 import type { ByteSource, Source } from "../ranges";
 import {
   inOrder,
@@ -23,11 +23,11 @@ import { Fields, OP, rebuildIndex } from "./mcap_reindex";
 
 const TAIL = 512 * 1024;
 
-/** Open an MCAP: reads its beginning and its summary; where there is none, up to `mostBytes` to make one.
+/** Open an MCAP: reads its beginning and its summary; where there is none, up to `maxBytes` to make one.
  *
  * @throws ReadFailure no_index where nothing is there that an index could be made of; index_damaged.
  */
-export async function openMcap(source: Source, mostBytes: number): Promise<Recording> {
+export async function openMcap(source: Source, maxBytes: number): Promise<Recording> {
   const tail = Math.min(TAIL, source.sizeBytes);
   await source.read(source.sizeBytes - tail, tail); // one request for what is mostly the whole summary
   try {
@@ -37,7 +37,7 @@ export async function openMcap(source: Source, mostBytes: number): Promise<Recor
   }
   source.ahead = READ_AHEAD;
   try {
-    const rebuilt = await rebuildIndex(source, mostBytes);
+    const rebuilt = await rebuildIndex(source, maxBytes);
     return new McapRecording(source, await opened(rebuilt), rebuilt.endsAt);
   } finally {
     source.ahead = 0;
@@ -142,14 +142,14 @@ class McapRecording implements Recording {
 
   private checkSizes(chunks: ChunkIndex[]): void {
     const longest = Math.max(0, ...chunks.map((chunk) => Number(chunk.chunkLength)));
-    if (longest > MOST_READ_AT_ONCE) throw new ReadFailure("too_large", String(longest));
+    if (longest > MAX_READ_AT_ONCE) throw new ReadFailure("too_large", String(longest));
     const spans = chunks.map((chunk) => ({
       fromNs: chunk.messageStartTime,
       toNs: chunk.messageEndTime,
       bytes: Number(chunk.uncompressedSize),
     }));
     const overlapping = mostOverlappingBytes(spans, (chunk) => chunk.bytes);
-    if (overlapping > MOST_OVERLAPPING) throw new ReadFailure("too_large", String(overlapping));
+    if (overlapping > MAX_OVERLAPPING) throw new ReadFailure("too_large", String(overlapping));
   }
 }
 

@@ -6,12 +6,12 @@
 import { McapRecordBuilder } from "@mcap/core";
 import { unpack } from "@/recordings/compression/unpack";
 import { ReadFailure } from "@/recordings/failures";
-import { MOST_READ_AT_ONCE } from "@/recordings/limits";
+import { MAX_READ_AT_ONCE } from "@/recordings/limits";
 import type { ByteSource } from "@/recordings/ranges";
 
 const MAGIC_LENGTH = 8;
 const RECORD_HEAD = 9;
-const MOST_RECORDS = 100_000;
+const MAX_RECORDS = 100_000;
 export const OP = { schema: 3, channel: 4, message: 5, chunk: 6, messageIndex: 7 } as const;
 const TEXT = new TextDecoder();
 
@@ -23,14 +23,14 @@ export interface RebuiltMcap extends ByteSource {
   readonly endsAt: number;
 }
 
-/** Read up to `mostBytes` of the beginning (at least one record), and put an index behind it.
+/** Read up to `maxBytes` of the beginning (at least one record), and put an index behind it.
  *
  * @throws ReadFailure no_index where nothing that could be indexed is there.
  */
-export async function rebuildIndex(source: ByteSource, mostBytes: number): Promise<RebuiltMcap> {
+export async function rebuildIndex(source: ByteSource, maxBytes: number): Promise<RebuiltMcap> {
   const walk = new Walk(source);
   let at = MAGIC_LENGTH;
-  for (let number = 0; number < MOST_RECORDS && (at < mostBytes || walk.chunks.length === 0); number++) {
+  for (let number = 0; number < MAX_RECORDS && (at < maxBytes || walk.chunks.length === 0); number++) {
     const next = await walk.record(at);
     if (next === null) break;
     at = next;
@@ -67,7 +67,7 @@ class Walk {
     const next = at + RECORD_HEAD + length;
     if (!(next <= this.source.sizeBytes) || op === 0) return null;
     if (op !== OP.chunk && op !== OP.schema && op !== OP.channel && op !== OP.messageIndex) return next;
-    if (length > MOST_READ_AT_ONCE) return null;
+    if (length > MAX_READ_AT_ONCE) return null;
     const body = await this.source.read(at + RECORD_HEAD, length);
     try {
       if (op === OP.chunk) this.chunk(body, at, next - at);

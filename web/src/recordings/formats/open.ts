@@ -1,7 +1,7 @@
 /** Opens a recording by the format that the server detected. Files compressed as a whole are decompressed into memory. */
 
 import { isZstd, zstdWindowBytes } from "../compression/unpack";
-import { MOST_UNASKED, MOST_WHOLE_PACKED, MOST_WHOLE_UNPACKED, READ_AHEAD } from "../limits";
+import { MAX_BYTES_UNCONFIRMED, MAX_WHOLE_PACKED, MAX_WHOLE_UNPACKED, READ_AHEAD } from "../limits";
 import type { ReadableFormat } from "../protocol";
 import type { Source } from "../ranges";
 import { openBag } from "./bag";
@@ -10,17 +10,17 @@ import { joined, type Recording } from "./recording";
 import { Decompress } from "fzstd";
 import { failureOf, ReadFailure } from "../failures";
 
-const OPEN: Readonly<Record<ReadableFormat, (source: Source, mostBytes: number) => Promise<Recording>>> = { mcap: openMcap, rosbag1: openBag };
+const OPEN: Readonly<Record<ReadableFormat, (source: Source, maxBytes: number) => Promise<Recording>>> = { mcap: openMcap, rosbag1: openBag };
 
-/** Open by the index; without one, by scanning up to `mostBytes` of the beginning.
+/** Open by the index; without one, by scanning up to `maxBytes` of the beginning.
  *
  * A file that is compressed as a whole is decompressed first.
  *
  * @throws ReadFailure where neither works.
  */
-export async function openRecording(format: ReadableFormat, source: Source, mostBytes = MOST_UNASKED): Promise<Recording> {
+export async function openRecording(format: ReadableFormat, source: Source, maxBytes = MAX_BYTES_UNCONFIRMED): Promise<Recording> {
   const head = await source.read(0, Math.min(4, source.sizeBytes));
-  return OPEN[format](isZstd(head) ? await decompressed(source) : source, mostBytes);
+  return OPEN[format](isZstd(head) ? await decompressed(source) : source, maxBytes);
 }
 
 /** Read and decompress a whole file.
@@ -28,12 +28,12 @@ export async function openRecording(format: ReadableFormat, source: Source, most
  * @throws ReadFailure compressed_whole, where it is too large for that; chunk_damaged.
  */
 export async function decompressed(source: Source): Promise<Source> {
-  if (source.sizeBytes > MOST_WHOLE_PACKED) throw new ReadFailure("compressed_whole", String(source.sizeBytes));
+  if (source.sizeBytes > MAX_WHOLE_PACKED) throw new ReadFailure("compressed_whole", String(source.sizeBytes));
   const parts: Uint8Array[] = [];
   let size = 0;
   const stream = new Decompress((part) => {
     size += part.length;
-    if (size > MOST_WHOLE_UNPACKED) throw new ReadFailure("compressed_whole", String(source.sizeBytes));
+    if (size > MAX_WHOLE_UNPACKED) throw new ReadFailure("compressed_whole", String(source.sizeBytes));
     parts.push(part.slice());
   });
   source.ahead = READ_AHEAD;
@@ -41,7 +41,7 @@ export async function decompressed(source: Source): Promise<Source> {
     for (let at = 0; at < source.sizeBytes; at += READ_AHEAD) {
       const end = Math.min(at + READ_AHEAD, source.sizeBytes);
       const packed = await source.read(at, end - at);
-      if (at === 0 && zstdWindowBytes(packed) > MOST_WHOLE_UNPACKED) {
+      if (at === 0 && zstdWindowBytes(packed) > MAX_WHOLE_UNPACKED) {
         throw new ReadFailure("compressed_whole", String(source.sizeBytes));
       }
       stream.push(packed, end === source.sizeBytes);

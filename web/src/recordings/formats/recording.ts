@@ -2,7 +2,7 @@
 
 import { ReadFailure, type FailureCode } from "../failures";
 import type { Source } from "../ranges";
-import { MOST_OVERLAPPING } from "../limits";
+import { MAX_OVERLAPPING } from "../limits";
 
 /** The encoding of a channel's messages, and their definition. */
 export interface Schema {
@@ -121,7 +121,7 @@ export async function* inOrder<Chunk extends Placed>(
     const within = messages.filter(({ logTimeNs }) => logTimeNs >= span.fromNs && logTimeNs <= span.toNs);
     if (!isForward) within.reverse();
     waiting = waiting.concat(within.map((message, place) => ({ message, retainedBytes: place === 0 ? retainedBytes : 0 })));
-    if (waiting.reduce((sum, item) => sum + item.retainedBytes, 0) > MOST_OVERLAPPING) throw new ReadFailure("too_large");
+    if (waiting.reduce((sum, item) => sum + item.retainedBytes, 0) > MAX_OVERLAPPING) throw new ReadFailure("too_large");
     waiting.sort(({ message: a }, { message: b }) => byTime(a, b, isForward));
     const next = sorted[number + 1];
     // Messages that none of the next chunk can come before are ready.

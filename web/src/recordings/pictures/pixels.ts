@@ -4,7 +4,7 @@
  */
 
 import { ReadFailure } from "../failures";
-import { MOST_PIXELS } from "../limits";
+import { MAX_PIXELS } from "../limits";
 
 export interface RawPicture {
   width: number;
@@ -76,7 +76,7 @@ export function pixelsOf(picture: RawPicture): Pixels {
 /** @throws ReadFailure picture_too_large, or picture_unreadable where it has no size. */
 export function checkSize(width: number, height: number): void {
   if (!(width > 0 && height > 0)) throw new ReadFailure("picture_unreadable", `${width} × ${height}`);
-  if (width * height > MOST_PIXELS) throw new ReadFailure("picture_too_large", `${width} × ${height}`);
+  if (width * height > MAX_PIXELS) throw new ReadFailure("picture_too_large", `${width} × ${height}`);
 }
 
 function channels(bytesPerPixel: number, [red, green, blue, alpha]: readonly [number, number, number, number?]): Encoding {

@@ -1,29 +1,29 @@
-// What the page of a link does: ask the JSON API what the link shows, and where its files are. The link's secret is the
-// part of the address behind the #, which browsers send nowhere; no text from elsewhere becomes HTML.
+// The page of a share link. It requests the shared files from the JSON API. The secret of the link is the fragment of the URL
+// (after the #), which browsers do not send to servers. Text from the API is never interpreted as HTML.
 "use strict";
 
 const secret = location.hash.slice(1);
-const AT_ONCE = 200;
+const PAGE_SIZE = 200;
 const PICTURES = ["png", "jpg", "jpeg", "webp", "gif"];
 const OPEN_TOPICS = 30;
-const MOST_PICTURE_BYTES = 20_000_000;
+const MAX_PICTURE_BYTES = 20_000_000;
 
-function say(text) {
+function showMessage(text) {
   const message = document.getElementById("message");
   message.textContent = text;
   message.hidden = false;
 }
 
-async function ask(method, path, body) {
-  const answer = await fetch("/api/v1" + path, {
+async function request(method, path, body) {
+  const response = await fetch("/api/v1" + path, {
     method,
     credentials: "omit",
     headers: { Authorization: `Bearer ${secret}`, ...(body ? { "Content-Type": "application/json" } : {}) },
     body: body && JSON.stringify(body),
   });
-  const told = await answer.json();
-  if (!answer.ok) throw new Error(answer.status === 401 ? "This link has ended, or was not copied whole." : told.detail);
-  return told;
+  const result = await response.json();
+  if (!response.ok) throw new Error(response.status === 401 ? "This link has ended, or the URL is incomplete." : result.detail);
+  return result;
 }
 
 function size(bytes) {
@@ -32,7 +32,7 @@ function size(bytes) {
 }
 
 async function fetchFile(file) {
-  const { items } = await ask("POST", "/files/download", { file_ids: [file.id] });
+  const { items } = await request("POST", "/files/download", { file_ids: [file.id] });
   location.assign(items[0].url);
 }
 
@@ -43,24 +43,24 @@ function row(file) {
   path.textContent = file.path;
   bytes.textContent = size(file.size_bytes);
   button.textContent = "Download";
-  button.addEventListener("click", () => fetchFile(file).catch((error) => say(error.message)));
+  button.addEventListener("click", () => fetchFile(file).catch((error) => showMessage(error.message)));
   action.append(button);
   return line;
 }
 
 async function showMore(cursor) {
-  const query = new URLSearchParams({ limit: AT_ONCE, ...(cursor ? { cursor } : {}) });
-  const page = await ask("GET", `/files?${query}`);
+  const query = new URLSearchParams({ limit: PAGE_SIZE, ...(cursor ? { cursor } : {}) });
+  const page = await request("GET", `/files?${query}`);
   document.getElementById("files").append(...page.items.map(row));
   const more = document.getElementById("more");
   more.hidden = page.next === null;
-  more.onclick = () => showMore(page.next).catch((error) => say(error.message));
+  more.onclick = () => showMore(page.next).catch((error) => showMessage(error.message));
 }
 
 function element(name, text) {
-  const made = document.createElement(name);
-  made.textContent = text;
-  return made;
+  const created = document.createElement(name);
+  created.textContent = text;
+  return created;
 }
 
 function asText(value) {
@@ -80,7 +80,7 @@ function span(nanoseconds) {
   return `${(nanoseconds / 1e9).toFixed(1)} s`;
 }
 
-// Metadata, notes and the time of recording; a link to some files shows none of these.
+// Metadata, notes, and the recording time. A link to single files shows none of these.
 function showAbout(mission) {
   const facts = Object.entries(mission.metadata).map(([name, value]) => [name, asText(value)]);
   if (mission.start_ns !== null) {
@@ -93,7 +93,7 @@ function showAbout(mission) {
 }
 
 async function showTopics(missionId) {
-  const { items, next } = await ask("GET", `/missions/${missionId}/topics?limit=500`);
+  const { items, next } = await request("GET", `/missions/${missionId}/topics?limit=500`);
   if (items.length === 0) return;
   const box = document.getElementById("topics");
   box.querySelector("summary").textContent = `${items.length}${next ? " or more" : ""} ${items.length === 1 ? "topic" : "topics"}`;
@@ -105,12 +105,12 @@ async function showTopics(missionId) {
   box.hidden = false;
 }
 
-// The first picture among the files, such as a preview that an action has put into the mission.
+// The first image among the files, such as a preview that an action added to the mission.
 async function showPicture() {
-  const query = new URLSearchParams([["limit", "1"], ["max_size_bytes", MOST_PICTURE_BYTES], ...PICTURES.map((ending) => ["path", `*.${ending}`])]);
-  const [file] = (await ask("GET", `/files?${query}`)).items;
+  const query = new URLSearchParams([["limit", "1"], ["max_size_bytes", MAX_PICTURE_BYTES], ...PICTURES.map((ending) => ["path", `*.${ending}`])]);
+  const [file] = (await request("GET", `/files?${query}`)).items;
   if (file === undefined) return;
-  const { items } = await ask("POST", "/files/download", { file_ids: [file.id], purpose: "preview" });
+  const { items } = await request("POST", "/files/download", { file_ids: [file.id], purpose: "preview" });
   const picture = document.getElementById("picture");
   picture.src = items[0].url;
   picture.alt = file.path;
@@ -121,35 +121,35 @@ async function showPicture() {
 async function allFiles() {
   const files = [];
   for (let cursor = null, isMore = true; isMore; isMore = cursor !== null) {
-    const page = await ask("GET", `/files?${new URLSearchParams({ limit: 500, ...(cursor ? { cursor } : {}) })}`);
+    const page = await request("GET", `/files?${new URLSearchParams({ limit: 500, ...(cursor ? { cursor } : {}) })}`);
     files.push(...page.items);
     cursor = page.next;
   }
   return files;
 }
 
-// The folders and the name of a file as every computer takes them.
+// The folders and the name of a file, without characters that some systems do not allow.
 function placeOf(file) {
   return file.path.split("/").map((part) => part.replaceAll(/[<>:"\\|?*\u0000-\u001f]/g, "_"));
 }
 
-// Writes one file below a folder. A file of that name and size is taken as fetched.
+// Writes one file below a folder. A file with that name and size counts as downloaded.
 async function saveFile(root, file) {
   const parts = placeOf(file);
   let folder = root;
   for (const part of parts.slice(0, -1)) folder = await folder.getDirectoryHandle(part, { create: true });
   const handle = await folder.getFileHandle(parts.at(-1), { create: true });
-  const there = (await handle.getFile()).size;
-  if (there === file.size_bytes) return;
-  if (there > 0) throw new Error("another file of this name is in the folder");
+  const existingBytes = (await handle.getFile()).size;
+  if (existingBytes === file.size_bytes) return;
+  if (existingBytes > 0) throw new Error("the folder contains another file with this name");
   try {
-    const { items } = await ask("POST", "/files/download", { file_ids: [file.id] });
-    const answer = await fetch(items[0].url, { credentials: "omit" });
-    if (!answer.ok) throw new Error(`the store answered with ${answer.status}`);
-    await answer.body.pipeTo(await handle.createWritable()); // the file has no bytes until all of them have come
-    if ((await handle.getFile()).size !== file.size_bytes) throw new Error("it did not come whole");
+    const { items } = await request("POST", "/files/download", { file_ids: [file.id] });
+    const response = await fetch(items[0].url, { credentials: "omit" });
+    if (!response.ok) throw new Error(`the store returned status ${response.status}`);
+    await response.body.pipeTo(await handle.createWritable()); // the file stays empty until all bytes have arrived
+    if ((await handle.getFile()).size !== file.size_bytes) throw new Error("the download is incomplete");
   } catch (error) {
-    await folder.removeEntry(parts.at(-1)).catch(() => undefined); // a part of a file under its name would pass for it
+    await folder.removeEntry(parts.at(-1)).catch(() => undefined); // an incomplete file must not keep the name
     throw error;
   }
 }
@@ -169,32 +169,32 @@ async function saveAll() {
     taken.add(name);
     await saveFile(root, file).catch((error) => failures.push(`${file.path}: ${error.message}`));
   }
-  progress.textContent = `${files.length - failures.length} of ${files.length} files are in the folder.${failures.length ? ` Not: ${failures.join("; ")}` : ""}`;
+  progress.textContent = `${files.length - failures.length} of ${files.length} files downloaded.${failures.length ? ` Failed: ${failures.join("; ")}` : ""}`;
 }
 
 function offerAll(bytes) {
   const button = document.getElementById("download");
   const canWrite = "showDirectoryPicker" in window;
-  button.textContent = `Download all (${size(bytes)}) …`;
+  button.textContent = `Download all (${size(bytes)})…`;
   button.hidden = !canWrite;
   button.addEventListener("click", () => {
     button.disabled = true;
-    saveAll().catch((error) => error.name === "AbortError" || say(error.message)).finally(() => (button.disabled = false));
+    saveAll().catch((error) => error.name === "AbortError" || showMessage(error.message)).finally(() => (button.disabled = false));
   });
-  if (!canWrite) document.getElementById("progress").textContent = "This browser cannot write into a folder: download the files one by one, or all with the command.";
+  if (!canWrite) document.getElementById("progress").textContent = "This browser cannot write to a folder. Download the files one by one, or all of them with the command.";
   document.getElementById("command").textContent = `klein download '${location.href}'`;
   document.getElementById("all").hidden = false;
 }
 
 async function show() {
-  const shown = await ask("GET", "/share");
+  const shown = await request("GET", "/share");
   const what = `${shown.file_count} ${shown.file_count === 1 ? "file" : "files"}, ${size(shown.size_bytes)}`;
   document.querySelector("h1").textContent = `${shown.mission.project.name} / ${shown.mission.name}`;
   document.getElementById("what").textContent = `${what}; until ${new Date(shown.expires_at).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" })}.`;
   offerAll(shown.size_bytes);
   await showMore(null);
-  const more = [ask("GET", `/missions/${shown.mission.id}`).then(showAbout), showTopics(shown.mission.id), showPicture()];
-  for (const { reason } of await Promise.allSettled(more)) if (reason) say(reason.message);
+  const more = [request("GET", `/missions/${shown.mission.id}`).then(showAbout), showTopics(shown.mission.id), showPicture()];
+  for (const { reason } of await Promise.allSettled(more)) if (reason) showMessage(reason.message);
 }
 
-show().catch((error) => say(error.message));
+show().catch((error) => showMessage(error.message));

@@ -1,6 +1,6 @@
 // Rows, CSV and value ranges of a plot, and the fields that it shows by default.
 import type { FieldNode } from "@/recordings/decoding/fields";
-import { MOST_CURVES } from "@/recordings/limits";
+import { MAX_CURVES } from "@/recordings/limits";
 
 export interface Row {
   readonly seconds: number;
@@ -58,7 +58,7 @@ export function leaves(nodes: readonly FieldNode[]): string[] {
 /** Returns the fields to plot: the selected ones that exist, else the defaults of the type. */
 export function chosenFields(nodes: readonly FieldNode[], selected: readonly string[], messageType: string | null): string[] {
   const all = leaves(nodes);
-  const available = selected.filter((field) => all.includes(field)).slice(0, MOST_CURVES);
+  const available = selected.filter((field) => all.includes(field)).slice(0, MAX_CURVES);
   if (available.length > 0) return available;
   const known = FIRST.find(([type]) => type.test(messageType ?? ""))?.[1].filter((field) => all.includes(field)) ?? [];
   if (known.length > 0) return known;

@@ -44,7 +44,7 @@ export interface UploadContext {
 export class RetryingApi {
   constructor(
     private readonly api: UploadApi,
-    private readonly around: UploadContext,
+    private readonly context: UploadContext,
   ) {}
 
   begin(missionId: string, files: readonly UploadFile[]): Promise<readonly UploadDecision[]> {
@@ -66,7 +66,7 @@ export class RetryingApi {
 
   /** @throws ApiProblem, Stopped */
   private async insist<T>(ask: () => Promise<Answer<T>>): Promise<T> {
-    const { clock, gate, backoff, waitReasons } = this.around;
+    const { clock, gate, backoff, waitReasons } = this.context;
     const tries = backoff.begin();
     for (;;) {
       await gate.passed();
@@ -82,7 +82,7 @@ export class RetryingApi {
         await backoff.wait(1000 * Number(answer.problem["retry_after_s"] ?? 1));
       } else if (answer.problem.code === "not_authenticated") {
         gate.close();
-        this.around.signedOut();
+        this.context.signedOut();
       } else {
         throw new ApiProblem(answer.problem);
       }

@@ -20,7 +20,7 @@ export async function newChecksum(kind: ChecksumKind): Promise<IHasher> {
   return kind === "sha256" ? createSHA256() : createMD5();
 }
 
-/** Hashes one file at a time; begun anew for the next. */
+/** Hashes one file at a time. */
 export class Hashing {
   private readonly parts = new Map<ChecksumKind, IHasher>();
 

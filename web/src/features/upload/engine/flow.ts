@@ -35,11 +35,14 @@ export function checkStopped(signal: AbortSignal): void {
   if (signal.aborted) throw new Stopped();
 }
 
-/** Wakes everybody who waits for something to change. */
-class Changed {
+/**
+ * A condition variable: `wake` resumes all waits, and each checks its condition again. The queues and budgets of one upload
+ * share it, so that the upload has one listener on its signal for all of them.
+ */
+export class Changed {
   private wakers: (() => void)[] = [];
 
-  constructor(private readonly signal: AbortSignal) {
+  constructor(readonly signal: AbortSignal) {
     signal.addEventListener("abort", () => this.wake());
   }
 
@@ -57,34 +60,31 @@ class Changed {
   }
 }
 
-/** Things on their way from one loop to another, in order. */
+/** A queue between two loops, first in, first out. */
 export class Queue<T> {
   private readonly items: T[] = [];
-  private readonly changed: Changed;
 
   constructor(
-    private readonly signal: AbortSignal,
+    private readonly changed: Changed,
     private readonly clock: Clock,
-  ) {
-    this.changed = new Changed(signal);
-  }
+  ) {}
 
   put(item: T): void {
     this.items.push(item);
     this.changed.wake();
   }
 
-  /** Return what is there, waiting for a first thing. @throws Stopped */
+  /** Return the queued items; waits until there is one. @throws Stopped */
   async take(atMost: number): Promise<T[]> {
     while (this.items.length === 0) await this.changed.next();
-    checkStopped(this.signal);
+    checkStopped(this.changed.signal);
     return this.items.splice(0, atMost);
   }
 
   /** Return the items after a delay, or once `atMost` are there. @throws Stopped */
   async gather(atMost: number, milliseconds: number): Promise<T[]> {
-    if (this.items.length < atMost) await this.clock.wait(milliseconds, this.signal);
-    checkStopped(this.signal);
+    if (this.items.length < atMost) await this.clock.wait(milliseconds, this.changed.signal);
+    checkStopped(this.changed.signal);
     return this.items.splice(0, atMost);
   }
 }
@@ -95,14 +95,11 @@ export class Queue<T> {
  */
 export class Budget {
   private taken = 0;
-  private readonly changed: Changed;
 
   constructor(
-    signal: AbortSignal,
+    private readonly changed: Changed,
     private readonly limit: number,
-  ) {
-    this.changed = new Changed(signal);
-  }
+  ) {}
 
   get used(): number {
     return this.taken;
@@ -129,7 +126,7 @@ export class Budget {
   }
 }
 
-/** Open or shut. While it is shut nothing new begins, and what is on its way is called back. */
+/** Pauses an upload. While the gate is shut, no request starts, and running transfers are aborted. */
 export class Gate {
   private shut = false;
   private calling = new AbortController();

@@ -7,7 +7,7 @@ import type { MissionPlace } from "./types";
 
 export type StoredPart = components["schemas"]["StoredPart"];
 
-/** An upload into one mission that has not come to its end. */
+/** An unfinished upload into one mission. */
 export interface JournalHead {
   /** `PERSON/MISSION`: one unfinished upload a mission. */
   readonly id: string;
@@ -43,14 +43,14 @@ export interface Journal {
   heads(personId: string): Promise<JournalHead[]>;
   files(id: string): Promise<JournalFile[]>;
   parts(uploadId: string): Promise<Map<number, JournalPart>>;
-  /** Write down an upload, or more files of one; files that are there already stay as they are. */
+  /** Record an upload, or more files of one; recorded files stay unchanged. */
   begin(head: JournalHead, files: readonly JournalFile[]): Promise<void>;
-  /** Write down what became of files; `forgotten` uploads' parts are dropped. */
+  /** Record the states of files, and drop the parts of `forgotten` uploads. */
   note(files: readonly JournalFile[], forgotten?: readonly string[]): Promise<void>;
   record(part: JournalPart): Promise<void>;
   /** Drop an upload with all its files and parts. */
   drop(id: string): Promise<void>;
-  /** Drop files of an upload that will never come. */
+  /** Drop files that will not be uploaded. */
   remove(id: string, paths: readonly string[]): Promise<void>;
 }
 

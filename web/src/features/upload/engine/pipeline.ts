@@ -2,16 +2,16 @@
 //
 // Each byte is read once for its checksums; the body of a PUT is a slice of the file, which the browser reads again. So
 // memory is a few slices, and the store rejects a part whose bytes changed in between, because the server signed its
-// checksum. At most `AHEAD_BYTES` are hashed and not yet sent.
+// checksum. At most `MAX_UNSENT_BYTES` are hashed and not yet sent.
 import { ApiProblem, type RetryingApi, type UploadContext } from "./api";
-import { Budget, checkStopped, Queue, Stopped } from "./flow";
+import { Budget, Changed, checkStopped, Queue, Stopped } from "./flow";
 import type { Failure, ProblemDocument, SignedPart, UploadOutcome } from "./types";
 import { checkUnchanged, FileFailure } from "./reading";
 import { sendPart, StoreRefused, toSign, type Part, type Parts, type Sending } from "./sending";
 
-const AHEAD_BYTES = 128 * 1024 * 1024;
+const MAX_UNSENT_BYTES = 128 * 1024 * 1024;
 const PART_COST = 512 * 1024; // what the smallest part counts, so that files under way are bounded too
-const FILES_UNDER_WAY = 256;
+const MAX_ACTIVE_FILES = 256;
 const AT_ONCE = 100;
 const LINGER_MS = 20;
 const GATHER_MS = 500;
@@ -23,13 +23,13 @@ export interface Ends {
   again(sending: Sending, problem: ProblemDocument): Promise<void>;
 }
 
-const BEGUN_ANEW = new Set(["upload_gone", "not_found", "upload_incomplete"]);
+const RESTARTABLE = new Set(["upload_gone", "not_found", "upload_incomplete"]);
 
 export class Pipeline {
   /** What stopped everything, where something did. */
   failure: unknown = null;
-  private readonly ahead: Budget;
-  private readonly underWay: Budget;
+  private readonly unsent: Budget;
+  private readonly activeFiles: Budget;
   private readonly toSign: Queue<Part>;
   private readonly toSend: Queue<readonly [Part, SignedPart]>;
   private readonly toFinish: Queue<Sending>;
@@ -39,18 +39,19 @@ export class Pipeline {
     private readonly parts: Parts,
     private readonly ends: Ends,
   ) {
-    const { signal } = parts.stop;
-    this.leases = new Leases(parts.retryingApi, parts.around, signal);
-    this.ahead = new Budget(signal, AHEAD_BYTES);
-    this.underWay = new Budget(signal, FILES_UNDER_WAY);
-    this.toSign = new Queue(signal, parts.around.clock);
-    this.toSend = new Queue(signal, parts.around.clock);
-    this.toFinish = new Queue(signal, parts.around.clock);
+    const changed = new Changed(parts.stop.signal);
+    const { clock } = parts.context;
+    this.leases = new Leases(parts.retryingApi, parts.context, parts.stop.signal);
+    this.unsent = new Budget(changed, MAX_UNSENT_BYTES);
+    this.activeFiles = new Budget(changed, MAX_ACTIVE_FILES);
+    this.toSign = new Queue(changed, clock);
+    this.toSend = new Queue(changed, clock);
+    this.toFinish = new Queue(changed, clock);
   }
 
   /** Start the loops, with `connections` senders. Resolves when all have ended. */
   async loops(connections: number): Promise<void> {
-    const renewing = () => this.leases.renewing((sending, error) => this.ofOneFile(sending, error));
+    const renewing = () => this.leases.renewing((sending, error) => this.handleFailure(sending, error));
     const loops = [() => this.signing(), () => this.finishing(), renewing];
     for (let number = 0; number < connections; number++) loops.push(() => this.sending());
     await Promise.all(loops.map((loop) => this.guarded(loop)));
@@ -69,7 +70,7 @@ export class Pipeline {
   /** Hash an upload's parts and queue those that the store does not hold; waits while enough is under way. */
   async submit(sending: Sending): Promise<void> {
     const { hashing, watcher } = this.parts;
-    await this.underWay.acquire(1);
+    await this.activeFiles.acquire(1);
     this.leases.track(sending);
     const isHashed = sending.sums !== null;
     try {
@@ -81,19 +82,19 @@ export class Pipeline {
       if (!isHashed && !sending.ended) sending.sums = hashing.endWhole();
       watcher.state(sending.path, "sending");
     } catch (error) {
-      await this.ofOneFile(sending, error);
+      await this.handleFailure(sending, error);
     }
     this.countDone(sending);
   }
 
   /** Wait until every upload submitted has ended. @throws Stopped */
   drained(): Promise<void> {
-    return this.underWay.drained();
+    return this.activeFiles.drained();
   }
 
   private async queuePart(sending: Sending, number: number, offset: number, sizeBytes: number): Promise<void> {
-    const { hashing, watcher, around, stop } = this.parts;
-    await around.gate.passed();
+    const { hashing, watcher, context, stop } = this.parts;
+    await context.gate.passed();
     const read = () => {
       checkStopped(stop.signal);
       watcher.state(sending.path, "sending");
@@ -105,7 +106,7 @@ export class Pipeline {
       return;
     }
     const cost = Math.max(sizeBytes, PART_COST);
-    await this.ahead.acquire(cost);
+    await this.unsent.acquire(cost);
     sending.addPart();
     this.toSign.put({ sending, number, offset, sizeBytes, checksum, cost });
   }
@@ -125,24 +126,24 @@ export class Pipeline {
     try {
       const signed = await this.parts.retryingApi.sign(parts.map(toSign));
       parts.forEach((part, place) => {
-        part.sending.renewedMs = this.parts.around.clock.now();
+        part.sending.renewedMs = this.parts.context.clock.now();
         this.toSend.put([part, signed[place] as SignedPart]);
       });
     } catch (error) {
-      if (!(error instanceof ApiProblem) || !BEGUN_ANEW.has(error.code)) throw error;
-      await this.signApart(parts, error);
+      if (!(error instanceof ApiProblem) || !RESTARTABLE.has(error.code)) throw error;
+      await this.signSeparately(parts, error);
     }
   }
 
-  /** One of several uploads has ended: find out which, so that the others go on. */
-  private async signApart(parts: readonly Part[], error: ApiProblem): Promise<void> {
+  /** Sign each upload separately, to find the one that has ended; the others continue. */
+  private async signSeparately(parts: readonly Part[], error: ApiProblem): Promise<void> {
     const sendings = new Set(parts.map((part) => part.sending));
     if (sendings.size > 1) {
       for (const item of sendings) await this.sign(parts.filter((part) => part.sending === item));
       return;
     }
     for (const part of parts) {
-      await this.beginAnew(part.sending, error.problem);
+      await this.restart(part.sending, error.problem);
       this.partOver(part);
     }
   }
@@ -153,7 +154,7 @@ export class Pipeline {
         try {
           if (!part.sending.ended) await sendPart(part, signed, this.parts);
         } catch (error) {
-          await this.ofOneFile(part.sending, error);
+          await this.handleFailure(part.sending, error);
         }
         this.partOver(part);
       }
@@ -163,7 +164,7 @@ export class Pipeline {
   private async finishing(): Promise<never> {
     for (;;) {
       const sent = await this.toFinish.take(AT_ONCE);
-      if (sent.length < Math.min(AT_ONCE, this.underWay.used)) {
+      if (sent.length < Math.min(AT_ONCE, this.activeFiles.used)) {
         sent.push(...(await this.toFinish.gather(AT_ONCE - sent.length, GATHER_MS)));
       }
       const ready: Sending[] = [];
@@ -182,7 +183,7 @@ export class Pipeline {
       await checkUnchanged(sending.planned);
       return true;
     } catch (error) {
-      await this.ofOneFile(sending, error);
+      await this.handleFailure(sending, error);
       this.release(sending);
       return false;
     }
@@ -191,18 +192,18 @@ export class Pipeline {
   private async finished(sending: Sending, outcome: UploadOutcome): Promise<void> {
     if (outcome.outcome === "completed") {
       if (sending.end()) await this.ends.uploaded(sending, outcome.file?.id ?? null);
-    } else if (BEGUN_ANEW.has(outcome.problem.code)) {
-      await this.beginAnew(sending, outcome.problem);
+    } else if (RESTARTABLE.has(outcome.problem.code)) {
+      await this.restart(sending, outcome.problem);
     } else {
       await this.fail(sending, { kind: "problem", problem: outcome.problem });
     }
   }
 
-  /** End one file's upload by what went wrong with it; what concerns all is thrown on. */
-  private async ofOneFile(sending: Sending, error: unknown): Promise<void> {
+  /** Handle an error of one file; rethrow errors that concern all files. */
+  private async handleFailure(sending: Sending, error: unknown): Promise<void> {
     if (error instanceof FileFailure) await this.fail(sending, { kind: error.kind, detail: error.detail });
     else if (error instanceof StoreRefused) await this.fail(sending, { kind: "transfer_failed", detail: error.message });
-    else if (error instanceof ApiProblem && BEGUN_ANEW.has(error.code)) await this.beginAnew(sending, error.problem);
+    else if (error instanceof ApiProblem && RESTARTABLE.has(error.code)) await this.restart(sending, error.problem);
     else throw error;
   }
 
@@ -210,12 +211,12 @@ export class Pipeline {
     if (sending.end()) await this.ends.failed(sending, failure);
   }
 
-  private async beginAnew(sending: Sending, problem: ProblemDocument): Promise<void> {
+  private async restart(sending: Sending, problem: ProblemDocument): Promise<void> {
     if (sending.end()) await this.ends.again(sending, problem);
   }
 
   private partOver(part: Part): void {
-    this.ahead.release(part.cost);
+    this.unsent.release(part.cost);
     this.countDone(part.sending);
   }
 
@@ -228,7 +229,7 @@ export class Pipeline {
 
   private release(sending: Sending): void {
     this.leases.untrack(sending);
-    this.underWay.release(1);
+    this.activeFiles.release(1);
   }
 }
 
@@ -239,7 +240,7 @@ export class Leases {
 
   constructor(
     private readonly retryingApi: RetryingApi,
-    private readonly around: UploadContext,
+    private readonly context: UploadContext,
     private readonly signal: AbortSignal,
   ) {}
 
@@ -254,13 +255,13 @@ export class Leases {
   /** Renew leases when they are due; `failed` receives errors of one upload. @throws Stopped */
   async renewing(failed: (sending: Sending, error: unknown) => Promise<void>): Promise<never> {
     for (;;) {
-      await this.around.clock.wait(RENEW_MS, this.signal);
+      await this.context.clock.wait(RENEW_MS, this.signal);
       checkStopped(this.signal);
-      const due = this.around.clock.now() - RENEW_MS;
+      const due = this.context.clock.now() - RENEW_MS;
       for (const sending of this.active) {
         // A paused upload does not renew its leases: another client may take the names.
-        if (this.around.gate.isShut || sending.ended || sending.latest === null || sending.renewedMs >= due) continue;
-        sending.renewedMs = this.around.clock.now();
+        if (this.context.gate.isShut || sending.ended || sending.latest === null || sending.renewedMs >= due) continue;
+        sending.renewedMs = this.context.clock.now();
         try {
           await this.retryingApi.sign([sending.latest]);
         } catch (error) {

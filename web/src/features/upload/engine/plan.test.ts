@@ -29,11 +29,11 @@ describe("a plan", () => {
 
   it("lets the page breathe between many files whose sizes take long to ask for", async () => {
     let now = NOW;
-    let breaths = 0;
-    const slow = { now: () => (now += 1), wait: (milliseconds: number) => Promise.resolve(void (breaths += milliseconds === 0 ? 1 : 0)) };
+    let yields = 0;
+    const slow = { now: () => (now += 1), wait: (milliseconds: number) => Promise.resolve(void (yields += milliseconds === 0 ? 1 : 0)) };
     const planned = await planUpload(Array.from({ length: 100 }, (_, at) => foundFile(`d/${at}.bag`)), { layout: "tree", watch: slow });
     expect(planned.files).toHaveLength(100);
-    expect(breaths).toBeGreaterThanOrEqual(4);
+    expect(yields).toBeGreaterThanOrEqual(4);
   });
 
   it("leaves out what is still recorded, and says so", async () => {

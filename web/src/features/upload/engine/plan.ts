@@ -5,7 +5,7 @@ import { pathProblem } from "@/texts/upload";
 const ACTIVE_SUFFIX = ".active";
 const RECENT_MS = 10_000;
 const WATCH_MS = 1_000;
-const BREATH_MS = 20;
+const YIELD_MS = 20;
 
 /** What planning needs of the world: the time, and a way to wait. */
 export interface Watch {
@@ -37,13 +37,13 @@ export function sameIdentity(one: Identity, other: Identity): boolean {
 export async function planUpload(offered: readonly Found[], { layout, watch }: PlanOptions): Promise<UploadPlan> {
   const leftOut: LeftOut[] = [];
   const byKey = new Map<string, { offered: Found; planned: PlannedFile }>();
-  let breathedMs = watch.now();
+  let yieldedMs = watch.now();
   for (const item of offered) {
-    if (watch.now() - breathedMs > BREATH_MS) {
+    if (watch.now() - yieldedMs > YIELD_MS) {
       await watch.wait(0);
-      breathedMs = watch.now();
+      yieldedMs = watch.now();
     }
-    const planned = judged(item, layout === "tree" ? item.path : withoutRoot(item.path), leftOut);
+    const planned = validated(item, layout === "tree" ? item.path : withoutRoot(item.path), leftOut);
     if (planned === null) continue;
     const key = nameKey(planned.path);
     const other = byKey.get(key);
@@ -78,7 +78,7 @@ function withoutRoot(path: string): string {
   return path.slice(path.indexOf("/") + 1);
 }
 
-function judged(offered: Found, path: string, leftOut: LeftOut[]): PlannedFile | null {
+function validated(offered: Found, path: string, leftOut: LeftOut[]): PlannedFile | null {
   const name = path.slice(path.lastIndexOf("/") + 1);
   const checked = checkFilePath(path);
   const leave = (reason: LeftOut["reason"], detail = "") => {

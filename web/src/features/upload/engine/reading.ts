@@ -87,7 +87,7 @@ export class Candidate {
     return this.doneSha256 === null && this.planned.identity.sizeBytes <= MIN_PART_BYTES;
   }
 
-  /** Return the upload that was begun with another size, which cannot go on; it is forgotten. */
+  /** Forget and return an earlier upload of this file with a different size, which cannot resume. */
   dropOtherSize(): string | null {
     if (this.remembered === null || this.remembered.sizeBytes === this.planned.identity.sizeBytes) return null;
     const lost = this.uploadId;

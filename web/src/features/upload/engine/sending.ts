@@ -117,7 +117,7 @@ export interface Parts {
   readonly journal: Journal;
   readonly hashing: Hashing;
   readonly watcher: Watcher;
-  readonly around: UploadContext;
+  readonly context: UploadContext;
   readonly stop: AbortController;
 }
 
@@ -132,17 +132,17 @@ export class StoreRefused extends Error {
  * @throws FileFailure, ApiProblem (of this upload, or of all), StoreRefused, Stopped
  */
 export async function sendPart(part: Part, first: SignedPart, parts: Parts): Promise<void> {
-  const { retryingApi, around } = parts;
+  const { retryingApi, context } = parts;
   const signAgain = async () => (await retryingApi.sign([toSign(part)]))[0] as SignedPart;
-  const tries = around.backoff.begin();
+  const tries = context.backoff.begin();
   let signed = first;
   let refusals = 0;
   while (!part.sending.ended) {
-    await around.gate.passed();
-    if (Date.parse(signed.expires_at) <= around.clock.now()) signed = await signAgain(); // spares sending it in vain
+    await context.gate.passed();
+    if (Date.parse(signed.expires_at) <= context.clock.now()) signed = await signAgain(); // spares sending it in vain
     const answer = await put(part, signed, parts);
     if (answer.meaning === "taken") {
-      around.waitReasons.over("store");
+      context.waitReasons.over("store");
       if (part.sizeBytes < part.sending.upload.size_bytes) {
         const { sending, number, checksum } = part;
         await parts.journal.record({ uploadId: sending.upload.id, number, checksum, etag: answer.etag });
@@ -152,7 +152,7 @@ export async function sendPart(part: Part, first: SignedPart, parts: Parts): Pro
     if (answer.meaning === "gone") throw goneAt(part);
     if (answer.meaning !== "called_back") await checkUnchanged(part.sending.planned);
     if (answer.meaning === "try_again") {
-      around.waitReasons.note("store", around.clock.now());
+      context.waitReasons.note("store", context.clock.now());
       await tries.pause();
     } else if (answer.meaning !== "called_back" && ++refusals >= REFUSALS) {
       throw new StoreRefused(answer.reason);
@@ -161,11 +161,11 @@ export async function sendPart(part: Part, first: SignedPart, parts: Parts): Pro
   }
 }
 
-async function put(part: Part, signed: SignedPart, { store, around, watcher }: Parts): Promise<PutAnswer> {
+async function put(part: Part, signed: SignedPart, { store, context, watcher }: Parts): Promise<PutAnswer> {
   const { planned, path } = part.sending;
   const body = planned.file.slice(part.offset, part.offset + part.sizeBytes);
   let sent = 0;
-  const answer = await store.put(signed, body, around.gate.called, (sizeBytes) => {
+  const answer = await store.put(signed, body, context.gate.called, (sizeBytes) => {
     sent += sizeBytes;
     watcher.moved(path, sizeBytes);
   });

@@ -50,7 +50,7 @@ export class UploadQueue {
 
   constructor(private readonly parts: UploadQueueParts) {}
 
-  /** Upload files into a mission, after what is being uploaded into it already; resolves when it is over. */
+  /** Upload files into a mission, after its running upload; resolves when both have ended. */
   async start(head: JournalHead, files: readonly PlannedFile[]): Promise<void> {
     try {
       await this.parts.journal.begin(
@@ -87,7 +87,7 @@ export class UploadQueue {
     this.reportRun(run);
   }
 
-  /** End an upload: what is there stays, the rest is forgotten. */
+  /** Cancel an upload: uploaded files stay, the rest is discarded. */
   cancel(id: string): void {
     const run = this.runs.get(id);
     if (run === undefined) return;
@@ -128,11 +128,11 @@ export class UploadQueue {
       run.phase = "signed_out";
       this.reportRun(run);
     };
-    const around: UploadContext = { clock, gate, backoff, waitReasons, signedOut };
-    const retryingApi = new RetryingApi(api, around);
+    const context: UploadContext = { clock, gate, backoff, waitReasons, signedOut };
+    const retryingApi = new RetryingApi(api, context);
     try {
       const hashing = await Hashing.ready();
-      await new Uploader(head, { retryingApi, store, journal, hashing, watcher, around, stop }).run(files);
+      await new Uploader(head, { retryingApi, store, journal, hashing, watcher, context, stop }).run(files);
       if (run.phase === "cancelled") await this.forget(head.id);
       else run.phase = "over";
       await this.close(head.id);

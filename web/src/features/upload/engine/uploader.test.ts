@@ -4,7 +4,7 @@ import { UploadQueue, type Report } from "./uploadQueue";
 import { MemoryJournal, type JournalHead } from "./journal";
 import type { FileProgress, PlannedFile, WaitReason } from "./types";
 import { identityOf } from "./plan";
-import { FastClock, House, problem, sum } from "./testing/fakeServer";
+import { FastClock, FakeServer, problem, sum } from "./testing/fakeServer";
 
 const HEAD: JournalHead = {
   id: "ada/m", personId: "ada", layout: "tree", roots: ["day1"], beganMs: 0,
@@ -15,13 +15,13 @@ vi.setConfig({ testTimeout: 30_000 }); // they hash megabytes, maybe on a machin
 const LARGE = 9 * 1024 * 1024;
 
 let clock: FastClock;
-let house: House;
+let server: FakeServer;
 let journal: MemoryJournal;
 let reports: Report[];
 
 beforeEach(() => {
   clock = new FastClock();
-  house = new House(clock);
+  server = new FakeServer(clock);
   journal = new MemoryJournal();
   reports = [];
 });
@@ -38,18 +38,18 @@ function planned(path: string, bytes: Uint8Array, modifiedMs = 1000): PlannedFil
 }
 
 function queue(on: (report: Report, queue: UploadQueue) => void = () => undefined): UploadQueue {
-  const heard = reports;
+  const received = reports;
   const report = (isCalled: Report) => {
-    heard.push(isCalled);
+    received.push(isCalled);
     on(isCalled, made);
   };
   const alone = async (_: string, run: () => Promise<void>) => (await run(), true);
-  const made = new UploadQueue({ api: house, store: house, journal, clock, report, alone });
+  const made = new UploadQueue({ api: server, store: server, journal, clock, report, alone });
   return made;
 }
 
 function arrived(path: string, bytes: Uint8Array): void {
-  expect(Buffer.from(house.files.get(path) ?? []).equals(bytes), `${path} arrived whole`).toBe(true);
+  expect(Buffer.from(server.files.get(path) ?? []).equals(bytes), `${path} arrived whole`).toBe(true);
 }
 
 function ends(): Map<string, FileProgress> {
@@ -76,47 +76,47 @@ describe("an upload", () => {
   });
 
   it("reads a large file once, and states both checksums of the whole", async () => {
-    house.partBytes = 4 * 1024 * 1024;
+    server.partBytes = 4 * 1024 * 1024;
     const large = bytesOf(LARGE);
     await queue().start(HEAD, [planned("large", large)]);
-    expect(house.announced).toMatchObject([{ path: "large", sha256: null }]);
-    expect(house.puts).toHaveLength(3);
+    expect(server.announced).toMatchObject([{ path: "large", sha256: null }]);
+    expect(server.puts).toHaveLength(3);
     arrived("large", large);
   });
 
   it.each(["sha256", "md5"] as const)("goes to stores that verify parts by %s", async (kind) => {
-    house.checksum = kind;
+    server.checksum = kind;
     await queue().start(HEAD, [planned("a", bytesOf(2500)), planned("b", bytesOf(7))]);
-    expect([...house.files.keys()].sort()).toEqual(["a", "b"]);
+    expect([...server.files.keys()].sort()).toEqual(["a", "b"]);
   });
 
   it("sends nothing that is there already, and says so", async () => {
-    house.files.set("a", bytesOf(50));
+    server.files.set("a", bytesOf(50));
     await queue().start(HEAD, [planned("a", bytesOf(50))]);
-    expect(house.puts).toEqual([]);
+    expect(server.puts).toEqual([]);
     expect(ends().get("a")?.state).toBe("already_present");
   });
 
   it("reads a large file first where the server asks for its checksum", async () => {
-    house.files.set("a", bytesOf(LARGE));
+    server.files.set("a", bytesOf(LARGE));
     await queue().start(HEAD, [planned("a", bytesOf(LARGE))]);
-    expect(house.announced.map(({ sha256 }) => sha256 != null)).toEqual([false, true]);
+    expect(server.announced.map(({ sha256 }) => sha256 != null)).toEqual([false, true]);
     expect(ends().get("a")?.state).toBe("already_present");
   });
 
   it("refuses a name with other content, with both hashes, and brings the others", async () => {
-    house.files.set("a", bytesOf(50, 2));
+    server.files.set("a", bytesOf(50, 2));
     await queue().start(HEAD, [planned("a", bytesOf(50)), planned("b", bytesOf(60))]);
     const failure = ends().get("a")?.failure;
     const [theirs, ours] = [await sum("sha256", bytesOf(50, 2)), await sum("sha256", bytesOf(50))];
     expect(failure).toMatchObject({ problem: { code: "file_exists", existing_sha256: theirs, sent_sha256: ours } });
-    expect(house.files.has("b")).toBe(true);
+    expect(server.files.has("b")).toBe(true);
     expect(last().snapshot).toMatchObject({ doneBytes: 60, totalBytes: 60 });
     expect(await journal.heads("ada")).toEqual([]);
   });
 
   it("refuses what has no room, and keeps it for another day", async () => {
-    house.fault = (what) => (what === "begin" ? { problem: problem("quota_exceeded", 507) } : "fine");
+    server.fault = (what) => (what === "begin" ? { problem: problem("quota_exceeded", 507) } : "fine");
     await queue().start(HEAD, [planned("a", bytesOf(50))]);
     expect(ends().get("a")?.failure).toMatchObject({ problem: { code: "quota_exceeded" } });
     expect(await journal.files(HEAD.id)).toMatchObject([{ path: "a", state: "waiting" }]);
@@ -124,20 +124,20 @@ describe("an upload", () => {
 
   it("refuses a file that was written to while it was read, and frees its name", async () => {
     const changed = planned("a", bytesOf(LARGE));
-    house.partBytes = 1024 * 1024;
+    server.partBytes = 1024 * 1024;
     const slice = changed.file.slice.bind(changed.file);
     changed.file.slice = (from = 0, to = 0) =>
       from < 5_000_000 ? slice(from, to) : ({ arrayBuffer: () => Promise.reject(new DOMException("", "NotReadableError")) } as Blob);
     await queue().start(HEAD, [changed, planned("b", bytesOf(9))]);
     expect(ends().get("a")?.failure).toMatchObject({ kind: "file_changed" });
-    expect(house.aborted).toEqual(["upload-1"]);
-    expect(house.openUploads).toEqual([]);
-    expect(house.files.has("b")).toBe(true);
+    expect(server.aborted).toEqual(["upload-1"]);
+    expect(server.openUploads).toEqual([]);
+    expect(server.files.has("b")).toBe(true);
   });
 
   it("stops at what concerns all files, and keeps what was sent", async () => {
-    house.fault = (what) => (what === "complete" ? { problem: problem("internal_error", 500) } : "fine");
-    house.partBytes = 1_000_000;
+    server.fault = (what) => (what === "complete" ? { problem: problem("internal_error", 500) } : "fine");
+    server.partBytes = 1_000_000;
     await queue().start(HEAD, [planned("a", bytesOf(LARGE))]);
     expect(last()).toMatchObject({ phase: "failed", failure: { problem: { code: "internal_error", request_id: "r1" } } });
     expect(ends().get("a")?.state).toBe("left");
@@ -149,10 +149,10 @@ describe("after a reload", () => {
   const whole = bytesOf(LARGE);
 
   async function interrupted(parts: number): Promise<void> {
-    house.partBytes = 1_000_000;
-    house.fault = (what) => {
+    server.partBytes = 1_000_000;
+    server.fault = (what) => {
       if (what !== "put") return "fine";
-      if (house.puts.length < parts) return "fine";
+      if (server.puts.length < parts) return "fine";
       return { meaning: "try_again", etag: "", reason: "" };
     };
     const first = queue(({ phase, snapshot }, at) => {
@@ -162,9 +162,9 @@ describe("after a reload", () => {
     await expect.poll(() => last().phase, { timeout: 20_000 }).toBe("paused");
     clock.freeze();
     clock = new FastClock();
-    house.clock = clock;
-    house.fault = () => "fine";
-    house.puts.length = 0;
+    server.clock = clock;
+    server.fault = () => "fine";
+    server.puts.length = 0;
     reports = [];
   }
 
@@ -172,7 +172,7 @@ describe("after a reload", () => {
     await interrupted(4);
     await queue().start(HEAD, [planned("a", whole), planned("b", bytesOf(5))]);
     arrived("a", whole);
-    expect(house.puts.filter((url) => url.startsWith("upload-1/"))).toHaveLength(10 - 4);
+    expect(server.puts.filter((url) => url.startsWith("upload-1/"))).toHaveLength(10 - 4);
   });
 
   it("sends again each part whose bytes are other ones now", async () => {
@@ -181,20 +181,20 @@ describe("after a reload", () => {
     other[10] = 99;
     await queue().start(HEAD, [planned("a", other, 2000), planned("b", bytesOf(5))]);
     arrived("a", other);
-    expect(house.puts.filter((url) => url.startsWith("upload-1/"))).toHaveLength(10 - 3);
+    expect(server.puts.filter((url) => url.startsWith("upload-1/"))).toHaveLength(10 - 3);
   });
 
   it("begins a file anew that has another size now", async () => {
     await interrupted(4);
     await queue().start(HEAD, [planned("a", bytesOf(LARGE + 1), 2000)]);
-    expect(house.aborted).toEqual(["upload-1"]);
+    expect(server.aborted).toEqual(["upload-1"]);
     arrived("a", bytesOf(LARGE + 1));
   });
 
   it("does not read again what had come in and is the same file still", async () => {
     await interrupted(4);
     await journal.note([{ id: HEAD.id, path: "b", sizeBytes: 5, modifiedMs: 1000, state: "done", uploadId: null, sha256: await sum("sha256", bytesOf(5)) }]);
-    house.files.set("b", bytesOf(5));
+    server.files.set("b", bytesOf(5));
     const unread = planned("b", bytesOf(5));
     unread.file.slice = () => { throw new Error("it is read"); };
     await queue().start(HEAD, [planned("a", whole), unread]);
@@ -205,17 +205,17 @@ describe("after a reload", () => {
 describe("trouble", () => {
   it("waits for a server that is away, says so, and goes on", async () => {
     let tries = 0;
-    house.fault = (what) => (what === "begin" && ++tries < 9 ? null : "fine");
+    server.fault = (what) => (what === "begin" && ++tries < 9 ? null : "fine");
     await queue().start(HEAD, [planned("a", bytesOf(5))]);
     expect(tries).toBe(9);
     expect(waitReasons()).toEqual(new Set(["server"]));
     expect(last().snapshot.waitReasons).toEqual([]);
-    expect(house.files.has("a")).toBe(true);
+    expect(server.files.has("a")).toBe(true);
   });
 
   it("waits for a store that is away, whatever the server says of it", async () => {
     let tries = 0;
-    house.fault = (what) => {
+    server.fault = (what) => {
       if (what === "put" && ++tries < 6) return { meaning: "try_again", etag: "", reason: "" };
       return what === "complete" && ++tries < 12 ? { problem: problem("store_unavailable", 503) } : "fine";
     };
@@ -226,7 +226,7 @@ describe("trouble", () => {
 
   it("waits as long as a server says that is asked too often", async () => {
     let isCalled = false;
-    house.fault = (what) => {
+    server.fault = (what) => {
       if (what !== "begin" || isCalled) return "fine";
       isCalled = true;
       return { problem: problem("rate_limited", 429, { retry_after_s: 40 }) };
@@ -234,36 +234,36 @@ describe("trouble", () => {
     const before = clock.now();
     await queue().start(HEAD, [planned("a", bytesOf(5))]);
     expect(clock.now() - before).toBeGreaterThanOrEqual(40_000);
-    expect(house.files.has("a")).toBe(true);
+    expect(server.files.has("a")).toBe(true);
   });
 
   it("has an address signed again that is no longer good", async () => {
-    const sign = house.sign.bind(house);
+    const sign = server.sign.bind(server);
     let late = true;
-    house.sign = async (parts) => {
+    server.sign = async (parts) => {
       const signed = await sign(parts);
       if (late) clock.pass(16 * 60_000);
       late = false;
       return signed;
     };
     await queue().start(HEAD, [planned("a", bytesOf(5))]);
-    expect(house.puts).toHaveLength(1);
-    expect(house.files.has("a")).toBe(true);
+    expect(server.puts).toHaveLength(1);
+    expect(server.files.has("a")).toBe(true);
   });
 
   it("gives up a part that the store refuses again and again", async () => {
-    house.fault = (what) => (what === "put" ? { meaning: "refused", etag: "", reason: "400 BadDigest" } : "fine");
+    server.fault = (what) => (what === "put" ? { meaning: "refused", etag: "", reason: "400 BadDigest" } : "fine");
     await queue().start(HEAD, [planned("a", bytesOf(5))]);
-    expect(house.puts).toHaveLength(4);
+    expect(server.puts).toHaveLength(4);
     expect(ends().get("a")?.failure).toEqual({ kind: "transfer_failed", detail: "400 BadDigest" });
   });
 
   it("begins a file anew whose upload has ended behind its back", async () => {
     let lost = false;
-    house.fault = (what) => {
+    server.fault = (what) => {
       if (what === "complete" && !lost) {
         lost = true;
-        house.lose("a");
+        server.lose("a");
       }
       return "fine";
     };
@@ -275,25 +275,25 @@ describe("trouble", () => {
   it("keeps its names while a store is away for minutes", async () => {
     const until = clock.now() + 5 * 60_000;
     const leases: number[] = [];
-    house.fault = (what) => {
+    server.fault = (what) => {
       if (what !== "put" || clock.now() > until) return "fine";
-      leases.push(...house.openUploads.map((upload) => upload.leaseMs - clock.now()));
+      leases.push(...server.openUploads.map((upload) => upload.leaseMs - clock.now()));
       return { meaning: "try_again", etag: "", reason: "" };
     };
     await queue().start(HEAD, [planned("a", bytesOf(2500))]);
     expect(Math.min(...leases)).toBeGreaterThan(0);
-    expect(house.files.has("a")).toBe(true);
+    expect(server.files.has("a")).toBe(true);
   });
 
   it("waits for a name whose holder has died, and refuses one whose holder lives", async () => {
-    house.lease("dead");
-    const alive = house.lease("alive");
-    house.fault = (what) => {
-      if (what === "begin" && house.announced.length > 0) alive.leaseMs = clock.now() + 60_000;
+    server.lease("dead");
+    const alive = server.lease("alive");
+    server.fault = (what) => {
+      if (what === "begin" && server.announced.length > 0) alive.leaseMs = clock.now() + 60_000;
       return "fine";
     };
     await queue().start(HEAD, [planned("dead", bytesOf(5)), planned("alive", bytesOf(5))]);
-    expect(house.files.has("dead")).toBe(true);
+    expect(server.files.has("dead")).toBe(true);
     expect(ends().get("alive")?.failure).toMatchObject({ problem: { code: "name_leased" } });
     expect(waitReasons()).toContain("lease");
   });
@@ -301,15 +301,15 @@ describe("trouble", () => {
 
 describe("a person", () => {
   it("pauses, when nothing is sent, and goes on", async () => {
-    house.partBytes = 1_000_000;
+    server.partBytes = 1_000_000;
     let atPause = -1;
     const at = queue();
-    house.fault = (what) => {
-      if (what === "put" && house.puts.length === 3 && atPause < 0) {
+    server.fault = (what) => {
+      if (what === "put" && server.puts.length === 3 && atPause < 0) {
         at.pause(HEAD.id);
-        atPause = house.puts.length;
+        atPause = server.puts.length;
         void clock.wait(300_000, new AbortController().signal).then(() => {
-          expect(house.puts.length - atPause).toBeLessThanOrEqual(4);
+          expect(server.puts.length - atPause).toBeLessThanOrEqual(4);
           at.resume(HEAD.id);
         });
       }
@@ -322,14 +322,14 @@ describe("a person", () => {
 
   it("signs in again and the upload goes on where it was", async () => {
     let isSignedIn = true;
-    house.partBytes = 1_000_000;
-    house.fault = (what) => {
-      if (house.puts.length === 2 && what === "put") isSignedIn = false;
+    server.partBytes = 1_000_000;
+    server.fault = (what) => {
+      if (server.puts.length === 2 && what === "put") isSignedIn = false;
       return what !== "put" && !isSignedIn ? { problem: problem("not_authenticated", 401) } : "fine";
     };
     const at = queue(({ phase }) => {
       if (phase !== "signed_out" || isSignedIn) return;
-      house.fault = () => "fine";
+      server.fault = () => "fine";
       isSignedIn = true;
       queueMicrotask(() => at.resume(HEAD.id));
     });
@@ -339,15 +339,15 @@ describe("a person", () => {
   });
 
   it("cancels: what came in stays, names are free, and nothing is remembered", async () => {
-    house.partBytes = 1_000_000;
+    server.partBytes = 1_000_000;
     const at = queue();
-    house.fault = (what) => {
-      if (what === "put" && house.puts.length === 3) at.cancel(HEAD.id);
+    server.fault = (what) => {
+      if (what === "put" && server.puts.length === 3) at.cancel(HEAD.id);
       return "fine";
     };
     await at.start(HEAD, [planned("a", bytesOf(5)), planned("b", bytesOf(LARGE))]);
     expect(last().phase).toBe("cancelled");
-    expect(house.openUploads).toEqual([]);
+    expect(server.openUploads).toEqual([]);
     expect(ends().get("b")?.state).toBe("left");
     expect(await journal.heads("ada")).toEqual([]);
   });
@@ -357,13 +357,13 @@ describe("a person", () => {
     await queue().start(HEAD, [planned("a", bytesOf(5))]);
     expect(last()).toMatchObject({ phase: "failed", failure: { detail: "no room" } });
     expect(ends().get("a")?.state).toBe("left");
-    expect(house.files.size).toBe(0);
+    expect(server.files.size).toBe(0);
   });
 
   it("adds files to an upload that runs: they come after it", async () => {
     const at = queue();
     await Promise.all([at.start(HEAD, [planned("a", bytesOf(5))]), at.start(HEAD, [planned("b", bytesOf(6))])]);
-    expect([...house.files.keys()]).toEqual(["a", "b"]);
+    expect([...server.files.keys()]).toEqual(["a", "b"]);
     expect(await journal.heads("ada")).toEqual([]);
   });
 });

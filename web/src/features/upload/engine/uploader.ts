@@ -11,7 +11,7 @@ import { Pipeline } from "./pipeline";
 import { Sending, type Parts } from "./sending";
 
 export const CONNECTIONS = 4;
-const BEGINNINGS = 4;
+const MAX_STARTS = 4;
 /** Problems that a retry does not solve. */
 const FINAL = new Set(["file_exists", "path_conflict"]);
 
@@ -19,15 +19,15 @@ const FINAL = new Set(["file_exists", "path_conflict"]);
 export class Uploader {
   private readonly pipeline: Pipeline;
   private remembered = new Map<string, JournalFile>();
-  private readonly beginnings = new Map<string, number>();
+  private readonly starts = new Map<string, number>();
   private readonly leased: NameConflicts;
-  private anew: PlannedFile[] = [];
+  private restarted: PlannedFile[] = [];
 
   constructor(
     private readonly head: JournalHead,
     private readonly parts: Parts,
   ) {
-    this.leased = new NameConflicts(parts.around);
+    this.leased = new NameConflicts(parts.context);
     this.pipeline = new Pipeline(parts, {
       uploaded: (sending, fileId) => this.uploaded(sending, fileId),
       failed: (sending, failure) => this.failed(sending, failure),
@@ -46,7 +46,7 @@ export class Uploader {
     const loops = this.pipeline.loops(connections);
     try {
       await this.announceAll(files);
-      await this.settle();
+      await this.finishAll();
     } catch (error) {
       if (!(error instanceof Stopped)) this.pipeline.failure ??= error;
     }
@@ -55,16 +55,16 @@ export class Uploader {
     if (this.pipeline.failure !== null) throw this.pipeline.failure as Error;
   }
 
-  private async settle(): Promise<void> {
+  private async finishAll(): Promise<void> {
     for (;;) {
-      await this.leased.settle(
+      await this.leased.finishAll(
         (files) => this.announceAll(files),
         (file, problem) => this.refused(file, { kind: "problem", problem }),
       );
       await this.pipeline.drained();
-      const anew = this.anew.splice(0);
-      if (anew.length === 0) return;
-      await this.announceAll(anew);
+      const restarted = this.restarted.splice(0);
+      if (restarted.length === 0) return;
+      await this.announceAll(restarted);
     }
   }
 
@@ -85,7 +85,7 @@ export class Uploader {
       await this.writeDown(announced, decisions);
       const again: Candidate[] = [];
       for (const [place, candidate] of announced.entries()) {
-        if (await this.asksAgain(candidate, decisions[place] as UploadDecision)) again.push(candidate);
+        if (await this.handleDecision(candidate, decisions[place] as UploadDecision)) again.push(candidate);
       }
       announced = again;
     }
@@ -118,12 +118,12 @@ export class Uploader {
   }
 
   private async hashWhole(candidate: Candidate): Promise<void> {
-    const { hashing, watcher, around } = this.parts;
+    const { hashing, watcher, context } = this.parts;
     const { path } = candidate.planned;
     watcher.read(path, 0);
     await candidate.hashWhole(hashing, (sizeBytes) => {
       watcher.read(path, sizeBytes);
-      return around.gate.passed();
+      return context.gate.passed();
     });
   }
 
@@ -137,8 +137,8 @@ export class Uploader {
   }
 
   /** Act on a decision; return true if the file must be announced again with more data. */
-  private async asksAgain(candidate: Candidate, decision: UploadDecision): Promise<boolean> {
-    const { journal, watcher, around } = this.parts;
+  private async handleDecision(candidate: Candidate, decision: UploadDecision): Promise<boolean> {
+    const { journal, watcher, context } = this.parts;
     const { planned } = candidate;
     switch (decision.decision) {
       case "hash_required":
@@ -155,7 +155,7 @@ export class Uploader {
       }
       case "upload": {
         const written = await journal.parts(decision.upload.id);
-        const now = around.clock.now();
+        const now = context.clock.now();
         await this.pipeline.submit(new Sending(planned, decision.upload, written, candidate.sums, now));
         return false;
       }
@@ -193,18 +193,18 @@ export class Uploader {
     this.refused(sending.planned, failure);
   }
 
-  /** What was sent is lost (the upload expired, or another client took the name over): begin the file anew. */
+  /** Start a file again, because its sent data is lost: the upload expired, or another client took over the name. */
   private async again(sending: Sending, problem: ProblemDocument): Promise<void> {
-    const begun = (this.beginnings.get(sending.path) ?? 1) + 1;
-    this.beginnings.set(sending.path, begun);
+    const begun = (this.starts.get(sending.path) ?? 1) + 1;
+    this.starts.set(sending.path, begun);
     const keepsParts = problem.code === "upload_incomplete";
     if (!keepsParts) await this.note([this.written(sending.planned, "waiting")], [sending.upload.id]);
-    if (begun > BEGINNINGS) {
+    if (begun > MAX_STARTS) {
       this.refused(sending.planned, { kind: "problem", problem });
       return;
     }
     this.parts.watcher.reset(sending.path);
-    this.anew.push(sending.planned);
+    this.restarted.push(sending.planned);
   }
 
   private refused(planned: PlannedFile, failure: Failure): void {
@@ -230,7 +230,7 @@ export class Uploader {
   }
 }
 
-const PATIENCE_MS = 90_000;
+const GIVE_UP_MS = 90_000;
 const POLL_MS = 2_000;
 
 interface Waiting {
@@ -241,20 +241,20 @@ interface Waiting {
 export class NameConflicts {
   private waiting: Waiting[] = [];
 
-  constructor(private readonly around: UploadContext) {}
+  constructor(private readonly context: UploadContext) {}
 
   add(file: PlannedFile, problem: ProblemDocument): void {
     this.waiting.push({ file, problem });
   }
 
   /** Announce the files again until each name is free or refused; the announcement adds those still leased. @throws Stopped */
-  async settle(
+  async finishAll(
     announce: (files: readonly PlannedFile[]) => Promise<void>,
     refuse: (file: PlannedFile, problem: ProblemDocument) => void,
   ): Promise<void> {
     if (this.waiting.length === 0) return;
-    const { clock, backoff, waitReasons } = this.around;
-    const givesUpMs = clock.now() + PATIENCE_MS;
+    const { clock, backoff, waitReasons } = this.context;
+    const givesUpMs = clock.now() + GIVE_UP_MS;
     waitReasons.note("lease", clock.now());
     while (this.waiting.length > 0 && clock.now() < givesUpMs) {
       await backoff.wait(POLL_MS);

@@ -26,10 +26,10 @@ export async function sum(kind: ChecksumKind, bytes: Uint8Array): Promise<string
   return (await newChecksum(kind)).init().update(bytes).digest("hex");
 }
 
-export class House implements UploadApi, Store {
+export class FakeServer implements UploadApi, Store {
   checksum: ChecksumKind = "crc64nvme";
   partBytes = 1000;
-  /** Files that are there, by path. */
+  /** Files that are storedBytes, by path. */
   readonly files = new Map<string, Uint8Array>();
   readonly announced: UploadFile[] = [];
   readonly puts: string[] = [];
@@ -66,11 +66,11 @@ export class House implements UploadApi, Store {
 
   private async decide(file: UploadFile): Promise<UploadDecision> {
     const { path, sha256 } = file;
-    const there = this.files.get(path);
+    const storedBytes = this.files.get(path);
     const refused = (why: ProblemDocument): UploadDecision => ({ decision: "refused", path, problem: why });
-    if (there !== undefined) {
+    if (storedBytes !== undefined) {
       if (sha256 == null) return { decision: "hash_required", path };
-      const existing = await sum("sha256", there);
+      const existing = await sum("sha256", storedBytes);
       if (existing === sha256) return { decision: "already_present", file: null };
       return refused(problem("file_exists", 409, { path, existing_sha256: existing, sent_sha256: sha256 }));
     }
