@@ -145,7 +145,7 @@ WITH headers AS (
   INSERT INTO mission_topics (mission_id, revision, recording_ids, bin_ns)
     SELECT id, 0, '{}', 1 FROM mission WHERE id IN (SELECT md5('mission' || m)::uuid FROM generate_series(1, %(missions)s::int) m)
 )
-INSERT INTO mission_topic (mission_id, name, message_type, count, file_count, recording_count, places, first_ns, last_ns, rate_hz)
+INSERT INTO mission_topic (mission_id, name, message_type, count, file_count, recording_count, recording_ranges, first_ns, last_ns, rate_hz)
   SELECT file.mission_id, topic.name, topic.message_type, sum(topic.count), count(*), count(DISTINCT recording_id), '{}', min(topic.first_ns), max(topic.last_ns), max(rate_hz)
   FROM topic JOIN file USING (blob_id) JOIN blob ON blob.id = blob_id WHERE store_id = 'scale' AND file.deleted_at IS NULL
   GROUP BY file.mission_id, topic.name, topic.message_type

@@ -8,17 +8,8 @@ from typing import TypeVar
 from pydantic import BaseModel, JsonValue, ValidationError
 
 from kleinkram.action import run_files
+from kleinkram.contract import reports
 from kleinkram.contract.problems import first_message
-from kleinkram.contract.reports import (
-    EVENTS_FILE,
-    MAX_EVENT_BYTES,
-    Finding,
-    Metric,
-    Preview,
-    Progress,
-    PutBack,
-    ReportEvent,
-)
 
 T = TypeVar("T", bound=BaseModel)
 AnyPath = str | os.PathLike[str]
@@ -43,9 +34,9 @@ class Reporting:
         """
         path = None if file is None else _within(file, run_files.in_dir)
         finding = _validated(
-            Finding, severity=severity, code=code, message=message, file=path, topic=topic, time_ns=time_ns
+            reports.Finding, severity=severity, code=code, message=message, file=path, topic=topic, time_ns=time_ns
         )
-        _append(ReportEvent(finding=finding))
+        _append(finding=finding)
 
     def metric(self, name: str, value: float, *, unit: str | None = None, file: AnyPath | None = None) -> None:
         """Report a number, such as `metric("ate_rmse", 0.12, unit="m")`. A later value replaces an earlier one.
@@ -55,15 +46,15 @@ class Reporting:
                 letter; or the number is NaN or infinite, which a finding can report.
         """
         path = None if file is None else _within(file, run_files.in_dir)
-        _append(ReportEvent(metric=_validated(Metric, name=name, value=value, unit=unit, file=path)))
+        _append(metric=_validated(reports.Metric, name=name, value=value, unit=unit, file=path))
 
     def preview(self, path: AnyPath, title: str = "") -> None:
         """Show an artifact with the run: PNG, JPEG, SVG, CSV or GeoJSON under `/out`."""
-        _append(ReportEvent(preview=_validated(Preview, path=_within(path, run_files.out), title=title)))
+        _append(preview=_validated(reports.Preview, path=_within(path, run_files.out), title=title))
 
     def propose(self, **metadata: JsonValue) -> None:
         """Propose metadata of the mission, which people accept or ignore."""
-        _append(_validated(ReportEvent, metadata=metadata))
+        _append(metadata=metadata)
 
     def put_back(self, path: AnyPath, to: str | None = None, *, made_from: list[AnyPath] | None = None) -> None:
         """Create a file of the mission from an artifact, at `to` (default: its path under `/out`).
@@ -72,16 +63,16 @@ class Reporting:
         """
         artifact = _within(path, run_files.out)
         sources = [_within(source, run_files.in_dir) for source in made_from or []]
-        _append(ReportEvent(put_back=_validated(PutBack, path=artifact, to=to or artifact, made_from=sources)))
+        _append(put_back=_validated(reports.PutBack, path=artifact, to=to or artifact, made_from=sources))
 
 
 def progress(fraction: float, message: str = "") -> None:
     """Report the progress of the run, from 0 to 1, with a message."""
-    _append(ReportEvent(progress=_validated(Progress, fraction=fraction, message=message)))
+    _append(progress=_validated(reports.Progress, fraction=fraction, message=message))
 
 
 class ReportRefused(ValueError):
-    """A report is invalid; the message names the part and the reason."""
+    """A report is invalid; the message contains the field and the reason."""
 
 
 def _validated(kind: type[T], **fields: object) -> T:
@@ -96,15 +87,15 @@ def _validated(kind: type[T], **fields: object) -> T:
 
 
 def _within(path: AnyPath, folder: Path) -> str:
-
     return Path(os.path.normpath(folder / path)).relative_to(folder).as_posix()
 
 
-def _append(event: ReportEvent) -> None:
+def _append(**part: object) -> None:
+    event = _validated(reports.ReportEvent, **part)
     line = event.model_dump_json(exclude_unset=True, exclude_none=True).encode() + b"\n"
-    if len(line) > MAX_EVENT_BYTES:
-        raise ValueError(f"the report has {len(line)} bytes; at most {MAX_EVENT_BYTES} are allowed")
-    path = run_files.out / EVENTS_FILE
+    if len(line) > reports.MAX_EVENT_BYTES:
+        raise ValueError(f"the report has {len(line)} bytes; at most {reports.MAX_EVENT_BYTES} are allowed")
+    path = run_files.out / reports.EVENTS_FILE
     path.parent.mkdir(exist_ok=True)
     with path.open("ab", buffering=0) as stream:
         fcntl.flock(stream, fcntl.LOCK_EX)

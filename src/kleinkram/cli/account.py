@@ -140,8 +140,8 @@ def create_token(
     ] = None,
     label: Annotated[Many, option("--label", "L", "Give the runner only runs that require L; repeatable.")] = None,
     until: options.Until = None,
-    days: Annotated[int | None, option("--days", "N", "Let it end in N days.", min=1, max=36_500)] = None,
-    no_end: Annotated[bool, flag("--no-end", "Set no end, where the server allows that.")] = False,
+    days: Annotated[int | None, option("--days", "N", "Let it expire in N days.", min=1, max=36_500)] = None,
+    no_end: Annotated[bool, flag("--no-end", "Let it never expire, if the server allows that.")] = False,
 ) -> Output:
     """Create a token and print its secret, which is shown only once. The server sets its default end."""
     expires_at = expiry(until, days, client.service.now)
@@ -233,7 +233,7 @@ def create_share(
     name: Annotated[Text, option("--name", None, "Name the link, such as by its purpose.")] = None,
     until: options.Until = None,
     days: Annotated[
-        int | None, option("--days", "N", f"Let it end in N days. Default: {_DEFAULT_DAYS}.", min=1, max=3650)
+        int | None, option("--days", "N", f"Let it expire in N days. Default: {_DEFAULT_DAYS}.", min=1, max=3650)
     ] = None,
 ) -> Output:
     """Create a link and print its address, which is shown only once. Everybody who has it can read what it shows."""

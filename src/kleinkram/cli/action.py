@@ -225,7 +225,7 @@ def archive(
     client: Client,
     action: ActionArgument,
     project: options.ProjectOption = None,
-    undo: Annotated[bool, flag("--undo", "List it again.")] = False,
+    undo: Annotated[bool, flag("--undo", "Restore it to lists.")] = False,
     etag: options.IfMatch = None,
 ) -> Output:
     """Remove an action from lists, so that nobody runs it again. Its versions and runs stay."""

@@ -46,7 +46,7 @@ def up(
     ] = None,
     tls_key: Annotated[Path | None, option("--tls-key", "F", "Use this private key (PEM).")] = None,
     runner: Annotated[bool, flag("--runner/--no-runner", "Run actions on this machine, too.")] = True,
-    as_json: Annotated[bool, flag("--json", "Print its addresses as one line of JSON once it serves.")] = False,
+    as_json: Annotated[bool, flag("--json", "Print its addresses as one line of JSON when it is ready.")] = False,
 ) -> None:
     """Run Kleinkram on this machine: PostgreSQL, S3, API, worker and runner. Ctrl-C or `klein down` ends it."""
     from kleinkram.standalone.__main__ import arguments
@@ -92,7 +92,7 @@ def down(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
 
 
 def doctor(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
-    """Show what is wrong with the Kleinkram on this machine, and how to fix it. Exit code 1 if anything is."""
+    """Check the Kleinkram on this machine, and show how to fix problems. The exit code is 1 if there are any."""
     from kleinkram import checks
     from kleinkram.standalone.doctor import examine
 
@@ -150,7 +150,7 @@ def create(
     connections: Connections = _CONNECTIONS,
     as_json: AsJson = False,
 ) -> None:
-    """Back up database and files while the server runs. Only new files are copied; the same command resumes.
+    """Back up database and files while the server runs. Only new files are copied; running it again resumes.
 
     The exit code is 9 if the backup was made, but some files were lost or corrupt in the store already; it lists them.
     """
@@ -200,7 +200,7 @@ def restore(
     connections: Connections = _CONNECTIONS,
     as_json: AsJson = False,
 ) -> None:
-    """Restore a backup (the latest) to a new folder, or to an empty database and bucket. The same command resumes.
+    """Restore a backup (the latest) to a new folder, or to an empty database and bucket. Running it again resumes.
 
     The exit code is 9 if it was restored, but some files are lost or corrupt; it lists them.
     """

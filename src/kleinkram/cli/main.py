@@ -18,7 +18,7 @@ from kleinkram.cli.commands import Group, Noun, closest, print_requests, take_fl
 COMMANDS: dict[str, tuple[str, str, str]] = {
     "up": ("instance", "up", "Run Kleinkram on this machine."),
     "down": ("instance", "down", "Stop the Kleinkram that runs on this machine."),
-    "doctor": ("instance", "doctor", "Show what is wrong, and how to fix it."),
+    "doctor": ("instance", "doctor", "Check the Kleinkram on this machine, and show how to fix problems."),
     "backup": ("instance", "app", "Create, list, verify and prune backups of a whole instance."),
     "restore": ("instance", "restore", "Restore a backup to an empty instance."),
     "login": ("login", "login", "Sign in to a server."),

@@ -119,7 +119,7 @@ def update(
     new_name: Annotated[Text, option("--name", None, "Set the name.")] = None,
     metadata: MetadataOption = None,
     replace: Annotated[
-        bool, flag("--replace", "Replace all metadata by --metadata: fields that it lacks are removed.")
+        bool, flag("--replace", "Replace all metadata with --metadata: fields that it does not contain are removed.")
     ] = False,
     notes: NotesOption = None,
     etag: options.IfMatch = None,

@@ -44,7 +44,7 @@ def show_person(client: Client, who: PersonArgument) -> Output:
 def make_admin(
     client: Client,
     who: PersonArgument,
-    end: Annotated[bool, flag("--end", "Take the admin role away.")] = False,
+    end: Annotated[bool, flag("--end", "Revoke the admin role.")] = False,
     yes: options.Yes = False,
 ) -> Output:
     """Make a person an admin, who can see and do everything."""
@@ -231,7 +231,7 @@ def _group_details(group: GroupRead) -> list[tuple[str, object]]:
 
 access_app = Noun("Manage the rights on a project or a mission.")
 GranteeOption = Annotated[
-    str, option("--to", "WHO", "Name the address, or the person or group by name or id.", show_default=False)
+    str, option("--to", "WHO", "The e-mail address, or the name or id of the person or group.", show_default=False)
 ]
 
 
@@ -242,7 +242,7 @@ def list_access(
     mission: options.MissionOption = None,
     grants: Annotated[bool, flag("--grants", "List what was granted here, including what has expired.")] = False,
 ) -> Output:
-    """List who has which right here now, and through what. Without WRITE here, you see only your own rights."""
+    """List who has which right on a project or mission now, and its source. Without WRITE, you see only your own."""
     place = _place(client, project, mission)
     if grants:
         return as_table(client.access.grants(place), ["right", "to", "by", "until"], _grant_cells)

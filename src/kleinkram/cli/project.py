@@ -75,14 +75,14 @@ def update(
     licence: Annotated[
         Text, option("--licence", None, "Set the licence, an SPDX identifier such as CC-BY-4.0.")
     ] = None,
-    citation: Annotated[Text, option("--citation", None, "Set how to cite it.")] = None,
+    citation: Annotated[Text, option("--citation", None, "Set the citation.")] = None,
     quota_bytes: Annotated[Text, option("--quota-bytes", "SIZE", "Limit its size, such as to 2TB; or none.")] = None,
     quota_files: Annotated[Text, option("--quota-files", "N", "Limit its number of files; or none.")] = None,
     etag: options.IfMatch = None,
 ) -> Output:
     """Change a project. Missions whose metadata does not satisfy new fields are counted, not changed.
 
-    Only those with DELETE on a project can publish it. Only admins can set quotas.
+    Publishing a project requires DELETE on it. Only admins can set quotas.
     """
     values = {
         "name": new_name,

@@ -64,7 +64,7 @@ def inspect(
 ) -> Output:
     """Show the topics, types, counts, times, rates and gaps of local recordings. Needs no server.
 
-    The exit code is 0 also for a broken file, 8 if a file or folder cannot be read, and 2 if a path does not exist.
+    The exit code is 0 even for a broken file, 8 if a file or folder cannot be read, and 2 if a path does not exist.
     """
     try:
         with watching(deep) as watch:
@@ -153,7 +153,7 @@ def sample(
     size_: Annotated[str, option("--size", "SIZE", "Set the size of all files together.")] = "50MB",
     seed: Annotated[int, option("--seed", None, "Set the seed. The same seed gives the same bytes.")] = 1,
     formats: Annotated[Many, option("--format", None, "Create mcap, bag or db3 files; repeatable.")] = None,
-    drop_topic: Annotated[Text, option("--drop-topic", None, "Leave out this topic.")] = None,
+    drop_topic: Annotated[Text, option("--drop-topic", None, "Omit this topic.")] = None,
     truncate: Annotated[
         float | None, option("--truncate", None, "Truncate each file to this fraction of it.", min=0.01, max=0.99)
     ] = None,

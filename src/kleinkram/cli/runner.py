@@ -34,7 +34,7 @@ def start(
         Path | None,
         option("--token-file", "F", "Read its token from a file with mode 0600. Default: KLEINKRAM_RUNNER_TOKEN."),
     ] = None,
-    label: Annotated[Many, option("--label", "L", "Add a label that actions can ask for; repeatable.")] = None,
+    label: Annotated[Many, option("--label", "L", "Add a label that actions can require; repeatable.")] = None,
     cores: Annotated[float | None, option("--cores", "N", "Limit the cores for runs. Default: all.", min=0.1)] = None,
     memory: Annotated[Text, option("--memory", "SIZE", "Limit the memory for runs. Default: 80 %.")] = None,
     disk: Annotated[Text, option("--disk", "SIZE", "Limit the disk for runs. Default: half of the free space.")] = None,

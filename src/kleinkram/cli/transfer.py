@@ -66,7 +66,7 @@ def upload(
     connections: options.Connections = transfer.CONNECTIONS,
     dry_run: options.DryRun = False,
 ) -> Output:
-    """Upload files and folders to a mission. The same command again resumes, and sends only what is missing.
+    """Upload files and folders to a mission. Running the same command again resumes, and sends only what is missing.
 
     A folder keeps its tree: `day1` uploads day1/cam.mcap; `day1/` (or `.`) uploads its contents, cam.mcap.
     """
@@ -184,7 +184,7 @@ def download(
     connections: options.Connections = transfer.CONNECTIONS,
     dry_run: options.DryRun = False,
 ) -> Output:
-    """Download files. Each is verified before it gets its name. The same command again resumes."""
+    """Download files, and verify each before it gets its final name. Running the same command again resumes."""
     bytes_per_s = parse_rate(limit_rate)
     links = [value for value in filters or [] if is_link(value)]
     refs = [value for value in filters or [] if not is_link(value)]

@@ -39,26 +39,24 @@ class JobAmount(Response):
     oldest_at: datetime.datetime | None
 
 
-class FailedJob(Response):
+class _JobRead(Response):
+    id: int
+    kind: str
+    ref: str | None
+    attempts: int
+    error: str | None
+
+
+class FailedJob(_JobRead):
     """A job that failed for the last time. `ref` is the id of its object; the worker's log has more than `error`."""
 
-    id: int
-    kind: str
-    ref: str | None
-    attempts: int
     failed_at: datetime.datetime | None
-    error: str | None
 
 
-class RetryingJob(Response):
+class RetryingJob(_JobRead):
     """A job that failed and waits for another attempt. `error` is of the last one."""
 
-    id: int
-    kind: str
-    ref: str | None
-    attempts: int
     next_attempt_at: datetime.datetime | None
-    error: str | None
 
 
 class AdminJobs(Response):

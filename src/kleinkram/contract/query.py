@@ -13,23 +13,13 @@ from fractions import Fraction
 
 from pydantic import ValidationError
 
+from kleinkram.contract import units
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import BlobState, ContentState, FileFilter
 from kleinkram.contract.metadata import WHERE_EXPRESSION
 from kleinkram.contract.names import is_id
 from kleinkram.contract.problems import first_message
 from kleinkram.contract.search import FileQuery
-from kleinkram.contract.units import (
-    DURATIONS,
-    SIZES,
-    bounds,
-    format_bound,
-    format_time,
-    read_duration,
-    read_month,
-    read_size,
-    read_time,
-)
 
 _KEY = re.compile(r"(?P<key>[A-Za-z][A-Za-z0-9_.]*)(?P<operator><=|>=|!=|[:=<>~])")
 _PHRASE = re.compile(r'"(?P<inner>(?:[^"\\]|\\.)*)"(?=\s|$)|\S+', re.DOTALL)
@@ -84,17 +74,17 @@ def phrases(text: str) -> list[str]:
     return [word for word in words if word]
 
 
-def joined(words: list[str]) -> str:
+def _join_phrases(words: list[str]) -> str:
     """Return the `text` of a filter from which `phrases` reads these words."""
-    return " ".join(word if _is_plain(word) else quoted(word) for word in words)
+    return " ".join(word if _is_plain(word) else _quote(word) for word in words)
 
 
-def quoted(value: str) -> str:
+def _quote(value: str) -> str:
     """Return a value in quotes."""
     return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def escaped(value: str, *, after: str) -> str:
+def _escape(value: str, *, after: str) -> str:
     """Return a value to write after an operator, without quotes, which would make it text."""
     safe = "".join(f"\\{character}" if character.isspace() or character == "\\" else character for character in value)
     reads_otherwise = safe.startswith('"') or (safe.startswith("=") and after in {"<", ">"})
@@ -103,13 +93,13 @@ def escaped(value: str, *, after: str) -> str:
 
 def as_value(value: str) -> str:
     """Return a value to write after a key, in quotes if necessary."""
-    return value if _is_plain(value) else quoted(value)
+    return value if _is_plain(value) else _quote(value)
 
 
-def as_word(word: str) -> str:
+def _as_word(word: str) -> str:
     """Return a search word for a query, in quotes if it would mean something else without."""
     reads_otherwise = _KEY.match(word) is not None or (word.startswith("-") and word != "-")
-    return quoted(word) if reads_otherwise else as_value(word)
+    return _quote(word) if reads_otherwise else as_value(word)
 
 
 def _is_plain(value: str) -> bool:
@@ -190,7 +180,7 @@ _KEYS = (
     QueryKey("content", "content", "content:broken", is_list=True, check=_enum_check(ContentState)),
     QueryKey("problem", "problem", "problem:long-gap", is_list=True),
     QueryKey("state", "state", "state:verified", is_list=True, check=_enum_check(BlobState)),
-    QueryKey("month", "month", "month:2026-05", is_list=True, check=read_month),
+    QueryKey("month", "month", "month:2026-05", is_list=True, check=units.read_month),
     QueryKey("size", "size_bytes", "size>1GB", _COMPARED),
     QueryKey("duration", "duration_ns", "duration>10m", _COMPARED),
     QueryKey("after", "recorded_after", "after:2026-05-01"),
@@ -214,7 +204,7 @@ def _unknown_key(key: str) -> str:
 _NAMES = [*KEYS]
 # Metadata comes between the keys of recordings and those of files.
 _PARTS = ("text", *_NAMES[: _NAMES.index("label")], META, *_NAMES[_NAMES.index("label") :], "without")
-_UNITS: Mapping[str, Mapping[str, int]] = {"size": SIZES, "duration": DURATIONS}
+_UNITS: Mapping[str, Mapping[str, int]] = {"size": units.SIZES, "duration": units.DURATIONS}
 
 
 def render(matching: FileFilter) -> str:
@@ -244,7 +234,7 @@ def terms_of(part: str, matching: FileFilter) -> list[str]:
     Raises InvalidQuery.
     """
     if part == "text":
-        return [as_word(word) for word in phrases(matching.text or "")]
+        return [_as_word(word) for word in phrases(matching.text or "")]
     if part == META:
         return [_render_where(expression) for expression in matching.where]
     if part == "without":
@@ -262,31 +252,31 @@ def _render_where(expression: str) -> str:
     if operator == "~":
         written = as_value(value)
     elif is_text or (operator == "=" and is_glob(value)):
-        written = quoted(value[1:-1] if is_text else value)
+        written = _quote(value[1:-1] if is_text else value)
     else:
-        written = escaped(value, after=operator)
+        written = _escape(value, after=operator)
     return f"{META}{match['field']}{':' if operator == '=' else operator}{written}"
 
 
 def _terms_of(key: QueryKey, matching: FileFilter) -> Iterator[str]:
-    if units := _UNITS.get(key.name):
+    if unit_sizes := _UNITS.get(key.name):
         minimum, maximum = (getattr(matching, f"{end}_{key.field}") for end in ("min", "max"))
         bounds_by_operator = (
             {":": minimum} if minimum is not None and minimum == maximum else {">=": minimum, "<=": maximum}
         )
         for operator, bound in bounds_by_operator.items():
             if bound is not None:
-                yield f"{key.name}{format_bound(operator, bound, units)}"
+                yield f"{key.name}{units.format_bound(operator, bound, unit_sizes)}"
         return
     for field in dict.fromkeys((key.id_field or key.field, key.field, key.several_field or key.field)):
         value = getattr(matching, field)
         if key.name in {"after", "before"} and value is not None:
-            value = format_time(value)
+            value = units.format_time(value)
         for item in value if isinstance(value, list) else [] if value is None else [value]:
             yield f"{key.name}:{as_value(str(getattr(item, 'value', item)))}"
 
 
-_AMOUNTS: dict[str, Callable[[str], Fraction]] = {"size": read_size, "duration": read_duration}
+_AMOUNTS: dict[str, Callable[[str], Fraction]] = {"size": units.read_size, "duration": units.read_duration}
 _TIGHTEST: dict[str, Callable[[datetime.datetime, datetime.datetime], datetime.datetime]] = {
     "after": max,
     "before": min,
@@ -348,7 +338,7 @@ class _QueryReader:
                 values |= fields
                 self._words_by_field |= dict.fromkeys(fields, self._words_by_field[str(key.several_field)])
         if self._words:
-            values["text"] = joined(self._words)
+            values["text"] = _join_phrases(self._words)
         try:
             return FileFilter.model_validate(values)
         except ValidationError as error:
@@ -362,13 +352,13 @@ class _QueryReader:
             raise word.error(f"it has no value; write it like {key.example}")
         try:
             if key.name in _AMOUNTS:
-                minimum, maximum = bounds(word.operator, _AMOUNTS[key.name](word.value))
+                minimum, maximum = units.bounds(word.operator, _AMOUNTS[key.name](word.value))
                 for field, number, tighter in ((f"min_{key.field}", minimum, max), (f"max_{key.field}", maximum, min)):
                     if number is not None:
                         self._numbers[field] = tighter(self._numbers.get(field, number), number)
                         self._words_by_field.setdefault(field, word)
             elif key.name in _TIGHTEST:
-                at = read_time(word.value)
+                at = units.read_time(word.value)
                 self._times[key.field] = _TIGHTEST[key.name](self._times.get(key.field, at), at)
             elif key.is_list:
                 self._add_value(key.field, key.check(word.value), word)

@@ -64,7 +64,7 @@ def build_summary(
         topics.append(topic)
         warnings += _problems_of_topic(topic, types[name], times)
     jumps = {name: times.jump for name, times in timeline.topics.items() if times.jump is not None}
-    warnings += clock_jump_problems(jumps)
+    warnings += _clock_jump_problems(jumps)
     # A clock jump leaves a gap in the log times that is not one of the messages.
     longest_ns = min(((jump.before_ns - jump.after_ns) // 2 for jump in jumps.values()), default=None)
     span_ns = cluster.last_ns - cluster.first_ns if cluster else None
@@ -117,7 +117,7 @@ def pending(kind: RecordingFormat, size_bytes: int, why: str, problems: Sequence
     return RecordingSummary(kind, Content.pending, reason, problems=bounded(problems))
 
 
-def clock_jump_problems(jumps: Mapping[str, Jump]) -> list[Problem]:
+def _clock_jump_problems(jumps: Mapping[str, Jump]) -> list[Problem]:
     """Report where the clock was set back, by the topic with the largest jump."""
     if not jumps:
         return []

@@ -21,6 +21,7 @@ MAX_BUFFERED_BYTES = 48 * 2**20  # bytes of messages that may wait for their tim
 OVERHEAD_BYTES = 250  # what a message costs beside its data
 
 _log_time = attrgetter("log_time_ns")
+_data = attrgetter("data")
 
 
 class MessageRun:
@@ -55,7 +56,7 @@ class MessageRun:
             self._more = None
         else:
             self._messages = self._messages + block
-            self.buffered_bytes += memory_bytes_of(block)
+            self.buffered_bytes += sum(map(len, map(_data, block))) + OVERHEAD_BYTES * len(block)
 
     def take(self, before_ns: int) -> Block:
         """Return and drop the messages before a time."""
@@ -179,8 +180,3 @@ def _shares(left: int, share_bytes: int, read_again: Callable[[], Block]) -> Ite
         left = len(messages) - stop
         del messages
         yield block
-
-
-def memory_bytes_of(messages: Block) -> int:
-    """Return about how much memory messages take."""
-    return sum(map(len, map(attrgetter("data"), messages))) + OVERHEAD_BYTES * len(messages)

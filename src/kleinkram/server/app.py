@@ -14,9 +14,9 @@ from kleinkram.server.admin.routes import router as admin
 from kleinkram.server.audit.requests import AdminReads, Refusals
 from kleinkram.server.audit.routes import router as audit
 from kleinkram.server.auth.bootstrap import let_owner_in, log_bootstrap_code
+from kleinkram.server.auth.dependencies import open_providers
 from kleinkram.server.auth.local_accounts import PasswordHasher
 from kleinkram.server.auth.pages import router as sign_in_pages
-from kleinkram.server.auth.provider_accounts import open_providers
 from kleinkram.server.auth.routes import me_router, people_router
 from kleinkram.server.auth.routes import router as auth
 from kleinkram.server.db import open_database

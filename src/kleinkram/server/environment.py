@@ -72,10 +72,7 @@ def load_settings() -> Settings:
 
 
 def secret_from_file(variable: str) -> str | None:
-    """Return the stripped content of the file in `<variable>_FILE`; None if it is not set.
-
-    Raises SettingsInvalid.
-    """
+    """Return the stripped content of the file in `<variable>_FILE`; None if it is not set. Raises SettingsInvalid."""
     # Ignoring case, like pydantic-settings.
     environment = {name.upper(): value for name, value in os.environ.items()}
     path = environment.get(variable + _FILE)

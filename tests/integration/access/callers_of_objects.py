@@ -10,7 +10,7 @@ from tests.integration.access.world import Principal, trash
 
 
 def _outcome(answer: Any) -> int:
-    """Read an upload's own status: gone for whoever may not see it; nothing was sent, for whoever may."""
+    """Read the status of an upload: missing for callers who may not see it; nothing was sent, for the others."""
     status: int = answer["items"][0]["problem"]["status"]
     return 200 if status == 409 else status
 

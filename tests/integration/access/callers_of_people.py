@@ -225,7 +225,7 @@ OF_PEOPLE: dict[str, tuple[Caller, ...]] = {
     "renew_recovery_codes": (Caller(post("/me/totp/recovery-codes"), About.server, passes="not_found"),),
     "disable_totp": (Caller(delete("/me/totp"), About.server, passes="not_found"),),
 }
-# For whoever comes, with nothing to see but what they bring: tests/integration/auth say what they answer.
+# Public endpoints without an object; tests/integration/auth tests their responses.
 PUBLIC_OPERATIONS = {
     "list_sign_in_methods",
     "sign_in_by_password",

@@ -35,14 +35,14 @@ class Reach(enum.Enum):
 
 @dataclass(frozen=True)
 class Carrier:
-    """One kind of credential. `holds`: whether what is granted is its carrier's; `power`: an admin's, used as one."""
+    """One kind of credential. `holds`: whether its carrier has the grants; `is_admin`: whether it has admin rights."""
 
     name: str
     kind: Kind = Kind.person
     scopes: frozenset[Scope] = EVERY
     reach: Reach = Reach.everything
     holds: bool = True
-    power: bool = False
+    is_admin: bool = False
     is_robot: bool = False
     is_browser: bool = False
 
@@ -75,11 +75,11 @@ PLACED = (
     Carrier("revoked token", Kind.nobody),
     Carrier("expired token", Kind.nobody),
     Carrier("deactivated person", Kind.nobody),
-    Carrier("admin", power=True),
+    Carrier("admin", is_admin=True),
     Carrier("admin whose membership of the admins expired"),
     Carrier("admin's token without the scope admin", scopes=frozenset({READ, UPLOAD, WRITE, RUN})),
-    Carrier("admin's token limited to the project", reach=Reach.project, power=True),
-    Carrier("admin's token limited to another project", reach=Reach.elsewhere, power=True),
+    Carrier("admin's token limited to the project", reach=Reach.project, is_admin=True),
+    Carrier("admin's token limited to another project", reach=Reach.elsewhere, is_admin=True),
 )
 # These hold no grants: they come once for what is private and once for what is public.
 UNPLACED = (

@@ -88,7 +88,7 @@ def admitted(need: Permission, carrier: Carrier, *, is_change: bool) -> Verdict:
         return Verdict.refused
     if need.unrestricted and carrier.is_limited:
         return Verdict.refused
-    if need.on is ResourceKind.server and (not carrier.power or carrier.is_limited):
+    if need.on is ResourceKind.server and (not carrier.is_admin or carrier.is_limited):
         return Verdict.refused
     return Verdict.done
 
@@ -101,7 +101,7 @@ def level(carrier: Carrier, place: Place, about: About) -> int:
         return _READ if carrier.reach in _SHOWN.get(about, ()) else 0
     if carrier.reach not in (_REACHING_A_PROJECT if about is About.project else _REACHING_A_MISSION):
         return 0
-    if carrier.power:
+    if carrier.is_admin:
         return _OWNER
     granted = place.project if about is About.project else max(place.project, place.mission)
     is_theirs = carrier.kind in {Kind.person, Kind.lured} and carrier.holds
@@ -113,7 +113,7 @@ def _among_people(carrier: Carrier, about: About) -> int:
         return _READ if carrier.kind is Kind.link else 0
     if about is About.owner or carrier.is_limited:
         return 0
-    return _OWNER if carrier.power else _OF_MEMBERS.get(about, 0)
+    return _OWNER if carrier.is_admin else _OF_MEMBERS.get(about, 0)
 
 
 def needed(need: Permission) -> int:

@@ -38,7 +38,7 @@ def test_no_credential_is_created_for_a_person_who_is_being_removed(api: Api) ->
     hers, shared = api.as_(ada.token), {"name": "kept", "expires_at": _soon()}
     requested = [("/tokens", {"name": "kept"}), (f"/missions/{mission_id}/shares", shared)]
     with ThreadPoolExecutor() as at_once, api.database.transaction():
-        # As where an admin deactivates her: her row is held, and what asks meanwhile was let in before.
+        # As during a deactivation: her row is locked, and the concurrent request has authenticated before.
         api.sql("SELECT 1 FROM person WHERE id = %s FOR UPDATE", ada.id)
         answers = [at_once.submit(hers.post, path, body) for path, body in requested]
         wait_until(lambda: _waiting(api) == len(requested))

@@ -33,7 +33,7 @@ _MODES = (GenerationMode("positive"), GenerationMode("negative"))
 _SOME = 30
 _SAMPLE_SIZE, _MANY, _VERY_MANY = 3, 10, 60
 
-# Answered by what reads HTTP, before there is a request: longer or stranger than that bears.
+# Refused by the HTTP parser, before there is a request: too long or malformed.
 _NOT_HTTP = "Invalid HTTP request received."
 _HEAD_TOO_LARGE, _MOST_HEAD_BYTES = 431, 64 * 1024
 
@@ -89,7 +89,7 @@ def _ask(requested: ProxiedRequest, case: Case[Any], who: str, *, is_known: bool
             {name: requested.known[name] for name in case.path_parameters if name in requested.known}
         )
     if case.operation.path == "/api/v1/events":
-        case.query["for_s"] = "0"  # what else it says is for whoever listens for longer
+        case.query["for_s"] = "0"  # end the stream after the first events
     response = case.call(base_url=requested.api.url, headers=dict(requested.principals[who]))
     if response.text == _NOT_HTTP:
         return

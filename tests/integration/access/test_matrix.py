@@ -122,9 +122,9 @@ def test_operation_in_full(
 
 
 def test_every_operation_is_called() -> None:
-    """Whoever adds an operation says here how it is called, or the matrix would say nothing of it.
+    """Every operation has a caller, so that the matrix covers it.
 
-    That every route has its row in the table of operations, the app sees to itself.
+    The app itself checks that every route has a row in the table of operations.
     """
     called = CALLERS.keys() | PUBLIC_OPERATIONS
     how = "add to tests/integration/access/callers_of_objects.py, or callers_of_people.py, how to call:"
@@ -132,6 +132,4 @@ def test_every_operation_is_called() -> None:
     assert sorted(called - OPERATIONS.keys()) == [], "these are no operations any more; drop their callers:"
     assert sorted(CALLERS.keys() & PUBLIC_OPERATIONS) == []
     ports = {name for name, need in OPERATIONS.items() if need.guests and need.on is ResourceKind.none}
-    assert ports == PUBLIC_OPERATIONS, (
-        "whatever is for whoever comes, and about nothing that is there, is a door, and only that"
-    )
+    assert ports == PUBLIC_OPERATIONS, "operations for guests without an object are exactly the public endpoints"

@@ -116,7 +116,7 @@ def test_creating_a_group_reveals_neither_addresses_nor_people(api: Api, ada: Pe
     assert [row["emails"] for row in members if row["person"]["id"] == bob.id] == [[]]
     assert hers.all("/people", {"text": address}) == []
     assert {row["id"] for row in hers.all("/people")} == people_before
-    # Put there by somebody else, as whoever runs the group's list does, he shows with his address.
+    # If another person adds him, his address is visible to the editor.
     hers.delete(f"/groups/{made}/members/{bob.id}").ok(204)
     assert api.call("PUT", f"/groups/{made}/members/{bob.id}", {}).ok()["emails"] == [address]
     assert hers.get(f"/people/{bob.id}").ok()["emails"] == [address]

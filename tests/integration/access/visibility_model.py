@@ -57,7 +57,7 @@ class Project:
 
 @dataclass
 class Eye:
-    """A credential, and what is true of it: `levels` by id of project or mission, `reach` likewise, None for all."""
+    """A credential: its `levels` by id of project or mission, and the ids in its `reach`; None for all."""
 
     name: str
     secret: str | None
@@ -146,7 +146,7 @@ def build(api: Api, seed: int) -> Lab:
     limit = {projects[0].id}
     bounded = people.token(api, people.person(api, admin=True), limits=sorted(limit))
     eyes.append(Eye("admin, limited", bounded.secret, is_admin=True, reach=limit))
-    # A link to what is in the trash rests: it is no credential meanwhile.
+    # A share of a mission in the trash is suspended: it is no valid credential.
     for mission in rng.sample([item for item in missions if not item.is_gone and not item.project.is_gone], 3):
         some = {file.id for file in rng.sample(mission.files, 2)}
         for chosen in (None, some):

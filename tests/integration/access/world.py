@@ -127,7 +127,7 @@ def put_things(api: Api, *, is_public: bool) -> Things:
         hermit_name=hermit.name,
     )
     api.sql("UPDATE project SET is_public = %s WHERE id = ANY(%s::uuid[])", is_public, [project["id"], trashed_project])
-    # Not so lately that whoever brought them might still delete them for that.
+    # Old enough that the uploader may no longer delete them as recent uploads.
     api.sql("UPDATE file SET created_at = now() - interval '2 hours' WHERE mission_id = %s", mission["id"])
     for table, gone in (("mission", trashed_mission), ("file", trashed), ("project", trashed_project)):
         trash(api, table, gone)

@@ -15,7 +15,7 @@ from tests.integration.sample import Sample
 
 @pytest.fixture
 def admin(api: Api) -> Person:
-    """Somebody with the power of an admin and no right of their own."""
+    """An admin without rights of their own."""
     return people.person(api, admin=True)
 
 

@@ -15,7 +15,7 @@ from tests.integration.sample import Sample
 
 @pytest.fixture(scope="module")
 def own(start_api: StartApi) -> Api:
-    """An API by itself: what there is decides what a list shows by power alone."""
+    """An API of its own: its objects decide what lists show by admin rights alone."""
     return start_api()
 
 

@@ -24,7 +24,7 @@ _LISTS: tuple[tuple[str, dict[str, str]], ...] = (
     ("/search/facets", {}),
 )
 _KEEP = """
-INSERT INTO mission_topic (mission_id, name, message_type, file_count, recording_count, places)
+INSERT INTO mission_topic (mission_id, name, message_type, file_count, recording_count, recording_ranges)
 VALUES (%s, '/imu', 'Imu', 1, 0, '{}')
 """
 

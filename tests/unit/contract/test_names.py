@@ -17,9 +17,9 @@ _UUID = "0f0e0d0c-0b0a-4090-8070-605040302010"
         ("right\u202eleft", "U\\+202E"),
         ("x" * 300, "300 characters"),
         ("..", "folder reference"),
-        ("a/b", "holds /"),
-        ("day*", "holds \\*"),
-        (_UUID, "shaped like an id"),
+        ("a/b", "contains /"),
+        ("day*", "contains \\*"),
+        (_UUID, "has the form of an id"),
     ],
 )
 def test_invalid_names_are_refused_with_a_reason(name: str, why: str) -> None:

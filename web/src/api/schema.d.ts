@@ -745,7 +745,7 @@ export interface paths {
         head?: never;
         /**
          * Update File
-         * @description Rename, move or label a file; what is left out stays.
+         * @description Rename, move or label a file; omitted fields do not change.
          */
         patch: operations["update_file"];
         trace?: never;
@@ -821,7 +821,7 @@ export interface paths {
         put?: never;
         /**
          * Download Files
-         * @description Return where to read the bytes of files; who asked is noted, and for what.
+         * @description Return URLs from which to read the content of files; the audit log records who requests them, and why.
          */
         post: operations["download_files"];
         delete?: never;
@@ -841,7 +841,7 @@ export interface paths {
         put?: never;
         /**
          * Label Files
-         * @description Put labels on many files and take labels off them; says for each file how it went.
+         * @description Add labels to many files and remove labels from them; the response has the outcome for each file.
          */
         post: operations["label_files"];
         delete?: never;
@@ -1237,7 +1237,7 @@ export interface paths {
         head?: never;
         /**
          * Update Mission
-         * @description Rename, move, complete or describe a mission; what is left out stays.
+         * @description Rename, move, complete or describe a mission; omitted fields do not change.
          */
         patch: operations["update_mission"];
         trace?: never;
@@ -1731,7 +1731,7 @@ export interface paths {
         put?: never;
         /**
          * Create Mission
-         * @description Make a mission; its metadata must satisfy the project's fields.
+         * @description Create a mission; its metadata must satisfy the project's fields.
          */
         post: operations["create_mission"];
         delete?: never;
@@ -2177,7 +2177,7 @@ export interface paths {
         };
         /**
          * Search
-         * @description Return what a query finds: the first missions, files and topics, with how many there are of each.
+         * @description Return the first missions, files and topics that a query finds, and the number of each.
          */
         get: operations["search"];
         put?: never;
@@ -2197,7 +2197,7 @@ export interface paths {
         };
         /**
          * Get Facets
-         * @description Return how the files that a query finds divide, and the text of the query with each value chosen.
+         * @description Return the facets of the files that a query finds, and the query with each value selected.
          */
         get: operations["get_facets"];
         put?: never;

@@ -146,13 +146,13 @@ async def find_actor(db: Connection, secret: str) -> Actor | None:
 
 async def find_signed_in(db: Connection, secret: str, *, idle_s: float) -> Actor | None:
     """Return the actor of a session; None if it is unknown, expired, revoked or idle, or its person is deactivated."""
-    known = (session.c.secret_sha256 == secret_hash(secret)) & session.c.revoked_at.is_(None)
-    age = _age_s(session.c.authenticated_at).label("sign_in_age_s")
-    stmt = _people(session.c.id.label("session_id"), age, _is_use_outdated(session.c.last_used_at)).join_from(
+    is_known = (session.c.secret_sha256 == secret_hash(secret)) & session.c.revoked_at.is_(None)
+    age_s_column = _age_s(session.c.authenticated_at).label("sign_in_age_s")
+    stmt = _people(session.c.id.label("session_id"), age_s_column, _is_use_outdated(session.c.last_used_at)).join_from(
         session, person
     )
     in_use = session.c.last_used_at > func.now() - datetime.timedelta(seconds=idle_s)
-    row = (await db.execute(stmt.where(known, in_use, session.c.expires_at > func.now()))).one_or_none()
+    row = (await db.execute(stmt.where(is_known, in_use, session.c.expires_at > func.now()))).one_or_none()
     if row is None:
         return None
     if row.is_use_outdated:
@@ -215,16 +215,16 @@ def _age_s(at: ColumnElement[Any]) -> ColumnElement[Any]:
 @cache
 def _by_share() -> Select[Any]:
     files = select(share_file.c.file_id).where(share_file.c.share_id == share.c.id).correlate(share)
-    chosen = func.array(files.scalar_subquery()).label("file_ids")
+    file_ids = func.array(files.scalar_subquery()).label("file_ids")
     usable = share.c.revoked_at.is_(None) & (share.c.expires_at > func.now())
     # It ends when its creator is deactivated, and is suspended while its mission is in the trash.
-    stands = mission.c.deleted_at.is_(None) & project.c.deleted_at.is_(None) & person.c.deactivated_at.is_(None)
+    is_active = mission.c.deleted_at.is_(None) & project.c.deleted_at.is_(None) & person.c.deactivated_at.is_(None)
     return (
-        select(share, chosen, _is_use_outdated(share.c.last_used_at))
+        select(share, file_ids, _is_use_outdated(share.c.last_used_at))
         .join_from(share, mission, mission.c.id == share.c.mission_id)
         .join(project, project.c.id == mission.c.project_id)
         .join(person, person.c.id == share.c.created_by_id)
-        .where(share.c.secret_sha256 == bindparam("hashed"), usable, stands)
+        .where(share.c.secret_sha256 == bindparam("hashed"), usable, is_active)
     )
 
 

@@ -23,13 +23,13 @@ async def join_email_groups(db: Connection, person_id: uuid.UUID, email: str) ->
 async def email_group(db: Connection, email: str) -> uuid.UUID:
     """Return the group of an address, created if necessary; the person who verified the address is in it."""
     key = email_key(email)
-    made = {"id": uuid.uuid4(), "kind": GroupKind.email.value, "name": key, "name_key": key}
+    new_group = {"id": uuid.uuid4(), "kind": GroupKind.email.value, "name": key, "name_key": key}
     # Waits for a concurrent creation, so that neither the grant nor the member is missed.
-    await db.execute(upsert(access_group).values(made).on_conflict_do_nothing())
-    same = (access_group.c.kind == GroupKind.email.value) & (access_group.c.name_key == key)
-    group_id: uuid.UUID = (await db.execute(select(access_group.c.id).where(same))).scalar_one()
-    verified = (person_email.c.email_key == key) & person_email.c.verified_at.is_not(None)
-    person_id = (await db.execute(select(person_email.c.person_id).where(verified))).scalar_one_or_none()
+    await db.execute(upsert(access_group).values(new_group).on_conflict_do_nothing())
+    is_of_address = (access_group.c.kind == GroupKind.email.value) & (access_group.c.name_key == key)
+    group_id: uuid.UUID = (await db.execute(select(access_group.c.id).where(is_of_address))).scalar_one()
+    is_verified = (person_email.c.email_key == key) & person_email.c.verified_at.is_not(None)
+    person_id = (await db.execute(select(person_email.c.person_id).where(is_verified))).scalar_one_or_none()
     if person_id is not None:
         await _join(db, group_id, person_id)
     return group_id
@@ -48,15 +48,15 @@ OWNER_TOKEN_NAME = "local owner"  # noqa: S105  the token's label, not its secre
 
 async def add_person(db: Connection, *, name: str, person_id: uuid.UUID | None = None) -> uuid.UUID:
     """Create a person with their own group, unless the id exists, and return the id."""
-    made = person_id or uuid.uuid4()
-    added = await db.execute(upsert(person).values(id=made, name=name).on_conflict_do_nothing().returning(person.c.id))
-    if added.first() is None:
-        return made
+    new_id = person_id or uuid.uuid4()
+    row = upsert(person).values(id=new_id, name=name).on_conflict_do_nothing()
+    if (await db.execute(row.returning(person.c.id))).first() is None:
+        return new_id
     group_id = uuid.uuid4()
-    own = {"id": group_id, "kind": GroupKind.person.value, "name": name, "name_key": name_key(name), "person_id": made}
-    await db.execute(insert(access_group).values(own))
-    await db.execute(insert(membership).values(group_id=group_id, person_id=made))
-    return made
+    group = {"id": group_id, "kind": GroupKind.person.value, "name": name, "name_key": name_key(name)}
+    await db.execute(insert(access_group).values(**group, person_id=new_id))
+    await db.execute(insert(membership).values(group_id=group_id, person_id=new_id))
+    return new_id
 
 
 async def own_group(db: Connection, person_id: uuid.UUID | None) -> uuid.UUID:

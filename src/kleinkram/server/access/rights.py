@@ -154,9 +154,9 @@ def _any_of(scopes: Collection[Scope]) -> str:
 
 def owned_by_groups(group_ids: Collection[uuid.UUID]) -> Select[tuple[uuid.UUID]]:
     """Return the ids of the projects that groups own without an end."""
-    lasting = (access_grant.c.level == Right.delete.level) & access_grant.c.expires_at.is_(None)
+    is_permanent_ownership = (access_grant.c.level == Right.delete.level) & access_grant.c.expires_at.is_(None)
     return select(access_grant.c.project_id).where(
-        lasting, access_grant.c.project_id.is_not(None), access_grant.c.group_id.in_(group_ids)
+        is_permanent_ownership, access_grant.c.project_id.is_not(None), access_grant.c.group_id.in_(group_ids)
     )
 
 
@@ -168,9 +168,9 @@ async def ensure_owner_remains(db: Connection, project_ids: Sequence[uuid.UUID])
 
 async def ensure_admin_remains(db: Connection) -> None:
     """Check, after admin rights were taken away, that an active person is a permanent admin. Raises LastAdmin."""
-    lasting = (membership.c.group_id == ADMINS_ID) & membership.c.expires_at.is_(None)
+    is_permanent_admin = (membership.c.group_id == ADMINS_ID) & membership.c.expires_at.is_(None)
     admins = select(person.c.id).join_from(membership, person, person.c.id == membership.c.person_id)
-    if (await db.execute(admins.where(lasting, person.c.deactivated_at.is_(None)).limit(1))).first() is None:
+    if (await db.execute(admins.where(is_permanent_admin, person.c.deactivated_at.is_(None)).limit(1))).first() is None:
         raise errors.LastAdmin
 
 
@@ -214,9 +214,9 @@ async def require_creator(db: Connection, actor: Actor, creators: Creators, *, n
     if creators == "everybody":
         return False
     if creators == "affiliated":
-        own = (membership.c.person_id == actor.person_id) & unexpired(membership.c.expires_at)
+        is_own = (membership.c.person_id == actor.person_id) & unexpired(membership.c.expires_at)
         is_member = exists().where(
-            own, access_group.c.id == membership.c.group_id, access_group.c.kind == GroupKind.affiliation.value
+            is_own, access_group.c.id == membership.c.group_id, access_group.c.kind == GroupKind.affiliation.value
         )
         is_affiliated = select(is_member | ~exists(select(affiliation_domain.c.domain)))
         if (await db.execute(is_affiliated)).scalar_one():
@@ -237,8 +237,8 @@ async def grant_first_rights(db: Connection, actor: Actor, project_id: uuid.UUID
     stmt = select(access_group.c.id, access_group.c.name, affiliation.c.default_level).join(affiliation)
     rows = (await db.execute(stmt.where(affiliation.c.default_level.is_not(None)))).all()
     if rows:
-        place = {"project_id": project_id, "granted_by_id": actor.person_id}
-        grants = [{"group_id": row.id, "level": row.default_level, "id": uuid.uuid4(), **place} for row in rows]
+        shared_values = {"project_id": project_id, "granted_by_id": actor.person_id}
+        grants = [{"group_id": row.id, "level": row.default_level, "id": uuid.uuid4(), **shared_values} for row in rows]
         await db.execute(insert(access_grant), grants)
     await ensure_owner_remains(db, [project_id])
     return {row.name: Right.of_level(row.default_level) for row in rows}

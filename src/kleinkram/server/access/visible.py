@@ -87,9 +87,9 @@ def watchable_missions(actor: Actor) -> sa.Select[Any]:
 
 def rights_hash(actor: Actor) -> sa.Select[Any]:
     """Return a hash that changes when what is granted to `actor`, or to everybody, changes."""
-    mine = (access_grant.c.group_id == sa.any_(_memberships(actor.person_id))) & unexpired(access_grant.c.expires_at)
-    place = sa.func.coalesce(access_grant.c.project_id, access_grant.c.mission_id)
-    granted = sa.select(sa.func.concat(place, " ", access_grant.c.level).label("item")).where(mine)
+    is_own = (access_grant.c.group_id == sa.any_(_memberships(actor.person_id))) & unexpired(access_grant.c.expires_at)
+    place_id = sa.func.coalesce(access_grant.c.project_id, access_grant.c.mission_id)
+    granted = sa.select(sa.func.concat(place_id, " ", access_grant.c.level).label("item")).where(is_own)
     public = sa.select(sa.func.concat(_public.c.id, " public").label("item")).where(_public.c.is_public)
     items = sa.union_all(granted, public).subquery().c.item
     return sa.select(
@@ -207,9 +207,9 @@ def visible_people(actor: Actor) -> sa.Select[Any]:
     in_my_groups = sa.select(together.c.person_id).where(
         together.c.group_id == sa.any_(_my_groups(actor)), unexpired(together.c.expires_at)
     )
-    known = person.c.id.in_(in_my_groups) | person.c.id.in_(_granted_where(actor))
+    is_known = person.c.id.in_(in_my_groups) | person.c.id.in_(_granted_where(actor))
     return sa.select(person).where(
-        sa.or_(person.c.id == actor.person_id, sa.and_(person.c.deactivated_at.is_(None), known))
+        sa.or_(person.c.id == actor.person_id, sa.and_(person.c.deactivated_at.is_(None), is_known))
     )
 
 
@@ -229,49 +229,49 @@ def may_see_addresses(actor: Actor) -> sa.ColumnElement[bool]:
     """
     if actor.limits is not None or actor.is_admin:
         return sa.literal(actor.limits is None) | (person.c.id == actor.person_id)
-    theirs = membership.alias("theirs")
-    edited = sa.select(theirs.c.person_id).where(
-        theirs.c.group_id == sa.any_(_my_groups(actor, editors_only=True)),
-        unexpired(theirs.c.expires_at),
-        theirs.c.added_by_id.is_distinct_from(actor.person_id),
+    others = membership.alias("theirs")
+    people_in_edited_groups = sa.select(others.c.person_id).where(
+        others.c.group_id == sa.any_(_my_groups(actor, editors_only=True)),
+        unexpired(others.c.expires_at),
+        others.c.added_by_id.is_distinct_from(actor.person_id),
     )
-    return sa.or_(person.c.id == actor.person_id, person.c.id.in_(edited))
+    return sa.or_(person.c.id == actor.person_id, person.c.id.in_(people_in_edited_groups))
 
 
 def _my_groups(actor: Actor, kinds: Collection[str] = _SHARED, *, editors_only: bool = False) -> sa.ColumnElement[Any]:
-    mine = (membership.c.person_id == actor.person_id) & unexpired(membership.c.expires_at)
+    is_own = (membership.c.person_id == actor.person_id) & unexpired(membership.c.expires_at)
     stmt = sa.select(membership.c.group_id).join(access_group, access_group.c.id == membership.c.group_id)
-    stmt = stmt.where(mine, access_group.c.kind.in_(kinds))
+    stmt = stmt.where(is_own, access_group.c.kind.in_(kinds))
     return sa.func.array((stmt.where(membership.c.is_editor) if editors_only else stmt).scalar_subquery())
 
 
 def _granted_where(actor: Actor) -> sa.Select[Any]:
     """Return the ids of the people who have a grant on a project or mission on which `actor` has one."""
-    theirs, group = membership.alias("granted"), access_group.alias("granted_group")
-    granted = access_grant.alias("their_grant")
+    others, group = membership.alias("granted"), access_group.alias("granted_group")
+    grant = access_grant.alias("their_grant")
     my_projects = _granted_to(actor.person_id, access_grant.c.project_id, Right.read)
     my_missions = _granted_to(actor.person_id, access_grant.c.mission_id, Right.read)
     missions = sa.select(mission.c.id).where(mission.c.project_id.in_(my_projects))
-    shared = sa.or_(
-        granted.c.project_id.in_(my_projects),
-        granted.c.mission_id.in_(my_missions),
-        granted.c.mission_id.in_(missions),
+    is_shared = sa.or_(
+        grant.c.project_id.in_(my_projects),
+        grant.c.mission_id.in_(my_missions),
+        grant.c.mission_id.in_(missions),
     )
     return (
-        sa.select(theirs.c.person_id)
-        .join_from(granted, group, (group.c.id == granted.c.group_id) & (group.c.kind != GroupKind.email.value))
-        .join(theirs, theirs.c.group_id == group.c.id)
-        .where(shared, unexpired(granted.c.expires_at), unexpired(theirs.c.expires_at))
+        sa.select(others.c.person_id)
+        .join_from(grant, group, (group.c.id == grant.c.group_id) & (group.c.kind != GroupKind.email.value))
+        .join(others, others.c.group_id == group.c.id)
+        .where(is_shared, unexpired(grant.c.expires_at), unexpired(others.c.expires_at))
     )
 
 
 def _has_right_on_project(actor: Actor, right: Right) -> sa.ColumnElement[bool]:
     if actor.kind is ActorKind.share or _exceeds_max_right(actor, right):
         return sa.false()
-    within = sa.true() if actor.limits is None else among(project.c.id, actor.limits.project_ids)
+    in_limits = sa.true() if actor.limits is None else among(project.c.id, actor.limits.project_ids)
     if actor.is_admin:
-        return within
-    return sa.and_(within, project.c.id.in_(_my_projects(actor.person_id, right)))
+        return in_limits
+    return sa.and_(in_limits, project.c.id.in_(_my_projects(actor.person_id, right)))
 
 
 def _exceeds_max_right(actor: Actor, right: Right) -> bool:
@@ -281,15 +281,15 @@ def _exceeds_max_right(actor: Actor, right: Right) -> bool:
 def _has_right_on_mission(actor: Actor, right: Right) -> sa.ColumnElement[bool]:
     if _exceeds_max_right(actor, right):
         return sa.false()
-    within: sa.ColumnElement[bool] = sa.true()
+    in_limits: sa.ColumnElement[bool] = sa.true()
     if actor.limits is not None:
-        places = among(mission.c.project_id, actor.limits.project_ids), among(mission.c.id, actor.limits.mission_ids)
-        within = sa.or_(*places)
+        in_project = among(mission.c.project_id, actor.limits.project_ids)
+        in_limits = in_project | among(mission.c.id, actor.limits.mission_ids)
     if actor.kind is ActorKind.share:
-        return within if right is Right.read else sa.false()
+        return in_limits if right is Right.read else sa.false()
     if actor.is_admin:
-        return within
-    return sa.and_(within, _granted_on_mission(actor.person_id, right))
+        return in_limits
+    return sa.and_(in_limits, _granted_on_mission(actor.person_id, right))
 
 
 @functools.lru_cache(maxsize=_CACHE_SIZE)
@@ -309,8 +309,8 @@ def _public_level() -> sa.ColumnElement[int]:
 
 @functools.lru_cache(maxsize=_CACHE_SIZE)
 def _memberships(person_id: uuid.UUID | None, still: NotExpired = unexpired) -> sa.ColumnElement[Any]:
-    mine = sa.select(membership.c.group_id).where(membership.c.person_id == person_id, still(membership.c.expires_at))
-    return sa.func.array(mine.correlate(None).scalar_subquery())
+    groups = sa.select(membership.c.group_id).where(membership.c.person_id == person_id, still(membership.c.expires_at))
+    return sa.func.array(groups.correlate(None).scalar_subquery())
 
 
 def _valid_until(until: datetime.datetime | None) -> NotExpired:
@@ -322,8 +322,8 @@ def _valid_until(until: datetime.datetime | None) -> NotExpired:
 @functools.lru_cache(maxsize=_CACHE_SIZE)
 def _granted_to(person_id: uuid.UUID | None, place: sa.ColumnElement[Any], right: Right) -> sa.Select[Any]:
     # For IN, uncorrelated: evaluated once per statement and hashed, for any number of grants.
-    mine = (access_grant.c.group_id == sa.any_(_memberships(person_id))) & unexpired(access_grant.c.expires_at)
-    return sa.select(place).where(mine, place.is_not(None), access_grant.c.level >= right.level).correlate(None)
+    is_own = (access_grant.c.group_id == sa.any_(_memberships(person_id))) & unexpired(access_grant.c.expires_at)
+    return sa.select(place).where(is_own, place.is_not(None), access_grant.c.level >= right.level).correlate(None)
 
 
 @functools.lru_cache(maxsize=_CACHE_SIZE)
@@ -353,7 +353,8 @@ def _granted_level(
 def _level_granted_to(
     person_id: uuid.UUID | None, place: _GrantColumns, outer: Any, still: NotExpired
 ) -> sa.ColumnElement[int]:
-    granted_on, here = place
-    mine = (access_grant.c.group_id == sa.any_(_memberships(person_id, still))) & still(access_grant.c.expires_at)
-    highest = sa.select(sa.func.coalesce(sa.func.max(access_grant.c.level), 0)).where(mine, granted_on == here)
+    grant_column, place_column = place
+    is_own = (access_grant.c.group_id == sa.any_(_memberships(person_id, still))) & still(access_grant.c.expires_at)
+    highest = sa.select(sa.func.coalesce(sa.func.max(access_grant.c.level), 0))
+    highest = highest.where(is_own, grant_column == place_column)
     return highest.correlate(outer).scalar_subquery()

@@ -105,14 +105,14 @@ async def retry_job(db: Connection, actor: Actor, job_id: int) -> None:
     kind = (await db.execute(_RETRY, {"id": job_id})).scalar_one_or_none()
     if kind is None:
         raise NotFound(noun="failed job", ref=str(job_id))
-    await audit(db, actor, Event("job.retry", "job", None, kind, None, after={"job": job_id}, needs_admin=True))
+    await audit(db, actor, Event("job.retry", "job", None, kind, after={"job": job_id}, needs_admin=True))
 
 
 async def retry_jobs(db: Connection, actor: Actor) -> admin.RetriedJobs:
     """Put all failed jobs back into the queue, and return their number."""
     count: int = (await db.execute(_RETRY_ALL)).scalar_one()
     if count:
-        await audit(db, actor, Event("job.retry", "job", None, "all", None, after={"jobs": count}, needs_admin=True))
+        await audit(db, actor, Event("job.retry", "job", None, "all", after={"jobs": count}, needs_admin=True))
     return admin.RetriedJobs(count=count)
 
 
@@ -135,7 +135,7 @@ async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, accep
         raise NotAuthenticated(reason="starting a scrub requires an account")
     row = await scrub.request_scrub(db, settings.store_id, by_id=actor.person_id, accept_losses=accept_losses)
     after: Metadata = {"accept_losses": accept_losses}
-    await audit(db, actor, Event("store.scrub", "store", None, settings.store_id, None, after=after, needs_admin=True))
+    await audit(db, actor, Event("store.scrub", "store", None, settings.store_id, after=after, needs_admin=True))
     return _to_scrub(row)
 
 

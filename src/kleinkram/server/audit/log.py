@@ -37,7 +37,7 @@ class Event:
     noun: str
     noun_id: uuid.UUID | None
     noun_name: str
-    project_id: uuid.UUID | None
+    project_id: uuid.UUID | None = None
     before: Metadata = field(default_factory=dict)
     after: Metadata = field(default_factory=dict)
     mission_id: uuid.UUID | None = None

@@ -95,11 +95,12 @@ def _target_object(target: RequestTarget) -> sa.Select[Any]:
     nowhere = sa.null().cast(sa.Uuid)
     if target.kind in _OUTSIDE:
         table = _OUTSIDE[target.kind]
-        own = _columns(target.kind.removesuffix("_id"), table)
-        return sa.select(*own, nowhere.label("project_id"), nowhere.label("mission_id")).where(table.c.id == target.id)
+        columns = _columns(target.kind.removesuffix("_id"), table)
+        stmt = sa.select(*columns, nowhere.label("project_id"), nowhere.label("mission_id"))
+        return stmt.where(table.c.id == target.id)
     if target.kind == "project_id":
-        place = project.c.id.label("project_id"), nowhere.label("mission_id")
-        return sa.select(*_columns("project", project), *place).where(project.c.id == target.id)
+        place_columns = project.c.id.label("project_id"), nowhere.label("mission_id")
+        return sa.select(*_columns("project", project), *place_columns).where(project.c.id == target.id)
     columns = *_columns("mission", mission), mission.c.project_id, mission.c.id.label("mission_id")
     stmt = sa.select(*columns).join(project, project.c.id == mission.c.project_id)
     if target.kind == "mission_id":
@@ -152,7 +153,7 @@ class Refusals:
         after: Metadata = {"left_out": count, "within_s": MINUTE_S}
         try:
             async with database.begin() as db:
-                await audit(db, STRANGER, Event("auth.refused", "request", None, "left out", None, after=after))
+                await audit(db, STRANGER, Event("auth.refused", "request", None, "left out", after=after))
         except DatabaseUnavailable:
             _log.warning("refusals not summed up", extra={"fields": {"left_out": count}})
 
@@ -190,7 +191,7 @@ def is_admin_read(operation: str) -> bool:
 
 def _foreign_object(admin: Actor, operation: str, target: RequestTarget | None, level: int) -> sa.Select[Any]:
     """Return the object that an admin is about to see by admin rights; no row if their own rights suffice."""
-    own = admin.without_admin()
+    without_admin = admin.without_admin()
     # A limited token shows nothing of the server as a whole.
     is_unlimited = sa.literal(admin.limits is None)
     nowhere = sa.null().cast(sa.Uuid)
@@ -204,17 +205,17 @@ def _foreign_object(admin: Actor, operation: str, target: RequestTarget | None, 
     if OPERATIONS[operation].on is ResourceKind.server or (target is None and operation in _ON_PEOPLE):
         return everything.where(is_unlimited)
     if target is None:
-        projects = _inside_limits(admin, sa.select(project.c.id)).where(level_on_project(own) < level)
+        projects = _inside_limits(admin, sa.select(project.c.id)).where(level_on_project(without_admin) < level)
         return everything.where(sa.exists(projects))
-    place = _target_object(target)
+    target_row = _target_object(target)
     if target.kind == "person_id":
-        return place.where(is_unlimited, sa.literal(target.id != admin.person_id))
+        return target_row.where(is_unlimited, sa.literal(target.id != admin.person_id))
     if target.kind == "group_id":
         is_member = (membership.c.group_id == target.id) & (membership.c.person_id == admin.person_id)
-        return place.where(is_unlimited, ~sa.exists().where(is_member))
+        return target_row.where(is_unlimited, ~sa.exists().where(is_member))
     if target.kind == "project_id":
-        return _inside_limits(admin, place).where(level_on_project(own) < level)
-    return _inside_limits(admin, place, mission.c.id).where(level_on_mission(own) < level)
+        return _inside_limits(admin, target_row).where(level_on_project(without_admin) < level)
+    return _inside_limits(admin, target_row, mission.c.id).where(level_on_mission(without_admin) < level)
 
 
 def _inside_limits(

@@ -45,7 +45,7 @@ async def export_events(database: Database, actor: Actor, *, matching: AuditFilt
 
 def _matching_events(actor: Actor, matching: AuditFilter) -> Select[Any]:
     """Return the events that match and that `actor` may see: those of projects they own; for admins, all."""
-    same = {
+    equal = {
         audit_event.c.actor_id: matching.person_id,
         audit_event.c.token_id: matching.token_id,
         audit_event.c.share_id: matching.share_id,
@@ -63,7 +63,7 @@ def _matching_events(actor: Actor, matching: AuditFilter) -> Select[Any]:
         .outerjoin(person, person.c.id == audit_event.c.actor_id)
         .outerjoin(token, token.c.id == audit_event.c.token_id)
         .outerjoin(share, share.c.id == audit_event.c.share_id)
-        .where(*(column == value for column, value in same.items() if value is not None))
+        .where(*(column == value for column, value in equal.items() if value is not None))
         .where(*(matches(column, glob) for column, glob in globs.items() if glob is not None))
     )
     if not actor.is_admin or actor.limits is not None:

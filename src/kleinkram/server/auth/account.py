@@ -72,8 +72,8 @@ async def get_account(db: Connection, actor: Actor, *, settings: Settings) -> ac
         raise errors.NotAuthenticated(reason="this requires an account")
     created_at = (await db.execute(select(person.c.created_at).where(person.c.id == actor.person_id))).scalar_one()
     groups = select(access_group.c.name).join_from(membership, access_group)
-    own = (membership.c.person_id == actor.person_id) & unexpired(membership.c.expires_at)
-    affiliations = groups.where(own, access_group.c.kind == GroupKind.affiliation.value)
+    is_own = (membership.c.person_id == actor.person_id) & unexpired(membership.c.expires_at)
+    affiliations = groups.where(is_own, access_group.c.kind == GroupKind.affiliation.value)
     return accounts.AccountRead(
         person=actor.ref,
         addresses=[
@@ -127,7 +127,7 @@ async def unlink_identity(db: Connection, actor: Actor, *, identity_id: uuid.UUI
         raise errors.LastSignInMethod(provider=name)
     await db.execute(update(identity).where(identity.c.id == identity_id).values(unlinked_at=func.now()))
     before: Metadata = {"issuer": unlinked.issuer, "email": unlinked.email, "person_id": str(actor.person_id)}
-    await audit(db, actor, Event("identity.unlink", "identity", identity_id, name, None, before=before))
+    await audit(db, actor, Event("identity.unlink", "identity", identity_id, name, before=before))
 
 
 def _addresses(actor: Actor) -> Select[Any]:

@@ -76,7 +76,7 @@ async def bootstrap_admin(
             )
         await set_password(db, person_id, password_hash)
     await make_admin(db, person_id)
-    event = Event("server.bootstrap", "person", person_id, name, None, after={"email": request.email})
+    event = Event("server.bootstrap", "person", person_id, name, after={"email": request.email})
     await audit(db, actor, event)
     return person_id
 
@@ -87,7 +87,7 @@ async def create_owner_link(db: Connection, actor: Actor, *, settings: Settings)
         raise Forbidden(noun="server", operation="sign in as its owner", needs="the owner's token")
     code = await create_code(db, CodeRequest(CodePurpose.owner, settings.owner_link_s, person_id=OWNER_ID))
     after: Metadata = {"expires_at": code.expires_at.isoformat()}
-    await audit(db, actor, Event("link.create", "person", OWNER_ID, actor.name, None, after=after))
+    await audit(db, actor, Event("link.create", "person", OWNER_ID, actor.name, after=after))
     return code.link(settings, CodePurpose.owner)
 
 
@@ -125,14 +125,14 @@ async def ensure_owner(db: Connection, secret_token: str) -> bool:
     stored = (await db.execute(select(token.c.revoked_at).where(token.c.secret_sha256 == secret))).one_or_none()
     if stored is not None:
         return stored.revoked_at is None
-    stale = (token.c.person_id == OWNER_ID) & (token.c.name == OWNER_TOKEN_NAME) & token.c.revoked_at.is_(None)
-    revoked = await db.execute(update(token).where(stale).values(revoked_at=func.now()).returning(token.c.id))
-    made = uuid.uuid4()
-    values = {"id": made, "person_id": OWNER_ID, "name": OWNER_TOKEN_NAME, "secret_sha256": secret}
+    is_outdated = (token.c.person_id == OWNER_ID) & (token.c.name == OWNER_TOKEN_NAME) & token.c.revoked_at.is_(None)
+    revoked = await db.execute(update(token).where(is_outdated).values(revoked_at=func.now()).returning(token.c.id))
+    new_id = uuid.uuid4()
+    values = {"id": new_id, "person_id": OWNER_ID, "name": OWNER_TOKEN_NAME, "secret_sha256": secret}
     values |= {"prefix": secret_prefix(secret_token)}
     await db.execute(insert(token).values(scopes=[Scope.admin.value], **values))
-    events = [Event("token.revoke", "token", token_id, OWNER_TOKEN_NAME, None) for token_id in revoked.scalars()]
-    await audit(db, None, *events, Event("token.create", "token", made, OWNER_TOKEN_NAME, None))
+    events = [Event("token.revoke", "token", token_id, OWNER_TOKEN_NAME) for token_id in revoked.scalars()]
+    await audit(db, None, *events, Event("token.create", "token", new_id, OWNER_TOKEN_NAME))
     return True
 
 

@@ -37,6 +37,7 @@ _RETENTION_S = 3600
 # No vowels, which could form words, and no letters that look alike. Eight of twenty: 34 bits for ten minutes.
 _LETTERS = "BCDFGHJKLMNPQRSTVWXZ"
 _LETTER_COUNT = 8
+_UNDECIDED = login_request.c.approved_at.is_(None) & login_request.c.denied_at.is_(None)
 
 
 class _Approval(NamedTuple):
@@ -73,7 +74,7 @@ async def approve_loopback(
             approved_session_id=actor.session_id,
         )
     )
-    await audit(db, actor, Event("login.approve", "login", request_id, approval.client, None, after={"by": "browser"}))
+    await audit(db, actor, Event("login.approve", "login", request_id, approval.client, after={"by": "browser"}))
     query = urlencode({"code": code, "state": approval.state})
     return accounts.LoopbackApproved(url=f"http://127.0.0.1:{approval.port}/?{query}")
 
@@ -171,7 +172,7 @@ async def _decide(
     if row is None:
         raise CodeGone
     after = {"by": "code", "from": row.address}
-    await audit(db, actor, Event(operation, "login", row.id, row.label, None, after=after))
+    await audit(db, actor, Event(operation, "login", row.id, row.label, after=after))
     return accounts.DeviceRead(
         client=row.label, address=row.address, created_at=row.created_at, expires_at=row.expires_at
     )
@@ -236,25 +237,19 @@ async def _create_token(db: Connection, guest: Actor, approval: _Approval, setti
         "prefix": secret.prefix,
         "expires_at": expires_at.isoformat(),
     }
-    await audit(db, actor, Event("token.create", "token", token_id, request.name, None, after=after))
+    await audit(db, actor, Event("token.create", "token", token_id, request.name, after=after))
     return accounts.SignedIn(token=secret.text, person=approver.ref, expires_at=expires_at)
 
 
 async def _delete_old_requests(db: Connection) -> None:
     is_old = login_request.c.expires_at < func.now() - datetime.timedelta(seconds=_RETENTION_S)
     # Undecided requests are deleted when they expire, which frees their user codes.
-    await db.execute(delete(login_request).where(or_(is_old, _is_abandoned())))
-
-
-def _is_abandoned() -> ColumnElement[bool]:
-    undecided = login_request.c.approved_at.is_(None) & login_request.c.denied_at.is_(None)
-    return undecided & (login_request.c.expires_at < func.now())
+    await db.execute(delete(login_request).where(or_(is_old, _UNDECIDED & (login_request.c.expires_at < func.now()))))
 
 
 def _is_undecided(user_code: str) -> ColumnElement[bool]:
     letters = "".join(letter for letter in user_code.upper() if letter.isalpha())
-    undecided = login_request.c.approved_at.is_(None) & login_request.c.denied_at.is_(None)
-    return (login_request.c.user_code == letters) & undecided & (login_request.c.expires_at > func.now())
+    return (login_request.c.user_code == letters) & _UNDECIDED & (login_request.c.expires_at > func.now())
 
 
 def _in(seconds: float) -> ColumnElement[datetime.datetime]:

@@ -1,12 +1,16 @@
-"""Dependencies of sign-in routes: limits on attempts, password hashing, and the session cookie.
+"""Dependencies of sign-in routes: limits on attempts, password hashing, identity providers, and cookies.
 
 With TLS, cookies have the prefix `__Host-`, so that neither other hosts nor connections without TLS can set them.
 """
 
 import asyncio
+import re
+import secrets
 import uuid
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from fastapi import Depends, Request, Response
 
@@ -16,15 +20,20 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.auth.local_accounts import PasswordHasher
 from kleinkram.server.auth.one_time_codes import describe_code
-from kleinkram.server.auth.provider_accounts import Providers, set_cookie
+from kleinkram.server.auth.provider_accounts import REQUEST_LIFETIME_S
 from kleinkram.server.auth.sessions import Browser, start_session
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, session_cookie
 from kleinkram.server.http.rate_limit import Count, enforce_limits, reserve_slot, subscriber_network
 from kleinkram.server.settings import Settings
 
+if TYPE_CHECKING:
+    from kleinkram.server.auth.oidc import OpenIdProvider
+
 # An account may be tried this many times as often as one address may try, before attempts must wait for slots.
 _ADDRESSES_PER_ACCOUNT = 3
+# 32 random bytes.
+_BROWSER_SECRET = re.compile(r"[A-Za-z0-9_-]{43}")
 
 
 @dataclass(frozen=True)
@@ -42,11 +51,12 @@ class SignInContext:
         hasher: PasswordHasher = self.request.app.state.password_hasher
         return hasher
 
-    @property
-    def providers(self) -> Providers:
-        """The identity providers of this process."""
-        providers: Providers = self.request.app.state.providers
-        return providers
+    def provider(self, name: str) -> "OpenIdProvider":
+        """Return an identity provider. Raises NotFound."""
+        providers: dict[str, OpenIdProvider] = self.request.app.state.providers
+        if name not in providers:
+            raise NotFound(noun="provider", ref=name)
+        return providers[name]
 
     async def count_attempt(self, account: str | None = None) -> None:
         """Count an attempt for the client's address and for the account, whether it exists or not.
@@ -84,13 +94,34 @@ class SignInContext:
         session = await start_session(
             db, self.actor, person_id=person_id, method=method, browser=browser, lifetime_s=self.settings.session_s
         )
-        set_cookie(response, self.settings, cookie, session.secret, lifetime_s=self.settings.session_s)
+        _set_cookie(response, self.settings, cookie, session.secret, lifetime_s=self.settings.session_s)
         return BrowserSignedIn(person=PersonRef(id=person_id, name=session.actor.name))
 
     def require_local_accounts(self) -> None:
         """Check that this server has local accounts. Raises NotFound."""
         if not self.settings.local_accounts:
             raise NotFound(noun="sign-in method", ref="password")
+
+
+@asynccontextmanager
+async def open_providers(settings: Settings) -> "AsyncIterator[dict[str, OpenIdProvider]]":
+    """Open clients of the providers in the settings; a provider is contacted only when somebody signs in."""
+    if not settings.oidc_providers:
+        yield {}
+        return
+    import aiohttp
+
+    from kleinkram.server.auth.oidc import OpenIdProvider  # 10 MB with its libraries
+
+    async with aiohttp.ClientSession(cookie_jar=aiohttp.DummyCookieJar(), trust_env=True) as http:
+        providers: dict[str, OpenIdProvider] = {}
+        for provider in settings.oidc_providers:
+            secret = None if provider.client_secret is None else provider.client_secret.get_secret_value()
+            if provider.client_secret_file is not None:
+                secret = (await asyncio.to_thread(provider.client_secret_file.read_text, encoding="utf-8")).strip()
+            redirect_url = f"{settings.public_url.rstrip('/')}/sign-in/callback/{provider.name}"
+            providers[provider.name] = OpenIdProvider(provider, http, redirect_url=redirect_url, secret=secret)
+        yield providers
 
 
 async def _sign_in_context(
@@ -104,4 +135,35 @@ CurrentSignIn = Annotated[SignInContext, Depends(_sign_in_context)]
 
 def delete_session_cookie(response: Response, settings: Settings) -> None:
     """Delete the session cookie of a browser."""
-    set_cookie(response, settings, session_cookie(settings), "", lifetime_s=0)
+    _set_cookie(response, settings, session_cookie(settings), "", lifetime_s=0)
+
+
+def bind_browser(request: Request, response: Response, settings: Settings) -> str:
+    """Return a secret that only this browser sends back; an existing one is kept for the browser's other tabs."""
+    secret = bound_browser(request, settings)
+    if not _BROWSER_SECRET.fullmatch(secret):
+        secret = secrets.token_urlsafe(32)
+    _set_cookie(response, settings, _cookie_name(settings), secret, lifetime_s=REQUEST_LIFETIME_S)
+    return secret
+
+
+def bound_browser(request: Request, settings: Settings) -> str:
+    """Return the secret from `bind_browser`; empty if the browser does not send it."""
+    return request.cookies.get(_cookie_name(settings), "")
+
+
+def _cookie_name(settings: Settings) -> str:
+    return f"{session_cookie(settings)}-authorization"
+
+
+def _set_cookie(response: Response, settings: Settings, name: str, value: str, *, lifetime_s: float) -> None:
+    """Set a cookie that no script can read, over TLS only if the server uses TLS."""
+    response.set_cookie(
+        name,
+        value,
+        max_age=int(lifetime_s),
+        path="/",
+        secure=settings.public_url.startswith("https://"),
+        httponly=True,
+        samesite="lax",
+    )

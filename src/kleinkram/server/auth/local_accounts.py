@@ -152,10 +152,10 @@ async def verify_password(
 
     Raises SignInFailed or SlowDown.
     """
-    active = person.c.deactivated_at.is_(None) & person_email.c.verified_at.is_not(None)
+    is_active = person.c.deactivated_at.is_(None) & person_email.c.verified_at.is_not(None)
     stmt = select(person.c.id, password.c.hash).join_from(person_email, person).join(password)
     async with database.begin() as db:
-        rows = await db.execute(stmt.where(person_email.c.email_key == email_key(sign_in.email), active))
+        rows = await db.execute(stmt.where(person_email.c.email_key == email_key(sign_in.email), is_active))
         row = rows.one_or_none()
     if not await hasher.verify(None if row is None else row.hash, sign_in.password) or row is None:
         raise errors.SignInFailed
@@ -163,8 +163,8 @@ async def verify_password(
         return VerifiedPassword(row.id, row.hash)
     renewed = await hasher.hash(sign_in.password)
     async with database.begin() as db:
-        same = (password.c.person_id == row.id) & (password.c.hash == row.hash)
-        await db.execute(update(password).where(same).values(hash=renewed))
+        is_unchanged = (password.c.person_id == row.id) & (password.c.hash == row.hash)
+        await db.execute(update(password).where(is_unchanged).values(hash=renewed))
     return VerifiedPassword(row.id, renewed)
 
 
@@ -196,7 +196,7 @@ async def change_password(
         db, verified.person_id, name=actor.name, new=new, password_hash=password_hash, field="new_password"
     )
     await end_sessions(db, actor, except_session_id=actor.session_id)
-    await audit(db, actor, Event("password.change", "person", actor.person_id, actor.name, None))
+    await audit(db, actor, Event("password.change", "person", actor.person_id, actor.name))
 
 
 async def create_invitation(
@@ -221,7 +221,7 @@ async def create_invitation(
     )
     code = await create_code(db, request)
     after: Metadata = {"email": invitation.email, "expires_at": code.expires_at.isoformat()}
-    await audit(db, actor, Event("invitation.create", "invitation", code.id, invitation.email, None, after=after))
+    await audit(db, actor, Event("invitation.create", "invitation", code.id, invitation.email, after=after))
     warning = (await known_runners(db)).invitation_warning()
     return code.link(settings, CodePurpose.invitation).model_copy(update={"warning": warning})
 
@@ -245,7 +245,7 @@ async def accept_invitation(
     )
     invited_by = None if code.created_by_id is None else str(code.created_by_id)
     after: Metadata = {"method": "invitation", "email": email, "invited_by": invited_by}
-    await audit(db, actor, Event("person.create", "person", person_id, name, None, after=after))
+    await audit(db, actor, Event("person.create", "person", person_id, name, after=after))
     return person_id
 
 
@@ -266,7 +266,7 @@ async def create_reset_link(
     request = CodeRequest(CodePurpose.reset, settings.reset_link_s, person_id=person_id, created_by_id=actor.person_id)
     code = await create_code(db, request)
     after: Metadata = {"expires_at": code.expires_at.isoformat()}
-    await audit(db, actor, Event("password.reset_link", "person", person_id, owner.name, None, after=after))
+    await audit(db, actor, Event("password.reset_link", "person", person_id, owner.name, after=after))
     return code.link(settings, CodePurpose.reset)
 
 
@@ -289,7 +289,7 @@ async def reset_password(
         db, person_id, name=owner.name, new=reset.password, password_hash=password_hash, field="password"
     )
     ended: Metadata = {"sessions": await end_sessions(db, actor), "tokens": await end_personal_tokens(db, actor)}
-    await audit(db, actor, Event("password.reset", "person", person_id, owner.name, None, after=ended))
+    await audit(db, actor, Event("password.reset", "person", person_id, owner.name, after=ended))
     return person_id
 
 

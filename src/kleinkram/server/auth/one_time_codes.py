@@ -64,10 +64,10 @@ _STORED = [one_time_code.c[name] for name in StoredCode._fields]
 
 async def create_code(db: Connection, request: CodeRequest) -> NewCode:
     """Create a code; earlier ones for the same purpose and person or address become invalid."""
-    same = (one_time_code.c.purpose == request.purpose.value) & one_time_code.c.used_at.is_(None)
+    is_unused = (one_time_code.c.purpose == request.purpose.value) & one_time_code.c.used_at.is_(None)
     for column, value in ((one_time_code.c.person_id, request.person_id), (one_time_code.c.email, request.email)):
         if value is not None:
-            await db.execute(update(one_time_code).where(same, column == value).values(used_at=func.now()))
+            await db.execute(update(one_time_code).where(is_unused, column == value).values(used_at=func.now()))
     code_id, secret = uuid.uuid4(), secrets.token_urlsafe(_SECRET_BYTES)
     row = insert(one_time_code).values(
         id=code_id,
@@ -110,8 +110,9 @@ def require_person(code: StoredCode) -> uuid.UUID:
 
 async def revoke_codes(db: Connection, person_id: uuid.UUID) -> None:
     """Revoke the codes for a person and those that they created."""
-    theirs = (one_time_code.c.person_id == person_id) | (one_time_code.c.created_by_id == person_id)
-    await db.execute(update(one_time_code).where(theirs, one_time_code.c.used_at.is_(None)).values(used_at=func.now()))
+    is_theirs = (one_time_code.c.person_id == person_id) | (one_time_code.c.created_by_id == person_id)
+    stmt = update(one_time_code).where(is_theirs, one_time_code.c.used_at.is_(None))
+    await db.execute(stmt.values(used_at=func.now()))
 
 
 async def describe_code(db: Connection, secret: str) -> CodeRead:

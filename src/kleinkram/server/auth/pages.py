@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kleinkram.contract.errors import KleinkramError, NotFound, SignInRefused
 from kleinkram.server.auth import provider_accounts
-from kleinkram.server.auth.dependencies import CurrentSignIn, SignInContext
-from kleinkram.server.auth.provider_accounts import bound_browser, take_request
+from kleinkram.server.auth.dependencies import CurrentSignIn, SignInContext, bound_browser
+from kleinkram.server.auth.provider_accounts import take_request
 from kleinkram.server.http.dependencies import CurrentSettings
 from kleinkram.server.http.errors import audit_refusal
 from kleinkram.server.http.headers import PAGE_POLICY
@@ -168,7 +168,7 @@ async def end_provider_sign_in(
 
 
 async def _finish_sign_in(context: SignInContext, name: str, query: CallbackQuery) -> Response:
-    provider = context.providers.get(name)
+    provider = context.provider(name)
     browser_secret = bound_browser(context.request, context.settings)
     async with context.database.begin() as db:  # of its own, so that the request is used up even if the rest fails
         request = await take_request(db, provider=name, state=query.state, browser_secret=browser_secret)

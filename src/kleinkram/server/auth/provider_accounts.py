@@ -9,23 +9,17 @@ unlinked identity is never linked again automatically. For an unverified address
 it has an account.
 """
 
-import asyncio
 import datetime
-import re
 import secrets
 import time
 import uuid
-from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
-from fastapi import Request, Response
 from sqlalchemy import ColumnElement, delete, exists, func, insert, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.accounts import MAX_PERSON_NAME_CHARACTERS, check_person_name
-from kleinkram.contract.errors import NotFound, SignInRefused
+from kleinkram.contract.errors import SignInRefused
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.people import check_email, email_domain, email_key
 from kleinkram.server.access.actor import Actor, secret_hash
@@ -34,17 +28,12 @@ from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.auth.one_time_codes import is_valid
 from kleinkram.server.auth.sessions import renew_session
 from kleinkram.server.db import Connection
-from kleinkram.server.http.dependencies import session_cookie
-from kleinkram.server.settings import OidcProvider, OpenTo, Settings
+from kleinkram.server.settings import OidcProvider, OpenTo
 from kleinkram.server.tables import identity, oidc_login, one_time_code, person, person_email
 from kleinkram.server.tables.sign_in import CodePurpose
 
-if TYPE_CHECKING:
-    from kleinkram.server.auth.oidc import OpenIdProvider
-
-_LIFETIME_S = 600
+REQUEST_LIFETIME_S = 600
 _SECRET_BYTES = 32
-_SECRET = re.compile(r"[A-Za-z0-9_-]{43}")
 
 
 @dataclass(frozen=True)
@@ -76,45 +65,6 @@ class AuthorizationRequest:
     code_verifier: str = field(default_factory=lambda: secrets.token_urlsafe(_SECRET_BYTES), repr=False)
 
 
-class Providers:
-    """The providers of one process, by name."""
-
-    def __init__(self, providers: "Mapping[str, OpenIdProvider]") -> None:
-        self._providers = providers
-
-    def get(self, name: str) -> "OpenIdProvider":
-        """Return a provider. Raises NotFound."""
-        if name not in self._providers:
-            raise NotFound(noun="provider", ref=name)
-        return self._providers[name]
-
-
-@asynccontextmanager
-async def open_providers(settings: Settings) -> AsyncIterator[Providers]:
-    """Open clients of the providers in the settings; a provider is contacted only when somebody signs in."""
-    if not settings.oidc_providers:
-        yield Providers({})
-        return
-    import aiohttp
-
-    from kleinkram.server.auth.oidc import OpenIdProvider  # 10 MB with its libraries
-
-    async with aiohttp.ClientSession(cookie_jar=aiohttp.DummyCookieJar(), trust_env=True) as http:
-        providers: dict[str, OpenIdProvider] = {}
-        for provider in settings.oidc_providers:
-            secret = None if provider.client_secret is None else provider.client_secret.get_secret_value()
-            if provider.client_secret_file is not None:
-                secret = (await asyncio.to_thread(provider.client_secret_file.read_text, encoding="utf-8")).strip()
-            redirect_url = callback_url(settings, provider.name)
-            providers[provider.name] = OpenIdProvider(provider, http, redirect_url=redirect_url, secret=secret)
-        yield Providers(providers)
-
-
-def callback_url(settings: Settings, provider: str) -> str:
-    """Return the redirect URL that is registered with a provider."""
-    return f"{settings.public_url.rstrip('/')}/sign-in/callback/{provider}"
-
-
 async def store_request(db: Connection, request: AuthorizationRequest, *, provider: str, browser_secret: str) -> None:
     """Store a request for its callback."""
     await db.execute(delete(oidc_login).where(oidc_login.c.expires_at < func.now()))
@@ -128,57 +78,26 @@ async def store_request(db: Connection, request: AuthorizationRequest, *, provid
             session_id=request.session_id,
             reauthenticates=request.reauthenticates,
             return_to=request.return_to,
-            expires_at=func.now() + datetime.timedelta(seconds=_LIFETIME_S),
+            expires_at=func.now() + datetime.timedelta(seconds=REQUEST_LIFETIME_S),
         )
     )
 
 
 async def take_request(db: Connection, *, provider: str, state: str, browser_secret: str) -> AuthorizationRequest:
     """Return and delete the request of a callback, so that a replayed callback finds nothing. Raises SignInRefused."""
-    same = (
+    conditions = (
         oidc_login.c.state_sha256 == secret_hash(state),
         oidc_login.c.browser_sha256 == secret_hash(browser_secret),
         oidc_login.c.provider == provider,
         oidc_login.c.expires_at > func.now(),
     )
-    row = (await db.execute(delete(oidc_login).where(*same).returning(*oidc_login.c))).one_or_none()
+    row = (await db.execute(delete(oidc_login).where(*conditions).returning(*oidc_login.c))).one_or_none()
     if row is None:
         raise SignInRefused(
             reason="this sign-in was not started in this browser, was finished before, or has expired. Start again."
         )
     return AuthorizationRequest(
         row.return_to, row.session_id, row.reauthenticates, state, nonce=row.nonce, code_verifier=row.code_verifier
-    )
-
-
-def bind_browser(request: Request, response: Response, settings: Settings) -> str:
-    """Return a secret that only this browser sends back; an existing one is kept for the browser's other tabs."""
-    secret = bound_browser(request, settings)
-    if not _SECRET.fullmatch(secret):
-        secret = secrets.token_urlsafe(_SECRET_BYTES)
-    set_cookie(response, settings, _cookie_name(settings), secret, lifetime_s=_LIFETIME_S)
-    return secret
-
-
-def bound_browser(request: Request, settings: Settings) -> str:
-    """Return the secret from `bind_browser`; empty if the browser does not send it."""
-    return request.cookies.get(_cookie_name(settings), "")
-
-
-def _cookie_name(settings: Settings) -> str:
-    return f"{session_cookie(settings)}-authorization"
-
-
-def set_cookie(response: Response, settings: Settings, name: str, value: str, *, lifetime_s: float) -> None:
-    """Set a cookie that no script can read, over TLS only if the server uses TLS."""
-    response.set_cookie(
-        name,
-        value,
-        max_age=int(lifetime_s),
-        path="/",
-        secure=settings.public_url.startswith("https://"),
-        httponly=True,
-        samesite="lax",
     )
 
 
@@ -287,7 +206,7 @@ async def _link(
     linked = linked.on_conflict_do_update(index_elements=["issuer", "subject"], set_=relinked)
     identity_id: uuid.UUID = (await db.execute(linked.returning(identity.c.id))).scalar_one()
     after: Metadata = {"issuer": verified.issuer, "email": verified.email, "person_id": str(person_id)}
-    await audit(db, actor, Event("identity.link", "identity", identity_id, provider.title, None, after=after))
+    await audit(db, actor, Event("identity.link", "identity", identity_id, provider.title, after=after))
 
 
 async def _new_account(
@@ -310,7 +229,7 @@ async def _new_account(
             break
     person_id = await add_person(db, name=name)
     after: Metadata = {"method": provider.issuer, "email": verified.email, "by_invitation": is_invited}
-    await audit(db, requester, Event("person.create", "person", person_id, name, None, after=after))
+    await audit(db, requester, Event("person.create", "person", person_id, name, after=after))
     await _link(db, requester, person_id=person_id, verified=verified, provider=provider)
     await _verify_address(db, person_id, trusted_address, provider)
     return person_id

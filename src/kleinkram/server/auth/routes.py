@@ -19,8 +19,8 @@ from kleinkram.server.auth import (
     second_factor,
     sessions,
 )
-from kleinkram.server.auth.dependencies import CurrentSignIn, SignInContext, delete_session_cookie
-from kleinkram.server.auth.provider_accounts import AuthorizationRequest, bind_browser, store_request
+from kleinkram.server.auth.dependencies import CurrentSignIn, SignInContext, bind_browser, delete_session_cookie
+from kleinkram.server.auth.provider_accounts import AuthorizationRequest, store_request
 from kleinkram.server.http.dependencies import (
     CurrentActor,
     CurrentDatabase,
@@ -354,7 +354,7 @@ async def _redirect_to_provider(
     context: SignInContext, response: Response, provider: str, request: AuthorizationRequest
 ) -> accounts.ProviderBegun:
     await context.count_attempt()
-    url = await context.providers.get(provider).authorization_url(request)
+    url = await context.provider(provider).authorization_url(request)
     browser_secret = bind_browser(context.request, response, context.settings)
     async with context.database.begin() as db:
         await store_request(db, request, provider=provider, browser_secret=browser_secret)

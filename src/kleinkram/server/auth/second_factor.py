@@ -6,7 +6,6 @@ since every check needs it, and leaves the server only when it is enrolled.
 
 import base64
 import datetime
-import enum
 import secrets
 import time
 import uuid
@@ -32,13 +31,6 @@ _MAX_FAILURES = 10
 _LOCKOUT = datetime.timedelta(minutes=15)
 _RECOVERY_CODES = 10
 _RECOVERY_BYTES = 10
-
-
-class _Result(enum.Enum):
-    not_required = "not_required"
-    missing = "missing"
-    wrong = "wrong"
-    correct = "correct"
 
 
 class _Totp(NamedTuple):
@@ -89,12 +81,11 @@ async def confirm_totp(database: Database, actor: Actor, *, code: str) -> accoun
         enrolled = await _lock_totp(db, actor.person_id, ~_is_confirmed())
         if enrolled is None or actor.person_id is None:
             raise errors.NotFound(noun="second factor to confirm", ref=actor.name)
-        result = await _check(db, enrolled, code)
-        if result is _Result.correct:
+        if await _is_correct(db, enrolled, code):
             stmt = update(totp).where(totp.c.person_id == actor.person_id).values(confirmed_at=func.now())
             await db.execute(stmt)
             await end_sessions(db, actor, except_session_id=actor.session_id)
-            await audit(db, actor, Event("totp.enable", "person", actor.person_id, actor.name, None))
+            await audit(db, actor, Event("totp.enable", "person", actor.person_id, actor.name))
             return await _create_recovery_codes(db, actor.person_id)
     raise _wrong()
 
@@ -103,7 +94,7 @@ async def renew_recovery_codes(db: Connection, actor: Actor) -> accounts.Recover
     """Replace the recovery codes. Raises NotFound."""
     if actor.person_id is None or await read_totp(db, actor.person_id) is None:
         raise errors.NotFound(noun="second factor", ref=actor.name)
-    await audit(db, actor, Event("totp.renew_codes", "person", actor.person_id, actor.name, None))
+    await audit(db, actor, Event("totp.renew_codes", "person", actor.person_id, actor.name))
     return await _create_recovery_codes(db, actor.person_id)
 
 
@@ -112,7 +103,7 @@ async def disable_totp(db: Connection, actor: Actor) -> None:
     stmt = delete(totp).where(totp.c.person_id == actor.person_id, _is_confirmed()).returning(totp.c.person_id)
     if (await db.execute(stmt)).first() is None:
         raise errors.NotFound(noun="second factor", ref=actor.name)
-    await audit(db, actor, Event("totp.disable", "person", actor.person_id, actor.name, None))
+    await audit(db, actor, Event("totp.disable", "person", actor.person_id, actor.name))
 
 
 async def reset_totp(db: Connection, admin: Actor, *, person_id: uuid.UUID) -> None:
@@ -121,7 +112,7 @@ async def reset_totp(db: Connection, admin: Actor, *, person_id: uuid.UUID) -> N
     stmt = delete(totp).where(totp.c.person_id == person_id).returning(totp.c.person_id)
     if owner is None or (await db.execute(stmt)).first() is None:
         raise errors.NotFound(noun="second factor", ref=str(person_id))
-    await audit(db, admin, Event("totp.reset", "person", person_id, owner.name, None, needs_admin=True))
+    await audit(db, admin, Event("totp.reset", "person", person_id, owner.name, needs_admin=True))
 
 
 async def require_second_factor(database: Database, person_id: uuid.UUID, code: str | None, actor: Actor) -> None:
@@ -133,12 +124,12 @@ async def require_second_factor(database: Database, person_id: uuid.UUID, code: 
     """
     async with database.begin() as db:
         enrolled = await _lock_totp(db, person_id, _is_confirmed())
-        result = _Result.not_required
-        if enrolled is not None:
-            result = _Result.missing if not code else await _check(db, enrolled, code, actor)
-    if result is _Result.missing:
+        if enrolled is None:
+            return
+        is_correct = bool(code) and await _is_correct(db, enrolled, code or "", actor)
+    if not code:
         raise errors.SecondFactorNeeded
-    if result is _Result.wrong:
+    if not is_correct:
         raise _wrong()
 
 
@@ -155,10 +146,10 @@ async def _lock_totp(db: Connection, person_id: uuid.UUID | None, condition: Col
     return None if row is None else _Totp(*row)
 
 
-async def _check(db: Connection, enrolled: _Totp, code: str, guest: Actor | None = None) -> _Result:
+async def _is_correct(db: Connection, enrolled: _Totp, code: str, guest: Actor | None = None) -> bool:
     """Check a code and use it up; the person's row is locked, so that a concurrent second use is a replay."""
     if enrolled.is_locked_out:
-        return _Result.wrong
+        return False
     text = code.replace(" ", "").replace("-", "").upper()
     stmt = update(totp).where(totp.c.person_id == enrolled.person_id)
     device, now = pyotp.TOTP(enrolled.secret, interval=_PERIOD_S), int(time.time()) // _PERIOD_S
@@ -168,7 +159,7 @@ async def _check(db: Connection, enrolled: _Totp, code: str, guest: Actor | None
     step = next((step for step in matching if step > enrolled.last_step), None)
     if step is not None:
         await db.execute(stmt.values(last_step=step, failed_count=0, failed_at=None))
-        return _Result.correct
+        return True
     use_recovery_code = delete(recovery_code).where(
         recovery_code.c.person_id == enrolled.person_id, recovery_code.c.secret_sha256 == secret_hash(text)
     )
@@ -176,12 +167,12 @@ async def _check(db: Connection, enrolled: _Totp, code: str, guest: Actor | None
         await db.execute(stmt.values(failed_count=0, failed_at=None))
         owner = await find_person(db, enrolled.person_id)
         name = "" if owner is None else owner.name
-        await audit(db, owner or guest, Event("totp.use_recovery_code", "person", enrolled.person_id, name, None))
-        return _Result.correct
+        await audit(db, owner or guest, Event("totp.use_recovery_code", "person", enrolled.person_id, name))
+        return True
     # After the lockout, counting starts at zero.
     count = case((totp.c.failed_at > func.now() - _LOCKOUT, totp.c.failed_count), else_=0) + 1
     await db.execute(stmt.values(failed_count=count, failed_at=func.now()))
-    return _Result.wrong
+    return False
 
 
 def _wrong() -> errors.SecondFactorWrong:

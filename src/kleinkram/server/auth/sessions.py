@@ -4,8 +4,9 @@ import datetime
 import secrets
 import uuid
 from dataclasses import dataclass, replace
+from typing import Any
 
-from sqlalchemy import ColumnElement, func, insert, select, update
+from sqlalchemy import ColumnElement, Row, func, insert, select, update
 
 from kleinkram.contract.accounts import SessionRead
 from kleinkram.contract.base import Page
@@ -14,11 +15,11 @@ from kleinkram.server.access.actor import Actor, find_person, secret_hash
 from kleinkram.server.access.rights import ensure_active_person
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection
-from kleinkram.server.pagination import Order, PageRequest, fetch_page
+from kleinkram.server.pagination import Order, PageRequest, read_page
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import session
 
-SESSION_ORDER = Order([session.c.created_at, session.c.id], descending=True)
+_SESSION_ORDER = Order([session.c.created_at, session.c.id], descending=True)
 _SECRET_BYTES = 32
 _MAX_USER_AGENT_CHARACTERS = 300
 
@@ -66,7 +67,7 @@ async def start_session(
             expires_at=func.now() + datetime.timedelta(seconds=lifetime_s),
         )
     )
-    await audit(db, actor, Event("session.create", "session", session_id, person.name, None, after={"method": method}))
+    await audit(db, actor, Event("session.create", "session", session_id, person.name, after={"method": method}))
     if browser.previous_secret:
         await _end(db, actor, session.c.secret_sha256 == secret_hash(browser.previous_secret))
     return NewSession(actor, secret)
@@ -76,51 +77,40 @@ async def renew_session(db: Connection, actor: Actor, *, method: str) -> None:
     """Record that the person has just reauthenticated in this session."""
     stmt = update(session).where(session.c.id == actor.session_id)
     await db.execute(stmt.values(authenticated_at=func.now()))
-    await audit(
-        db, actor, Event("session.renew", "session", actor.session_id, actor.name, None, after={"method": method})
-    )
+    await audit(db, actor, Event("session.renew", "session", actor.session_id, actor.name, after={"method": method}))
 
 
 async def list_sessions(db: Connection, actor: Actor, *, settings: Settings, page: PageRequest) -> Page[SessionRead]:
     """Return a page of the actor's sessions, latest first. Raises InvalidCursor."""
-    idle = datetime.timedelta(seconds=settings.session_idle_s)
-    ends = func.least(session.c.expires_at, session.c.last_used_at + idle).label("ends_at")
-    is_live = session.c.revoked_at.is_(None) & (ends > func.now())
-    own = select(session, ends).where(session.c.person_id == actor.person_id, is_live)
-    rows = await fetch_page(db, own, SESSION_ORDER, page)
-    items = [
-        SessionRead(
-            id=row.id,
-            method=row.method,
-            address=row.address,
-            user_agent=row.user_agent,
-            created_at=row.created_at,
-            last_used_at=row.last_used_at,
-            expires_at=row.ends_at,
-            is_current=row.id == actor.session_id,
+    idle_timeout = datetime.timedelta(seconds=settings.session_idle_s)
+    ends_at = func.least(session.c.expires_at, session.c.last_used_at + idle_timeout).label("ends_at")
+    is_live = session.c.revoked_at.is_(None) & (ends_at > func.now())
+    own_sessions = select(session, ends_at).where(session.c.person_id == actor.person_id, is_live)
+
+    def read(row: Row[Any]) -> SessionRead:
+        values = {name: value for name, value in row._mapping.items() if name in SessionRead.model_fields}
+        return SessionRead.model_validate(
+            {**values, "expires_at": row.ends_at, "is_current": row.id == actor.session_id}
         )
-        for row in rows.items
-    ]
-    return Page(items=items, next=rows.next, total=rows.total)
+
+    return await read_page(db, own_sessions, _SESSION_ORDER, page, read)
 
 
 async def end_session(db: Connection, actor: Actor, *, session_id: uuid.UUID) -> None:
     """End one of the actor's sessions. Raises NotFound."""
-    own = (session.c.person_id == actor.person_id) & (session.c.id == session_id)
-    if not await _end(db, actor, own):
+    is_own = (session.c.person_id == actor.person_id) & (session.c.id == session_id)
+    if not await _end(db, actor, is_own):
         raise NotFound(noun="session", ref=str(session_id))
 
 
 async def end_sessions(db: Connection, actor: Actor, *, except_session_id: uuid.UUID | None = None) -> int:
     """End all sessions of the actor, except one if given; returns the number."""
-    own = session.c.person_id == actor.person_id
-    return await _end(db, actor, own if except_session_id is None else own & (session.c.id != except_session_id))
+    is_own = session.c.person_id == actor.person_id
+    return await _end(db, actor, is_own if except_session_id is None else is_own & (session.c.id != except_session_id))
 
 
 async def _end(db: Connection, actor: Actor, condition: ColumnElement[bool]) -> int:
     stmt = update(session).where(condition, session.c.revoked_at.is_(None)).values(revoked_at=func.now())
     session_ids = (await db.execute(stmt.returning(session.c.id))).scalars().all()
-    await audit(
-        db, actor, *(Event("session.revoke", "session", session_id, actor.name, None) for session_id in session_ids)
-    )
+    await audit(db, actor, *(Event("session.revoke", "session", session_id, actor.name) for session_id in session_ids))
     return len(session_ids)

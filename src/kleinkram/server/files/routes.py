@@ -26,7 +26,7 @@ router = APIRouter(prefix="/api/v1", tags=["files"])
 
 
 class FileListQuery(FileQuery):
-    """The query of a list of files."""
+    """Query parameters of a list of files."""
 
     sort: FileSort = FileSort.path
     limit: PageSize = 100
@@ -43,14 +43,14 @@ async def list_files(query: Annotated[FileListQuery, Query()], db: Reading, acto
 
 @router.post("/files/download", operation_id="download_files")
 async def download_files(request: DownloadRequest, context: CurrentContext, actor: CurrentActor) -> DownloadLinks:
-    """Return where to read the bytes of files; who asked is noted, and for what."""
+    """Return URLs from which to read the content of files; the audit log records who requests them, and why."""
     links = await service.link_files(context, actor, file_ids=request.file_ids, purpose=request.purpose)
     return DownloadLinks(items=links)
 
 
 @router.post("/files/labels", operation_id="label_files")
 async def label_files(change: LabelChange, db: Transaction, actor: CurrentActor) -> FilesLabelled:
-    """Put labels on many files and take labels off them; says for each file how it went."""
+    """Add labels to many files and remove labels from them; the response has the outcome for each file."""
     return FilesLabelled(items=await service.label_files(db, actor, change=change))
 
 
@@ -64,7 +64,7 @@ async def get_file(file_id: uuid.UUID, db: Reading, actor: CurrentActor) -> File
 async def update_file(
     file_id: uuid.UUID, changes: FileUpdate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
 ) -> FileRead:
-    """Rename, move or label a file; what is left out stays."""
+    """Rename, move or label a file; omitted fields do not change."""
     return await service.update_file(db, actor, file_id=file_id, changes=changes, if_match=if_match)
 
 

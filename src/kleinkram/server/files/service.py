@@ -82,7 +82,7 @@ async def list_files(
     page: PageRequest,
     plan: SearchPlan = NO_PLAN,
 ) -> Page[FileRead]:
-    """Return a page of the files that match. Raises InvalidQuery (of a `where`) or InvalidCursor."""
+    """Return a page of the files that match. Raises InvalidQuery for an invalid `where`, or InvalidCursor."""
     if page.count and matching == FileFilter():
         total = int((await db.execute(*prepare(queries.count_all, actor))).scalar_one())
         listed = await list_files(db, actor, matching=matching, sort=sort, page=replace(page, count=False))

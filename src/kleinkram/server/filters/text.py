@@ -94,7 +94,7 @@ class WordInMission(NamedTuple):
 
 
 def word_in_mission(actor: Actor, plan: SearchPlan, text: str) -> WordInMission:
-    """Return both conditions on `mission`."""
+    """Return both conditions, on `mission`."""
     its_topics = or_(false(), *_topic_conditions(plan.word(text), mission_topic))
     return WordInMission(mission_contains(actor, plan, text), mission_may_have_topic(its_topics))
 

@@ -81,10 +81,7 @@ class _Granter(NamedTuple):
 
 
 async def list_grants(db: Connection, actor: Actor, *, place: GrantPlace, page: PageRequest) -> Page[access.GrantRead]:
-    """Return a page of the grants on a place, by the name of the grantee.
-
-    Raises NotFound, Forbidden, InvalidCursor.
-    """
+    """Return a page of the grants on a place, by the name of the grantee. Raises NotFound, Forbidden, InvalidCursor."""
     await _require(db, actor, f"list_{place.on.value}_grants", place)
     return await read_page(db, _grants_on(place), _GRANT_ORDER, page, _to_grant)
 
@@ -131,10 +128,7 @@ async def create_grant(
 async def update_grant(
     db: Connection, actor: Actor, *, place: GrantPlace, grant_id: uuid.UUID, changes: access.GrantUpdate
 ) -> access.GrantRead:
-    """Change a grant and return it.
-
-    Raises NotFound, Forbidden, RightExceeded, InvalidRequest, LastOwner.
-    """
+    """Change a grant and return it. Raises NotFound, Forbidden, RightExceeded, InvalidRequest, LastOwner."""
     granter = await _lock_granter(db, actor, f"update_{place.on.value}_grant", place)
     old = await _get_grant(db, place, grant_id)
     right = changes.right or old.right
@@ -151,10 +145,7 @@ async def update_grant(
 
 
 async def delete_grant(db: Connection, actor: Actor, *, place: GrantPlace, grant_id: uuid.UUID) -> None:
-    """Revoke a right.
-
-    Raises NotFound, Forbidden, LastOwner.
-    """
+    """Revoke a right. Raises NotFound, Forbidden, LastOwner."""
     granter = await _lock_granter(db, actor, f"delete_{place.on.value}_grant", place)
     old = await _get_grant(db, place, grant_id)
     _require_not_higher(granter, old)
@@ -166,8 +157,9 @@ async def delete_grant(db: Connection, actor: Actor, *, place: GrantPlace, grant
 async def _lock_granter(db: Connection, actor: Actor, operation: str, place: GrantPlace) -> _Granter:
     await lock_rights(db)
     await _require(db, actor, operation, place)
-    row = (await db.execute(_visible_place(actor, place))).one()
-    return _Granter(actor, place, row.project_id, row.level)
+    level = level_on_project if place.on is access.GrantOn.project else level_on_mission
+    row = (await db.execute(_visible_place(actor, place, project.c.id, level(actor).label("level")))).one()
+    return _Granter(actor, place, row.id, row.level)
 
 
 async def _require(db: Connection, actor: Actor, operation: str, place: GrantPlace) -> None:
@@ -216,11 +208,15 @@ async def _require_may_grant(
     _require_not_higher(granter, old)
     if expires_at is not None and (await db.execute(sa.select(sa.literal(expires_at) <= sa.func.now()))).scalar_one():
         raise InvalidRequest(problems=[FieldProblem(field="body.expires_at", message="has passed already")])
-    lasting = (await db.execute(_level_until(granter.actor, granter.place, expires_at))).scalar_one()
-    if right.level > lasting:
+    place, actor = granter.place, granter.actor
+    level = lasting_level_on_project if place.on is access.GrantOn.project else lasting_level_on_mission
+    lasting_level = (await db.execute(_visible_place(actor, place, level(actor, expires_at)))).scalar_one()
+    if right.level > lasting_level:
         until = "without an end" if expires_at is None else f"until {expires_at:%Y-%m-%d %H:%M} UTC"
-        own = access.Right.of_level(granter.level).value + ("" if right.level > granter.level else ", not as long")
-        raise RightExceeded(noun=granter.place.on.value, requested=f"{right.value} {until}", own=own)
+        own_right = access.Right.of_level(granter.level).value + (
+            "" if right.level > granter.level else ", not as long"
+        )
+        raise RightExceeded(noun=place.on.value, requested=f"{right.value} {until}", own=own_right)
 
 
 async def _ensure_owner(db: Connection, place: GrantPlace) -> None:
@@ -245,23 +241,11 @@ def _audit_values(right: access.Right, expires_at: datetime.datetime | None) -> 
     return {"right": right.value, "expires_at": None if expires_at is None else expires_at.isoformat()}
 
 
-def _visible_place(actor: Actor, place: GrantPlace) -> sa.Select[tuple[uuid.UUID, int]]:
-    """Return `project_id` of a visible place, and the `level` of the actor's right on it."""
-    project_id = project.c.id.label("project_id")
-    if place.on is access.GrantOn.project:
-        level = level_on_project(actor).label("level")
-        return visible_projects(actor).with_only_columns(project_id, level).where(project.c.id == place.id)
-    seen = visible_missions(actor).where(mission.c.id == place.id)
-    return seen.with_only_columns(project_id, level_on_mission(actor).label("level"), maintain_column_froms=True)
-
-
-def _level_until(actor: Actor, place: GrantPlace, until: datetime.datetime | None) -> sa.Select[tuple[int]]:
-    """Return the level of the right that the actor will still have on a visible place at a time, or permanently."""
-    if place.on is access.GrantOn.project:
-        level = lasting_level_on_project(actor, until)
-        return visible_projects(actor).with_only_columns(level).where(project.c.id == place.id)
-    seen = visible_missions(actor).where(mission.c.id == place.id)
-    return seen.with_only_columns(lasting_level_on_mission(actor, until), maintain_column_froms=True)
+def _visible_place(actor: Actor, place: GrantPlace, *columns: sa.ColumnElement[Any]) -> sa.Select[Any]:
+    """Return columns of a project or mission that is visible to the actor."""
+    is_project = place.on is access.GrantOn.project
+    seen, table = (visible_projects(actor), project) if is_project else (visible_missions(actor), mission)
+    return seen.where(table.c.id == place.id).with_only_columns(*columns, maintain_column_froms=True)
 
 
 def _grants_on(place: GrantPlace) -> sa.Select[Any]:
@@ -310,12 +294,10 @@ def _access_on(actor: Actor, place: GrantPlace) -> tuple[sa.Select[Any], Order]:
     of_project = (level_on_project(actor) >= access.Right.write.level).label("of_project")
     if place.on is access.GrantOn.project:
         columns += [sa.cast(sa.null(), sa.Uuid).label("mission_id"), of_project, sa.false().label("of_mission")]
-        seen = visible_projects(actor).where(project.c.id == place.id).with_only_columns(*columns).cte("seen")
     else:
         of_mission = (level_on_mission(actor) >= access.Right.write.level).label("of_mission")
         columns += [mission.c.id.label("mission_id"), of_project, of_mission]
-        missions = visible_missions(actor).where(mission.c.id == place.id)
-        seen = missions.with_only_columns(*columns, maintain_column_froms=True).cte("seen")
+    seen = _visible_place(actor, place, *columns).cte("seen")
     public = _reason(level=sa.literal(access.Right.read.level), through=sa.literal(access.AccessThrough.public.value))
     admins = _reason(level=sa.literal(access.Right.delete.level), through=sa.literal(access.AccessThrough.admin.value))
     reasons = sa.union_all(

@@ -51,7 +51,7 @@ async def ensure_affiliations(db: Connection, affiliations: Sequence[Affiliation
     events: list[Event] = []
     for row in (*left, *joined):
         after: Metadata = {"person": row.who, **({"removed": True} if row in left else {})}
-        events.append(Event("group.member", "group", row.group_id, row.name, None, after=after))
+        events.append(Event("group.member", "group", row.group_id, row.name, after=after))
     owner_right: Metadata = {"right": Right.delete.value, "expires_at": None}
     inherited = await give_to_admins(db, owned)
     events += [Event("grant.give", "grant", None, "admins", project.id, after=owner_right) for project in inherited]
@@ -60,8 +60,8 @@ async def ensure_affiliations(db: Connection, affiliations: Sequence[Affiliation
 
 async def _ensure_group(db: Connection, configured: Affiliation) -> uuid.UUID:
     key, kind = name_key(configured.name), GroupKind.affiliation.value
-    same = (access_group.c.name_key == key) & (access_group.c.kind == kind)
-    group_id: uuid.UUID | None = (await db.execute(select(access_group.c.id).where(same))).scalar_one_or_none()
+    is_same = (access_group.c.name_key == key) & (access_group.c.kind == kind)
+    group_id: uuid.UUID | None = (await db.execute(select(access_group.c.id).where(is_same))).scalar_one_or_none()
     if group_id is None:
         group_id = uuid.uuid4()
         try:
@@ -70,7 +70,7 @@ async def _ensure_group(db: Connection, configured: Affiliation) -> uuid.UUID:
             raise AffiliationUnusable(
                 f"KLEINKRAM_AFFILIATIONS: there is a group {configured.name!r} that people made; rename one of the two"
             ) from error
-        await audit(db, None, Event("group.create", "group", group_id, configured.name, None))
+        await audit(db, None, Event("group.create", "group", group_id, configured.name))
     await db.execute(update(access_group).where(access_group.c.id == group_id).values(name=configured.name))
     level = {"default_level": configured.default_right.level if configured.default_right else None}
     row = upsert(affiliation).values(group_id=group_id, **level)

@@ -70,9 +70,7 @@ async def create_group(db: Connection, actor: Actor, *, request: GroupCreate, cr
         raise _name_taken(error, request.name) from error
     await db.execute(insert(membership).values(group_id=group_id, person_id=actor.person_id, is_editor=True))
     after: Metadata = {"name": request.name, "editor": actor.name}
-    await audit(
-        db, actor, Event("group.create", "group", group_id, request.name, None, after=after, needs_admin=needs_admin)
-    )
+    await audit(db, actor, Event("group.create", "group", group_id, request.name, after=after, needs_admin=needs_admin))
     return await get_group(db, actor, group_id)
 
 
@@ -203,11 +201,11 @@ async def _get_edited_group(db: Connection, actor: Actor, group_id: uuid.UUID, o
 
 
 def _require_not_longer(actor: Actor, group: GroupRead, expires_at: datetime.datetime | None) -> None:
-    own = group.expires_at
-    if not actor.is_admin and own is not None and (expires_at is None or expires_at > own):
-        end = "without an end" if expires_at is None else f"until {expires_at:%Y-%m-%d %H:%M} UTC"
+    own_expiry = group.expires_at
+    if not actor.is_admin and own_expiry is not None and (expires_at is None or expires_at > own_expiry):
+        requested_end = "without an end" if expires_at is None else f"until {expires_at:%Y-%m-%d %H:%M} UTC"
         raise errors.RightExceeded(
-            noun="group", requested=f"a membership {end}", own=f"one until {own:%Y-%m-%d %H:%M} UTC"
+            noun="group", requested=f"a membership {requested_end}", own=f"one until {own_expiry:%Y-%m-%d %H:%M} UTC"
         )
 
 
@@ -250,10 +248,10 @@ def _name_taken(error: IntegrityError, name: str) -> Exception:
 
 def _visible_groups(actor: Actor) -> Select[Any]:
     """Return the visible groups for `_to_group`."""
-    active = (membership.c.group_id == access_group.c.id) & _is_active()
-    count = select(func.count()).join_from(membership, person, person.c.id == membership.c.person_id).where(active)
+    members = select(func.count()).join_from(membership, person, person.c.id == membership.c.person_id)
+    count = members.where(membership.c.group_id == access_group.c.id, _is_active())
     domains = select(affiliation_domain.c.domain).where(affiliation_domain.c.group_id == access_group.c.id)
-    own = and_(
+    is_own = and_(
         _mine.c.group_id == access_group.c.id, _mine.c.person_id == actor.person_id, unexpired(_mine.c.expires_at)
     )
     return (
@@ -269,7 +267,7 @@ def _visible_groups(actor: Actor) -> Select[Any]:
         )
         .outerjoin(affiliation, affiliation.c.group_id == access_group.c.id)
         .outerjoin(_creator, _creator.c.id == access_group.c.created_by_id)
-        .outerjoin(_mine, own)
+        .outerjoin(_mine, is_own)
     )
 
 

@@ -65,26 +65,26 @@ class MetricsPortUnusable(Exception):
     """The port for metrics cannot be opened. The text has the port, and what to do."""
 
 
-class _SiteGauges:
-    """Gauges of the whole server, while this process is the one that reports them."""
+class _ServerGauges:
+    """Gauges of the server, if this process is the one that reports them."""
 
     def __init__(self, settings: Settings, database: Database) -> None:
         self._dsn = make_conninfo(plain_dsn(settings.database_url), **_CONNECTION)
-        self._recent = Recent(lambda: _site_metrics(database), holds_s=_HOLDS_S)
-        self._turn = asyncio.Lock()
+        self._recent = Recent(lambda: _server_metrics(database), holds_s=_HOLDS_S)
+        self._lock = asyncio.Lock()
         self._connection: psycopg.AsyncConnection[tuple[object, ...]] | None = None
         self._release: asyncio.TimerHandle | None = None
         self._releasing: asyncio.Task[None] | None = None
 
-    async def look(self) -> list[Metric]:
+    async def collect(self) -> list[Metric]:
         """Return the gauges; none if another process reports them or the database is not available."""
-        async with self._turn:
+        async with self._lock:
             try:
                 if not await self._is_reporter():
                     return []
                 return await self._recent.get()
             except (psycopg.Error, DatabaseUnavailable, SQLAlchemyError) as error:  # away, or its schema is another
-                _log.warning("no metrics of the site", extra={"fields": {"reason": type(error).__name__}})
+                _log.warning("no gauges of the server", extra={"fields": {"reason": type(error).__name__}})
                 await self.close()
                 return []
 
@@ -121,10 +121,10 @@ async def serve_metrics(settings: Settings, database: Database) -> AsyncIterator
     if settings.metrics_port is None:
         yield None
         return
-    gauges = _SiteGauges(settings, database)
+    gauges = _ServerGauges(settings, database)
 
     async def respond(_request: web.Request) -> web.Response:
-        body = exposition(await gauges.look())
+        body = exposition(await gauges.collect())
         return web.Response(body=body, headers={"Content-Type": CONTENT_TYPE_LATEST})
 
     app = web.Application()
@@ -135,9 +135,9 @@ async def serve_metrics(settings: Settings, database: Database) -> AsyncIterator
         try:
             await web.TCPSite(runner, settings.metrics_address, settings.metrics_port).start()
         except OSError as error:
-            place = f"{settings.metrics_address}:{settings.metrics_port}"
+            address = f"{settings.metrics_address}:{settings.metrics_port}"
             raise MetricsPortUnusable(
-                f"Metrics cannot be served on {place} ({error.strerror or error}): give each process a free port by "
+                f"Metrics cannot be served on {address} ({error.strerror or error}): give each process a free port by "
                 "--metrics-port or KLEINKRAM_METRICS_PORT, and an address of this machine by KLEINKRAM_METRICS_ADDRESS."
             ) from None
         port: int = runner.addresses[0][1]
@@ -148,7 +148,7 @@ async def serve_metrics(settings: Settings, database: Database) -> AsyncIterator
         await gauges.close()
 
 
-async def _site_metrics(database: Database) -> list[Metric]:
+async def _server_metrics(database: Database) -> list[Metric]:
     """Read the gauges in one transaction."""
     async with database.begin() as db:
         blobs = (await db.execute(_BLOBS)).all()
@@ -168,45 +168,47 @@ async def _site_metrics(database: Database) -> list[Metric]:
     for task, status, count in jobs:
         job_counts.add_metric([task, status], count)
     last_seen_at_s = workers.last_seen_at.timestamp() if workers.last_seen_at else 0
+    upload_states = {row.state: row.number for row in uploads}
     gauges: list[Metric] = [
-        _gauge("kleinkram_blobs", "Blobs by state.", "state", states),
-        _gauge("kleinkram_stored_bytes", "Bytes by state of their blob.", "state", sizes),
-        _gauge("kleinkram_blob_content", "Blobs by what is known of their content.", "content", contents),
-        _gauge("kleinkram_uploads", "Uploads by state.", "state", {row.state: row.number for row in uploads}),
+        _by_label("kleinkram_blobs", "Blobs by state.", "state", states),
+        _by_label("kleinkram_stored_bytes", "Bytes by state of their blob.", "state", sizes),
+        _by_label("kleinkram_blob_content", "Blobs by what is known of their content.", "content", contents),
+        _by_label("kleinkram_uploads", "Uploads by state.", "state", upload_states),
         job_counts,
-        _gauge("kleinkram_jobs_retrying", "Jobs that failed and wait for another attempt.", "task", retrying),
-        GaugeMetricFamily(
-            "kleinkram_queue_oldest_seconds", "Age of the oldest job that waits, or waits for a retry.", value=age_s
-        ),
-        GaugeMetricFamily("kleinkram_workers", "Worker processes that are alive.", value=len(workers.seen_at)),
-        GaugeMetricFamily(
-            "kleinkram_worker_last_heartbeat_timestamp_seconds",
-            "When a worker was last heard of.",
-            value=last_seen_at_s,
-        ),
-        GaugeMetricFamily(
-            "kleinkram_oldest_verification_seconds",
-            "Seconds since the oldest verification.",
-            value=verification_age_s,
-        ),
+        _by_label("kleinkram_jobs_retrying", "Jobs that failed and wait for another attempt.", "task", retrying),
+        _gauge("kleinkram_queue_oldest_seconds", "Age of the oldest job that waits, or waits for a retry.", age_s),
+        _gauge("kleinkram_workers", "Worker processes that are alive.", len(workers.seen_at)),
+        _gauge("kleinkram_worker_last_heartbeat_timestamp_seconds", "Last heartbeat of a worker.", last_seen_at_s),
+        _gauge("kleinkram_oldest_verification_seconds", "Seconds since the oldest verification.", verification_age_s),
     ]
     if last is not None:
         findings = {name: getattr(last, name) for name in _FINDINGS}
-        ended_at, stopped = last.ended_at.timestamp(), int(last.aborted_reason is not None)
+        is_stopped = int(last.aborted_reason is not None)
         gauges += [
-            GaugeMetricFamily("kleinkram_scrub_ended_timestamp_seconds", "When the last scrub ended.", value=ended_at),
-            GaugeMetricFamily("kleinkram_scrub_stopped", "Whether it stopped and marked nothing.", value=stopped),
-            GaugeMetricFamily("kleinkram_scrub_compared", "Blobs that it compared.", value=last.compared),
-            _gauge("kleinkram_scrub_findings", "What it found.", "finding", findings),
+            _gauge("kleinkram_scrub_ended_timestamp_seconds", "When the last scrub ended.", last.ended_at.timestamp()),
+            _gauge("kleinkram_scrub_stopped", "Whether it stopped and marked nothing.", is_stopped),
+            _gauge("kleinkram_scrub_compared", "Blobs that it compared.", last.compared),
+            _by_label("kleinkram_scrub_findings", "What it found.", "finding", findings),
         ]
     return gauges
 
 
+def _gauge(name: str, text: str, value: float) -> GaugeMetricFamily:
+    return GaugeMetricFamily(name, text, value=value)
+
+
+def _by_label(name: str, text: str, label: str, values: Mapping[str, int]) -> GaugeMetricFamily:
+    family = GaugeMetricFamily(name, text, labels=[label])
+    for label_value, value in values.items():
+        family.add_metric([label_value], value)
+    return family
+
+
 def exposition(gauges: Sequence[Metric]) -> bytes:
     """Return this process's counters and the given gauges in the Prometheus text format."""
-    site_registry = CollectorRegistry()
-    site_registry.register(_GaugeCollector(gauges))
-    return generate_latest(REGISTRY) + generate_latest(site_registry)
+    server_registry = CollectorRegistry()
+    server_registry.register(_GaugeCollector(gauges))
+    return generate_latest(REGISTRY) + generate_latest(server_registry)
 
 
 class _GaugeCollector(Collector):
@@ -217,10 +219,3 @@ class _GaugeCollector(Collector):
 
     def collect(self) -> Sequence[Metric]:
         return self._gauges
-
-
-def _gauge(name: str, text: str, label: str, values: Mapping[str, int]) -> GaugeMetricFamily:
-    family = GaugeMetricFamily(name, text, labels=[label])
-    for of, value in values.items():
-        family.add_metric([of], value)
-    return family

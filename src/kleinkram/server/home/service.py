@@ -256,7 +256,7 @@ def _unsatisfied_missions(actor: Actor) -> Select[Any]:
 
 
 def _failed_runs(actor: Actor) -> Select[Any]:
-    """Return recent failures on each mission of actions whose last result it was.
+    """Return the recent failures on each mission that are the last result of their action.
 
     Actions are identified by name, so that a script that was corrected and run from its folder again counts too.
     """

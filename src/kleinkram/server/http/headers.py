@@ -40,10 +40,10 @@ _HSTS: RawHeader = (b"strict-transport-security", f"max-age={_YEAR_S}".encode())
 
 def with_security_headers(headers: Iterable[RawHeader], *, is_https: bool) -> list[RawHeader]:
     """Return a response's headers plus the security headers that it does not set itself."""
-    own = list(headers)
-    own_names = {name.lower() for name, _ in own}
+    own_headers = list(headers)
+    own_names = {name.lower() for name, _ in own_headers}
     defaults = [*_DEFAULTS, _HSTS] if is_https else _DEFAULTS
-    return [*own, *(header for header in defaults if header[0] not in own_names)]
+    return [*own_headers, *(header for header in defaults if header[0] not in own_names)]
 
 
 def client_address(peer: str, forwarded_for: Sequence[str], trusted_proxies: Sequence[Network]) -> str:

@@ -26,7 +26,7 @@ router = APIRouter(prefix="/api/v1", tags=["missions"])
 
 
 class MissionListQuery(MissionFilter):
-    """The query of a list of missions. With `query`, those that it finds: by what they say, or by their files.
+    """Query parameters of a list of missions; `query` finds missions by their own fields or by their files.
 
     `sort` is a column, or a field of the metadata such as `meta.robot`; a leading `-` reverses it.
     """
@@ -42,7 +42,7 @@ class MissionListQuery(MissionFilter):
 async def create_mission(
     project_id: uuid.UUID, new_mission: MissionCreate, db: Transaction, actor: CurrentActor
 ) -> MissionRead:
-    """Make a mission; its metadata must satisfy the project's fields."""
+    """Create a mission; its metadata must satisfy the project's fields."""
     return await service.create_mission(db, actor, project_id=project_id, new_mission=new_mission)
 
 
@@ -67,7 +67,7 @@ async def get_mission(mission_id: uuid.UUID, db: Reading, actor: CurrentActor) -
 async def update_mission(
     mission_id: uuid.UUID, changes: MissionUpdate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
 ) -> MissionRead:
-    """Rename, move, complete or describe a mission; what is left out stays."""
+    """Rename, move, complete or describe a mission; omitted fields do not change."""
     return await service.update_mission(db, actor, mission_id=mission_id, changes=changes, if_match=if_match)
 
 

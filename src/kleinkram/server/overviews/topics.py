@@ -36,13 +36,13 @@ class TopicKey(NamedTuple):
 
 @dataclass(frozen=True)
 class MergedTopic:
-    """One topic with one type in all recordings of a mission, as `MissionTopic` says; `places` are flat ranges."""
+    """One topic with one type in all recordings of a mission, as in `MissionTopic`."""
 
     key: TopicKey
     count: int | None
     file_count: int
     recording_count: int
-    places: list[int]
+    recording_ranges: list[int]
     first_ns: int | None
     last_ns: int | None
     rate_hz: float | None
@@ -52,18 +52,18 @@ class MergedTopic:
 
 
 async def merge(rows: AsyncIterator[Row[Any]], recording_ids: Sequence[uuid.UUID]) -> AsyncIterator[MergedTopic]:
-    """Yield merged topics of rows that come by name, type, recording and time; rows that are not placed only count."""
-    places = {recording_id: place for place, recording_id in enumerate(recording_ids)}
+    """Yield merged topics of rows by name, type, recording and time; rows of other recordings are only counted."""
+    positions = {recording_id: position for position, recording_id in enumerate(recording_ids)}
     one: _TopicMerger | None = None
     async for row in rows:
         key = TopicKey(row.name, row.message_type)
         if one is None or one.key != key:
             if one is not None:
-                yield one.merged(places)
+                yield one.merged(positions)
             one = _TopicMerger(key)
         one.add(row)
     if one is not None:
-        yield one.merged(places)
+        yield one.merged(positions)
 
 
 class _TopicMerger:
@@ -97,16 +97,16 @@ class _TopicMerger:
         if len(self._densities) >= _ADDED_AT_ONCE:
             self._densities = [*_added(self._densities)]
 
-    def merged(self, places: Mapping[uuid.UUID, int]) -> MergedTopic:
+    def merged(self, positions: Mapping[uuid.UUID, int]) -> MergedTopic:
         self._end_recording()
-        numbers = sorted(places[recording_id] for recording_id in self._recordings if recording_id in places)
+        numbers = sorted(positions[recording_id] for recording_id in self._recordings if recording_id in positions)
         whole = self._whole
         return MergedTopic(
             key=self.key,
             count=self._count,
             file_count=self._files,
             recording_count=len(numbers),
-            places=[*_ranges(numbers)],
+            recording_ranges=[*_ranges(numbers)],
             first_ns=whole.first_ns,
             last_ns=whole.last_ns,
             rate_hz=whole.steps * 1e9 / whole.span_ns if whole.span_ns > 0 and whole.steps > 0 else None,
@@ -301,7 +301,7 @@ def _topic(merged: MergedTopic, types: Sequence[str | None], axis: TimeAxis | No
         count=merged.count,
         file_count=merged.file_count,
         recording_count=merged.recording_count,
-        recordings=list(zip(merged.places[::2], merged.places[1::2], strict=True)),
+        recordings=list(zip(merged.recording_ranges[::2], merged.recording_ranges[1::2], strict=True)),
         first_ns=merged.first_ns,
         last_ns=merged.last_ns,
         rate_hz=merged.rate_hz,
@@ -319,7 +319,7 @@ def _values(mission_id: uuid.UUID, merged: MergedTopic) -> dict[str, object]:
         "count": _bigint(merged.count),
         "file_count": merged.file_count,
         "recording_count": merged.recording_count,
-        "places": merged.places,
+        "recording_ranges": merged.recording_ranges,
         "first_ns": merged.first_ns,
         "last_ns": merged.last_ns,
         "rate_hz": merged.rate_hz,
@@ -340,7 +340,7 @@ def _from_row(row: Row[Any]) -> MergedTopic:
         count=row.message_count,
         file_count=row.file_count,
         recording_count=row.recording_count,
-        places=row.places,
+        recording_ranges=row.recording_ranges,
         first_ns=row.first_ns,
         last_ns=row.last_ns,
         rate_hz=row.rate_hz,

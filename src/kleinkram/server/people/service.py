@@ -61,10 +61,10 @@ async def appoint_admin(db: Connection, actor: Actor, person_id: uuid.UUID) -> P
     """Make an active person a permanent admin. Raises NotFound."""
     await lock_rights(db)
     name = await _lock_active(db, person_id)
-    own = (membership.c.group_id == ADMINS_ID) & (membership.c.person_id == person_id)
-    old = (await db.execute(select(membership.c.expires_at).where(own))).one_or_none()
-    if old is None or old.expires_at is not None:
-        await audit(db, actor, Event("person.make_admin", "person", person_id, name, None, needs_admin=True))
+    is_own = (membership.c.group_id == ADMINS_ID) & (membership.c.person_id == person_id)
+    old_membership = (await db.execute(select(membership.c.expires_at).where(is_own))).one_or_none()
+    if old_membership is None or old_membership.expires_at is not None:
+        await audit(db, actor, Event("person.make_admin", "person", person_id, name, needs_admin=True))
         await make_admin(db, person_id)
     return await get_person(db, actor, person_id)
 
@@ -72,14 +72,14 @@ async def appoint_admin(db: Connection, actor: Actor, person_id: uuid.UUID) -> P
 async def dismiss_admin(db: Connection, actor: Actor, person_id: uuid.UUID) -> PersonRead:
     """Remove a person from the admins, if they are one. Raises NotFound or LastAdmin."""
     await lock_rights(db)
-    seen = await get_person(db, actor, person_id)
-    own = (membership.c.group_id == ADMINS_ID) & (membership.c.person_id == person_id)
-    if (await db.execute(select(membership.c.group_id).where(own))).first() is not None:
-        await audit(db, actor, Event("person.unmake_admin", "person", person_id, seen.name, None, needs_admin=True))
-        await db.execute(delete(membership).where(own))
+    target = await get_person(db, actor, person_id)
+    is_own = (membership.c.group_id == ADMINS_ID) & (membership.c.person_id == person_id)
+    if (await db.execute(select(membership.c.group_id).where(is_own))).first() is not None:
+        await audit(db, actor, Event("person.unmake_admin", "person", person_id, target.name, needs_admin=True))
+        await db.execute(delete(membership).where(is_own))
         await ensure_admin_remains(db)
-        seen = seen.model_copy(update={"is_admin": False})
-    return seen
+        target = target.model_copy(update={"is_admin": False})
+    return target
 
 
 async def deactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Departure:
@@ -111,8 +111,8 @@ async def deactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Depa
     )
     after = departure.model_dump(mode="json", exclude={"person"})
     owner_right: Metadata = {"right": Right.delete.value, "expires_at": None}
-    events = [Event("person.deactivate", "person", person_id, name, None, after=after, needs_admin=True)]
-    events += [Event("token.revoke", "token", row.id, row.name, None, needs_admin=True) for row in tokens]
+    events = [Event("person.deactivate", "person", person_id, name, after=after, needs_admin=True)]
+    events += [Event("token.revoke", "token", row.id, row.name, needs_admin=True) for row in tokens]
     events += [
         Event("share.revoke", "share", row.id, row.name, row.project_id, mission_id=row.mission_id, needs_admin=True)
         for row in shares
@@ -128,11 +128,11 @@ async def deactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Depa
 async def reactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> PersonRead:
     """Let a deactivated person sign in again, with their memberships and grants. Raises NotFound."""
     await lock_rights(db)
-    seen = await get_person(db, actor, person_id)
-    if seen.deactivated_at is None:
-        return seen
+    target = await get_person(db, actor, person_id)
+    if target.deactivated_at is None:
+        return target
     await db.execute(update(person).where(person.c.id == person_id).values(deactivated_at=None))
-    await audit(db, actor, Event("person.reactivate", "person", person_id, seen.name, None, needs_admin=True))
+    await audit(db, actor, Event("person.reactivate", "person", person_id, target.name, needs_admin=True))
     return await get_person(db, actor, person_id)
 
 
@@ -161,10 +161,10 @@ def _to_person(row: Row[Any]) -> PersonRead:
 
 def _owned_projects(person_id: uuid.UUID) -> Select[tuple[uuid.UUID]]:
     """Return the ids of the projects that a person owns permanently, by any group."""
-    lasting = (access_grant.c.level == Right.delete.level) & access_grant.c.expires_at.is_(None)
-    joined = select(access_grant.c.project_id).join(membership, membership.c.group_id == access_grant.c.group_id)
-    theirs = (membership.c.person_id == person_id) & membership.c.expires_at.is_(None)
-    return joined.where(lasting, theirs, access_grant.c.project_id.is_not(None)).distinct()
+    is_permanent = (access_grant.c.level == Right.delete.level) & access_grant.c.expires_at.is_(None)
+    projects = select(access_grant.c.project_id).join(membership, membership.c.group_id == access_grant.c.group_id)
+    is_member = (membership.c.person_id == person_id) & membership.c.expires_at.is_(None)
+    return projects.where(is_permanent, is_member, access_grant.c.project_id.is_not(None)).distinct()
 
 
 async def _lock_active(db: Connection, person_id: uuid.UUID) -> str:

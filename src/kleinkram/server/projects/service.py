@@ -122,13 +122,13 @@ async def delete_project(db: Connection, actor: Actor, *, project_id: uuid.UUID,
     if not dry_run:
         await db.execute(_lock_project(actor, project_id))
     await require_project(db, actor, "delete_project", project_id)
-    seen = await get_project(db, actor, project_id)
+    old = await get_project(db, actor, project_id)
     if not dry_run:
         marked = update(project).where(project.c.id == project_id)
         await db.execute(marked.values(deleted_at=func.now(), deleted_by_id=actor.person_id))
-        before: Metadata = {"name": seen.name}
-        await audit(db, actor, Event("project.delete", "project", project_id, seen.name, project_id, before))
-    return Deleted(missions=seen.mission_count, files=seen.file_count, size_bytes=seen.size_bytes, dry_run=dry_run)
+        before: Metadata = {"name": old.name}
+        await audit(db, actor, Event("project.delete", "project", project_id, old.name, project_id, before))
+    return Deleted(missions=old.mission_count, files=old.file_count, size_bytes=old.size_bytes, dry_run=dry_run)
 
 
 async def get_template(db: Connection, actor: Actor, project_id: uuid.UUID) -> MissionTemplate:

@@ -90,14 +90,14 @@ async def confirm_log_chunk(
 
 @router.post("/runner/runs/{run_id}/uploads", operation_id="create_artifact_uploads")
 async def create_artifact_uploads(
-    run_id: uuid.UUID, body: runners.ArtifactUploadsCreate, context: CurrentContext, actor: CurrentActor
+    run_id: uuid.UUID, requested: runners.ArtifactUploadsCreate, context: CurrentContext, actor: CurrentActor
 ) -> UploadDecisions:
     """Start uploads of artifacts, by the same protocol as files of a mission."""
     async with context.database.begin() as db:
-        row = await assigned_runs.lock_assigned_run(db, actor, run_id, body.attempt)
+        row = await assigned_runs.lock_assigned_run(db, actor, run_id, requested.attempt)
     owner = ArtifactOwner(run_id, row.mission_id, row.started_by_id)
-    await finish_interrupted_artifacts(context, actor, run_id=run_id, paths=[entry.path for entry in body.files])
-    return UploadDecisions(items=await begin_artifacts(context, actor, owner=owner, requested=body.files))
+    await finish_interrupted_artifacts(context, actor, run_id=run_id, paths=[entry.path for entry in requested.files])
+    return UploadDecisions(items=await begin_artifacts(context, actor, owner=owner, requested=requested.files))
 
 
 @router.post("/runner/runs/{run_id}/finish", operation_id="finish_run")

@@ -1,6 +1,5 @@
 """Ends of runs: cancelled, lost with their runners, or completed."""
 
-import datetime
 import uuid
 
 from sqlalchemy import delete, func, or_, select, update
@@ -8,7 +7,6 @@ from sqlalchemy import delete, func, or_, select, update
 from kleinkram.contract.access import Right
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.errors import Forbidden
-from kleinkram.contract.runners import LEASE_S
 from kleinkram.contract.runs import EndReason, RunRead, RunState
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.access.actor import Actor
@@ -17,6 +15,7 @@ from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection
 from kleinkram.server.runs import service
+from kleinkram.server.runs.eligibility import is_alive
 from kleinkram.server.tables import mission, project, run, run_artifact, runner, token, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
 from kleinkram.server.tables.runs import ASSIGNED
@@ -24,7 +23,6 @@ from kleinkram.server.tables.runs import ASSIGNED
 # How often a run is queued again after its runner was lost.
 _MAX_REQUEUES = 2
 _BATCH = 500
-_SILENT = datetime.timedelta(seconds=LEASE_S)
 
 
 async def cancel_run(db: Connection, actor: Actor, *, run_id: uuid.UUID) -> RunRead:
@@ -68,8 +66,8 @@ async def _update(db: Connection, run_id: uuid.UUID, **values: object) -> None:
 async def _discard_attempt(db: Connection, run_id: uuid.UUID, *, keep_results: bool) -> None:
     """Revoke the token of an attempt, abort its uploads, and delete its artifacts unless `keep_results`."""
     await db.execute(update(token).where(token.c.run_id == run_id).values(revoked_at=func.now()))
-    open_still = (upload.c.run_id == run_id) & upload.c.state.in_(UNDER_WAY)
-    await db.execute(update(upload).where(open_still).values(state=UploadState.aborted.value))
+    open_uploads = (upload.c.run_id == run_id) & upload.c.state.in_(UNDER_WAY)
+    await db.execute(update(upload).where(open_uploads).values(state=UploadState.aborted.value))
     if not keep_results:
         await db.execute(delete(run_artifact).where(run_artifact.c.run_id == run_id))
 
@@ -79,9 +77,9 @@ async def requeue_lost_runs(db: Connection) -> int:
 
     A cancelled run of a runner that is not alive ends before its lease does.
     """
-    seen = (runner.c.id == run.c.runner_id) & (runner.c.last_seen_at > func.now() - _SILENT)
-    silent = run.c.cancel_requested_at.is_not(None) & ~select(runner.c.id).where(seen).exists()
-    expired = run.c.state.in_(ASSIGNED) & ((run.c.lease_ends_at < func.now()) | silent)
+    alive = select(runner.c.id).where(runner.c.id == run.c.runner_id, is_alive()).exists()
+    is_due = (run.c.lease_ends_at < func.now()) | (run.c.cancel_requested_at.is_not(None) & ~alive)
+    expired = run.c.state.in_(ASSIGNED) & is_due
     stmt = select(run.c.id, run.c.cancel_requested_at, run.c.lost_count).where(expired)
     rows = (await db.execute(stmt.order_by(run.c.id).limit(_BATCH).with_for_update(skip_locked=True))).all()
     unassigned = dict.fromkeys(("lease_ends_at", "runner_id", "progress", "usage", "claimed_at", "started_at"))

@@ -22,7 +22,7 @@ _LOG_NOUNS = frozenset({"run", "run_log"})
 
 
 @dataclass(frozen=True)
-class _Place:
+class _StoredChunk:
     """The object with the bytes of a log at some offset."""
 
     attempt: int
@@ -46,30 +46,30 @@ async def read_log(
     if not wait_s:
         return await _read_now(context, actor, run_id, offset)
     until = time.monotonic() + wait_s
-    with hub.long_poll(actor.person_id or actor.share_id, EventFilter(_LOG_NOUNS, run_id)) as listener:
-        piece = await _read_now(context, actor, run_id, offset)
-        while not (piece.text or piece.is_over or hub.is_closed) and (left_s := until - time.monotonic()) > 0:
-            await hub.next_event(listener, timeout_s=min(left_s, _CHECK_EVERY_S))
+    with hub.long_poll(actor.person_id or actor.share_id, EventFilter(_LOG_NOUNS, run_id)) as subscription:
+        chunk = await _read_now(context, actor, run_id, offset)
+        while not (chunk.text or chunk.is_over or hub.is_closed) and (left_s := until - time.monotonic()) > 0:
+            await hub.next_event(subscription, timeout_s=min(left_s, _CHECK_EVERY_S))
             async with hub.rights_checks:  # most database connections stay available to others
-                piece = await _read_now(context, actor, run_id, offset)
-        return piece
+                chunk = await _read_now(context, actor, run_id, offset)
+        return chunk
 
 
 async def _read_now(context: AppContext, actor: Actor, run_id: uuid.UUID, offset: int) -> LogChunkRead:
     missing: str | None = None
     while True:
         async with context.database.begin() as db:
-            place = await _find(db, actor, run_id, offset)
-        piece = await _read_chunk(context, place, offset)
-        if piece is not None:
-            return piece
+            stored = await _find(db, actor, run_id, offset)
+        chunk = await _read_chunk(context, stored, offset)
+        if chunk is not None:
+            return chunk
         # The complete log may have replaced it: the database has the current object.
-        if missing == place.key:
+        if missing == stored.key:
             raise StoreUnavailable(reason="this chunk of the log is missing")
-        missing = place.key
+        missing = stored.key
 
 
-async def _find(db: Connection, actor: Actor, run_id: uuid.UUID, offset: int) -> _Place:
+async def _find(db: Connection, actor: Actor, run_id: uuid.UUID, offset: int) -> _StoredChunk:
     run_id = (await service.find_run(db, actor, run_id)).results_id
     stmt = select(run.c.attempt, run.c.state, blob.c.key, blob.c.size_bytes)
     joined = stmt.outerjoin(blob, blob.c.id == run.c.log_blob_id).where(run.c.id == run_id)
@@ -77,36 +77,36 @@ async def _find(db: Connection, actor: Actor, run_id: uuid.UUID, offset: int) ->
     is_over = row.state not in ACTIVE
     if row.key is not None:
         left = max(0, row.size_bytes - offset)
-        return _Place(row.attempt, is_over, row.size_bytes, row.key, offset, min(left, _CHUNK_BYTES))
+        return _StoredChunk(row.attempt, is_over, row.size_bytes, row.key, offset, min(left, _CHUNK_BYTES))
     shown = (log_chunk.c.run_id == run_id) & (log_chunk.c.attempt == row.attempt) & log_chunk.c.kept_at.is_not(None)
     ends = log_chunk.c.offset_bytes + log_chunk.c.size_bytes
     size = (await db.execute(select(func.coalesce(func.max(ends), 0)).where(shown))).scalar_one()
     covering = select(log_chunk).where(shown, log_chunk.c.offset_bytes <= offset, ends > offset)
     chunk_row = (await db.execute(covering.limit(1))).one_or_none()
     if chunk_row is None:
-        return _Place(row.attempt, is_over, size)
+        return _StoredChunk(row.attempt, is_over, size)
     begin = offset - chunk_row.offset_bytes
     length = min(chunk_row.size_bytes - begin, _CHUNK_BYTES)
-    return _Place(row.attempt, is_over, size, chunk_row.key, begin, length)
+    return _StoredChunk(row.attempt, is_over, size, chunk_row.key, begin, length)
 
 
-async def _read_chunk(context: AppContext, place: _Place, offset: int) -> LogChunkRead | None:
+async def _read_chunk(context: AppContext, stored: _StoredChunk, offset: int) -> LogChunkRead | None:
     """Read a chunk; None where the store has no such object."""
     data = b""
-    if place.key is not None and place.length:
+    if stored.key is not None and stored.length:
         try:
-            data = await context.storage.read_range(place.key, offset=place.begin, size_bytes=place.length)
+            data = await context.storage.read_range(stored.key, offset=stored.begin, size_bytes=stored.length)
         except FileNotFoundError:
             return None
-    is_last = offset + len(data) >= place.size_bytes
-    if not (is_last and place.is_over):
+    is_last = offset + len(data) >= stored.size_bytes
+    if not (is_last and stored.is_over):
         data = _complete_lines(data)
     return LogChunkRead(
-        attempt=place.attempt,
+        attempt=stored.attempt,
         offset=offset,
         next_offset=offset + len(data),
         text=data.decode(errors="replace"),
-        is_over=place.is_over and offset + len(data) >= place.size_bytes,
+        is_over=stored.is_over and offset + len(data) >= stored.size_bytes,
     )
 
 

@@ -28,7 +28,7 @@ class SearchQuery(BaseModel):
 
 
 class TopicListQuery(FileQuery):
-    """The query of a list of topics; `topic` and `message_type` narrow the topics as well as the files."""
+    """Query parameters of a list of topics; `topic` and `message_type` select topics as well as files."""
 
     limit: PageSize = 100
     cursor: Cursor | None = None
@@ -36,20 +36,20 @@ class TopicListQuery(FileQuery):
 
 
 class StatsQuery(FileQuery):
-    """The query of statistics: by `project`, `mission`, `topic`, `type`, `month`, `format` or `metadata.FIELD`."""
+    """Query parameters of statistics. `by` is project, mission, topic, type, month, format or metadata.FIELD."""
 
     by: Term = "project"
 
 
 @router.get("/search", operation_id="search")
 async def search(query: Annotated[SearchQuery, Query()], db: Transaction, actor: CurrentActor) -> SearchRead:
-    """Return what a query finds: the first missions, files and topics, with how many there are of each."""
+    """Return the first missions, files and topics that a query finds, and the number of each."""
     return await service.search(db, actor, text=query.query, sort=query.sort, limit=query.limit)
 
 
 @router.get("/search/facets", operation_id="get_facets")
 async def get_facets(db: Transaction, actor: CurrentActor, query: Annotated[QueryText, Query()] = "") -> FacetsRead:
-    """Return how the files that a query finds divide, and the text of the query with each value chosen."""
+    """Return the facets of the files that a query finds, and the query with each value selected."""
     return await facets.get_facets(db, actor, query=query)
 
 

@@ -104,9 +104,9 @@ mission = sa.Table(
 # The text contains the keys too, so matches are checked again.
 sa.Index(
     "ix_mission_metadata_words",
-    sa.cast(mission.c.metadata, sa.Text).label("said"),
+    sa.cast(mission.c.metadata, sa.Text).label("as_text"),
     postgresql_using="gin",
-    postgresql_ops={"said": "gin_trgm_ops"},
+    postgresql_ops={"as_text": "gin_trgm_ops"},
 )
 
 
@@ -136,7 +136,7 @@ mission_topic = sa.Table(
     sa.Column("file_count", sa.Integer, nullable=False),
     sa.Column("recording_count", sa.Integer, nullable=False),
     # Ranges of indexes into `recording_ids`, as pairs of first and last, both inclusive.
-    sa.Column("places", sa.ARRAY(sa.Integer), nullable=False),
+    sa.Column("recording_ranges", sa.ARRAY(sa.Integer), nullable=False),
     sa.Column("first_ns", sa.BigInteger),
     sa.Column("last_ns", sa.BigInteger),
     sa.Column("rate_hz", sa.Double),

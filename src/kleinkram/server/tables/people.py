@@ -18,7 +18,7 @@ person = sa.Table(
     sa.Column("deactivated_at", sa.DateTime(timezone=True)),
 )
 
-# `verified_by`: what verified the address, such as the URL of an issuer, or an invitation.
+# `verified_by`: what verified the address: the URL of an issuer, `invitation` or `bootstrap`.
 person_email = sa.Table(
     "person_email",
     metadata,

@@ -54,9 +54,7 @@ async def create_token(db: Connection, actor: Actor, *, request: TokenCreate, se
     shown = {"kind", "scopes", "limits", "expires_at", "prefix", "runner", "runner_labels"}
     after = created.model_dump(mode="json", include=shown)
     needs_admin = request.kind is TokenKind.runner
-    await audit(
-        db, actor, Event("token.create", "token", token_id, created.name, None, after=after, needs_admin=needs_admin)
-    )
+    await audit(db, actor, Event("token.create", "token", token_id, created.name, after=after, needs_admin=needs_admin))
     return TokenMade(token=created, secret=secret.text)
 
 
@@ -128,18 +126,18 @@ async def revoke_token(
         raise errors.ScopeMissing(operation="revoke another token", needs="a token without limits")
     row = await _get_row(db, actor, token_id)
     await lock_person(db, row.person_id)
-    chosen = select(token.c.id).where(token.c.id == token_id)
+    token_ids = select(token.c.id).where(token.c.id == token_id)
     if derived is DerivedTokens.ended:
-        line = chosen.cte("line", recursive=True)
-        line = line.union(select(token.c.id).join(line, token.c.made_by_token_id == line.c.id))
-        chosen = select(line.c.id)
+        tree = token_ids.cte("line", recursive=True)
+        tree = tree.union(select(token.c.id).join(tree, token.c.made_by_token_id == tree.c.id))
+        token_ids = select(tree.c.id)
     needs_admin = row.person_id != actor.person_id
     events = []
-    for ended in await _revoke(db, chosen):
-        after: Metadata = {"prefix": ended.prefix, "person": row.person_name}
-        if ended.id != token_id:
+    for revoked in await _revoke(db, token_ids):
+        after: Metadata = {"prefix": revoked.prefix, "person": row.person_name}
+        if revoked.id != token_id:
             after["made_with"] = row.name
-        events.append(Event("token.revoke", "token", ended.id, ended.name, None, after=after, needs_admin=needs_admin))
+        events.append(Event("token.revoke", "token", revoked.id, revoked.name, after=after, needs_admin=needs_admin))
     await audit(db, actor, *events)
 
 
@@ -148,19 +146,19 @@ async def end_personal_tokens(db: Connection, actor: Actor) -> int:
 
     Tokens of robots and runners stay valid, and so does the token that the server itself created for its local owner.
     """
-    by_somebody = exists().where(
+    was_created_by_person = exists().where(
         audit_event.c.noun_id == token.c.id,
         audit_event.c.operation == "token.create",
         audit_event.c.actor_id.is_not(None),
     )
-    own = (token.c.person_id == actor.person_id) & (token.c.kind == TokenKind.personal.value)
-    ended = await _revoke(db, select(token.c.id).where(own, by_somebody))
+    is_own = (token.c.person_id == actor.person_id) & (token.c.kind == TokenKind.personal.value)
+    revoked = await _revoke(db, select(token.c.id).where(is_own, was_created_by_person))
     events = [
-        Event("token.revoke", "token", row.id, row.name, None, after={"prefix": row.prefix, "person": actor.name})
-        for row in ended
+        Event("token.revoke", "token", row.id, row.name, after={"prefix": row.prefix, "person": actor.name})
+        for row in revoked
     ]
     await audit(db, actor, *events)
-    return len(ended)
+    return len(revoked)
 
 
 async def _revoke(db: Connection, chosen: Select[tuple[uuid.UUID]]) -> Sequence[Row[Any]]:
@@ -173,9 +171,9 @@ def _sees_others(actor: Actor) -> bool:
 
 
 def _tokens_of(person_id: uuid.UUID | None) -> Select[Any]:
-    own = [column for column in token.c if column is not token.c.secret_sha256]
+    columns = [column for column in token.c if column is not token.c.secret_sha256]
     names = person.c.name.label("person_name"), runner.c.name.label("runner_name")
-    stmt = select(*own, *names).join_from(token, person).outerjoin(runner, runner.c.id == token.c.runner_id)
+    stmt = select(*columns, *names).join_from(token, person).outerjoin(runner, runner.c.id == token.c.runner_id)
     stmt = stmt.where(token.c.kind != TokenKind.run.value)
     return stmt if person_id is None else stmt.where(token.c.person_id == person_id)
 
@@ -246,13 +244,13 @@ async def _find_expiry(
     db: Connection, actor: Actor, request: TokenCreate, settings: Settings
 ) -> datetime.datetime | None:
     """Return when a token ends: as requested, else by the settings; never after the token it is created with."""
-    own = select(token.c.expires_at).where(token.c.id == actor.token_id).scalar_subquery()
-    now, latest = (await db.execute(select(func.now(), own))).one()
-    most = settings.token_days_max
+    creator_expiry = select(token.c.expires_at).where(token.c.id == actor.token_id).scalar_subquery()
+    now, latest = (await db.execute(select(func.now(), creator_expiry))).one()
+    max_days = settings.token_days_max
     # A minute of tolerance: the client computed the days a little earlier.
-    longest = now + datetime.timedelta(days=most, minutes=1)
-    if most and (request.no_end or (request.expires_at is not None and request.expires_at > longest)):
-        message = f"a token of this server is good for {most} days at most (KLEINKRAM_TOKEN_DAYS_MAX)"
+    longest = now + datetime.timedelta(days=max_days, minutes=1)
+    if max_days and (request.no_end or (request.expires_at is not None and request.expires_at > longest)):
+        message = f"a token of this server is good for {max_days} days at most (KLEINKRAM_TOKEN_DAYS_MAX)"
         field = "no_end" if request.no_end else "expires_at"
         raise errors.InvalidRequest(problems=[errors.FieldProblem(field=field, message=message)])
     if request.expires_at is not None and request.expires_at <= now:
@@ -265,8 +263,8 @@ async def _find_expiry(
     if request.expires_at is not None or request.no_end:
         return request.expires_at or latest
     days = default_days(request.kind, settings)
-    usual = None if days is None else now + datetime.timedelta(days=days)
-    return min((end for end in (usual, latest) if end is not None), default=None)
+    default_expiry = None if days is None else now + datetime.timedelta(days=days)
+    return min((end for end in (default_expiry, latest) if end is not None), default=None)
 
 
 def default_days(kind: TokenKind, settings: Settings) -> int | None:

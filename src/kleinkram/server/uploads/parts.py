@@ -8,7 +8,6 @@ import datetime
 import uuid
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
 
 from sqlalchemy import ColumnElement, Update, func, update
 
@@ -35,7 +34,7 @@ Failures = dict[uuid.UUID, errors.KleinkramError]
 """Uploads that could not be finished, by id. After `UploadIncomplete` an upload may go on; any other error ends it."""
 
 
-def lease_columns(settings: Settings, now: datetime.datetime | ColumnElement[Any]) -> dict[str, Any]:
+def lease_columns(settings: Settings, now: datetime.datetime | ColumnElement[datetime.datetime]) -> dict[str, object]:
     """Return the columns that renew the lease and expiry of an upload, for an insert or update."""
     return {
         "lease_ends_at": now + datetime.timedelta(seconds=settings.upload_lease_s),

@@ -7,7 +7,6 @@ import datetime
 import uuid
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from sqlalchemy import func, select, update
 
@@ -191,7 +190,7 @@ def new_upload(
     now: datetime.datetime,
     *,
     id_: uuid.UUID | None = None,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return the columns of a new upload, for an insert."""
     upload_id = id_ or uuid.uuid4()
     # Viewers choose a reader by the suffix of a URL.

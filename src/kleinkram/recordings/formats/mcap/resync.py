@@ -52,21 +52,17 @@ def stands_outside_chunks(data: Buffer, at: int, left: int) -> bool:
     return record_end(data, at, left) is not None and data[at] not in inside
 
 
-def no_record(head: Buffer) -> str:
-    """Describe bytes that are no record."""
-    return "no record where one should begin" if any(head) else "zeros where a record should begin"
-
-
 def fault(data: Buffer, at: int, left: int) -> str | None:
     """Return what is wrong with the record that should begin here; None: it can be read.
 
-    `left`: bytes from `at` to the end of the file. A record of an unknown kind must be followed by one that
-    we do, or by another of a private kind; and unless it is of a private kind itself, no chunk may begin near its head.
+    `left`: bytes from `at` to the end of the file. A record of an unknown kind must be followed by one of a known or
+    private kind; and unless it is of a private kind itself, no chunk may begin near its head.
     """
     opcode, length = RECORD_HEAD.unpack_from(data, at)
     is_known = opcode in _OPCODES
     if opcode == 0 or (not is_known and not _is_unknown_kind(data, at, length, left)):
-        return no_record(data[at : at + RECORD_HEAD.size])
+        is_zero = not any(data[at : at + RECORD_HEAD.size])
+        return "zeros where a record should begin" if is_zero else "no record where one should begin"
     if not is_known or opcode == Opcode.MESSAGE or is_unfinished_chunk(data, at):
         return None
     needed = _body_length(opcode, data, at + RECORD_HEAD.size, length)

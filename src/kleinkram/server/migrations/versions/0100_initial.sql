@@ -512,7 +512,7 @@ CREATE TABLE mission_topic (
     count bigint,
     file_count integer NOT NULL,
     recording_count integer NOT NULL,
-    places integer[] NOT NULL,
+    recording_ranges integer[] NOT NULL,
     first_ns bigint,
     last_ns bigint,
     rate_hz double precision,
