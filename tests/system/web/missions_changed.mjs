@@ -41,7 +41,7 @@ await page.getByRole("button", { name: "Rename" }).click();
 await dialog("Rename mission").getByLabel("New name").fill("night");
 isMeantToFail = true;
 await dialog("Rename mission").getByRole("button", { name: "Save" }).click();
-const takenName = dialog("Rename mission").getByText("There already is");
+const takenName = dialog("Rename mission").getByText("There is already");
 await takenName.waitFor();
 seen.taken = await takenName.innerText();
 await look(page, "mission-rename-refused");
