@@ -14,7 +14,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.execution import BackPressure, record_failure
 from kleinkram.server.jobs.queue import queue
-from kleinkram.server.recordings.jobs import MetadataCache, RegroupDebounce
+from kleinkram.server.overviews.jobs import MetadataCache, RegroupDebounce
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.api_server import Api
@@ -36,7 +36,7 @@ def run_jobs(api: Api, *, store: str | None = None) -> list[str]:
 
 
 async def _hurry(context: AppContext) -> list[str]:
-    back_pressure = BackPressure(context.database, context.settings)
+    back_pressure = BackPressure(context.database)
     back_pressure.end()  # what these tests leave half uploaded is nobody's to wait for
     return await drain(context, back_pressure)
 

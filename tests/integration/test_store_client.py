@@ -113,7 +113,7 @@ def put(source: OpenFile, pause: Pause = lambda: None) -> tuple[PutResult, bytes
     taker, client = Taker(pause), StoreClient(1)
     try:
         length = _SLICES * SLICE_BYTES
-        answer = client.put(taker.url, {}, length, source.stretches(5, length))
+        answer = client.put(taker.url, {}, length, source.file_slices(5, length))
         return answer, taker.body
     finally:
         client.close()
@@ -257,7 +257,7 @@ def test_a_put_requires_a_trusted_certificate(tmp_path: Path, monkeypatch: pytes
     source = OpenFile(LocalFile(file, "a.bin", identity_of(file.stat())))
     store, client = Scripted(_TAKEN, _TAKEN, tls=tls), StoreClient(1)
     try:
-        answers = [client.put(store.url, {}, 4, source.stretches(0, 4)) for _ in range(2)]
+        answers = [client.put(store.url, {}, 4, source.file_slices(0, 4)) for _ in range(2)]
     finally:
         source.close()
         client.close()

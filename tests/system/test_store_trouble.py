@@ -99,7 +99,7 @@ def _fill_a_store(cluster: Cluster, disk: SmallDisk) -> None:
     large = _file(cluster.home / "large.bin", 40 * MIB)
     process = terminal.start("upload", "-p", "p", "-m", "m", large)
     assert process.stderr is not None
-    assert "waiting for the store, which is away or full" in process.stderr.readline()
+    assert "the store is unreachable or full" in process.stderr.readline()
     assert _files_of(cluster, "m") == ["kept.bin"], "what did not arrive is not there"
     terminal.run("verify", "-p", "p", "-m", "m", stored)
     disk.make_room()

@@ -48,7 +48,7 @@ def _show_amounts(amounts: Iterable[StateAmount]) -> None:
 
 @app.command("jobs")
 def jobs(client: Client) -> Output:
-    """Show the job queue, the jobs that will be retried, and those that were given up, with reasons."""
+    """Show the job queue, the jobs that will be retried, and those that failed permanently, with reasons."""
     status = client.admin.jobs()
 
     def show() -> None:
@@ -66,7 +66,7 @@ def jobs(client: Client) -> Output:
         if status.failed:
             note("")
             table(
-                ["number", "job", "for", "tries", "given up", "why"],
+                ["number", "job", "for", "tries", "failed", "reason"],
                 [(row.id, row.kind, row.ref, row.attempts, row.failed_at, row.error) for row in status.failed],
             )
             note("`klein admin retry ID` puts one back into the queue, `klein admin retry --all` all of them.")
@@ -78,9 +78,9 @@ def jobs(client: Client) -> Output:
 def retry(
     client: Client,
     job: Annotated[int | None, argument("[ID]", "Number of the job, as in `klein admin jobs`.", min=1)] = None,
-    retry_all: Annotated[bool, flag("--all", "Retry all jobs that were given up.")] = False,
+    retry_all: Annotated[bool, flag("--all", "Retry all jobs that failed permanently.")] = False,
 ) -> Output:
-    """Put a job that was given up, or all of them, back into the queue."""
+    """Put a job that failed permanently, or all of them, back into the queue."""
     if (job is None) != retry_all:
         raise typer.BadParameter("specify the number of a job or --all", param_hint="ID")
     if job is None:
@@ -195,7 +195,7 @@ NounOption = Annotated[TrashNoun | None, option("--noun", None, "Select by kind.
 @trash_app.command("list")
 def list_trash(client: Client, noun: NounOption = None) -> Output:
     """List what can be restored."""
-    headers = ["noun", "name", "from", "files", "size", "deleted", "by", "gone after", "id"]
+    headers = ["noun", "name", "from", "files", "size", "deleted", "by", "purged after", "id"]
     return as_table(client.trash.list(noun), headers, _trash_cells)
 
 

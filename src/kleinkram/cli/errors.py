@@ -105,7 +105,7 @@ _CLASSES: dict[ExitCode, tuple[type[KleinkramError], ...]] = {
         local.ServerUnreachable,
         local.StoreUnreachable,
         local.TransferFailed,
-        local.StoreTroubled,
+        local.StoreRetriesExhausted,
     ),
     ExitCode.local_file: (
         local.FileChanged,

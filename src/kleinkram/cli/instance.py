@@ -121,7 +121,7 @@ _CONNECTIONS = 8
 Place = Annotated[
     str,
     argument(
-        "PLACE",
+        "LOCATION",
         "A folder, s3://bucket/folder (KLEINKRAM_BACKUP_S3_URL, _S3_ACCESS_KEY, _S3_SECRET_KEY), or REMOTE:PATH "
         "of rclone.",
     ),
@@ -187,7 +187,7 @@ def prune(
     passphrase_file: PassphraseFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Remove all backups but the latest, and the objects that only they contain."""
+    """Remove all but the latest N backups, and the objects that only they contain."""
     _execute_server(_command("prune", place, passphrase_file, as_json, keep=keep))
 
 

@@ -78,7 +78,7 @@ Count = Annotated[bool, flag("--count", "Print only the number of matches.")]
 Ended = Annotated[bool, flag("--ended", "Include those that were revoked or have expired.")]
 Overwrite = Annotated[bool, flag("--overwrite", "Replace files that differ.")]
 Limit = Annotated[int | None, option("--limit", "N", "Print at most N.", min=1)]
-Until = Annotated[Text, option("--until", "DATE", "Set when it expires, in UTC; a date means its beginning.")]
+Until = Annotated[Text, option("--until", "DATE", "Set when it expires, in UTC; a date without a time means 00:00.")]
 LimitRate = Annotated[Text, option("--limit-rate", "RATE", "Transfer at most RATE bytes a second, such as 10M.")]
 Connections = Annotated[int, option("--connections", "N", "Run N transfers at the same time.", min=1, max=32)]
 

@@ -27,7 +27,7 @@ from kleinkram.contract.problems import from_problem
 from kleinkram.contract.reports import Severity
 
 SetOption = Annotated[Many, option("--set", "NAME=VALUE", "Set a parameter; repeatable.")]
-ForceOption = Annotated[bool, flag("--force", "Run again, even if there are results of the same run.")]
+ForceOption = Annotated[bool, flag("--force", "Run again, even if an identical run has results.")]
 FollowOption = Annotated[bool, flag("--follow -f", "Show the log until the run ends, then the results.")]
 _MAX_NAMES = 10
 _SHOWN = 50

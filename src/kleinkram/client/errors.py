@@ -102,7 +102,7 @@ class TransferFailed(ClientError):
     reason: str
 
 
-class StoreTroubled(TransferFailed):
+class StoreRetriesExhausted(TransferFailed):
     """{path!r} could not be transferred: for several minutes, {reason}. When the store works again, run the same command again; it continues where this one stopped."""  # noqa: E501  one sentence
 
 
@@ -121,7 +121,7 @@ class StillRecording(ClientError):
 
 
 class NotAFile(ClientError):
-    """{path!r} was skipped: it is {kind}, not a file or folder."""
+    """{path!r} was skipped: it is {kind}. Only files and folders are uploaded."""
 
     path: str
     kind: str

@@ -167,15 +167,15 @@ class Admin(ApiResource):
         return self._api.get("/admin/storage", admin.AdminStorage)
 
     def jobs(self) -> admin.AdminJobs:
-        """Return the queue, the jobs that will be retried, and those that were given up."""
+        """Return the queue, the jobs that will be retried, and those that failed permanently."""
         return self._api.get("/admin/jobs", admin.AdminJobs)
 
     def retry_job(self, job_id: int) -> None:
-        """Put a job that was given up back into the queue."""
+        """Put a job that failed permanently back into the queue."""
         self._api.post(f"/admin/jobs/{job_id}/retry")
 
     def retry_jobs(self) -> int:
-        """Put all jobs that were given up back into the queue, and return how many."""
+        """Put all jobs that failed permanently back into the queue, and return how many."""
         return self._api.send("POST", "/admin/jobs/retry", admin.RetriedJobs).count
 
     def scrub(self) -> admin.ScrubState:

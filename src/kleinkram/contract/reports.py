@@ -64,11 +64,11 @@ class Preview(Request):
 
 
 class PutBack(Request):
-    """An artifact that becomes the file `to` of the mission, made from the inputs `made_from` (empty: all)."""
+    """An artifact that becomes the file `to` of the mission, made from the inputs `derived_from` (empty: all)."""
 
     path: FilePath
     to: FilePath
-    made_from: Annotated[list[FilePath], Field(max_length=10_000)] = []
+    derived_from: Annotated[list[FilePath], Field(max_length=10_000)] = []
 
 
 class Report(Request):

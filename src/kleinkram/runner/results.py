@@ -20,7 +20,7 @@ from typing import IO
 from pydantic import ValidationError
 
 from kleinkram.client._http import Backoff
-from kleinkram.client.errors import ServerUnreachable, StoreTroubled, StoreUnreachable
+from kleinkram.client.errors import ServerUnreachable, StoreRetriesExhausted, StoreUnreachable
 from kleinkram.client.transfer.plan import LocalFile, identity_of
 from kleinkram.client.transfer.report import Watcher
 from kleinkram.client.transfer.upload import Uploader
@@ -453,7 +453,7 @@ class ResultUpload:
         )
         self._uploader.run(files)
         return [
-            RejectedFile(result.path, str(result.error), is_temporary=isinstance(result.error, StoreTroubled))
+            RejectedFile(result.path, str(result.error), is_temporary=isinstance(result.error, StoreRetriesExhausted))
             for result in self._uploader.results
             if result.error is not None
         ]

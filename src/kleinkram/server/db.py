@@ -140,7 +140,7 @@ def _check_connection(connection: Any, *_: object) -> None:
         raise DisconnectionError
 
 
-class Written(UserDefinedType[str]):
+class ArrayText(UserDefinedType[str]):
     """An array in PostgreSQL's text form, passed back without parsing."""
 
     cache_ok = True

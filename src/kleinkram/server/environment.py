@@ -92,12 +92,6 @@ def secret_from_file(variable: str) -> str | None:
     return text
 
 
-def unset_settings() -> list[str]:
-    """Return the variables of required settings that are not set."""
-    required = [_variable(name) for name, field in Settings.model_fields.items() if field.is_required()]
-    return [name for name in required if name not in os.environ and name + _FILE not in os.environ]
-
-
 def known_variables() -> list[str]:
     """Return all variables that a server's environment may have."""
     settings = [_variable(name) for name in Settings.model_fields]

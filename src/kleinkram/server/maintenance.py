@@ -35,7 +35,9 @@ async def maintain_runs(context: AppContext) -> None:
         await cancel_orphans(db)
     # Of logs that are stored as one blob, of earlier attempts or deleted runs, or never uploaded.
     has_ended = run.c.state.not_in(ACTIVE)
-    never_uploaded = log_chunk.c.kept_at.is_(None) & (log_chunk.c.created_at < func.now() - text("interval '1 day'"))
+    never_uploaded = log_chunk.c.confirmed_at.is_(None) & (
+        log_chunk.c.created_at < func.now() - text("interval '1 day'")
+    )
     obsolete = or_(
         log_chunk.c.run_id.is_(None),
         run.c.log_blob_id.is_not(None) & has_ended,

@@ -27,8 +27,8 @@ from kleinkram.server.health.metrics_server import serve_metrics
 from kleinkram.server.health.readiness import heartbeat
 from kleinkram.server.jobs.execution import Attempts, BackPressure, record_failure
 from kleinkram.server.jobs.queue import DEFAULT, EXAMINING, GROUPING, VERIFICATION, queue
-from kleinkram.server.recordings import jobs as _recording_jobs
-from kleinkram.server.recordings.jobs import MetadataCache, RegroupDebounce
+from kleinkram.server.overviews import jobs as _derivation_jobs
+from kleinkram.server.overviews.jobs import MetadataCache, RegroupDebounce
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.uploads import completion as _upload_jobs
@@ -44,7 +44,7 @@ _STEADY_S = 30.0
 # The database is away, refuses connections, or closed one. psycopg's own errors come from opening the pool.
 _DATABASE_AWAY = (ConnectorException, psycopg.OperationalError)
 # Importing the jobs of a feature registers them with the queue.
-JOB_MODULES = (_blob_jobs, _maintenance, _recording_jobs, _upload_jobs)
+JOB_MODULES = (_blob_jobs, _maintenance, _derivation_jobs, _upload_jobs)
 
 
 async def run_worker(settings: Settings) -> None:
@@ -114,7 +114,7 @@ async def _run_queues(app: App, settings: Settings, database: Database) -> None:
         heartbeat(database),
         serve_metrics(settings, database),
     ):
-        back_pressure = BackPressure(database, settings)
+        back_pressure = BackPressure(database)
         attempts = Attempts()
         resources: dict[str, object] = {
             "context": AppContext(database, storage, settings),

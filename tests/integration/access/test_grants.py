@@ -72,7 +72,7 @@ def test_a_grant_is_created_listed_changed_and_revoked(
     assert hers.delete(f"{path}/grants/{values['id']}").status == 204
     his.get(path).refused(404, "not_found")
     message = [event for event in api.all("/audit", {"project_id": project["id"]}) if event["noun"] == "grant"]
-    assert [event["operation"] for event in message] == ["grant.revoke", "grant.change", "grant.give"]
+    assert [event["operation"] for event in message] == ["grant.revoke", "grant.change", "grant.create"]
     assert [event["after"].get("right") for event in message] == [None, "READ", right]
     assert {event["noun_name"] for event in message} == {bob.name}
 

@@ -65,7 +65,7 @@ def test_projects_without_another_owner_pass_to_the_admins(api: Api, ada: Person
     assert sorted(owners) == sorted([(ada.name, "DELETE"), ("admins", "DELETE")])
     assert "admins" not in [row["to"]["name"] for row in api.all(f"/projects/{shared['id']}/grants")]
     api.post(f"/trash/project/{trashed['id']}/restore").ok(204)
-    message = api.all("/audit", {"project_id": alone["id"], "operation": "grant.give"})
+    message = api.all("/audit", {"project_id": alone["id"], "operation": "grant.create"})
     assert [(event["noun_name"], event["after"]["right"]) for event in message] == [("admins", "DELETE")]
     # Her name stays in the record, and beside what she made.
     assert api.get(f"/projects/{alone['id']}").ok()["created_by"] == {"id": ada.id, "name": ada.name}

@@ -213,9 +213,9 @@ def test_tokens_created_by_a_token_are_revoked_with_it(api: Api) -> None:
     stolen, other = _made(hers, scopes=["admin"]), _made(hers, scopes=["admin"])
     # Made behind the server's back: a token that was made with another makes none with the scope admin any more.
     stolen_id = stolen["token"]["id"]
-    api.sql("UPDATE token SET made_by_token_id = NULL WHERE id = %s", stolen_id)
+    api.sql("UPDATE token SET created_by_token_id = NULL WHERE id = %s", stolen_id)
     child = _made(api.as_(stolen["secret"]), scopes=["admin"], name="child")
-    api.sql("UPDATE token SET made_by_token_id = %s WHERE id = %s", ada.token_id, stolen_id)
+    api.sql("UPDATE token SET created_by_token_id = %s WHERE id = %s", ada.token_id, stolen_id)
     grandchild = _made(api.as_(child["secret"]), scopes=["read"], name="grandchild")
     hers.delete(f"/tokens/{stolen['token']['id']}").ok(204)
     for made in (stolen, child, grandchild):
@@ -248,7 +248,7 @@ def test_a_token_being_revoked_creates_no_token(api: Api) -> None:
         making = send(with_it.post, "/tokens", {"name": "child"})
     revoking.result().ok(204)
     making.result().refused(401, "not_authenticated")
-    assert api.sql("SELECT 1 FROM token WHERE made_by_token_id = %s AND revoked_at IS NULL", stolen.id) == []
+    assert api.sql("SELECT 1 FROM token WHERE created_by_token_id = %s AND revoked_at IS NULL", stolen.id) == []
 
 
 def test_a_limited_token_reaches_nothing_outside_its_limits(api: Api) -> None:

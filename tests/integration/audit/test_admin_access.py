@@ -86,7 +86,7 @@ def test_a_move_requires_rights_on_both_projects(api: Api, admin: Person) -> Non
     people.grant(api, admin, Right.create, project_id=target)
     people.grant(api, admin, Right.write, project_id=source)
     api.as_(admin.token).patch(f"/missions/{mission}", {"project_id": target}).ok()
-    assert _marks(api, admin)[-2:] == [("mission.leave", True), ("mission.arrive", False)]
+    assert _marks(api, admin)[-2:] == [("mission.move_out", True), ("mission.move_in", False)]
 
 
 def test_a_token_without_admin_rights_is_not_marked_as_admin_access(api: Api, admin: Person, sample: Sample) -> None:

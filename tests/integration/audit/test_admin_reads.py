@@ -20,7 +20,7 @@ def own(start_api: StartApi) -> Api:
 
 
 def _looks(api: Api, who: Person) -> list[Any]:
-    query = {"person_id": who.id, "operation": "admin.look"}
+    query = {"person_id": who.id, "operation": "admin.read"}
     return [(event["noun"], event["noun_id"] or event["noun_name"]) for event in reversed(api.all("/audit", query))]
 
 
@@ -38,9 +38,9 @@ def test_admin_reads_are_audited_once_an_hour_for_each_object(own: Api) -> None:
     requested.get(f"/missions/{other}").ok()
     requested.get(f"/projects/{project}").ok()
     assert _looks(own, admin) == [("mission", mission), ("mission", other), ("project", project)]
-    (event,) = own.all("/audit", {"operation": "admin.look", "mission_id": mission})
+    (event,) = own.all("/audit", {"operation": "admin.read", "mission_id": mission})
     assert (event["as_admin"], event["project_id"], event["after"]) == (True, project, {"operation": "get_file"})
-    own.sql("UPDATE audit_event SET at = at - interval '61 minutes' WHERE operation = 'admin.look'")
+    own.sql("UPDATE audit_event SET at = at - interval '61 minutes' WHERE operation = 'admin.read'")
     own.app.state.admin_reads = requests.AdminReads()
     requested.get(f"/missions/{mission}").ok()
     assert _looks(own, admin)[3:] == [("mission", mission)]

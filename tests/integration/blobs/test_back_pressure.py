@@ -9,7 +9,7 @@ import pytest
 
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.execution import BackPressure
-from kleinkram.server.recordings import jobs as recording_jobs
+from kleinkram.server.overviews import jobs as derivation_jobs
 from kleinkram.server.recordings.service import regroup
 from tests.integration.api_server import Api
 from tests.integration.jobs import drain, on_site
@@ -31,13 +31,13 @@ def _upload_id(api: Api) -> str:
     mission_id = str(api.mission(api.project()["id"])["id"])
     upload_id = str(begin(api, mission_id, {"a.bin": b"a"})[0]["upload"]["id"])
     # As if its client asked for an address again and again, for an hour.
-    api.sql("UPDATE upload SET expires_at = expires_at + interval '1 h' WHERE id = %s", upload_id)
+    api.sql("UPDATE upload SET renewed_at = renewed_at + interval '1 h' WHERE id = %s", upload_id)
     return upload_id
 
 
 def _with_back_pressure(api: Api, work: _Work) -> None:
     async def on(context: AppContext) -> None:
-        await work(BackPressure(context.database, context.settings))
+        await work(BackPressure(context.database))
 
     on_site(api, on)
 
@@ -58,7 +58,7 @@ def test_background_jobs_wait_during_uploads(api: Api, upload_id: str) -> None:
 
 
 def test_an_abandoned_upload_delays_no_job(api: Api, upload_id: str) -> None:
-    api.sql("UPDATE upload SET expires_at = expires_at - interval '1 h 3 s' WHERE id = %s", upload_id)
+    api.sql("UPDATE upload SET renewed_at = renewed_at - interval '1 h 3 s' WHERE id = %s", upload_id)
     _with_back_pressure(api, _goes)
 
 
@@ -97,7 +97,7 @@ def test_a_worker_that_stops_waits_for_nobody(api: Api, upload_id: str) -> None:
 def test_grouping_is_delayed_from_the_time_of_its_request(
     api: Api, upload_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording_jobs, "SUMMARY_MAX_WAIT_S", _LONG_S)
+    monkeypatch.setattr(derivation_jobs, "SUMMARY_MAX_WAIT_S", _LONG_S)
     mission_id = uuid.UUID(api.mission(api.project()["id"])["id"])
 
     async def ask(context: AppContext) -> None:
@@ -105,7 +105,7 @@ def test_grouping_is_delayed_from_the_time_of_its_request(
             await regroup(db, mission_id)
 
     async def work(context: AppContext) -> None:
-        await asyncio.wait_for(drain(context, BackPressure(context.database, context.settings)), 20)
+        await asyncio.wait_for(drain(context, BackPressure(context.database)), 20)
 
     on_site(api, ask)
     api.sql("UPDATE procrastinate_events SET at = at - interval '2 h'")

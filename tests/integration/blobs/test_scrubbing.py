@@ -111,7 +111,7 @@ def test_a_file_that_reappears_is_verified_again(api: Api, mission_id: str, was:
     read = _read(api, file)
     assert (read["state"], read["state_reason"], read["damaged_at"]) == ("verified", None, None)
     event = api.events(file["id"])[0]
-    assert (event["operation"], event["before"]) == ("file.heal", {"state": was})
+    assert (event["operation"], event["before"]) == ("file.recover", {"state": was})
 
 
 def test_the_next_verification_finds_altered_bytes(api: Api, mission_id: str) -> None:

@@ -118,9 +118,9 @@ def test_moves_to_another_mission_and_has_both_grouped_anew(api: Api, sample: Sa
     moved = api.patch(f"/files/{file_id}", {"mission_id": target["id"], "path": "b.mcap"}).ok()
     assert (moved["mission"]["id"], moved["path"]) == (target["id"], "b.mcap")
     arrived, left = api.events(file_id)
-    assert (arrived["operation"], arrived["project_id"]) == ("file.arrive", target["project"]["id"])
+    assert (arrived["operation"], arrived["project_id"]) == ("file.move_in", target["project"]["id"])
     assert (arrived["before"], arrived["after"]["mission"]) == ({"path": "a.mcap"}, target["name"])
-    assert (left["operation"], left["mission_id"], left["after"]) == ("file.leave", mission, {})
+    assert (left["operation"], left["mission_id"], left["after"]) == ("file.move_out", mission, {})
     jobs = api.sql("SELECT args ->> 'ref' FROM procrastinate_jobs WHERE task_name = 'group_recordings'")
     assert {mission, target["id"]} <= {ref for (ref,) in jobs}
 

@@ -93,7 +93,7 @@ def test_moves_to_another_project_and_is_judged_there(api: Api, sample: Sample) 
     assert api.get(f"/files/{file_id}").ok()["mission"]["project"]["id"] == target["id"]
     arrived, left, _ = api.events(made["id"])
     # Neither project's owners need know the other.
-    assert (left["operation"], left["project_id"], left["after"]) == ("mission.leave", source["id"], {})
+    assert (left["operation"], left["project_id"], left["after"]) == ("mission.move_out", source["id"], {})
     assert (arrived["project_id"], arrived["before"], arrived["after"]) == (
         target["id"],
         {},

@@ -13,10 +13,10 @@ from kleinkram.recordings import Depth
 from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.execution import BackPressure
+from kleinkram.server.overviews import jobs as derivation_jobs
+from kleinkram.server.overviews.jobs import RegroupDebounce
 from kleinkram.server.recordings import derive as derivation
-from kleinkram.server.recordings import jobs as recording_jobs
 from kleinkram.server.recordings.derive import Derived
-from kleinkram.server.recordings.jobs import RegroupDebounce
 from tests.integration.api_server import Api
 from tests.integration.corpus import Corpus
 from tests.integration.jobs import drain, on_site, run_jobs
@@ -138,7 +138,7 @@ def test_a_mission_that_took_long_rests_and_is_not_forgotten(api: Api, mission_i
 
 
 async def _drain_courteously(context: AppContext, rests: RegroupDebounce) -> None:
-    back_pressure = BackPressure(context.database, context.settings)
+    back_pressure = BackPressure(context.database)
     back_pressure.end()
     await drain(context, back_pressure, rests)
 
@@ -188,7 +188,7 @@ def test_a_metadata_is_read_by_a_child_alone(api: Api, mission_id: str, monkeypa
 def test_metadata_that_takes_too_long_to_read_is_reported(
     api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording_jobs, "_LIMIT_S", 0.001)
+    monkeypatch.setattr(derivation_jobs, "_LIMIT_S", 0.001)
     upload_all(api, mission_id, {"run/metadata.yaml": _METADATA + b"# slow", "run/run_0.mcap": b"\x89MCAP0\r\n"})
     run_jobs(api)
     (recording,) = api.all(f"/missions/{mission_id}/recordings")

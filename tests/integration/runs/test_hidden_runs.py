@@ -41,7 +41,7 @@ def _world(lab: Api, runner: FakeRunner, place: Place) -> World:
     runner.upload_artifact(claim, ".kleinkram/log", b"a line\n")
     values = {"file": "wexford-input.bin", "message": "odd", "code": "odd", "severity": "warning"}
     metric = {"name": "rate", "value": 1, "unit": None, "file": "wexford-input.bin"}
-    put_back = [{"path": "result.bin", "to": "wexford-output.bin", "made_from": ["drive.bin", "wexford-input.bin"]}]
+    put_back = [{"path": "result.bin", "to": "wexford-output.bin", "derived_from": ["drive.bin", "wexford-input.bin"]}]
     report = {"put_back": put_back, "findings": [values], "metrics": [metric]}
     runner.finish(claim, report=report).ok()
     made = {entry["path"]: entry["id"] for entry in lab.all("/files", {"mission_id": mission})}["wexford-output.bin"]

@@ -125,7 +125,7 @@ def test_a_restored_artifact_is_a_file_with_its_lineage(lab: Api, runner: FakeRu
     runner.upload_artifact(claim, "clean.bin", b"cleaned")
     runner.upload_artifact(claim, "second.bin", b"other")
     put_back = [
-        {"path": "clean.bin", "to": "clean/drive.bin", "made_from": ["drive.bin"]},
+        {"path": "clean.bin", "to": "clean/drive.bin", "derived_from": ["drive.bin"]},
         {"path": "second.bin", "to": "drive.bin"},
     ]
     runner.finish(claim, report={"put_back": put_back}).ok()

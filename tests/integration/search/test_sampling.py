@@ -250,7 +250,7 @@ def test_a_common_word_lists_what_a_rare_one_does(spread: tuple[Api, str], monke
     rare = api.get("/search", {"query": word, "limit": "50"}).ok()
     size = api.sql("SELECT count(*) FROM file")[0][0]
     _set_limit(monkeypatch, planner, "SAMPLED_FILES", size)
-    _set_limit(monkeypatch, planner, "_COMMON_TOGETHER", 0)
+    _set_limit(monkeypatch, planner, "_COMMON_WITHOUT_INDEX", 0)
     _set_limit(monkeypatch, planner, "COMMON", 1)
     common = api.get("/search", {"query": word, "limit": "50"}).ok()
     assert (rare["is_exact"], common["is_exact"]) == (True, False)

@@ -65,7 +65,7 @@ async def verify_all(context: AppContext) -> None:
     """Read every blob, as the worker does on its last try. All are bytes and no recording: nothing reads along."""
     async with context.database.begin() as db:
         rows = (await db.execute(_ALL_BLOBS)).scalars().all()
-    back_pressure = BackPressure(context.database, context.settings)
+    back_pressure = BackPressure(context.database)
     back_pressure.end()
     async with ReaderProcesses() as readers:
         values = {"context": context, "back_pressure": back_pressure, "readers": readers}

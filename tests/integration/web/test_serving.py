@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import urllib3
 
-from kleinkram.server.access.operations import PLACES
+from kleinkram.server.access.operations import WEB_PATHS
 from kleinkram.server.http.web_app import BUILT
 from tests.integration.api_server import Api
 
@@ -38,7 +38,7 @@ def test_every_view_is_the_app(api: Api) -> None:
 
 def test_the_server_serves_every_route_of_the_app() -> None:
     paths = re.findall(r'path: "/([a-z][a-z-]*)', _ROUTES.read_text(encoding="utf-8"))
-    assert sorted(set(paths)) == sorted(PLACES)
+    assert sorted(set(paths)) == sorted(WEB_PATHS)
 
 
 def test_not_found_is_a_page_for_browsers_and_a_problem_for_programs(api: Api) -> None:

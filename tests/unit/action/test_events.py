@@ -26,7 +26,7 @@ def test_each_report_is_one_event() -> None:
     report.metric("ate_rmse", 0.12, unit="m", file=run_files.in_dir / "a" / "drive.bag")
     report.preview(run_files.out / "track.png", "The way")
     report.propose(distance_m=12.5, sensors=["imu"])
-    report.put_back("a/slam.bag", made_from=["a/drive.bag"])
+    report.put_back("a/slam.bag", derived_from=["a/drive.bag"])
     progress(0.5, "half")
     finding, metric, preview, metadata, put_back, half = values()
     assert finding.finding is not None

@@ -54,6 +54,7 @@ def _upload(*, has_lease: bool = True, state: str = "open") -> UploadRow:
         crc64nvme=bytes(8),
         file_id=None,
         failure=None,
+        renewed_at=now,
         lease_ends_at=now + minute if has_lease else now - minute,
         expires_at=now + minute,
         now=now,

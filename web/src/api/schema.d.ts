@@ -1359,7 +1359,7 @@ export interface paths {
         };
         /**
          * Get Mission Timeline
-         * @description Return when each file of a mission was recorded, by path: enough to draw all of them on one axis of time.
+         * @description Return start and end of each file of a mission, by path.
          */
         get: operations["get_mission_timeline"];
         put?: never;
@@ -1379,7 +1379,7 @@ export interface paths {
         };
         /**
          * List Mission Topics
-         * @description List the topics of all recordings of a mission, by name and type, with their messages in at most `bins` bins.
+         * @description List the topics of a mission by name and type, with message counts in at most `bins` bins.
          */
         get: operations["list_mission_topics"];
         put?: never;
@@ -1423,9 +1423,7 @@ export interface paths {
         };
         /**
          * Get Overview
-         * @description Return what all that one may see amounts to, or of it what is in one project: by `month`, or by a metadata field.
-         *
-         *     Who has rights on single missions of a project sees what these amount to.
+         * @description Return statistics of all visible missions, or of those of one project, by `month` or by a metadata field.
          */
         get: operations["get_overview"];
         put?: never;
@@ -1749,7 +1747,7 @@ export interface paths {
         };
         /**
          * Get Project Stats
-         * @description Return what a project amounts to: hours, bytes, files, by `month` or by the values of a metadata field.
+         * @description Return hours, bytes and files of a project, by `month` or by the values of a metadata field.
          */
         get: operations["get_project_stats"];
         put?: never;
@@ -5159,14 +5157,14 @@ export interface components {
         };
         /**
          * PutBack
-         * @description An artifact that becomes the file `to` of the mission, made from the inputs `made_from` (empty: all).
+         * @description An artifact that becomes the file `to` of the mission, made from the inputs `derived_from` (empty: all).
          */
         PutBack: {
             /**
-             * Made From
+             * Derived From
              * @default []
              */
-            made_from: string[];
+            derived_from: string[];
             /** Path */
             path: string;
             /** To */

@@ -1,5 +1,5 @@
 // All routes. Each page is a chunk of its own. The server serves the app only below these first path segments, which
-// `PLACES` in server/access/operations.py lists too.
+// `WEB_PATHS` in server/access/operations.py lists too.
 import type { RouteRecordRaw } from "vue-router";
 import { homeQuery } from "@/features/home/queries";
 

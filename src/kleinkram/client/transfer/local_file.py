@@ -130,7 +130,7 @@ class OpenFile:
         """Yield `length` bytes from `offset`, as `FileSlice.read` does."""
         return FileSlice(self.file.source, self._handle, offset, length).read()
 
-    def stretches(self, offset: int, length: int) -> Iterator[FileSlice]:
+    def file_slices(self, offset: int, length: int) -> Iterator[FileSlice]:
         """Yield the same slices without reading them."""
         end = offset + length
         for start in range(offset, end, SLICE_BYTES):

@@ -513,7 +513,7 @@ class TransferPool(ABC, Generic[PartT]):
         self._failed_files += 1
         if result.is_store_wide or self._failed_files > _MAX_FAILED_FILES:
             return store_unreachable(part.file.url, result.why)
-        return errors.StoreTroubled(path=part.file.path, reason=result.why)
+        return errors.StoreRetriesExhausted(path=part.file.path, reason=result.why)
 
     def _report_failure(self, part: PartT, result: StoreResult, backoff: Backoff) -> None:
         self.outages.lost(part.file.url, backoff, result.error, result.why, result.sent_bytes)

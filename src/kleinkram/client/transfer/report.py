@@ -174,7 +174,7 @@ class OutageReporter:
             self._notify_once("network", text, _NOTIFY_AGAIN_S)
         else:
             text = (
-                f"waiting for the store, which is away or full ({reason}): goes on by itself if that ends within "
+                f"the store is unreachable or full ({reason}); retrying for up to "
                 f"{TRANSFER_RETRY_S / 60:.0f} minutes; `klein doctor` on the server's machine says what is wrong"
             )
             self._notify_once("trouble", text, TRANSFER_RETRY_S)

@@ -35,9 +35,9 @@ from kleinkram.client.transfer.local_file import FileSlice
 CONNECT_TIMEOUT_S = 10.0
 READ_TIMEOUT_S = 120.0
 # Errors after which the slice is read instead; the last two are the disk's, which reading reports with the file's name.
-_CANNOT = frozenset({errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EIO, errno.ESTALE})
+_SENDFILE_UNSUPPORTED = frozenset({errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EIO, errno.ESTALE})
 # Shorter bodies are sent together with the request's head, so that the store receives one packet.
-_TOGETHER_BYTES = 64 * 1024
+_SEND_WITH_HEAD_BYTES = 64 * 1024
 
 # More stores than a client uses: urllib3 closes the connections to the least recently used one.
 _STORES = 100
@@ -56,9 +56,9 @@ _QUICK_SLICE_S = 0.5
 
 _GONE = frozenset({"NoSuchUpload", "NoSuchKey"})
 # Codes that concern the store as a whole, not one object.
-_OF_ALL = frozenset({"", "ServiceUnavailable", "SlowDown", "XMinioStorageFull"})
+_STORE_WIDE_CODES = frozenset({"", "ServiceUnavailable", "SlowDown", "XMinioStorageFull"})
 # Errors of the server that no retry helps.
-_NEVER = frozenset({501, 505})
+_NOT_RETRIED = frozenset({501, 505})
 _CODE = re.compile(rb"<Code>([A-Za-z]{1,64})</Code>")
 
 
@@ -95,7 +95,7 @@ def _put(
         for piece in body:
             if isinstance(piece, bytes):
                 unsent += piece
-            elif piece.length <= _TOGETHER_BYTES:
+            elif piece.length <= _SEND_WITH_HEAD_BYTES:
                 unsent += b"".join(piece.read())
             else:
                 sock.sendall(unsent)
@@ -137,7 +137,7 @@ def _send_slice(sock: socket.socket, piece: FileSlice) -> None:
                 raise TimeoutError(f"the store took nothing for {sock.gettimeout():.0f} s") from None
             continue
         except OSError as error:
-            if error.errno not in _CANNOT:
+            if error.errno not in _SENDFILE_UNSUPPORTED:
                 raise
             break
         if count == 0:
@@ -178,7 +178,7 @@ class StoreResult:
     @property
     def is_store_wide(self) -> bool:
         """Whether requests for other objects would fail, too."""
-        return self.error is not None or (self.answer is StoreAnswer.try_again and self.code in _OF_ALL)
+        return self.error is not None or (self.answer is StoreAnswer.try_again and self.code in _STORE_WIDE_CODES)
 
 
 @dataclass
@@ -281,7 +281,7 @@ def meaning(status: int, code: str) -> StoreAnswer:
     if status == 403:
         return StoreAnswer.sign_again
     # A 404 without a code is that of a proxy which does not reach the store.
-    if status in {404, 408, 410, 429} or (status >= 500 and status not in _NEVER) or code == "RequestTimeout":
+    if status in {404, 408, 410, 429} or (status >= 500 and status not in _NOT_RETRIED) or code == "RequestTimeout":
         return StoreAnswer.try_again
     return StoreAnswer.refused
 

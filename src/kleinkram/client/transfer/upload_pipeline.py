@@ -228,7 +228,7 @@ class UploadPipeline(TransferPool[FilePart]):
 
         def body() -> Iterator[FileSlice]:
             nonlocal sent_bytes
-            for piece in part.file.source.stretches(part.offset, part.size_bytes):
+            for piece in part.file.source.file_slices(part.offset, part.size_bytes):
                 self.stop.check()
                 self._rate_limit.spend(piece.length, self.stop.wait)
                 yield piece

@@ -189,7 +189,7 @@ def _by_token() -> Select[Any]:
 
     # The owner of `klein up` can create a sign-in link with the token in their file at any time.
     is_owner_file = (token.c.person_id == OWNER_ID) & (token.c.name == OWNER_TOKEN_NAME)
-    from_sign_in = token.c.made_by_token_id.is_(None) & (token.c.kind == TokenKind.personal.value)
+    from_sign_in = token.c.created_by_token_id.is_(None) & (token.c.kind == TokenKind.personal.value)
     stmt = _people(
         token.c.id.label("token_id"),
         _is_use_outdated(token.c.last_used_at),

@@ -49,7 +49,7 @@ _RUN = frozenset({Scope.run})
 _ANY = frozenset(Scope)
 
 
-def _seen(scopes: frozenset[Scope] = _READ, *, guests: bool = True) -> Permission:
+def _visible(scopes: frozenset[Scope] = _READ, *, guests: bool = True) -> Permission:
     return Permission(ResourceKind.visible, Right.read, scopes, guests)
 
 
@@ -63,7 +63,7 @@ def _runner() -> Permission:
 
 OPERATIONS: dict[str, Permission] = {
     # Projects
-    "list_projects": _seen(_NAMES),
+    "list_projects": _visible(_NAMES),
     "create_project": Permission(ResourceKind.none, None, _WRITE),
     "get_project": Permission(ResourceKind.project, Right.read, _NAMES, guests=True),
     "update_project": Permission(ResourceKind.project, Right.write, _WRITE),
@@ -73,7 +73,7 @@ OPERATIONS: dict[str, Permission] = {
     "get_mission_template": Permission(ResourceKind.project, Right.read, _NAMES),
     # Missions
     "create_mission": Permission(ResourceKind.project, Right.create, _UPLOAD),
-    "list_missions": _seen(_NAMES),
+    "list_missions": _visible(_NAMES),
     "get_mission": Permission(ResourceKind.mission, Right.read, _NAMES, guests=True),
     "update_mission": Permission(ResourceKind.mission, Right.write, _WRITE),
     "move_mission": Permission(ResourceKind.mission, Right.delete, _WRITE),
@@ -81,11 +81,11 @@ OPERATIONS: dict[str, Permission] = {
     "list_recordings": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
     "get_recording": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
     "get_project_stats": Permission(ResourceKind.project, Right.read, _READ, guests=True),
-    "get_overview": _seen(),
+    "get_overview": _visible(),
     "list_mission_topics": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
     "get_mission_timeline": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
     # Files
-    "list_files": _seen(),
+    "list_files": _visible(),
     "get_file": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
     "download_files": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
     "list_file_topics": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
@@ -94,10 +94,10 @@ OPERATIONS: dict[str, Permission] = {
     "move_file": Permission(ResourceKind.mission, Right.delete, _WRITE),
     "delete_file": Permission(ResourceKind.mission, Right.delete, _WRITE),
     "label_files": Permission(ResourceKind.mission, Right.write, _WRITE),
-    "search": _seen(),
-    "get_facets": _seen(),
-    "list_topics": _seen(),
-    "get_stats": _seen(),
+    "search": _visible(),
+    "get_facets": _visible(),
+    "list_topics": _visible(),
+    "get_stats": _visible(),
     # Uploads
     "begin_uploads": Permission(ResourceKind.mission, Right.create, _UPLOAD),
     "list_uploads": Permission(ResourceKind.mission, Right.create, _UPLOAD),
@@ -106,7 +106,7 @@ OPERATIONS: dict[str, Permission] = {
     "complete_uploads": Permission(ResourceKind.mission, Right.create, _UPLOAD, runners=True),
     "abort_upload": Permission(ResourceKind.mission, Right.create, _UPLOAD, runners=True),
     # Actions of a project, or of the whole lab, which everybody with an account sees
-    "list_actions": _seen(guests=False),
+    "list_actions": _visible(guests=False),
     "create_action": Permission(ResourceKind.project, Right.write, _WRITE),
     "get_action": Permission(ResourceKind.project, Right.read, _READ),
     "update_action": Permission(ResourceKind.project, Right.write, _WRITE),
@@ -114,7 +114,7 @@ OPERATIONS: dict[str, Permission] = {
     "publish_action_version": Permission(ResourceKind.project, Right.write, _WRITE),
     # Runs. Starting one also requires the rights of its action; cancelling another person's requires DELETE.
     "create_runs": Permission(ResourceKind.mission, Right.create, _RUN, reads=True),
-    "list_runs": _seen(guests=False),
+    "list_runs": _visible(guests=False),
     "get_run": Permission(ResourceKind.mission, Right.read, _READ),
     "cancel_run": Permission(ResourceKind.mission, Right.create, _RUN, reads=True),
     "retry_run": Permission(ResourceKind.mission, Right.create, _RUN, reads=True),
@@ -122,8 +122,8 @@ OPERATIONS: dict[str, Permission] = {
     "list_artifacts": Permission(ResourceKind.mission, Right.read, _READ),
     "download_artifacts": Permission(ResourceKind.mission, Right.read, _READ),
     "get_run_log": Permission(ResourceKind.mission, Right.read, _READ),
-    "list_findings": _seen(guests=False),
-    "list_run_metrics": _seen(guests=False),
+    "list_findings": _visible(guests=False),
+    "list_run_metrics": _visible(guests=False),
     "get_lineage": Permission(ResourceKind.mission, Right.read, _READ),
     # Runners, for their own runs
     "list_runners": Permission(ResourceKind.server, None, _ADMIN),
@@ -174,7 +174,7 @@ OPERATIONS: dict[str, Permission] = {
     "create_share": Permission(ResourceKind.mission, Right.write, _ADMIN),
     "list_shares": Permission(ResourceKind.visible, Right.write, _READ),
     "revoke_share": Permission(ResourceKind.mission, Right.write, _WRITE),
-    "get_share": _seen(),
+    "get_share": _visible(),
     # Signing in: without an account
     "list_sign_in_methods": _public_endpoint(),
     "sign_in_by_password": _public_endpoint(),
@@ -234,7 +234,7 @@ OPERATIONS: dict[str, Permission] = {
 }
 
 # First segments of the paths of the web app, whose views are in web/src/router/routes.ts.
-PLACES = (
+WEB_PATHS = (
     "account",
     "actions",
     "admin",
@@ -257,8 +257,8 @@ PLACES = (
 # Public pages without authentication. They must not contain names or data of people.
 OPEN_PAGES = {
     "/": "the web interface; the same for everybody",
-    **{f"/{place}": "the web interface" for place in PLACES},
-    **{f"/{place}/{{rest:path}}": "the web interface" for place in PLACES},
+    **{f"/{path}": "the web interface" for path in WEB_PATHS},
+    **{f"/{path}/{{rest:path}}": "the web interface" for path in WEB_PATHS},
     "/assets/{name}": "scripts and styles of the web interface",
     "/fonts/{name}": "fonts of the web interface",
     "/licences.md": "licences of its dependencies",

@@ -20,8 +20,8 @@ from kleinkram.server.tables import audit_event, mission, project
 # Above the level of every right: only admins may.
 _ADMIN_LEVEL = Right.delete.level + 1
 # How the verbs of operations change an object; the verbs of no set change it otherwise.
-_CREATED = frozenset({"create", "give", "upload", "link", "arrive", "restore", "bootstrap", "put_back"})
-_REMOVED = frozenset({"delete", "revoke", "leave", "abort", "purge"})
+_CREATED = frozenset({"create", "upload", "link", "move_in", "register", "restore", "bootstrap", "put_back"})
+_REMOVED = frozenset({"delete", "revoke", "move_out", "abort", "purge"})
 _UNCHANGED = frozenset({"download", "verify", "preview", "denied", "refused", "limited", "approve", "reset_link"})
 
 

@@ -45,7 +45,7 @@ from kleinkram.server.tables import (
 
 PER_MINUTE = 20
 MINUTE_S = 60.0
-_ADMIN_READ = "admin.look"
+_ADMIN_READ = "admin.read"
 # Refusals with a status other than 401 and 403, and their operation in the audit log.
 OTHER_REFUSALS = {
     ErrorCode.rate_limited: "rate.limited",

@@ -45,7 +45,7 @@ _NAMED = """
 COPY (
   SELECT key, size_bytes, encode(sha256, 'hex') FROM blob WHERE marked_for_deletion_at IS NULL AND store_id = {store}
   UNION ALL
-  SELECT key, size_bytes, NULL FROM log_chunk WHERE kept_at IS NOT NULL AND store_id = {store}
+  SELECT key, size_bytes, NULL FROM log_chunk WHERE confirmed_at IS NOT NULL AND store_id = {store}
 ) TO STDOUT
 """
 _HAS_TABLES = "SELECT EXISTS (SELECT FROM pg_class WHERE relnamespace = 'public'::regnamespace AND relkind = 'r')"

@@ -138,7 +138,7 @@ async def record_verified(db: Connection, md5s: Mapping[uuid.UUID, bytes]) -> No
     values = {"state": BlobState.verified.value, "state_reason": None, "damaged_at": None, "md5": rows.c.md5}
     await db.execute(update(blob).where(blob.c.id == rows.c.id).values(**values, verified_at=func.now()))
     for blob_id, before in repaired.items():
-        await _audit_files(db, blob_id, "file.heal", {"state": before}, {"state": BlobState.verified.value})
+        await _audit_files(db, blob_id, "file.recover", {"state": before}, {"state": BlobState.verified.value})
     await publish_file_changes(db, md5s)
 
 

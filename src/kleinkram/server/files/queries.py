@@ -237,9 +237,11 @@ def runs_that_read(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
     return stmt.where(run_input.c.file_id == file_id, run.c.mission_id.in_(missions))
 
 
-def made_from(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
+def derived_from(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
     """Return the paths of visible files that runs made from a file."""
-    from_it = or_(func.cardinality(run_artifact.c.made_from) == 0, run_input.c.path == any_(run_artifact.c.made_from))
+    from_it = or_(
+        func.cardinality(run_artifact.c.derived_from) == 0, run_input.c.path == any_(run_artifact.c.derived_from)
+    )
     joined = visible_files(actor).with_only_columns(file.c.path, maintain_column_froms=True)
     joined = joined.join(run_artifact, run_artifact.c.file_id == file.c.id)
     joined = joined.join(run_input, run_input.c.run_id == run_artifact.c.run_id)

@@ -187,7 +187,7 @@ async def delete_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, dry_r
         before: Metadata = {"path": old.path, "mission": old.mission.name}
         await audit(db, actor, _event("file.delete", old, before, takes=takes))
     runs = (await db.execute(queries.runs_that_read(actor, file_id))).scalar_one()
-    made = list((await db.execute(queries.made_from(actor, file_id))).scalars()) if runs else []
+    made = list((await db.execute(queries.derived_from(actor, file_id))).scalars()) if runs else []
     usage = {"read_by_runs": runs, "made_from_it": made}
     return Deleted(missions=0, files=1, size_bytes=old.size_bytes, dry_run=dry_run, **usage)
 
@@ -271,8 +271,8 @@ def _change_events(old: FileRead, new: FileRead) -> list[Event]:
     left: Metadata = {"path": old.path, "mission": old.mission.name}
     if old.mission.project.id != new.mission.project.id:
         before = {name: value for name, value in before.items() if name not in {"mission", "project"}}
-    arrival = _event("file.arrive", new, before, after, takes="begin_uploads")
-    return [_event("file.leave", old, left, takes="move_file"), arrival]
+    arrival = _event("file.move_in", new, before, after, takes="begin_uploads")
+    return [_event("file.move_out", old, left, takes="move_file"), arrival]
 
 
 # The most labels of one file.

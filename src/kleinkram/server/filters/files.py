@@ -46,7 +46,7 @@ from kleinkram.contract.query import parse_term
 from kleinkram.contract.units import iso_text, nanoseconds
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
-from kleinkram.server.db import Written, like_pattern, matches_any, matches_key
+from kleinkram.server.db import ArrayText, like_pattern, matches_any, matches_key
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, words_of
 from kleinkram.server.filters.text import (
     NO_TIME,
@@ -86,7 +86,7 @@ def file_conditions(actor: Actor, matching: FileFilter, plan: SearchPlan = NO_PL
         InvalidQuery: a `where` cannot be used.
     """
     if plan.matched is not None:
-        return [file.c.id == any_(bindparam("matched_file_ids", type_=Written("UUID")))]
+        return [file.c.id == any_(bindparam("matched_file_ids", type_=ArrayText("UUID")))]
     words = words_of(matching.text)
     conditions = _field_conditions(actor, matching) + plan_conditions(plan)
     conditions += [file_contains(actor, plan, word) for word in words]
@@ -99,7 +99,7 @@ def file_conditions(actor: Actor, matching: FileFilter, plan: SearchPlan = NO_PL
 def _field_conditions(actor: Actor, matching: FileFilter) -> Conditions:
     """Return the conditions of a filter except those on words and topics."""
     refuse_metadata(actor, matching.where)
-    conditions = place_conditions(matching) + span_conditions(matching, file.c.start_ns, blob.c.end_ns)
+    conditions = project_conditions(matching) + span_conditions(matching, file.c.start_ns, blob.c.end_ns)
     conditions += _start_conditions(matching) + _blob_conditions(matching)
     if matching.mission is not None:
         conditions.append(matches_key(mission.c.name_key, matching.mission))
@@ -113,7 +113,7 @@ def _field_conditions(actor: Actor, matching: FileFilter) -> Conditions:
     if matching.label:
         conditions.append(_has_label(matching.label))
     conditions += [metadata_condition(expression) for expression in matching.where]
-    return conditions + [fails(file_conditions(actor, parse_term(term))) for term in matching.without]
+    return conditions + [negation(file_conditions(actor, parse_term(term))) for term in matching.without]
 
 
 def filter_files_in_order(
@@ -176,12 +176,12 @@ def refuse_metadata(actor: Actor, expressions: Sequence[str]) -> None:
         raise InvalidQuery(expression=expression, reason=_HIDDEN)
 
 
-def fails(conditions: Conditions) -> ColumnElement[bool]:
+def negation(conditions: Conditions) -> ColumnElement[bool]:
     """Return the negation of conditions, which is true where they are unknown, such as of a missing time."""
     return and_(true(), *conditions).is_not(true())
 
 
-def place_conditions(matching: MissionFilter | FileFilter) -> Conditions:
+def project_conditions(matching: MissionFilter | FileFilter) -> Conditions:
     """Return the conditions of a filter on the project."""
     conditions: Conditions = []
     if matching.project is not None:
@@ -282,7 +282,7 @@ def metadata_condition(expression: str) -> ColumnElement[bool]:
     if operator == "~":
         return metadata_text(path).ilike(like_pattern(value), escape="\\")
     if operator in {"=", "!="}:
-        equal = or_(*(_contains(path, candidate) for candidate in _readings(value)))
+        equal = or_(*(_contains(path, candidate) for candidate in _interpretations(value)))
         return equal if operator == "=" else and_(_at(path).is_not(None), not_(equal))
     return _ordered(expression, path, operator, value)
 
@@ -319,7 +319,7 @@ def _contains(path: Sequence[str], value: _Scalar | list[_Scalar]) -> ColumnElem
     return mission.c.metadata.contains(document)
 
 
-def _readings(value: str) -> list[_Scalar | list[_Scalar]]:
+def _interpretations(value: str) -> list[_Scalar | list[_Scalar]]:
     """Return the possible meanings of a value: text, and a number or boolean where it reads as one."""
     text = _unquoted(value)
     scalars: list[_Scalar] = [value if text is None else text]

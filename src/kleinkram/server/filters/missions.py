@@ -10,14 +10,14 @@ from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.query import parse_term
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, shown_files, shown_span, visible_files
-from kleinkram.server.db import Written, matches_key
+from kleinkram.server.db import ArrayText, matches_key
 from kleinkram.server.filters.files import (
     any_of,
-    fails,
     filter_files,
     filter_files_in_order,
     metadata_condition,
-    place_conditions,
+    negation,
+    project_conditions,
     refuse_metadata,
     span_conditions,
     topic_conditions,
@@ -73,7 +73,7 @@ def filter_missions_by_files(
         by_files = _has_matching_file(actor, matching, plan)
         return stmt.where(by_files if own is None else or_(by_files, and_(true(), *own)))
     if plan.matched is not None:
-        mission_ids = select(func.unnest(bindparam("matched_mission_ids", type_=Written("UUID"))))
+        mission_ids = select(func.unnest(bindparam("matched_mission_ids", type_=ArrayText("UUID"))))
     else:
         files = filter_files(actor, visible_files(actor), matching, plan)
         mission_ids = files.with_only_columns(file.c.mission_id, maintain_column_froms=True).correlate(None)
@@ -97,7 +97,7 @@ def _has_matching_file(actor: Actor, matching: FileFilter, plan: SearchPlan) -> 
 
 def _conditions(actor: Actor, matching: MissionFilter, plan: SearchPlan) -> Conditions:
     refuse_metadata(actor, [*matching.where, *(["satisfied"] if matching.satisfied is not None else [])])
-    conditions = place_conditions(matching) + span_conditions(matching, *shown_span(actor))
+    conditions = project_conditions(matching) + span_conditions(matching, *shown_span(actor))
     if matching.name is not None:
         conditions.append(matches_key(mission.c.name_key, matching.name))
     conditions += any_of(mission, matching.missions)
@@ -118,7 +118,7 @@ def _own_conditions(actor: Actor, matching: FileFilter, plan: SearchPlan) -> Con
     conditions = _conditions(actor, MissionFilter.model_construct(**fields, name=matching.mission), plan)
     if matching.mission_id is not None:
         conditions.append(mission.c.id == matching.mission_id)
-    return conditions + [fails(_own_conditions(actor, parse_term(term), NO_PLAN)) for term in matching.without]
+    return conditions + [negation(_own_conditions(actor, parse_term(term), NO_PLAN)) for term in matching.without]
 
 
 def _applies_to_missions(matching: FileFilter) -> bool:

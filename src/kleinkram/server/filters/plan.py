@@ -94,7 +94,7 @@ class SearchWord:
 class MatchedFiles:
     """All files that a search finds, where there are at most some thousands, with their missions and blobs.
 
-    Ids stay as PostgreSQL writes arrays (`db.Written`), so that none of them is parsed here. `first_ids` are those of
+    Ids stay as PostgreSQL writes arrays (`db.ArrayText`), so that none of them is parsed here. `first_ids` are those of
     the first page, in its order.
     """
 

@@ -113,7 +113,7 @@ async def create_grant(
         return old
     await _require_may_grant(db, granter, old, request.right, request.expires_at)
     grant_id = uuid.uuid4() if old is None else old.id
-    operation = "grant.give" if old is None else "grant.change"
+    operation = "grant.create" if old is None else "grant.change"
     after = _audit_values(request.right, request.expires_at)
     before = {} if old is None else _audit_values(old.right, old.expires_at)
     await _record(db, granter, operation, grant_id, name, before, after)

@@ -54,7 +54,7 @@ async def ensure_affiliations(db: Connection, affiliations: Sequence[Affiliation
         events.append(Event("group.member", "group", row.group_id, row.name, after=after))
     owner_right: Metadata = {"right": Right.delete.value, "expires_at": None}
     inherited = await give_to_admins(db, owned)
-    events += [Event("grant.give", "grant", None, "admins", project.id, after=owner_right) for project in inherited]
+    events += [Event("grant.create", "grant", None, "admins", project.id, after=owner_right) for project in inherited]
     await audit(db, None, *events)
 
 

@@ -281,15 +281,15 @@ def _proxy(settings: Settings, origin: RequestOrigin) -> CheckResult:
     if origin.forwarded and not origin.is_trusted:
         return problem(
             check,
-            f"The API does not trust the proxy at {origin.peer}: all people look like one address.",
+            f"The API does not trust the proxy at {origin.peer}: all requests seem to come from one address.",
             f"Set KLEINKRAM_TRUSTED_PROXIES={origin.peer}, or to the proxy's network.",
         )
     is_remote = not _is_local(urlsplit(settings.public_url).hostname)
     if not origin.forwarded and is_remote and _is_local(origin.peer):
         return problem(
             check,
-            "The proxy does not send X-Forwarded-For: all people look like this machine.",
-            "Let it, and set KLEINKRAM_TRUSTED_PROXIES: see docs/running.md.",
+            "The proxy does not send X-Forwarded-For: all requests seem to come from this machine.",
+            "Configure it to send the header, and set KLEINKRAM_TRUSTED_PROXIES: see docs/running.md.",
         )
     if settings.public_url.startswith("https://") and origin.scheme != "https":
         return problem(check, "The API takes https for http.", "Let the proxy send X-Forwarded-Proto.")

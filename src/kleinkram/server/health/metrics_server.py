@@ -186,9 +186,9 @@ async def _server_metrics(database: Database) -> list[Metric]:
         is_stopped = int(last.aborted_reason is not None)
         gauges += [
             _gauge("kleinkram_scrub_ended_timestamp_seconds", "When the last scrub ended.", last.ended_at.timestamp()),
-            _gauge("kleinkram_scrub_stopped", "Whether it stopped and marked nothing.", is_stopped),
-            _gauge("kleinkram_scrub_compared", "Blobs that it compared.", last.compared),
-            _by_label("kleinkram_scrub_findings", "What it found.", "finding", findings),
+            _gauge("kleinkram_scrub_stopped", "Whether the last scrub stopped and marked nothing.", is_stopped),
+            _gauge("kleinkram_scrub_compared", "Blobs that the last scrub compared.", last.compared),
+            _by_label("kleinkram_scrub_findings", "Objects by result of the last scrub.", "finding", findings),
         ]
     return gauges
 

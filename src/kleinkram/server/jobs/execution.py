@@ -24,7 +24,6 @@ from kleinkram.contract.uploads import UploadState
 from kleinkram.server import metrics
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Database
-from kleinkram.server.settings import Settings
 from kleinkram.server.tables import job_error, upload
 
 T = TypeVar("T")
@@ -52,12 +51,12 @@ class BackPressure:
     as uploads come in. There is one object per worker.
     """
 
-    def __init__(self, database: Database, settings: Settings) -> None:
+    def __init__(self, database: Database) -> None:
         self._database = database
         self._ended = asyncio.Event()
         self._next_start_at = 0.0
-        recent = func.now() + datetime.timedelta(seconds=settings.upload_expires_s - _RECENT_S)
-        active = (upload.c.state == UploadState.open.value) & (upload.c.expires_at > recent)
+        recent = func.now() - datetime.timedelta(seconds=_RECENT_S)
+        active = (upload.c.state == UploadState.open.value) & (upload.c.renewed_at > recent)
         self._stmt = select(func.now().label("now"), exists().where(active).label("is_busy"))
 
     async def wait_for_uploads(self, max_wait_s: float, *, since: datetime.datetime | None = None) -> bool:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from alembic.config import Config
 
 _HERE = Path(__file__).parent
-# Written down, so that a process that only serves need not load Alembic to know them.
+# ArrayText down, so that a process that only serves need not load Alembic to know them.
 INITIAL = "0100"
 HEAD = "0100"
 # Revisions below INITIAL existed during development only; one migration replaced them.

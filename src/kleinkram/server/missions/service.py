@@ -283,8 +283,8 @@ def _change_events(old: MissionRead, new: MissionRead) -> list[Event]:
     before.pop("project")
     left: Metadata = {"name": old.name}
     return [
-        Event("mission.leave", "mission", old.id, old.name, old.project.id, left, {}, None, "move_mission"),
-        Event("mission.arrive", "mission", new.id, new.name, project_id, before, after, new.id, "create_mission"),
+        Event("mission.move_out", "mission", old.id, old.name, old.project.id, left, {}, None, "move_mission"),
+        Event("mission.move_in", "mission", new.id, new.name, project_id, before, after, new.id, "create_mission"),
     ]
 
 

@@ -1,4 +1,4 @@
-"""What is asked for overviews. Functions return selects; they touch no connection."""
+"""Selects of timelines, mission topics and statistics."""
 
 import uuid
 from typing import Any
@@ -23,7 +23,7 @@ TIMELINE_ORDER = Order([file.c.path, file.c.id])
 
 
 def mission_span(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
-    """Return `start_ns` and `end_ns` of one visible mission, as far as its files are shown."""
+    """Return `start_ns` and `end_ns` of one mission, of its visible files."""
     start_ns, end_ns = shown_span(actor)
     columns = (start_ns.label("start_ns"), end_ns.label("end_ns"))
     return (
@@ -56,7 +56,7 @@ def to_timeline_file(row: Row[Any]) -> TimelineFile:
 
 
 def mission_topics_state(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
-    """Return span and revision of one visible mission, and what was derived of its topics; null where nothing was."""
+    """Return span and revision of one visible mission, and the header of its stored topics (null without one)."""
     start_ns, end_ns = shown_span(actor)
     columns = (start_ns.label("start_ns"), end_ns.label("end_ns"), mission.c.files_revision)
     stmt = visible_missions(actor).with_only_columns(
@@ -65,35 +65,35 @@ def mission_topics_state(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
     return stmt.outerjoin(mission_topics, mission_topics.c.mission_id == mission.c.id).where(mission.c.id == mission_id)
 
 
-def bare_mission(mission_id: uuid.UUID) -> Select[Any]:
-    """Return span and revision of a mission, for no one in particular."""
+def mission_state(mission_id: uuid.UUID) -> Select[Any]:
+    """Return span and revision of a mission, without a check of rights."""
     return select(mission.c.start_ns, mission.c.end_ns, mission.c.files_revision).where(mission.c.id == mission_id)
 
 
 def recordings_in_time(mission_id: uuid.UUID, actor: Actor | None = None) -> Select[Any]:
-    """Return the recordings of a mission in the order of time, as far as they are shown."""
+    """Return the visible recordings of a mission in order of time; all without an actor."""
     stmt = select(recording.c.id, recording.c.name).where(recording.c.mission_id == mission_id)
     stmt = stmt if actor is None else stmt.where(shown_recordings(actor))
     return stmt.order_by(recording.c.start_ns.nulls_last(), recording.c.name, recording.c.id)
 
 
 def recordings_by_id(mission_id: uuid.UUID) -> Select[Any]:
-    """Return the recordings that the kept topics of a mission count, by place; those that are gone without a name."""
+    """Return the recordings that the stored topics refer to, by position; deleted ones have name null."""
     listed = func.unnest(mission_topics.c.recording_ids).table_valued(
-        column("id", Uuid), with_ordinality="place", name="listed"
+        column("id", Uuid), with_ordinality="position", name="listed"
     )
     listed = listed.render_derived()
     recordings = select(listed.c.id, recording.c.name).select_from(mission_topics).join(listed, true())
     recordings = recordings.outerjoin(recording, recording.c.id == listed.c.id)
-    return recordings.where(mission_topics.c.mission_id == mission_id).order_by(listed.c.place)
+    return recordings.where(mission_topics.c.mission_id == mission_id).order_by(listed.c.position)
 
 
 def topics_of_files(
     mission_id: uuid.UUID, start_ns: int | None, end_ns: int | None, actor: Actor | None = None
 ) -> Select[Any]:
-    """Return the topics of a mission's files, as `merging.merge` takes them.
+    """Return the topics of a mission's files, as `topics.merge` reads them.
 
-    What lies outside of the mission's span, for its clock was never set, is not placed.
+    `is_placed` is false outside the mission's span: the clock of that file was never set.
     """
     span = (literal(start_ns, BigInteger), literal(end_ns, BigInteger))
     is_placed = func.coalesce(and_(topic.c.first_ns >= span[0], topic.c.last_ns <= span[1]), False)
@@ -111,8 +111,8 @@ def topics_of_files(
     return stmt.order_by(topic.c.name, topic.c.message_type, file.c.recording_id, topic.c.first_ns)
 
 
-def put_header(**values: object) -> ReturningInsert[Any]:
-    """Return the statement that says what a mission's topics follow from; it returns a row, unless newer ones stand."""
+def upsert_topics_header(**values: object) -> ReturningInsert[Any]:
+    """Return the upsert of the header of stored topics; it returns no row if a later revision is stored."""
     statement = insert(mission_topics).values(**values)
     changed = {name: statement.excluded[name] for name in ("revision", "recording_ids", "bin_ns")}
     return statement.on_conflict_do_update(
@@ -121,7 +121,7 @@ def put_header(**values: object) -> ReturningInsert[Any]:
 
 
 def derived_topics(mission_id: uuid.UUID) -> Select[Any]:
-    """Return the topics that are kept of a mission, each with all types under which the mission has it."""
+    """Return the stored topics of a mission, each with all message types of that name."""
     other = mission_topic.alias("other")
     types = (
         select(func.array_agg(aggregate_order_by(other.c.message_type, other.c.message_type)))
@@ -133,12 +133,12 @@ def derived_topics(mission_id: uuid.UUID) -> Select[Any]:
     return select(mission_topic, counted, types.label("types")).where(mission_topic.c.mission_id == mission_id)
 
 
-# By name and type, which the id follows within a name: rows are written in that order.
+# By name and type: within a name, rows are inserted in the order of types.
 DERIVED_TOPIC_ORDER = Order([mission_topic.c.name, mission_topic.c.id])
 
 
 def topic_count(actor: Actor, project_id: uuid.UUID | None) -> Select[Any]:
-    """Return how many topics of different names the visible missions have, of one project or of all."""
+    """Return the number of distinct topic names in the visible missions of one project, or of all."""
     stmt = visible_missions(actor).with_only_columns(
         func.count(distinct(mission_topic.c.name)), maintain_column_froms=True
     )

@@ -1,4 +1,4 @@
-"""Overviews over HTTP."""
+"""Routes of timelines, mission topics and statistics."""
 
 import uuid
 
@@ -30,7 +30,7 @@ async def get_mission_timeline(
     limit: TimelineSize = MAX_TIMELINE_FILES,
     cursor: Cursor | None = None,
 ) -> MissionTimeline:
-    """Return when each file of a mission was recorded, by path: enough to draw all of them on one axis of time."""
+    """Return start and end of each file of a mission, by path."""
     return await service.get_timeline(db, actor, mission_id=mission_id, page=PageRequest(limit, cursor))
 
 
@@ -43,7 +43,7 @@ async def list_mission_topics(
     limit: MissionTopicsSize = 1_000,
     cursor: Cursor | None = None,
 ) -> MissionTopics:
-    """List the topics of all recordings of a mission, by name and type, with their messages in at most `bins` bins."""
+    """List the topics of a mission by name and type, with message counts in at most `bins` bins."""
     page = PageRequest(limit, cursor)
     return await topics.list_mission_topics(db, actor, mission_id=mission_id, bins=bins, page=page)
 
@@ -52,7 +52,7 @@ async def list_mission_topics(
 async def get_project_stats(
     project_id: uuid.UUID, db: Transaction, actor: CurrentActor, by: Term = "month", max_buckets: Buckets = 20
 ) -> Overview:
-    """Return what a project amounts to: hours, bytes, files, by `month` or by the values of a metadata field."""
+    """Return hours, bytes and files of a project, by `month` or by the values of a metadata field."""
     return await service.get_project_stats(db, actor, project_id=project_id, by=by, max_buckets=max_buckets)
 
 
@@ -64,8 +64,5 @@ async def get_overview(
     max_buckets: Buckets = 20,
     project_id: uuid.UUID | None = None,
 ) -> Overview:
-    """Return what all that one may see amounts to, or of it what is in one project: by `month`, or by a metadata field.
-
-    Who has rights on single missions of a project sees what these amount to.
-    """
+    """Return statistics of all visible missions, or of those of one project, by `month` or by a metadata field."""
     return await service.get_overview(db, actor, project_id=project_id, by=by, max_buckets=max_buckets)

@@ -1,4 +1,4 @@
-"""Overviews of missions and projects: the timeline, and statistics to be drawn in a bounded number of buckets."""
+"""The timeline of a mission, and statistics of missions in a limited number of buckets."""
 
 import math
 import sys
@@ -19,11 +19,11 @@ from kleinkram.server.search.statistics import add_up, get_stats
 
 
 async def get_timeline(db: Connection, actor: Actor, *, mission_id: uuid.UUID, page: PageRequest) -> MissionTimeline:
-    """Return when the files of a mission were recorded, by path.
+    """Return start and end of the files of a mission, by path.
 
     Raises:
-        NotFound: the mission is not there, or not for this actor.
-        InvalidCursor: the cursor is not of this list.
+        NotFound: the mission does not exist, or is not visible.
+        InvalidCursor: the cursor belongs to another list.
     """
     span = (await db.execute(queries.mission_span(actor, mission_id))).one_or_none()
     if span is None:
@@ -39,10 +39,10 @@ _MONTH = "month"
 async def get_project_stats(
     db: Connection, actor: Actor, *, project_id: uuid.UUID, by: str, max_buckets: int
 ) -> Overview:
-    """Return what a project amounts to.
+    """Return statistics of a project.
 
     Raises:
-        NotFound: the project is not there, or not for this actor.
+        NotFound: the project does not exist, or is not visible.
         InvalidQuery: as in `get_overview`.
     """
     declared = (await projects.get_project(db, actor, project_id)).metadata_fields.fields
@@ -60,15 +60,15 @@ async def get_overview(
     max_buckets: int,
     field: MetadataField | None = None,
 ) -> Overview:
-    """Return what all that is visible amounts to, or of it what is in one project; `field` declares what `by` names.
+    """Return statistics of all visible missions, or of one project; `field` is the declaration of `by`.
 
     Raises:
-        InvalidQuery: nothing has such a field, it has too many values, or its values are not shown to this actor.
+        InvalidQuery: no mission has this field, it has too many values, or its values are not visible.
     """
     group = by if by == _MONTH or by.startswith("metadata.") else f"metadata.{by}"
     stats = await get_stats(db, actor, by=group, matching=FileFilter(project_id=project_id))
     if field is None and by != _MONTH and stats.rows and all(row.group is None for row in stats.rows):
-        raise InvalidQuery(expression=by, reason="no mission has such a field; say month, or the name of a field")
+        raise InvalidQuery(expression=by, reason="no mission has this field; specify month or a metadata field")
     with_value = [row for row in stats.rows if row.group is not None]
     buckets, other = _bucketed(with_value, field, max_buckets) if by != _MONTH else (_one_bucket_each(with_value), None)
     topics = None
@@ -92,15 +92,15 @@ def _bucketed(
     rows: Sequence[StatsRow], field: MetadataField | None, max_buckets: int
 ) -> tuple[list[Bucket], StatsRow | None]:
     numbers = {row.group: number for row in rows if (number := _number(row.group)) is not None}
-    # Without a declaration, a field is of numbers where every value is one.
+    # An undeclared field is numeric if all of its values are numbers.
     is_number = field.type is FieldType.number if field else len(numbers) == len(rows)
     if not is_number:
         ranked = sorted(rows, key=lambda row: (-row.duration_ns, -row.size_bytes, row.group or ""))
         return _one_bucket_each(ranked[:max_buckets]), add_up(ranked[max_buckets:]) if ranked[max_buckets:] else None
     counted = sorted((row for row in rows if row.group in numbers), key=lambda row: numbers[row.group])
-    strange = [row for row in rows if row.group not in numbers]
+    non_numeric = [row for row in rows if row.group not in numbers]
     ranges = _one_bucket_each(counted) if len(counted) <= max_buckets else _ranges(counted, numbers, max_buckets)
-    return ranges, add_up(strange) if strange else None
+    return ranges, add_up(non_numeric) if non_numeric else None
 
 
 def _ranges(rows: Sequence[StatsRow], numbers: dict[str | None, float], max_buckets: int) -> list[Bucket]:
@@ -110,20 +110,20 @@ def _ranges(rows: Sequence[StatsRow], numbers: dict[str | None, float], max_buck
     for row, value in zip(rows, values, strict=True):
         inside.setdefault(math.floor(value / step), []).append(row)
     return [
-        Bucket(value=None, low=_edge(place * step), high=_edge((place + 1) * step), stats=add_up(rows_inside))
-        for place, rows_inside in inside.items()
+        Bucket(value=None, low=_edge(number * step), high=_edge((number + 1) * step), stats=add_up(rows_inside))
+        for number, rows_inside in inside.items()
     ]
 
 
 def _step(low: float, high: float, max_buckets: int) -> float:
-    """Return 1, 2 or 5 times a power of ten, so that there are at most so many steps, or one more."""
-    least = min(max(high / max_buckets - low / max_buckets, 1e-300), 1e308)
-    power = 10.0 ** math.floor(math.log10(least))
-    return next(times * power for times in (1, 2, 5, 10) if times * power >= least)
+    """Return a step of 1, 2 or 5 times a power of ten, for at most `max_buckets` + 1 steps."""
+    min_step = min(max(high / max_buckets - low / max_buckets, 1e-300), 1e308)
+    power = 10.0 ** math.floor(math.log10(min_step))
+    return next(times * power for times in (1, 2, 5, 10) if times * power >= min_step)
 
 
 def _edge(number: float) -> float:
-    # JSON has no word for what is beyond.
+    # JSON has no infinity.
     return max(-sys.float_info.max, min(sys.float_info.max, number))
 
 

@@ -1,7 +1,7 @@
-"""The topics of a mission: derived by a worker whenever its files change, and answered from there.
+"""Stores the merged topics of a mission when its files change, and lists them.
 
-Who is shown only some of its files gets those of these files, added up at once; so does everybody as long as nothing
-was derived. Merging holds one topic at a time, whatever the number of files.
+For people who see only some of the files, and while nothing is stored, the topics are merged for the request. Merging
+holds one topic in memory at a time.
 """
 
 import uuid
@@ -67,7 +67,7 @@ async def merge(rows: AsyncIterator[Row[Any]], recording_ids: Sequence[uuid.UUID
 
 
 class _TopicMerger:
-    """A topic on the way."""
+    """Accumulates the rows of one topic."""
 
     def __init__(self, key: TopicKey) -> None:
         self.key = key
@@ -116,7 +116,7 @@ class _TopicMerger:
         )
 
     def _end_recording(self) -> None:
-        # A file without a recording stands for itself.
+        # Files without a recording are not joined.
         runs = join_runs(self._runs) if self._recording_id is not None else self._runs
         for run in runs:
             self._whole.add(run)
@@ -125,7 +125,7 @@ class _TopicMerger:
 
 @dataclass
 class _TopicTotals:
-    """All recordings of one topic."""
+    """Totals of one topic over all recordings."""
 
     first_ns: int | None = None
     last_ns: int | None = None
@@ -180,11 +180,11 @@ class _MissionTopicData:
 async def list_mission_topics(
     db: Connection, actor: Actor, *, mission_id: uuid.UUID, bins: int, page: PageRequest
 ) -> MissionTopics:
-    """Return a page of the topics of a mission, with their counts in at most so many bins.
+    """Return a page of the topics of a mission, with their counts in at most `bins` bins.
 
     Raises:
-        NotFound: the mission is not there, or not for this actor.
-        InvalidCursor: the cursor is not of this list.
+        NotFound: the mission does not exist, or is not visible.
+        InvalidCursor: the cursor belongs to another list.
     """
     state = (await db.execute(queries.mission_topics_state(actor, mission_id))).one_or_none()
     if state is None:
@@ -205,12 +205,12 @@ async def list_mission_topics(
     )
 
 
-async def keep_topics(db: Connection, mission_id: uuid.UUID) -> None:
-    """Derive a mission's topics from its files, and keep them in place of those of an earlier state.
+async def store_topics(db: Connection, mission_id: uuid.UUID) -> None:
+    """Derive a mission's topics from its files, and replace the stored topics of an earlier state.
 
-    Reads what may be hundreds of thousands of rows, at once but a few, and locks the mission only to write.
+    Reads up to hundreds of thousands of rows, a few at a time, and locks the mission only to write.
     """
-    state = (await db.execute(queries.bare_mission(mission_id))).one_or_none()
+    state = (await db.execute(queries.mission_state(mission_id))).one_or_none()
     if state is None:
         return
     recordings = (await db.execute(queries.recordings_in_time(mission_id))).all()
@@ -220,7 +220,7 @@ async def keep_topics(db: Connection, mission_id: uuid.UUID) -> None:
         return
     bin_ns = max((merged.density.bin_ns for merged in topics if merged.density), default=1)
     header = {"mission_id": mission_id, "revision": state.files_revision, "recording_ids": ids, "bin_ns": bin_ns}
-    if (await db.execute(queries.put_header(**header))).first() is None:
+    if (await db.execute(queries.upsert_topics_header(**header))).first() is None:
         return
     await db.execute(delete(mission_topic).where(mission_topic.c.mission_id == mission_id))
     if topics:
@@ -279,7 +279,7 @@ async def _added_up(db: Connection, actor: Actor, state: Row[Any], mission_id: u
 
 
 def _axis(data: _MissionTopicData, bins: int) -> TimeAxis | None:
-    """Return the narrowest bins that are few enough, and not narrower than those that are known."""
+    """Return the narrowest axis of at most `bins` bins; its bins are not narrower than the stored ones."""
     start_ns, end_ns = data.span
     if start_ns is None or end_ns is None or not bins:
         return None

@@ -118,7 +118,7 @@ async def deactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Depa
         for row in shares
     ]
     events += [
-        Event("grant.give", "grant", None, "admins", project.id, after=owner_right, needs_admin=True)
+        Event("grant.create", "grant", None, "admins", project.id, after=owner_right, needs_admin=True)
         for project in inherited
     ]
     await audit(db, actor, *events)

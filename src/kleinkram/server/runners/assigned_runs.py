@@ -307,13 +307,13 @@ async def confirm_log_chunk(db: Connection, actor: Actor, *, run_id: uuid.UUID, 
     row = await lock_assigned_run(db, actor, run_id, confirmed.attempt)
     same = (log_chunk.c.run_id == run_id) & (log_chunk.c.attempt == confirmed.attempt)
     shown = select(log_chunk.c.key).where(
-        same, log_chunk.c.kept_at.is_not(None), log_chunk.c.offset_bytes >= confirmed.offset
+        same, log_chunk.c.confirmed_at.is_not(None), log_chunk.c.offset_bytes >= confirmed.offset
     )
     if (await db.execute(shown.limit(1))).first() is not None:
         return
     here = same & (log_chunk.c.offset_bytes == confirmed.offset) & (log_chunk.c.size_bytes == confirmed.size_bytes)
     latest = select(log_chunk.c.key).where(here).order_by(log_chunk.c.created_at.desc()).limit(1)
-    stmt = update(log_chunk).where(log_chunk.c.key.in_(latest)).values(kept_at=func.now())
+    stmt = update(log_chunk).where(log_chunk.c.key.in_(latest)).values(confirmed_at=func.now())
     await db.execute(stmt)
     await publish(db, [ChangeEvent("run_log", ChangeKind.changed, run_id, mission_id=row.mission_id)])
 
@@ -407,7 +407,7 @@ async def _create_file(db: Connection, row: AssignedRun, selected: PutBack, arti
     values = {"mission_id": row.mission_id, "blob_id": artifact.blob_id, "uploaded_by_id": row.started_by_id}
     place = {"path": selected.to, "path_key": name_key(selected.to), "origin": "run"}
     await db.execute(insert(file).values(id=file_id, **values, **place))
-    lineage = {"file_id": file_id, "made_from": selected.made_from}
+    lineage = {"file_id": file_id, "derived_from": selected.derived_from}
     await db.execute(update(run_artifact).where(run_artifact.c.id == artifact.id).values(**lineage))
     # Artifacts are not examined; as a file it may be a recording.
     unread = {"content": ContentState.pending.value, "summarised_at": None}

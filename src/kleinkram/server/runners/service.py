@@ -88,7 +88,9 @@ async def register_runner(db: Connection, actor: Actor, *, registration: RunnerR
     await db.execute(write.on_conflict_do_update(index_elements=["id"], set_=same))
     if owner_id is None:
         after: Metadata = {"labels": list(registration.labels)}
-        await audit(db, actor, Event("runner.arrive", "runner", registration.id, registration.name, None, after=after))
+        await audit(
+            db, actor, Event("runner.register", "runner", registration.id, registration.name, None, after=after)
+        )
     await publish(db, [ChangeEvent("runner", ChangeKind.changed, registration.id)])
     (read,) = await _read_runners(db, [registration.id])
     return read

@@ -121,14 +121,14 @@ class KnownRunners(NamedTuple):
     def reason_waiting(self, needs: Needs) -> str:
         """Return a sentence about why a queued run has not started."""
         if not self.runners:
-            return "No runner is there. Start one with `klein runner start`."
+            return "No runner is registered. Start one with `klein runner start`."
         never = self.reason_never_starts(needs)
         if never is not None:
             return never
         able = [one for one in self.runners if one.refusal(needs, is_single_person=self.is_single_person) is None]
         alive = sorted(one.name for one in able if one.is_alive)
         if alive:
-            return f"It waits for its turn with {' or '.join(alive[:_MOST_NAMED])}."
+            return f"It is queued for {' or '.join(alive[:_MOST_NAMED])}."
         names = " or ".join(sorted(one.name for one in able)[:_MOST_NAMED])
         return f"It waits for {names}, which is not running. Start it again, or another with `klein runner start`."
 

@@ -78,7 +78,9 @@ async def _find(db: Connection, actor: Actor, run_id: uuid.UUID, offset: int) ->
     if row.key is not None:
         left = max(0, row.size_bytes - offset)
         return _StoredChunk(row.attempt, is_over, row.size_bytes, row.key, offset, min(left, _CHUNK_BYTES))
-    shown = (log_chunk.c.run_id == run_id) & (log_chunk.c.attempt == row.attempt) & log_chunk.c.kept_at.is_not(None)
+    shown = (
+        (log_chunk.c.run_id == run_id) & (log_chunk.c.attempt == row.attempt) & log_chunk.c.confirmed_at.is_not(None)
+    )
     ends = log_chunk.c.offset_bytes + log_chunk.c.size_bytes
     size = (await db.execute(select(func.coalesce(func.max(ends), 0)).where(shown))).scalar_one()
     covering = select(log_chunk).where(shown, log_chunk.c.offset_bytes <= offset, ends > offset)

@@ -284,7 +284,7 @@ async def get_lineage(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> ru
     row = (await db.execute(stmt)).one_or_none()
     if row is None:
         raise NotFound(noun="file", ref=str(file_id))
-    producers = select(run_artifact.c.run_id, run_artifact.c.made_from).where(run_artifact.c.file_id == file_id)
+    producers = select(run_artifact.c.run_id, run_artifact.c.derived_from).where(run_artifact.c.file_id == file_id)
     produced = (await db.execute(producers)).one_or_none()
     # By content, too: it may have been read under another name, or before it was moved.
     readers = select(run_input.c.run_id).where(
@@ -294,9 +294,9 @@ async def get_lineage(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> ru
     made_by = [] if produced is None else await _find_runs(db, actor, run.c.id == produced.run_id)
     described = await _with_files(db, actor, [*read_by[:_MAX_LINEAGE_RUNS], *made_by])
     maker = described[made_by[0].id] if made_by else None
-    if maker is not None and produced is not None and produced.made_from:
+    if maker is not None and produced is not None and produced.derived_from:
         # Only those inputs that it reported as sources.
-        sources = [entry for entry in maker.inputs if entry.path in produced.made_from]
+        sources = [entry for entry in maker.inputs if entry.path in produced.derived_from]
         maker = maker.model_copy(update={"inputs": sources})
     return runs.LineageRead(
         file=runs.LineageFile(id=row.id, path=row.path, sha256=row.sha256.hex()),

@@ -268,14 +268,14 @@ def facet_rows(
     sample = sampled_files()
     selected = frozenset(facet for facet in _PLAIN_FACETS if _without_facet(matching, facet) != matching)
     files_by_facet = {"": found_by("", "found")} | {
-        facet: found_by(facet, f"but_{facet}") for facet in sorted(selected)
+        facet: found_by(facet, f"without_{facet}") for facet in sorted(selected)
     }
     topics = {
         name: _topics(files_by_facet.get(facet, files_by_facet[""]), _without_facet(matching, facet), name)
         for facet, name in _topic_lists(selected).items()
     }
     fields = _selected_fields(matching) if sees_whole_missions(actor) else []
-    by_field = [found_by(META + field, f"but_field_{number}") for number, field in enumerate(fields)]
+    by_field = [found_by(META + field, f"without_field_{number}") for number, field in enumerate(fields)]
     counts = _counts(selected, len(fields), with_metadata=sees_whole_missions(actor))
     return counts.add_cte(*files_by_facet.values(), *topics.values(), *by_field)
 
@@ -318,15 +318,15 @@ def _counts(selected: frozenset[str], fields: int, *, with_metadata: bool) -> Co
     base = _named("found")
     together = [facet for facet in _SINGLE_VALUED if facet not in selected]
     counted = [_by_column(base, together)] if together else []
-    counted += [_by_column(_named(f"but_{facet}"), [facet]) for facet in _SINGLE_VALUED if facet in selected]
-    counted.append(_by_label(_named("but_label") if "label" in selected else base))
+    counted += [_by_column(_named(f"without_{facet}"), [facet]) for facet in _SINGLE_VALUED if facet in selected]
+    counted.append(_by_label(_named("without_label") if "label" in selected else base))
     topics = _topic_lists(selected)
     counted += [_by_topic("topic", topics["topic"], "names"), _by_topic("type", topics.get("type", "topics"), "types")]
     file_count = _row(literal(""), literal("found"), func.count(), literal(1, BigInteger)).select_from(table("found"))
     parts = [file_count, _first_values(union_all(*counted).subquery())]
     if with_metadata:
         parts.append(_fields(base, None))
-        parts += [_fields(_named(f"but_{only}"), only) for only in map("field_{}".format, range(fields))]
+        parts += [_fields(_named(f"without_{only}"), only) for only in map("field_{}".format, range(fields))]
     return union_all(*(select(part.subquery()) for part in parts))
 
 

@@ -27,7 +27,7 @@ from kleinkram.server.tables import file, mission
 SAMPLED_FILES, COMMON = 500, 10
 SAMPLED_MISSIONS = 100
 # Lower where each of several words is common by itself: no index leads to the files that contain all of them.
-_COMMON_TOGETHER = 3
+_COMMON_WITHOUT_INDEX = 3
 # A word is common in paths if so many of the sampled paths contain it.
 _COMMON_PATHS = 15
 # The most files of a rare filter that are looked up.
@@ -102,9 +102,11 @@ async def plan_search(
     word_hits = dict(zip(words, row[len(filters) :] if len(words) > 1 else hits, strict=False))
     file_count = row.size if row.size < SAMPLED_FILES else row.size * ID_COUNT // max(row.last_id.int, 1)
     rarest = min(filter(has_index, words), key=lambda word: word_hits[word], default=None)
-    is_led = rarest is None or word_hits[rarest] < COMMON
-    sample = Sample(hits, row.size, file_count, row.blob_ids or "{}", COMMON if is_led else _COMMON_TOGETHER)
-    if sample.is_common() and sort is FileSort.start_desc and row.timed < _COMMON_TOGETHER:
+    has_selective_word = rarest is None or word_hits[rarest] < COMMON
+    sample = Sample(
+        hits, row.size, file_count, row.blob_ids or "{}", COMMON if has_selective_word else _COMMON_WITHOUT_INDEX
+    )
+    if sample.is_common() and sort is FileSort.start_desc and row.timed < _COMMON_WITHOUT_INDEX:
         # Files without a time come last, so that reading in order would pass nearly all others first: only those
         # without are read where an index tells that no other matches (two words at two million files: 1.8 s otherwise).
         timed = replace(plan, leading_word=rarest, has_time=True)
@@ -117,7 +119,7 @@ async def plan_search(
         return replace(plan, is_common=True), sample
     if not actor.is_admin:
         await db.execute(_ALLOW_HASH_JOINS)
-        if rarest is not None and plan.word(rarest).sampled_paths >= _COMMON_PATHS and is_led:
+        if rarest is not None and plan.word(rarest).sampled_paths >= _COMMON_PATHS and has_selective_word:
             rarest = None  # common, but not in what the actor sees: its index leads to everybody's files
     return replace(plan, leading_word=rarest), sample
 

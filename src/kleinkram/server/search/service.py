@@ -12,7 +12,7 @@ from kleinkram.contract.query import parse, render
 from kleinkram.contract.search import SearchRead, TopicFound
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files
-from kleinkram.server.db import Connection, Written
+from kleinkram.server.db import ArrayText, Connection
 from kleinkram.server.files import service as files
 from kleinkram.server.files.queries import topic_listing, topic_rows
 from kleinkram.server.filters.files import filter_files, filter_topics
@@ -149,7 +149,7 @@ def topics_found(actor: Actor, matching: FileFilter, *, plan: SearchPlan, by_blo
     contain the most words of the filter come first, then those of the most files.
     """
     if by_blobs:
-        files = select(func.unnest(bindparam("topic_blob_ids", type_=Written("UUID"))).label("blob_id"))
+        files = select(func.unnest(bindparam("topic_blob_ids", type_=ArrayText("UUID"))).label("blob_id"))
     else:
         files = filter_files(actor, visible_files(actor), matching, plan)
         files = files.with_only_columns(file.c.blob_id, maintain_column_froms=True)

@@ -71,7 +71,7 @@ blob = sa.Table(
     ),
     # For the damaged files on the home page.
     sa.Index(
-        "ix_blob_ailing",
+        "ix_blob_damaged",
         "id",
         postgresql_where=sa.text("state IN ('corrupt', 'lost') OR content IN ('broken', 'recovered', 'error')"),
     ),
@@ -148,6 +148,8 @@ upload = sa.Table(
     # Why an upload failed: the problem document for its client.
     sa.Column("failure", sa.Text),
     created_at_column(),
+    # When parts were last signed: its client is active.
+    sa.Column("renewed_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.func.now()),
     # Until when it reserves the name; renewed whenever parts are signed.
     sa.Column("lease_ends_at", sa.DateTime(timezone=True), nullable=False),
     sa.Column("expires_at", sa.DateTime(timezone=True), nullable=False),
@@ -177,6 +179,7 @@ upload = sa.Table(
         postgresql_where=sa.text("state IN ('open', 'completing') AND run_id IS NOT NULL"),
     ),
     sa.Index("ix_upload_expires_at", "expires_at", postgresql_where=sa.text("state IN ('open', 'completing')")),
+    sa.Index("ix_upload_renewed_at", "renewed_at", postgresql_where=sa.text("state = 'open'")),
     # To find the rows that refer to a file or mission that is deleted.
     sa.Index("ix_upload_file_id", "file_id", postgresql_where=sa.text("file_id IS NOT NULL")),
     sa.Index("ix_upload_mission_id", "mission_id"),

@@ -93,7 +93,7 @@ mission = sa.Table(
     sa.Index("ix_mission_name", "name", "id"),
     sa.Index("ix_mission_created_at", "created_at", "id"),
     # The order of missions in search results: latest first, missions without a time last.
-    sa.Index("ix_mission_begun", sa.text("coalesce(start_ns, '-9223372036854775808'::bigint)"), "id"),
+    sa.Index("ix_mission_start_order", sa.text("coalesce(start_ns, '-9223372036854775808'::bigint)"), "id"),
     sa.Index("ix_mission_start_ns", "start_ns", "id"),
     sa.Index("ix_mission_metadata", "metadata", postgresql_using="gin", postgresql_ops={"metadata": "jsonb_path_ops"}),
     # For words of searches.
@@ -199,7 +199,7 @@ file = sa.Table(
     # The order of files in search results: latest first, files without a time last. Includes the columns that decide
     # whether a file is shown.
     sa.Index(
-        "ix_file_begun",
+        "ix_file_start_order",
         sa.text("coalesce(start_ns, '-9223372036854775808'::bigint)"),
         "id",
         postgresql_where=sa.text("deleted_at IS NULL"),

@@ -67,7 +67,7 @@ token = sa.Table(
     sa.Column("last_used_at", sa.DateTime(timezone=True)),
     sa.Column("revoked_at", sa.DateTime(timezone=True)),
     # The token that created it, whose revocation revokes it too; null if a browser session created it.
-    sa.Column("made_by_token_id", sa.Uuid, sa.ForeignKey("token.id"), index=True),
+    sa.Column("created_by_token_id", sa.Uuid, sa.ForeignKey("token.id"), index=True),
     # The token of a run is valid during the run, for at most `max_right`. The row stays for the audit log.
     sa.Column("run_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
     sa.Column("max_right", sa.Text),

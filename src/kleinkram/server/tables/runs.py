@@ -135,7 +135,7 @@ run = sa.Table(
     sa.CheckConstraint(
         "(lease_ends_at IS NOT NULL) = (state IN ('preparing', 'running', 'collecting'))"
         " AND (state NOT IN ('preparing', 'running', 'collecting') OR runner_id IS NOT NULL)",
-        name="held",
+        name="assigned",
     ),
     sa.Index("ix_run_queue", "created_at", "id", postgresql_where=sa.text("state = 'queued'")),
     sa.Index(
@@ -161,7 +161,7 @@ run_input = sa.Table(
     sa.PrimaryKeyConstraint("run_id", "path"),
 )
 
-# `file_id` and `made_from` are set if it was put back into the mission; an empty `made_from` means all inputs.
+# `file_id` and `derived_from` are set if it was put back into the mission; an empty `derived_from` means all inputs.
 run_artifact = sa.Table(
     "run_artifact",
     metadata,
@@ -170,7 +170,7 @@ run_artifact = sa.Table(
     sorted_text("path"),
     sa.Column("blob_id", sa.Uuid, sa.ForeignKey("blob.id"), nullable=False, index=True),
     sa.Column("file_id", sa.Uuid, sa.ForeignKey("file.id", ondelete="SET NULL"), index=True),
-    sa.Column("made_from", sa.ARRAY(sa.Text)),
+    sa.Column("derived_from", sa.ARRAY(sa.Text)),
     sa.UniqueConstraint("run_id", "path"),
 )
 
@@ -214,7 +214,7 @@ log_chunk = sa.Table(
     sa.Column("offset_bytes", sa.BigInteger, nullable=False),
     sa.Column("size_bytes", sa.BigInteger, nullable=False),
     # Null until the runner confirmed the upload.
-    sa.Column("kept_at", sa.DateTime(timezone=True)),
+    sa.Column("confirmed_at", sa.DateTime(timezone=True)),
     created_at_column(),
     sa.Index("ix_log_chunk_run_id", "run_id", "attempt", "offset_bytes"),
 )

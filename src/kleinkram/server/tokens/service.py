@@ -87,7 +87,7 @@ async def issue_token(
             scopes=[scope.value for scope in request.chosen_scopes],
             is_limited=request.is_limited,
             expires_at=expires_at,
-            made_by_token_id=made_by,
+            created_by_token_id=made_by,
             runner_id=request.runner_id,
             runner_labels=request.runner_labels,
         )
@@ -129,7 +129,7 @@ async def revoke_token(
     token_ids = select(token.c.id).where(token.c.id == token_id)
     if derived is DerivedTokens.ended:
         tree = token_ids.cte("line", recursive=True)
-        tree = tree.union(select(token.c.id).join(tree, token.c.made_by_token_id == tree.c.id))
+        tree = tree.union(select(token.c.id).join(tree, token.c.created_by_token_id == tree.c.id))
         token_ids = select(tree.c.id)
     needs_admin = row.person_id != actor.person_id
     events = []

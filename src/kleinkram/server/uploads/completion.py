@@ -327,7 +327,8 @@ async def maintain_uploads(context: AppContext, *, stale_after_s: float) -> None
     is_used = select(blob.c.id).where(blob.c.store_id == upload.c.store_id, blob.c.key == upload.c.key).exists()
     is_unclean = upload.c.cleaned_at.is_(None) & upload.c.state.in_(_ENDED_STATES) & ~is_used
     async with context.database.begin() as db:
-        ended = await queries.read_rows(db, queries.select_uploads().where(is_unclean).limit(_BATCH))
+        unclean = queries.select_uploads().where(is_unclean).order_by(upload.c.created_at).limit(_BATCH)
+        ended = await queries.read_rows(db, unclean)
     for row in ended:
         await _clean_up(context, row)
 

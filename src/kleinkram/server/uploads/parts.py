@@ -37,6 +37,7 @@ Failures = dict[uuid.UUID, errors.KleinkramError]
 def lease_columns(settings: Settings, now: datetime.datetime | ColumnElement[datetime.datetime]) -> dict[str, object]:
     """Return the columns that renew the lease and expiry of an upload, for an insert or update."""
     return {
+        "renewed_at": now,
         "lease_ends_at": now + datetime.timedelta(seconds=settings.upload_lease_s),
         "expires_at": now + datetime.timedelta(seconds=settings.upload_expires_s),
     }
@@ -60,7 +61,7 @@ async def sign_parts(
             _check_signable(uploads.get(part.upload_id), part)
         checksums = {part.upload_id: None if uploads[part.upload_id].is_multipart else part.checksum for part in parts}
         await db.execute(_renew_leases(context.settings, checksums))
-        progress = [row for row in uploads.values() if _is_progress_due(row, context.settings)]
+        progress = [row for row in uploads.values() if _is_progress_due(row)]
         await publish(
             db, [ChangeEvent("upload", ChangeKind.changed, row.id, mission_id=row.mission_id) for row in progress]
         )
@@ -93,10 +94,9 @@ def _renew_leases(settings: Settings, checksums: Mapping[uuid.UUID, str | None])
     return renew.values(**lease_columns(settings, func.now()), signed_checksum=signed_checksum)
 
 
-def _is_progress_due(row: UploadRow, settings: Settings) -> bool:
+def _is_progress_due(row: UploadRow) -> bool:
     """Return whether to publish progress: not for each request, and not for small files."""
-    since_renewal_s = (row.now - row.lease_ends_at).total_seconds() + settings.upload_lease_s
-    return row.is_multipart and since_renewal_s > _PROGRESS_EVERY_S
+    return row.is_multipart and (row.now - row.renewed_at).total_seconds() > _PROGRESS_EVERY_S
 
 
 def announced_checksum(storage: Storage, requested: protocol.UploadFile) -> str | None:

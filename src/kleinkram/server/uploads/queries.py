@@ -42,17 +42,18 @@ class UploadRow(NamedTuple):
     multipart_id: str | None
     signed_checksum: str | None
     state: str
-    sha256: bytes
+    sha256: bytes  # this and the next: null until the client sent the hashes
     crc64nvme: bytes
     file_id: uuid.UUID | None
     failure: str | None
+    renewed_at: datetime.datetime
     lease_ends_at: datetime.datetime
     expires_at: datetime.datetime
     now: datetime.datetime
 
     @property
     def content(self) -> FileContent:
-        """The content that the client announced; None before it sent the hashes."""
+        """The content that the client announced with its hashes."""
         return FileContent(self.size_bytes, self.sha256)
 
     @property

@@ -3,7 +3,7 @@
 from fastapi import APIRouter, Request, Response
 from starlette.exceptions import HTTPException
 
-from kleinkram.server.access.operations import PLACES
+from kleinkram.server.access.operations import WEB_PATHS
 from kleinkram.server.http.dependencies import CurrentSettings
 from kleinkram.server.http.web_app import (
     DAY,
@@ -32,7 +32,7 @@ async def view(request: Request, settings: CurrentSettings) -> Response:
 
 
 router.add_api_route("/", view)
-for _place in PLACES:
+for _place in WEB_PATHS:
     router.add_api_route(f"/{_place}", view)
     router.add_api_route(f"/{_place}/{{rest:path}}", view)
 

@@ -45,7 +45,7 @@ it("says what was done, and the name of an act that it does not know", () => {
 });
 
 it("says what an admin saw of the whole server", () => {
-  const viewed = { ...event, operation: "admin.look", noun: "server", noun_name: "list_people" };
+  const viewed = { ...event, operation: "admin.read", noun: "server", noun_name: "list_people" };
   expect(`${eventTextOf(viewed)} ${objectNameOf(viewed)}`).toBe("viewed as an admin the list of people");
   expect(objectNameOf({ ...viewed, noun: "project", noun_name: "list_people" })).toBe("list_people");
   expect(objectNameOf({ ...viewed, noun_name: "get_what_is_new" })).toBe("get_what_is_new");

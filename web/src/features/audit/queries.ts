@@ -120,7 +120,7 @@ function textOf(words: Readonly<Record<string, string>>, name: string): string {
 
 /** Returns the name of the target; empty if the target is the actor, as in a sign-in. */
 export function objectNameOf(event: AuditEvent): string {
-  if (event.operation === "admin.look" && event.noun === "server") return textOf(texts.reads, event.noun_name);
+  if (event.operation === "admin.read" && event.noun === "server") return textOf(texts.reads, event.noun_name);
   return event.noun === "session" && event.noun_name === event.actor?.name ? "" : event.noun_name;
 }
 

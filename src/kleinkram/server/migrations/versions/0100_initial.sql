@@ -106,7 +106,7 @@ CREATE TABLE blob (
     CONSTRAINT ck_blob_span CHECK (start_ns <= end_ns),
     CONSTRAINT ck_blob_state CHECK (state IN ('stored', 'verified', 'lost', 'corrupt'))
 );
-CREATE INDEX ix_blob_ailing ON blob (id) WHERE state IN ('corrupt', 'lost') OR content IN ('broken', 'recovered', 'error');
+CREATE INDEX ix_blob_damaged ON blob (id) WHERE state IN ('corrupt', 'lost') OR content IN ('broken', 'recovered', 'error');
 CREATE INDEX ix_blob_marked_for_deletion ON blob (marked_for_deletion_at) WHERE marked_for_deletion_at IS NOT NULL;
 CREATE INDEX ix_blob_duration ON blob ((end_ns::numeric - start_ns::numeric));
 CREATE INDEX ix_blob_key ON blob (store_id, key text_pattern_ops);
@@ -336,7 +336,7 @@ CREATE TABLE mission (
     CONSTRAINT ck_mission_span CHECK ((start_ns IS NULL) = (end_ns IS NULL) AND start_ns <= end_ns)
 ) WITH (autovacuum_analyze_threshold = 0);
 CREATE INDEX ix_mission_amounts ON mission (project_id) INCLUDE (id, file_count, size_bytes, duration_ns) WHERE deleted_at IS NULL;
-CREATE INDEX ix_mission_begun ON mission (coalesce(start_ns, '-9223372036854775808'::bigint), id);
+CREATE INDEX ix_mission_start_order ON mission (coalesce(start_ns, '-9223372036854775808'::bigint), id);
 CREATE INDEX ix_mission_created_at ON mission (created_at, id);
 CREATE INDEX ix_mission_metadata ON mission USING gin (metadata jsonb_path_ops) WITH (gin_pending_list_limit = 256);
 CREATE INDEX ix_mission_metadata_words ON mission USING gin ((metadata::text) gin_trgm_ops) WITH (gin_pending_list_limit = 256);
@@ -492,7 +492,7 @@ CREATE TABLE file (
     CONSTRAINT ck_file_origin CHECK (origin IN ('upload', 'link', 'run')),
     CONSTRAINT ck_file_path_length CHECK (char_length(path) BETWEEN 1 AND 1024)
 );
-CREATE INDEX ix_file_begun ON file (coalesce(start_ns, '-9223372036854775808'::bigint), id) INCLUDE (start_ns, blob_id, mission_id) WHERE deleted_at IS NULL;
+CREATE INDEX ix_file_start_order ON file (coalesce(start_ns, '-9223372036854775808'::bigint), id) INCLUDE (start_ns, blob_id, mission_id) WHERE deleted_at IS NULL;
 CREATE INDEX ix_file_blob_id ON file (blob_id);
 CREATE INDEX ix_file_created_at ON file (created_at, id);
 CREATE INDEX ix_file_deleted_at ON file (deleted_at) WHERE deleted_at IS NOT NULL;
@@ -565,7 +565,7 @@ CREATE TABLE run (
     ended_at timestamptz,
     cancel_requested_at timestamptz,
     CONSTRAINT ck_run_ended CHECK ((ended_at IS NULL) = (state IN ('queued', 'preparing', 'running', 'collecting'))),
-    CONSTRAINT ck_run_held CHECK ((lease_ends_at IS NOT NULL) = (state IN ('preparing', 'running', 'collecting')) AND (state NOT IN ('preparing', 'running', 'collecting') OR runner_id IS NOT NULL)),
+    CONSTRAINT ck_run_assigned CHECK ((lease_ends_at IS NOT NULL) = (state IN ('preparing', 'running', 'collecting')) AND (state NOT IN ('preparing', 'running', 'collecting') OR runner_id IS NOT NULL)),
     CONSTRAINT ck_run_network CHECK (network IN ('none', 'api', 'open')),
     CONSTRAINT ck_run_reason CHECK (reason IN ('done', 'exit_code', 'signal', 'memory', 'time', 'disk', 'cancelled', 'command_not_found', 'image_unavailable', 'not_possible', 'inputs_unavailable', 'broken_report', 'results_not_stored', 'lost')),
     CONSTRAINT ck_run_state CHECK (state IN ('queued', 'preparing', 'running', 'collecting', 'done', 'failed', 'cancelled'))
@@ -589,7 +589,7 @@ CREATE TABLE log_chunk (
     attempt integer NOT NULL,
     offset_bytes bigint NOT NULL,
     size_bytes bigint NOT NULL,
-    kept_at timestamptz,
+    confirmed_at timestamptz,
     created_at timestamptz NOT NULL DEFAULT now()
 );
 CREATE INDEX ix_log_chunk_run_id ON log_chunk (run_id, attempt, offset_bytes);
@@ -600,7 +600,7 @@ CREATE TABLE run_artifact (
     path text COLLATE "C" NOT NULL,
     blob_id uuid NOT NULL CONSTRAINT fk_run_artifact_blob_id_blob REFERENCES blob (id),
     file_id uuid CONSTRAINT fk_run_artifact_file_id_file REFERENCES file (id) ON DELETE SET NULL,
-    made_from text[],
+    derived_from text[],
     CONSTRAINT uq_run_artifact_run_id_path UNIQUE (run_id, path)
 );
 CREATE INDEX ix_run_artifact_blob_id ON run_artifact (blob_id);
@@ -663,7 +663,7 @@ CREATE TABLE token (
     expires_at timestamptz,
     last_used_at timestamptz,
     revoked_at timestamptz,
-    made_by_token_id uuid CONSTRAINT fk_token_made_by_token_id_token REFERENCES token (id),
+    created_by_token_id uuid CONSTRAINT fk_token_created_by_token_id_token REFERENCES token (id),
     run_id uuid CONSTRAINT fk_token_run_id_run REFERENCES run (id) ON DELETE SET NULL,
     max_right text,
     runner_id uuid,
@@ -676,7 +676,7 @@ CREATE TABLE token (
     CONSTRAINT ck_token_scopes CHECK (scopes <@ ARRAY['read', 'upload', 'write', 'run', 'admin']::text[]),
     CONSTRAINT ck_token_secret_sha256 CHECK (octet_length(secret_sha256) = 32)
 );
-CREATE INDEX ix_token_made_by_token_id ON token (made_by_token_id);
+CREATE INDEX ix_token_created_by_token_id ON token (created_by_token_id);
 CREATE INDEX ix_token_person_id ON token (person_id);
 CREATE INDEX ix_token_run_id ON token (run_id);
 CREATE INDEX ix_token_runner_id ON token (runner_id) WHERE runner_id IS NOT NULL;
@@ -701,6 +701,7 @@ CREATE TABLE upload (
     file_id uuid CONSTRAINT fk_upload_file_id_file REFERENCES file (id) ON DELETE SET NULL,
     failure text,
     created_at timestamptz NOT NULL DEFAULT now(),
+    renewed_at timestamptz NOT NULL DEFAULT now(),
     lease_ends_at timestamptz NOT NULL,
     expires_at timestamptz NOT NULL,
     completing_since timestamptz,
@@ -714,6 +715,7 @@ CREATE TABLE upload (
 CREATE INDEX ix_upload_expires_at ON upload (expires_at) WHERE state IN ('open', 'completing');
 CREATE INDEX ix_upload_file_id ON upload (file_id) WHERE file_id IS NOT NULL;
 CREATE INDEX ix_upload_mission_id ON upload (mission_id);
+CREATE INDEX ix_upload_renewed_at ON upload (renewed_at) WHERE state = 'open';
 CREATE INDEX ix_upload_run_id ON upload (run_id);
 CREATE INDEX ix_upload_uncleaned ON upload (created_at) WHERE cleaned_at IS NULL;
 CREATE UNIQUE INDEX uq_upload_path_key_active ON upload (mission_id, path_key) WHERE state IN ('open', 'completing') AND run_id IS NULL;

@@ -1,4 +1,4 @@
-"""Jobs that derive the recordings of missions from their files.
+"""The job that derives the recordings and topics of a mission from its files.
 
 A mission of ten thousand files changes with each that is read, and deriving it takes half a second: `RegroupDebounce`
 delays it. `MetadataCache` reads each metadata.yaml of a mission in a child process, and caches it by the object's key.
@@ -27,7 +27,7 @@ from kleinkram.server.jobs.execution import (
 )
 from kleinkram.server.jobs.queue import Job, enqueued_at, queue
 from kleinkram.server.missions import service as missions
-from kleinkram.server.overviews.topics import keep_topics
+from kleinkram.server.overviews.topics import store_topics
 from kleinkram.server.recordings import derive
 from kleinkram.server.recordings.derive import LiveFile
 from kleinkram.server.recordings.service import awaits_regrouping, regroup_later
@@ -112,7 +112,7 @@ class MetadataCache:
 
 
 # The topics of a mission with more files are not stored for a state that has changed already.
-_MAX_UNHURRIED_FILES = 50
+_MAX_FILES_TO_STORE_OUTDATED = 50
 
 
 @queue.task(name=Job.group_recordings.value, pass_context=True, retry=RETRY_STRATEGY)
@@ -139,5 +139,5 @@ async def group_recordings(job_context: JobContext, ref: str) -> None:
         await derive.store(db, mission_id, await derive.derive(db, files, stated), files)
     debounce.took(mission_id, time.monotonic() - began)
     async with context.database.begin() as db:
-        if len(files) <= _MAX_UNHURRIED_FILES or not await awaits_regrouping(db, mission_id):
-            await keep_topics(db, mission_id)
+        if len(files) <= _MAX_FILES_TO_STORE_OUTDATED or not await awaits_regrouping(db, mission_id):
+            await store_topics(db, mission_id)
