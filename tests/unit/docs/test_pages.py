@@ -98,11 +98,12 @@ def test_paths_on_pages_exist(page: Path) -> None:
         assert not [path for path in paths if "NOUN" not in path and not (ROOT / path).exists()]
 
 
-def test_the_reading_paths_exist() -> None:
+def test_the_reading_paths_exist_and_are_short() -> None:
     section = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").partition("## Three reading paths")[2]
-    paths = re.findall(r"`([\w/]+\.py)`", section.partition("\n## ")[0])
-    assert len(paths) >= 30
-    assert not [path for path in paths if not (ROOT / "src" / "kleinkram" / path).is_file()]
+    reading_paths = section.partition("\n## ")[0].split("\n**")[1:]
+    files = [re.findall(r"`([\w/]+/[\w/]+\.py)`", reading_path) for reading_path in reading_paths]
+    assert [len(paths) for paths in files] == [10, 10, 10]
+    assert not [path for paths in files for path in paths if not (ROOT / "src" / "kleinkram" / path).is_file()]
 
 
 def test_the_files_that_extensions_change_exist() -> None:
