@@ -96,7 +96,7 @@ def test_a_mission_with_its_project_is_one_name_in_filters_too(client: Client, p
     assert client.files.count(mission=f"{other}/{mission}") == 0
     assert client.runs.count(project=project, mission=mission) == 0, "which of the two is meant is known"
     assert client.runs.count(mission=f"{project}/{mission}") == 0
-    with pytest.raises(InvalidInput, match="by project="):
+    with pytest.raises(InvalidInput, match="with project="):
         client.files.list(mission=[f"{project}/{mission}", f"{other}/{mission}"])
 
 

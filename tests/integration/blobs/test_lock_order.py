@@ -47,7 +47,7 @@ def test_a_blob_is_linked_while_its_summary_is_stored(api: Api, keep: _Keep, lin
 
     with racing(api, "SELECT 1 FROM blob WHERE id = %s FOR UPDATE", blob_id) as send:
         works = [send(work) for work in ([link, read] if link_first else [read, link])]
-    assert {work.result(30) for work in works} == {"linked", "kept"}
+    assert {work.result(30) for work in works} == {"deduplicated", "kept"}
 
 
 @pytest.mark.parametrize("link_first", [True, False])

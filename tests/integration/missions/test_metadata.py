@@ -103,7 +103,7 @@ def test_all_problems_are_reported_at_once_with_their_place(api: Api, project_id
         ("indoors: 1", "indoors", "true or false"),
         ("day: 2024-02-30", "day", "date"),
         ("day: 2024", "day", "date"),
-        ("site: {latitude: 1}", "site.longitude", "needed"),
+        ("site: {latitude: 1}", "site.longitude", "required"),
         ("site: {latitude: 1, longitude: .nan}", "site.longitude", "finite"),
         ("site: 5", "site", "place"),
         ("report: example.org", "report", "address"),

@@ -165,7 +165,7 @@ def test_a_query_and_filters_are_combined(lab: Api) -> None:
     assert lab.get("/stats", {"query": "label:night", "text": "rained"}).ok()["total"]["files"] == 2
     assert {entry["name"] for entry in lab.all("/topics", {"query": "alps", "topic": "/i*"})} == {"/imu"}
     problem = lab.get("/files", {"query": "project:Town", "project": "Alps"}).refused(422, "invalid_query")
-    assert "said at column 1 already" in problem["detail"]
+    assert "already set at column 1" in problem["detail"]
 
 
 @pytest.mark.parametrize("path", ["/search", "/search/facets", "/files", "/missions", "/topics", "/stats"])
