@@ -25,6 +25,6 @@ async function take(name, path, ready) {
 await take("mission", `/missions/${mission}`, "[data-lanes]");
 await take("search", `/search?q=${encodeURIComponent(query)}`, "[data-results] [data-row-link]");
 const curves = new URLSearchParams([["topic", "/odom"], ["field", "pose.pose.position.x"], ["field", "pose.pose.position.y"]]);
-await take("look", `/files/${recording}?${curves}`, "[data-plot-viewer][data-messages]");
+await take("preview", `/files/${recording}?${curves}`, "[data-plot-viewer][data-messages]");
 await browser.close();
 process.stdout.write("{}");

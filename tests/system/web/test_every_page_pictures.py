@@ -46,7 +46,7 @@ def test_pictures_of_the_readme(cluster: Cluster, act: Act, pictures: Path, tmp_
     wait_until(lambda: files() != {}, "the recordings to be read")
     terminal.run("file", "update", "drive.mcap", *place, "--label", "icra-27")
     act("every_page_pictures.mjs", cluster, pictures, missions["ridge-traverse"], files()["drive.mcap"], _QUERY)
-    for name in ("mission", "search", "look"):
+    for name in ("mission", "search", "preview"):
         picture = pictures / f"readme-{name}.png"
         assert 10_000 < picture.stat().st_size < _MOST_BYTES, name
 
