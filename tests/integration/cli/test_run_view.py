@@ -23,7 +23,7 @@ def shown(script: Scripted, *arguments: object) -> str:
 @pytest.mark.parametrize(
     ("state", "more", "text"),
     [
-        (RunState.queued, {"waits_for": "No runner is registered."}, "queued: No runner is there."),
+        (RunState.queued, {"waits_for": "No runner is registered."}, "queued: No runner is registered."),
         (RunState.running, {"progress": Progress(fraction=0.5, message="half")}, "running 50% half"),
         (RunState.running, {}, "running"),
         (RunState.collecting, {"progress": Progress(fraction=1, message="it waits")}, "collecting: it waits"),

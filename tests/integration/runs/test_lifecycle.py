@@ -218,7 +218,7 @@ def test_a_queued_run_says_what_it_waits_for(lab: Api, runner: FakeRunner, place
     made = launch(lab, runner, place.mission, resources={"cores": 4})
     lab.sql("UPDATE runner SET capacity = capacity || '{\"cores\": 2}' WHERE id = %s", runner.id)
     assert "it has 2 cores and 4 are asked for" in lab.get(f"/runs/{made['id']}").ok()["waits_for"]
-    assert "its turn" in launch(lab, runner, place.mission)["waits_for"]
+    assert "is queued for" in launch(lab, runner, place.mission)["waits_for"]
 
 
 def test_claims_respect_free_resources(lab: Api, runner: FakeRunner, place: Place) -> None:

@@ -40,7 +40,7 @@ def mission(single: Api) -> Any:
 def test_a_second_account_makes_script_runs_refused_with_the_remedy(
     single: Api, own_runner: FakeRunner, mission: Any
 ) -> None:
-    assert launch(single, own_runner, mission)["waits_for"].startswith("It waits for its turn")
+    assert launch(single, own_runner, mission)["waits_for"].startswith("It is queued for ")
     invited = single.post("/people/invitations", {"email": "second@lab.example"}).ok(201)
     assert "Docker or Podman" in invited["warning"], "the warning comes before it happens"
     assert "Docker or Podman" in single.get("/admin/health").ok()["invitation_warning"]
@@ -70,7 +70,7 @@ def test_a_second_account_makes_script_runs_refused_with_the_remedy(
 def test_a_runner_with_containers_ends_the_problem(single: Api, own_runner: FakeRunner, mission: Any) -> None:
     people.person(single)
     own_runner.register()
-    assert launch(single, own_runner, mission)["waits_for"].startswith("It waits for its turn")
+    assert launch(single, own_runner, mission)["waits_for"].startswith("It is queued for ")
     health = single.get("/admin/health").ok()
     assert (health["runs_problem"], health["invitation_warning"]) == (None, None)
     assert single.post("/people/invitations", {"email": "third@lab.example"}).ok(201)["warning"] is None
