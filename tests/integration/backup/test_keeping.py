@@ -43,6 +43,7 @@ from tests.integration.backup.instances import (
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
 from tests.integration.upload_client import upload
+from tests.requirements import missing
 from tests.services import RunningStore
 
 
@@ -273,7 +274,7 @@ def test_a_full_disk_fails_the_backup(populated: Api, tmp_path: Path) -> None:
         ["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", folder], check=False, capture_output=True
     )
     if mounted.returncode != 0:
-        pytest.skip("mounting needs root")
+        missing("mounting needs root")
     try:
         with pytest.raises(BackupLocationFull, match="no space left"):
             back_up(source, folder / "backups")
