@@ -285,6 +285,7 @@ class ContainerLog:
         self._thread: threading.Thread | None = None
         self._is_closed = threading.Event()
         self._has_exited = threading.Event()
+        self._append_lock = threading.Lock()
         self._offset = 0
         self._cursor = -1
         self._copied = {1: 0, 2: 0}
@@ -303,8 +304,9 @@ class ContainerLog:
         self._has_exited.set()
 
     def close(self) -> None:
-        """Stop copying soon."""
-        self._is_closed.set()
+        """Stop copying; nothing is appended from now on."""
+        with self._append_lock:
+            self._is_closed.set()
         self._has_exited.set()
 
     def first_output(self) -> bytes:
@@ -354,10 +356,10 @@ class ContainerLog:
         for stream, data in _complete_lines(stored, is_final=is_final):
             known = min(skip[stream], len(data))
             skip[stream] -= known
-            if known < len(data) and not self._append(log, stream, data[known:]):
-                return True
-            if self._is_closed.is_set():
-                return True
+            if known < len(data):
+                with self._append_lock:
+                    if self._is_closed.is_set() or not self._append(log, stream, data[known:]):
+                        return True
         return True
 
     def _begins_alike(self, log: int) -> bool:
