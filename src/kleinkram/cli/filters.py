@@ -12,7 +12,7 @@ from kleinkram.cli.commands import Many, Text, option, set_parameters
 from kleinkram.cli.options import MissionsOption, ProjectsOption, the_only
 from kleinkram.cli.units import parse_size, parse_time
 from kleinkram.client import Client
-from kleinkram.client._nouns import checked, is_glob
+from kleinkram.client._resources import checked, is_glob
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionFilter, MissionRead
@@ -132,7 +132,7 @@ def select_files(client: Client, choice: Choice, refs: Sequence[str]) -> list[Fi
     keys = {name_key(file.path) for file in matches}
     for path in paths:
         if not is_glob(path) and name_key(path) not in keys:
-            raise NotFound(noun="file", ref=path)
+            raise NotFound(resource_type="file", ref=path)
     return [*{file.id: file for file in matches}.values()]
 
 
@@ -163,7 +163,7 @@ def ids_of(client: Client, projects: Sequence[str] | None, missions: Sequence[st
     for ref in projects:
         rows = [*client.projects.list(name=ref)] if is_glob(ref) else [client.projects.get(ref)]
         if not rows:
-            raise NotFound(noun="project", ref=ref)
+            raise NotFound(resource_type="project", ref=ref)
         ids += [row.id for row in rows]
     return {"project_id": ids[0]} if len(ids) == 1 else {"project_ids": [*dict.fromkeys(ids)]}
 
@@ -181,5 +181,5 @@ def find_missions(client: Client, ref: str, projects: Sequence[str] | None) -> l
     within = filter_of(MissionFilter, {"name": ref, **projects_of(client, projects)})
     matches = [row for row in client.missions.list(within) if is_glob(ref) or name_key(row.name) == name_key(ref)]
     if not matches:
-        raise NotFound(noun="mission", ref=ref)
+        raise NotFound(resource_type="mission", ref=ref)
     return matches

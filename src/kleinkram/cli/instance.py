@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from kleinkram.cli.commands import AsJson, Noun, Text, argument, flag, option
+from kleinkram.cli.commands import AsJson, Subcommands, Text, argument, flag, option
 from kleinkram.cli.errors import ExitCode, fail
 from kleinkram.cli.options import Connections, LimitRate
 from kleinkram.cli.units import parse_rate
@@ -115,7 +115,7 @@ def resolve_data_dir(data_dir: Path | None) -> Path:
     return (data_dir or default_data_dir()).expanduser().resolve()
 
 
-app = Noun("Create, list, verify and prune backups of a whole instance.")
+app = Subcommands("Create, list, verify and prune backups of a whole instance.")
 _REMOTE = re.compile(r"s3://|[\w.+@-]+:")  # of rclone's configuration; a folder is made absolute
 _CONNECTIONS = 8
 Place = Annotated[

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import Noun, Text, argument, flag, option
+from kleinkram.cli.commands import Subcommands, Text, argument, flag, option
 from kleinkram.cli.render import Output, as_details, as_table, details, line, moment, note, table
 from kleinkram.cli.units import count, parse_time
 from kleinkram.client import Client
@@ -15,7 +15,7 @@ from kleinkram.contract.access import AccessRead, GrantRead, GroupRead, Right
 from kleinkram.contract.accounts import OneTimeLink
 from kleinkram.contract.people import PersonRead
 
-person_app = Noun("Manage people. You see those who share a group or a project with you; admins see all.")
+person_app = Subcommands("Manage people. You see those who share a group or a project with you; admins see all.")
 PersonArgument = Annotated[str, argument("PERSON", "Name, id, or an address that you may see.")]
 
 
@@ -122,7 +122,7 @@ def _person(person: PersonRead) -> Output:
     )
 
 
-group_app = Noun("Manage groups of people. Each member has the rights that were granted to the group.")
+group_app = Subcommands("Manage groups of people. Each member has the rights that were granted to the group.")
 GroupArgument = Annotated[str, argument("GROUP", "Name or id of the group.")]
 MembersArgument = Annotated[list[str], argument("PERSON", "Names, ids, or addresses that you may see.")]
 
@@ -229,7 +229,7 @@ def _group_details(group: GroupRead) -> list[tuple[str, object]]:
     ]
 
 
-access_app = Noun("Manage the rights on a project or a mission.")
+access_app = Subcommands("Manage the rights on a project or a mission.")
 GranteeOption = Annotated[
     str, option("--to", "WHO", "The e-mail address, or the name or id of the person or group.", show_default=False)
 ]

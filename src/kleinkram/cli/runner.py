@@ -8,13 +8,13 @@ from typing import Annotated
 
 import platformdirs
 
-from kleinkram.cli.commands import Many, Noun, Text, flag, option
+from kleinkram.cli.commands import Many, Subcommands, Text, flag, option
 from kleinkram.cli.render import Output, as_table, moment
 from kleinkram.cli.units import parse_size, size
 from kleinkram.client import Client
 from kleinkram.contract.runners import RunnerRead
 
-app = Noun("Run and list runners: machines that run actions.")
+app = Subcommands("Run and list runners: machines that run actions.")
 _FOLDER = "kleinkram-runner"
 
 

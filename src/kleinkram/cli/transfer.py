@@ -100,7 +100,7 @@ def _upload(
             mission, project=project if is_id(mission) else options.the_ref("project", None, project)
         )
     except NotFound as error:
-        if not settings.create or is_id(mission) or error.noun != "mission":
+        if not settings.create or is_id(mission) or error.resource_type != "mission":
             raise
     if settings.dry_run:
         if not is_json_requested():

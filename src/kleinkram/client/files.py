@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from typing_extensions import Unpack
 
 from kleinkram.client._http import query_of
-from kleinkram.client._nouns import (
+from kleinkram.client._resources import (
     ApiResource,
     Listing,
     NamedResource,
@@ -55,7 +55,7 @@ _MAX_LINKS = 500
 class Files(NamedResource[FileRead]):
     """`client.files`."""
 
-    _noun = "file"
+    _resource_type = "file"
 
     def list(
         self,

@@ -4,7 +4,7 @@ import datetime
 from collections.abc import Iterator
 
 from kleinkram.client._http import query_of
-from kleinkram.client._nouns import ApiResource, Listing, NamedResource, Ref, checked, known_id, pages, resolve_one
+from kleinkram.client._resources import ApiResource, Listing, NamedResource, Ref, checked, known_id, pages, resolve_one
 from kleinkram.contract import access
 from kleinkram.contract.accounts import InvitationCreate, OneTimeLink
 from kleinkram.contract.errors import NotFound
@@ -17,7 +17,7 @@ from kleinkram.contract.projects import ProjectRead
 class People(NamedResource[PersonRead]):
     """`client.people`."""
 
-    _noun = "person"
+    _resource_type = "person"
 
     def list(
         self, *, text: str | None = None, active: bool | None = None, limit: int | None = None
@@ -81,7 +81,7 @@ def person_label(person: PersonRead) -> str:
 class Groups(NamedResource[access.GroupRead]):
     """`client.groups`."""
 
-    _noun = "group"
+    _resource_type = "group"
 
     def list(self, *, name: str | None = None, limit: int | None = None) -> Listing[access.GroupRead]:
         """Yield the groups that one is in, by name; admins see all. `name` may be a glob."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeVar, cast
 from typing_extensions import TypedDict, Unpack
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._nouns import ApiResource, Listing, Ref, checked, count, known_id, pages, refs_of
+from kleinkram.client._resources import ApiResource, Listing, Ref, checked, count, known_id, pages, refs_of
 from kleinkram.client.actions import Actions
 from kleinkram.client.errors import InvalidInput, TimedOut
 from kleinkram.client.files import Uploads

@@ -104,7 +104,7 @@ class ProjectSort(str, enum.Enum):
     created_desc = "-created"
 
 
-class TrashNoun(str, enum.Enum):
+class TrashResourceType(str, enum.Enum):
     """What can be in the trash."""
 
     project = "project"
@@ -118,7 +118,7 @@ class TrashRead(Response):
     Missions that were deleted with their project are restored with it, and not listed.
     """
 
-    noun: TrashNoun
+    resource_type: TrashResourceType
     id: uuid.UUID
     name: str
     place: str

@@ -105,7 +105,7 @@ class TokenCreate(Request):
 class TokenPlace(Response):
     """A project or mission to which a token is limited. `name` is null if the caller may not see it."""
 
-    noun: str
+    resource_type: str
     id: uuid.UUID
     name: str | None
 

@@ -20,23 +20,23 @@ from kleinkram.server.tables import audit_event, mission, project
 # Above the level of every right: only admins may.
 _ADMIN_LEVEL = Right.delete.level + 1
 # How the verbs of operations change an object; the verbs of no set change it otherwise.
-_CREATED = frozenset({"create", "upload", "link", "move_in", "register", "restore", "bootstrap", "put_back"})
+_CREATED = frozenset({"create", "upload", "link", "move_in", "register", "restore", "bootstrap"})
 _REMOVED = frozenset({"delete", "revoke", "move_out", "abort", "purge"})
 _UNCHANGED = frozenset({"download", "verify", "preview", "denied", "refused", "limited", "approve", "reset_link"})
 
 
 @dataclass(frozen=True)
 class Event:
-    """An entry of the audit log: `operation` is `<noun>.<verb>`; `before` and `after` contain only changed fields.
+    """An entry of the audit log: `operation` is `<resource_type>.<verb>`; `before` and `after`: changed fields.
 
     `takes` is the operation of `access/operations.py` whose right was required, if not the request's own.
     `needs_admin`: only an admin could do it, if that does not depend on a right on a project or mission.
     """
 
     operation: str
-    noun: str
-    noun_id: uuid.UUID | None
-    noun_name: str
+    resource_type: str
+    resource_id: uuid.UUID | None
+    resource_name: str
     project_id: uuid.UUID | None = None
     before: Metadata = field(default_factory=dict)
     after: Metadata = field(default_factory=dict)
@@ -80,7 +80,9 @@ async def audit(db: Connection, actor: Actor | None, *events: Event) -> None:
             kind = ChangeKind.created if verb in _CREATED else ChangeKind.changed
             kind = ChangeKind.removed if verb in _REMOVED else kind
             by_id = actor.person_id if actor is not None and event.project_id is None else None
-            changes.append(ChangeEvent(event.noun, kind, event.noun_id, event.project_id, event.mission_id, by_id))
+            changes.append(
+                ChangeEvent(event.resource_type, kind, event.resource_id, event.project_id, event.mission_id, by_id)
+            )
     await publish(db, changes)
 
 

@@ -173,18 +173,18 @@ async def _find_group(db: Connection, actor: Actor, request: access.GrantCreate)
     if request.person_id is not None:
         stmt = visible_people(actor).where(person.c.id == request.person_id, person.c.deactivated_at.is_(None))
         if (row := (await db.execute(stmt)).one_or_none()) is None:
-            raise NotFound(noun="person", ref=str(request.person_id))
+            raise NotFound(resource_type="person", ref=str(request.person_id))
         return await own_group(db, request.person_id), row.name
     stmt = visible_groups(actor).where(access_group.c.id == request.group_id)
     if (row := (await db.execute(stmt)).one_or_none()) is None:
-        raise NotFound(noun="group", ref=str(request.group_id))
+        raise NotFound(resource_type="group", ref=str(request.group_id))
     return row.id, row.name
 
 
 async def _get_grant(db: Connection, place: GrantPlace, grant_id: uuid.UUID) -> access.GrantRead:
     row = (await db.execute(_grants_on(place).where(access_grant.c.id == grant_id))).one_or_none()
     if row is None:
-        raise NotFound(noun="grant", ref=str(grant_id))
+        raise NotFound(resource_type="grant", ref=str(grant_id))
     return _to_grant(row)
 
 
@@ -195,7 +195,7 @@ def _is_same(grant: access.GrantRead, right: access.Right, expires_at: datetime.
 def _require_not_higher(granter: _Granter, grant: access.GrantRead | None) -> None:
     if grant is not None and grant.right.level > granter.level and not grant.has_expired:
         needs = grant.right.value
-        raise Forbidden(noun=granter.place.on.value, operation=f"change a grant of {needs}", needs=needs)
+        raise Forbidden(resource_type=granter.place.on.value, operation=f"change a grant of {needs}", needs=needs)
 
 
 async def _require_may_grant(
@@ -216,7 +216,7 @@ async def _require_may_grant(
         own_right = access.Right.of_level(granter.level).value + (
             "" if right.level > granter.level else ", not as long"
         )
-        raise RightExceeded(noun=place.on.value, requested=f"{right.value} {until}", own=own_right)
+        raise RightExceeded(resource_type=place.on.value, requested=f"{right.value} {until}", own=own_right)
 
 
 async def _ensure_owner(db: Connection, place: GrantPlace) -> None:

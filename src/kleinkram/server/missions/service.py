@@ -77,7 +77,7 @@ async def get_mission_ref(db: Connection, actor: Actor, mission_id: uuid.UUID) -
     """Return the names of a mission and its project. Raises NotFound."""
     row = (await db.execute(queries.mission_place(actor, mission_id))).one_or_none()
     if row is None:
-        raise NotFound(noun="mission", ref=str(mission_id))
+        raise NotFound(resource_type="mission", ref=str(mission_id))
     return queries.mission_ref(*row)
 
 
@@ -85,7 +85,7 @@ async def get_mission(db: Connection, actor: Actor, mission_id: uuid.UUID) -> Mi
     """Return one mission with its totals. Raises NotFound."""
     rows = (await db.execute(queries.complete_mission(actor, mission_id))).all()
     if not rows:
-        raise NotFound(noun="mission", ref=str(mission_id))
+        raise NotFound(resource_type="mission", ref=str(mission_id))
     return queries.to_missions(rows)[0]
 
 
@@ -193,7 +193,7 @@ async def update_mission(
     values = _plain_changes(old, changes) | await _metadata_changes(db, actor, old, changes=changes, document=document)
     if not values:
         return old
-    require_match(if_match, old.etag, noun="mission", name=old.name)
+    require_match(if_match, old.etag, resource_type="mission", name=old.name)
     await _change(db, queries.change_mission(mission_id, **values), name=changes.name or old.name)
     new = await get_mission(db, actor, mission_id)
     await audit(db, actor, *_change_events(old, new))
@@ -329,7 +329,7 @@ async def _metadata_changes(
 async def _project(db: Connection, actor: Actor, project_id: uuid.UUID) -> tuple[str, MetadataFields]:
     row = (await db.execute(queries.fields_of_project(actor, project_id))).one_or_none()
     if row is None:
-        raise NotFound(noun="project", ref=str(project_id))
+        raise NotFound(resource_type="project", ref=str(project_id))
     return row.name, MetadataFields.model_validate(row.metadata_fields)
 
 
@@ -341,7 +341,7 @@ async def _fields_after(
         return (await _project(db, actor, moves_to))[1]
     row = (await db.execute(queries.fields_of_mission(mission_id))).one_or_none()
     if row is None:
-        raise NotFound(noun="mission", ref=str(mission_id))
+        raise NotFound(resource_type="mission", ref=str(mission_id))
     return MetadataFields.model_validate(row.metadata_fields)
 
 
@@ -350,5 +350,5 @@ async def _change(db: Connection, statement: Insert | Update, *, name: str) -> N
         await db.execute(statement)
     except IntegrityError as error:
         if violated_constraint(error) == "uq_mission_name_key_live":
-            raise NameTaken(noun="mission", name=name) from error
+            raise NameTaken(resource_type="mission", name=name) from error
         raise

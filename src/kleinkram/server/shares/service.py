@@ -46,7 +46,7 @@ async def create_share(
     files = files.where(file.c.mission_id == mission_id, among(file.c.id, file_ids or []))
     visible = set((await db.execute(files)).scalars())
     if missing := [file_id for file_id in file_ids or [] if file_id not in visible]:
-        raise NotFound(noun="file", ref=str(missing[0]))
+        raise NotFound(resource_type="file", ref=str(missing[0]))
     share_id, secret = uuid.uuid4(), new_secret(SecretKind.link)
     await db.execute(
         insert(share).values(
@@ -108,7 +108,7 @@ async def get_shared(db: Connection, actor: Actor) -> SharedRead:
     own = joined.where(share.c.id == actor.share_id).group_by(share.c.id, mission.c.id, project.c.id)
     row = (await db.execute(own)).one_or_none()
     if row is None:
-        raise NotFound(noun="link", ref="of this request")
+        raise NotFound(resource_type="link", ref="of this request")
     return SharedRead(
         name=row.name,
         mission=mission_ref(row.mission_id, row.mission_name, row.project_id, row.project_name),
@@ -151,7 +151,7 @@ def _known_shares(actor: Actor, right: Right) -> Select[Any]:
 async def _get_share(db: Connection, known: Select[Any], share_id: uuid.UUID) -> ShareRead:
     row = (await db.execute(known.where(share.c.id == share_id))).one_or_none()
     if row is None:
-        raise NotFound(noun="link", ref=str(share_id))
+        raise NotFound(resource_type="link", ref=str(share_id))
     return _to_share(row)
 
 

@@ -731,9 +731,9 @@ CREATE TABLE audit_event (
     address text,
     as_admin boolean NOT NULL DEFAULT false,
     operation text NOT NULL,
-    noun text NOT NULL,
-    noun_id uuid,
-    noun_name text NOT NULL,
+    resource_type text NOT NULL,
+    resource_id uuid,
+    resource_name text NOT NULL,
     project_id uuid,
     mission_id uuid,
     before jsonb NOT NULL DEFAULT '{}',
@@ -744,7 +744,7 @@ CREATE INDEX ix_audit_event_actor_id ON audit_event (actor_id, id);
 CREATE INDEX ix_audit_event_as_admin ON audit_event (id) WHERE as_admin;
 CREATE INDEX ix_audit_event_at ON audit_event USING brin (at);
 CREATE INDEX ix_audit_event_mission_id ON audit_event (mission_id, id);
-CREATE INDEX ix_audit_event_noun_id ON audit_event (noun_id, id);
+CREATE INDEX ix_audit_event_resource_id ON audit_event (resource_id, id);
 CREATE INDEX ix_audit_event_project_id ON audit_event (project_id, id);
 CREATE INDEX ix_audit_event_token_id ON audit_event (token_id, id);
 
