@@ -1,4 +1,4 @@
-"""The error line of a failed command: a sentence, or with `--json` one JSON document in one line.
+"""Formats the error of a failed command: one sentence, or one line of JSON with `--json`.
 
 Imports no other module of ours, because the runner and other small processes use it.
 """

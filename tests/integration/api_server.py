@@ -20,7 +20,7 @@ from fastapi import FastAPI
 from sqlalchemy import event
 
 from kleinkram.server.app import create_app
-from kleinkram.server.http.web_server import ApiServer
+from kleinkram.server.http.uvicorn_server import ApiServer
 from kleinkram.server.settings import Settings
 from tests.integration.openapi_check import assert_is_described
 

@@ -1,4 +1,4 @@
-"""HTTP connections that end soon after their network is gone.
+"""HTTP connections that detect a lost network within seconds.
 
 A robot that moves gets another address or loses its network, and its connections hang. The kernel ends such a
 connection after 15 seconds, when the peer acknowledges nothing and answers no keepalive probe. `NetworkMonitor` ends it

@@ -162,8 +162,8 @@ class Runs(ApiResource):
 
         As `transfer.download`: each is verified before it gets its name, and the same call again resumes.
         """
-        from kleinkram.client.transfer.destination import DownloadPlan  # imports the client
         from kleinkram.client.transfer.download import fetch
+        from kleinkram.client.transfer.download_target import DownloadPlan  # imports the client
 
         plan = DownloadPlan()
         for artifact in self.artifacts(run_id) if artifacts is None else artifacts:

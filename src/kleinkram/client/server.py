@@ -1,4 +1,4 @@
-"""The server as a whole: its settings, the caller's account, events, the audit log, the trash and administration."""
+"""SDK resources of the whole server: settings, your account, events, audit log, trash, administration."""
 
 import datetime
 import time

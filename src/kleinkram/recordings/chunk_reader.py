@@ -18,12 +18,12 @@ from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
+from kleinkram.recordings.chunk_index_check import IndexCheck, ReadMessageIndex, contradicts_itself
 from kleinkram.recordings.chunk_table import ChunkHead, ChunkTable, Int64Table, Row
 from kleinkram.recordings.compression import Buffer, decompress, decompress_beginning, unreadable_chunk
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.base import MemberContents
-from kleinkram.recordings.index_check import IndexCheck, ReadMessageIndex, contradicts_itself
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_READ
 from kleinkram.recordings.merge_messages import OVERHEAD_BYTES, MessagePiece, MessageRun, merge
 from kleinkram.recordings.messages import Block, Channel, Selection

@@ -14,13 +14,13 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from kleinkram.recordings import chunk_table, scanned_messages
+from kleinkram.recordings.chunk_index_check import ChunkClaim, ChunkMessages, IndexFaults, wrong_times
 from kleinkram.recordings.chunk_reader import ChunkedMember, ChunkFormat, FileGap, JoinedGaps, SalvagedMessages
 from kleinkram.recordings.chunk_table import ChunkHead, ChunkTable, ChunkTableBuilder, Row
 from kleinkram.recordings.compression import decompress, decompress_beginning, unreadable_chunk, without_zero_tail
 from kleinkram.recordings.damage_report import DamageReport, IndexedChunk, ProblemLog
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.base import MemberContents
-from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, IndexFaults, wrong_times
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES
 from kleinkram.recordings.messages import Channel
 from kleinkram.recordings.model import RecordingSummary, counted

@@ -30,7 +30,7 @@ from kleinkram.runner.executors.docker.images import Pull
 from kleinkram.runner.executors.local import Machine, MachineShare
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.loop import Runner, RunnerOptions
-from kleinkram.runner.state import open_state_directory
+from kleinkram.runner.state_directory import open_state_directory
 
 DEFAULT_IMAGE = "kleinkram/action-python:latest"
 TOKEN_VARIABLE = "KLEINKRAM_RUNNER_TOKEN"  # noqa: S105  the name of the variable

@@ -18,7 +18,7 @@ from kleinkram.runner.executors.limits import CANCELLED, boot_time_s
 from kleinkram.runner.inputs import job_of, prepare
 from kleinkram.runner.logs import LogUpload, Redactor
 from kleinkram.runner.results import ProgressReader, ResultUpload
-from kleinkram.runner.state import (
+from kleinkram.runner.state_directory import (
     Attempt,
     Lease,
     RunnerContext,

@@ -21,7 +21,7 @@ from kleinkram.contract.runs import CONTEXT_FILE, EndReason, RunContext
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, PinnedImage, RunJob
 from kleinkram.runner.executors.port_forward import PortForward
 from kleinkram.runner.input_cache import InputCache, InputDamaged, InputFile, NoSpace, PartialInput
-from kleinkram.runner.state import Attempt, RunnerContext, StopSignal, remove_tree
+from kleinkram.runner.state_directory import Attempt, RunnerContext, StopSignal, remove_tree
 
 _OWN_DIRECTORY = ".kleinkram"
 _SCRIPT = f"{_OWN_DIRECTORY}/script.py"

@@ -19,7 +19,7 @@ from kleinkram.contract.runners import LogChunkConfirm, LogChunkCreate
 from kleinkram.contract.uploads import crc64nvme
 from kleinkram.runner.durable_files import write_atomically
 from kleinkram.runner.executors.base import Executor, RunJob
-from kleinkram.runner.state import LOG_UPLOAD, Attempt, RunnerContext
+from kleinkram.runner.state_directory import LOG_UPLOAD, Attempt, RunnerContext
 
 _CHUNK_BYTES = 4 * 2**20
 _EVERY_S = 1.0

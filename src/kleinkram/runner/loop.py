@@ -29,11 +29,11 @@ from kleinkram.contract.runners import (
     Heartbeats,
     RunnerRegistration,
 )
-from kleinkram.runner import state as runner_state
+from kleinkram.runner import state_directory as runner_state
 from kleinkram.runner.active_run import ActiveRun
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.limits import boot_time_s
-from kleinkram.runner.state import LEASE_MARGIN_S, Attempt, Lease, RunnerContext, StateDirectory, StopRequest
+from kleinkram.runner.state_directory import LEASE_MARGIN_S, Attempt, Lease, RunnerContext, StateDirectory, StopRequest
 
 _log = logging.getLogger("kleinkram.runner")
 _HEARTBEAT_TIMEOUT_S = 10.0

@@ -33,7 +33,7 @@ from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import Ending, RunJob
 from kleinkram.runner.executors.limits import DISK_FULL
 from kleinkram.runner.logs import Redactor, write_redacted_log
-from kleinkram.runner.state import RunnerContext, StopSignal
+from kleinkram.runner.state_directory import RunnerContext, StopSignal
 
 MAX_ARTIFACTS = 100_000
 _MAX_PROBLEMS = 100

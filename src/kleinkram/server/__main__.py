@@ -95,7 +95,7 @@ def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
         import uvicorn
 
         from kleinkram.server.app import create_app
-        from kleinkram.server.http.web_server import ApiServer
+        from kleinkram.server.http.uvicorn_server import ApiServer
 
         app = create_app(settings)
     if arguments.wait_for_stdin and not sys.stdin.readline():

@@ -33,6 +33,7 @@ from kleinkram.server.home.routes import router as home_summary
 from kleinkram.server.http.dependencies import requires_actor
 from kleinkram.server.http.errors import install_error_handlers
 from kleinkram.server.http.middleware import RequestMiddleware
+from kleinkram.server.http.web_app import router as web
 from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.overviews.routes import router as overviews
 from kleinkram.server.people.routes import router as people
@@ -49,7 +50,6 @@ from kleinkram.server.shares.routes import router as shares
 from kleinkram.server.tokens.routes import router as tokens
 from kleinkram.server.trash.routes import router as trash
 from kleinkram.server.uploads.routes import router as uploads
-from kleinkram.server.web.routes import router as web
 
 _log = logging.getLogger("kleinkram.app")
 ROUTERS = (

@@ -206,11 +206,6 @@ def matches_any(column: ColumnElement[str], globs: Sequence[str]) -> ColumnEleme
     return or_(false(), *(matches(column, glob) for glob in globs))
 
 
-def contains_word(column: ColumnElement[str], word: str) -> ColumnElement[bool]:
-    """Whether a text contains a word, in any case."""
-    return column.ilike(containing(word), escape=ESCAPE)
-
-
 def violated_constraint(error: DBAPIError) -> str | None:
     """Return the name of the constraint that a statement violated."""
     original = error.orig

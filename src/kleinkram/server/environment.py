@@ -1,4 +1,4 @@
-"""Settings from the environment. Unknown `KLEINKRAM_` variables are errors; secrets may come from files.
+"""Reads settings from `KLEINKRAM_` environment variables; unknown ones are errors. Secrets may come from files.
 
 A misspelt security setting must not be ignored silently.
 """

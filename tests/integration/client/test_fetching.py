@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.client.errors import DestinationDiffers, DestinationRefused, VerifyFailed
-from kleinkram.client.transfer.destination import RANGE_BYTES, PartialFile
+from kleinkram.client.transfer.download_target import RANGE_BYTES, PartialFile
 from kleinkram.client.transfer.local_file import Crc64Hash
 from tests.api_objects import file_read, link_to
 

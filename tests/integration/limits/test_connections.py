@@ -11,8 +11,8 @@ from urllib.parse import urlsplit
 import psutil
 import pytest
 
-from kleinkram.server.http import web_server
-from kleinkram.server.http.web_server import LimitedHttp, OpenConnections
+from kleinkram.server.http import uvicorn_server
+from kleinkram.server.http.uvicorn_server import LimitedHttp, OpenConnections
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 
@@ -55,7 +55,7 @@ def test_many_allowed_heads_on_one_connection_are_read(api: Api) -> None:
 
 @pytest.mark.parametrize("begun", [b"", b"GET /health/live HTTP/1.1\r\nHost:"])
 def test_an_incomplete_head_times_out(api: Api, begun: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(web_server, "_HEAD_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(uvicorn_server, "_HEAD_TIMEOUT_S", 0.2)
     with _connect(api) as connection:
         connection.sendall(begun)
         assert connection.recv(100) == b""
@@ -111,15 +111,15 @@ def test_trailers_are_not_headers(api: Api) -> None:
 
 
 def test_a_slow_body_times_out(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(web_server, "_BODY_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(uvicorn_server, "_BODY_TIMEOUT_S", 0.2)
     with _connect(api) as connection:
         connection.sendall(_BEGUN_BODY)
         assert connection.recv(100).startswith(b"HTTP/1.1 408 ")
 
 
 def test_a_body_that_is_fast_enough_may_take_longer(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(web_server, "_BODY_TIMEOUT_S", 0.3)
-    monkeypatch.setattr(web_server, "_BODY_BYTES_PER_S", 40_000)
+    monkeypatch.setattr(uvicorn_server, "_BODY_TIMEOUT_S", 0.3)
+    monkeypatch.setattr(uvicorn_server, "_BODY_BYTES_PER_S", 40_000)
     with _connect(api) as connection:
         connection.sendall(_BEGUN_BODY)
         began = time.monotonic()
@@ -130,7 +130,7 @@ def test_a_body_that_is_fast_enough_may_take_longer(api: Api, monkeypatch: pytes
 
 
 def test_the_connection_of_a_refused_body_is_closed_soon(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(web_server, "_LINGER_S", 0.2)
+    monkeypatch.setattr(uvicorn_server, "_LINGER_S", 0.2)
     too_large = _BEGUN_BODY.replace(b"60000", b"600000000")
     with _connect(api) as connection:
         connection.sendall(too_large)
@@ -140,7 +140,7 @@ def test_the_connection_of_a_refused_body_is_closed_soon(api: Api, monkeypatch: 
 
 
 def test_empty_lines_keep_no_connection_open(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(web_server, "_HEAD_TIMEOUT_S", 2.0)
+    monkeypatch.setattr(uvicorn_server, "_HEAD_TIMEOUT_S", 2.0)
     with _connect(api) as connection:
         connection.sendall(_LIVE)
         assert connection.recv(10_000).startswith(b"HTTP/1.1 200 ")
@@ -226,7 +226,7 @@ def test_the_soft_limit_of_open_files_is_raised() -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     try:
         resource.setrlimit(resource.RLIMIT_NOFILE, (min(soft, 1024), hard))
-        assert web_server.raise_open_files_limit() == hard
+        assert uvicorn_server.raise_open_files_limit() == hard
         assert resource.getrlimit(resource.RLIMIT_NOFILE) == (hard, hard)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))

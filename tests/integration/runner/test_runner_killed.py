@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner import state
+from kleinkram.runner import state_directory
 from kleinkram.runner.executors import process_supervisor
 from kleinkram.runner.executors.base import wait_for_end
 from kleinkram.runner.executors.docker.executor import DockerExecutor
@@ -84,7 +84,7 @@ def test_a_removed_container_is_reported_lost_and_may_be_started_again(bench: Be
     assert ending is not None
     assert ending.reason is EndReason.lost
     for path in job.directory.iterdir():
-        if path.name not in state._PRESERVED:
+        if path.name not in state_directory._PRESERVED:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
     (job.directory / "in").mkdir()
     next_one.submit(job)

@@ -17,7 +17,7 @@ from kleinkram.runner.__main__ import TOKEN_VARIABLE, Arguments, ExecutorChoice
 from kleinkram.runner.executors.local import LocalExecutor, Machine, MachineShare
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.loop import Runner, RunnerOptions
-from kleinkram.runner.state import StateDirectory
+from kleinkram.runner.state_directory import StateDirectory
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner_loop.fake_http import RUNNER_TOKEN
 from tests.integration.runner_loop.fake_runs import FakeRun

@@ -13,7 +13,7 @@ from kleinkram.client.transfer import store
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner import results
-from kleinkram.runner.state import LEASE_MARGIN_S
+from kleinkram.runner.state_directory import LEASE_MARGIN_S
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer

@@ -12,7 +12,7 @@ from kleinkram.runner import active_run, durable_files
 from kleinkram.runner.executors.base import RunJob
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.loop import Runner
-from kleinkram.runner.state import Attempt
+from kleinkram.runner.state_directory import Attempt
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_server import FakeServer
 from tests.system.chaos.disks import MIB, need_small_disks, small_disk

@@ -4,7 +4,7 @@ import datetime
 
 import pytest
 
-from kleinkram.contract.units import iso_text, nanoseconds
+from kleinkram.server.filters.dates import iso_text, nanoseconds
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,11 @@
 """Moving bytes: plan, upload, download, verify. The bytes go straight to and from the store, never through the API."""
 
-from kleinkram.client.transfer.destination import DownloadPlan, DownloadTarget, plan_download
 from kleinkram.client.transfer.download import download
-from kleinkram.client.transfer.local_file import FileVerdict, Verdict, verify_local, verify_remote
+from kleinkram.client.transfer.download_target import DownloadPlan, DownloadTarget, plan_download
 from kleinkram.client.transfer.plan import LocalFile, UploadPlan, plan_upload
 from kleinkram.client.transfer.report import CONNECTIONS, LinkReport, Outcome, TransferReport, TransferResult, Watcher
 from kleinkram.client.transfer.upload import upload
+from kleinkram.client.transfer.verify import FileVerdict, Verdict, verify_local, verify_remote
 
 __all__ = [
     "CONNECTIONS",

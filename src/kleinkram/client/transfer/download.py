@@ -18,7 +18,7 @@ from kleinkram.client._client import Client
 from kleinkram.client._http import Backoff
 from kleinkram.client.errors import DestinationDiffers, DestinationRefused, DiskFull, ServerUnreachable, VerifyFailed
 from kleinkram.client.transfer import store
-from kleinkram.client.transfer.destination import (
+from kleinkram.client.transfer.download_target import (
     PART_SUFFIX,
     DownloadPlan,
     DownloadTarget,
@@ -27,10 +27,11 @@ from kleinkram.client.transfer.destination import (
     partial_path,
     regular_size,
 )
-from kleinkram.client.transfer.local_file import SLICE_BYTES, is_same
+from kleinkram.client.transfer.local_file import SLICE_BYTES
 from kleinkram.client.transfer.pool import Part, TransferPool
 from kleinkram.client.transfer.report import CONNECTIONS, Outcome, TransferReport, TransferResult, Watcher
 from kleinkram.client.transfer.store import GetResult, StoreResult
+from kleinkram.client.transfer.verify import is_same
 from kleinkram.contract.errors import FileUnavailable, KleinkramError, NotFound
 from kleinkram.contract.files import DownloadLink
 

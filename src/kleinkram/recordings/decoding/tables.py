@@ -171,7 +171,7 @@ def to_arrow(
     try:
         return pa.concat_tables(tables, promote_options="permissive")
     except pa.ArrowException:  # batches of JSON whose values changed their types
-        from kleinkram.recordings.decoding.json_rows import joined
+        from kleinkram.recordings.decoding.json_to_arrow import joined
 
         return joined(decoder.type_name, tables, notice or _ignore)
 
@@ -216,11 +216,11 @@ def arrow_batches(
     if isinstance(decoder, Undecodable):
         rows = _raw_rows
     elif decoder.struct is None:
-        from kleinkram.recordings.decoding.json_rows import JsonRows
+        from kleinkram.recordings.decoding.json_to_arrow import JsonRows
 
         rows = JsonRows(decoder, fields, notice or _ignore)
     else:
-        from kleinkram.recordings.decoding.typed_rows import TypedRows
+        from kleinkram.recordings.decoding.ros_to_arrow import TypedRows
 
         rows = TypedRows(decoder, decoder.struct, columns_of(decoder.struct, fields), notice or _ignore)
     is_first = True

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from kleinkram.runner.executors import kernel, port_forward
+from kleinkram.runner.executors import linux_syscalls, port_forward
 
 _INSIDE_UID = 1000
 _SYSTEM = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/etc", "/opt")
@@ -50,11 +50,11 @@ def is_available() -> bool:
             # Only the first process of a new process namespace can mount its file systems.
             inner = os.fork()
             if inner == 0:
-                kernel.mount("none", Path("/"), None, kernel.MS_REC | kernel.MS_PRIVATE)
-                kernel.mount("tmpfs", Path("/tmp"), "tmpfs", 0)  # noqa: S108  in a namespace that ends with this line
-                kernel.make_read_only(Path("/tmp"))  # noqa: S108
-                kernel.give_up_privileges()
-                kernel.deny_uncounted_memory()
+                linux_syscalls.mount("none", Path("/"), None, linux_syscalls.MS_REC | linux_syscalls.MS_PRIVATE)
+                linux_syscalls.mount("tmpfs", Path("/tmp"), "tmpfs", 0)  # noqa: S108  in a namespace that ends with this line
+                linux_syscalls.make_read_only(Path("/tmp"))  # noqa: S108
+                linux_syscalls.give_up_privileges()
+                linux_syscalls.deny_uncounted_memory()
                 os._exit(0)
             os._exit(os.waitstatus_to_exitcode(os.waitpid(inner, 0)[1]) & 0xFF)
         except BaseException:
@@ -68,7 +68,7 @@ def run_in_sandbox(sandbox: Sandbox, command: Sequence[str], environment: Mappin
     Call it in a process that does nothing else. Why the command cannot start is written to the descriptor `errors`,
     which the command does not inherit.
     """
-    kernel.die_with_parent(signal.SIGKILL)
+    linux_syscalls.die_with_parent(signal.SIGKILL)
     _leave_namespaces(has_network=sandbox.has_network)
     first = os.fork()
     if first == 0:
@@ -82,23 +82,28 @@ def run_in_sandbox(sandbox: Sandbox, command: Sequence[str], environment: Mappin
 
 
 def _leave_namespaces(*, has_network: bool) -> None:
-    flags = kernel.CLONE_NEWNS | kernel.CLONE_NEWPID | kernel.CLONE_NEWIPC | kernel.CLONE_NEWUTS
+    flags = (
+        linux_syscalls.CLONE_NEWNS
+        | linux_syscalls.CLONE_NEWPID
+        | linux_syscalls.CLONE_NEWIPC
+        | linux_syscalls.CLONE_NEWUTS
+    )
     if not has_network:
-        flags |= kernel.CLONE_NEWNET
+        flags |= linux_syscalls.CLONE_NEWNET
     uid, gid = os.getuid(), os.getgid()
     if uid != 0:
-        kernel.unshare(flags | kernel.CLONE_NEWUSER)
-        kernel.map_identity(uid, gid, inside=_INSIDE_UID)
+        linux_syscalls.unshare(flags | linux_syscalls.CLONE_NEWUSER)
+        linux_syscalls.map_identity(uid, gid, inside=_INSIDE_UID)
     else:
-        kernel.unshare(flags)
+        linux_syscalls.unshare(flags)
 
 
 def _be_first(sandbox: Sandbox, command: Sequence[str], environment: Mapping[str, str], errors: int) -> None:
     """As the first process of the namespace: mount the root, start the command, and wait for its end."""
-    kernel.die_with_parent(signal.SIGKILL)
+    linux_syscalls.die_with_parent(signal.SIGKILL)
     _mount_root(sandbox)
     if not sandbox.has_network:
-        kernel.raise_loopback()
+        linux_syscalls.raise_loopback()
         sockets = port_forward.listen(sandbox.forwards)
         socket.send_fds(sandbox.listeners, [b"listeners"], [listener.fileno() for listener in sockets])
         for end in (*sockets, sandbox.listeners):
@@ -107,7 +112,7 @@ def _be_first(sandbox: Sandbox, command: Sequence[str], environment: Mapping[str
         os.setgroups([])
         os.setresgid(sandbox.uid, sandbox.uid, sandbox.uid)
         os.setresuid(sandbox.uid, sandbox.uid, sandbox.uid)
-        kernel.die_with_parent(signal.SIGKILL)
+        linux_syscalls.die_with_parent(signal.SIGKILL)
     apply_limits(sandbox)
     os.chdir("/tmp")  # noqa: S108  the job's own
     pid = os.fork()
@@ -144,8 +149,8 @@ def _code_of(pid: int) -> int:
 
 def apply_limits(sandbox: Sandbox) -> None:
     """Apply the limits of the kernel to this process and its children."""
-    kernel.give_up_privileges()
-    kernel.deny_uncounted_memory()
+    linux_syscalls.give_up_privileges()
+    linux_syscalls.deny_uncounted_memory()
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     largest = sandbox.disk_bytes + _FILE_MARGIN_BYTES
     resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
@@ -153,10 +158,10 @@ def apply_limits(sandbox: Sandbox) -> None:
 
 
 def _mount_root(sandbox: Sandbox) -> None:
-    kernel.mount("none", Path("/"), None, kernel.MS_REC | kernel.MS_PRIVATE)
+    linux_syscalls.mount("none", Path("/"), None, linux_syscalls.MS_REC | linux_syscalls.MS_PRIVATE)
     root = sandbox.directory / "root"
     root.mkdir(exist_ok=True)
-    kernel.mount("tmpfs", root, "tmpfs", kernel.MS_NOSUID | kernel.MS_NODEV, "size=1m,mode=755")
+    linux_syscalls.mount("tmpfs", root, "tmpfs", linux_syscalls.MS_NOSUID | linux_syscalls.MS_NODEV, "size=1m,mode=755")
     for name in ("out", "tmp"):
         _bind(sandbox.directory / name, root / name)
     # After those: Python itself may stand below /tmp.
@@ -169,21 +174,21 @@ def _mount_root(sandbox: Sandbox) -> None:
         hosts.write_text("127.0.0.1 localhost\n" + "".join(f"{address} {name}\n" for name, address in names.items()))
         hosts.chmod(0o644)
         target = root / "etc" / "hosts"
-        kernel.mount(str(hosts), target, None, kernel.MS_BIND)
-        kernel.make_read_only(target)
+        linux_syscalls.mount(str(hosts), target, None, linux_syscalls.MS_BIND)
+        linux_syscalls.make_read_only(target)
     devices = root / "dev"
     (devices / "shm").mkdir(parents=True)
     for name in _DEVICES:
         (devices / name).touch()
-        kernel.mount(f"/dev/{name}", devices / name, None, kernel.MS_BIND)
+        linux_syscalls.mount(f"/dev/{name}", devices / name, None, linux_syscalls.MS_BIND)
     for name, number in (("fd", ""), ("stdin", "/0"), ("stdout", "/1"), ("stderr", "/2")):
         (devices / name).symlink_to(f"/proc/self/fd{number}")
-    flags = kernel.MS_NOSUID | kernel.MS_NODEV
-    kernel.mount("tmpfs", devices / "shm", "tmpfs", flags, f"size={SHARED_MEMORY_BYTES},mode=1777")
+    flags = linux_syscalls.MS_NOSUID | linux_syscalls.MS_NODEV
+    linux_syscalls.mount("tmpfs", devices / "shm", "tmpfs", flags, f"size={SHARED_MEMORY_BYTES},mode=1777")
     (root / "proc").mkdir()
-    kernel.mount("proc", root / "proc", "proc", kernel.MS_NOSUID | kernel.MS_NODEV)
-    kernel.change_root(root)
-    kernel.make_read_only(Path("/"), with_all_below=False)
+    linux_syscalls.mount("proc", root / "proc", "proc", linux_syscalls.MS_NOSUID | linux_syscalls.MS_NODEV)
+    linux_syscalls.change_root(root)
+    linux_syscalls.make_read_only(Path("/"), with_all_below=False)
 
 
 def _system_paths() -> list[Path]:
@@ -202,9 +207,9 @@ def _bind_read_only(source: Path, target: Path) -> None:
         target.symlink_to(source.readlink())
         return
     _bind(source, target)
-    kernel.make_read_only(target)
+    linux_syscalls.make_read_only(target)
 
 
 def _bind(source: Path, target: Path) -> None:
     target.mkdir(parents=True, exist_ok=True)
-    kernel.mount(str(source), target, None, kernel.MS_BIND | kernel.MS_REC)
+    linux_syscalls.mount(str(source), target, None, linux_syscalls.MS_BIND | linux_syscalls.MS_REC)

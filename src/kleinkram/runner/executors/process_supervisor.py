@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from kleinkram.runner.durable_files import write_all, write_atomically
-from kleinkram.runner.executors import kernel, port_forward
+from kleinkram.runner.executors import linux_syscalls, port_forward
 from kleinkram.runner.executors.limits import (
     CANCELLED,
     DISK_FULL,
@@ -79,7 +79,7 @@ class JobSupervisor:
 
     def run(self) -> None:
         """Run the job, and write its ending."""
-        kernel.adopt_orphans()
+        linux_syscalls.adopt_orphans()
         signal.signal(signal.SIGTERM, lambda *_: self._limits.stop(CANCELLED))
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
         listeners, listeners_inside = socket.socketpair()
@@ -108,7 +108,7 @@ class JobSupervisor:
             sandbox = Sandbox(self._directory, job["has_network"], disk_bytes, job["uid"], self._forwards, listeners)
             if job["is_isolated"]:
                 return run_in_sandbox(sandbox, job["command"], job["environment"], error)
-            kernel.die_with_parent(signal.SIGKILL)
+            linux_syscalls.die_with_parent(signal.SIGKILL)
             apply_limits(sandbox)
             os.chdir(self._directory / "tmp")
             os.execvpe(job["command"][0], job["command"], job["environment"])  # noqa: S606

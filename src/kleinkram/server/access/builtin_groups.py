@@ -1,4 +1,4 @@
-"""Built-in groups: a person's own group, the group of an e-mail address, and the admins; creating people in them."""
+"""Groups that the server makes: one per person, one per e-mail address, and the admins. Adds new people to them."""
 
 import uuid
 

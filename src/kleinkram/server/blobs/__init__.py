@@ -1,1 +1,1 @@
-"""Blobs: reading what arrived, verifying it, and letting go of what nobody refers to."""
+"""Blobs, the stored bytes of files: summaries, verification, scrubs, and garbage collection."""

@@ -43,10 +43,10 @@ from kleinkram.contract.metadata import WHERE_EXPRESSION
 from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.names import is_id
 from kleinkram.contract.query import parse_term
-from kleinkram.contract.units import iso_text, nanoseconds
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import ArrayText, like_pattern, matches_any, matches_key
+from kleinkram.server.filters.dates import iso_text, nanoseconds
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, words_of
 from kleinkram.server.filters.text import (
     NO_TIME,

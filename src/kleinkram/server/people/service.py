@@ -22,7 +22,7 @@ from kleinkram.server.access.rights import ensure_admin_remains, give_to_admins,
 from kleinkram.server.access.visible import may_see_addresses, visible_people
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.auth.one_time_codes import revoke_codes
-from kleinkram.server.db import Connection, contains_word
+from kleinkram.server.db import ESCAPE, Connection, containing
 from kleinkram.server.pagination import Order, PageRequest, read_page
 from kleinkram.server.tables import access_grant, membership, mission, person, person_email, session, share, token
 
@@ -43,7 +43,8 @@ async def list_people(
             person_email.c.verified_at.is_not(None),
             person_email.c.email_key.contains(name_key(word), autoescape=True),
         )
-        stmt = stmt.where(contains_word(person.c.name, word) | (may_see_addresses(actor) & has_address))
+        in_name = person.c.name.ilike(containing(word), escape=ESCAPE)
+        stmt = stmt.where(in_name | (may_see_addresses(actor) & has_address))
     if active is not None:
         stmt = stmt.where(person.c.deactivated_at.is_(None) == active)
     return await read_page(db, stmt, _PEOPLE_ORDER, page, _to_person)

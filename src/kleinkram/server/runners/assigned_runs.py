@@ -3,20 +3,16 @@
 import datetime
 import uuid
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, func, insert, select, update
 
-from kleinkram.contract.access import Right
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.audit import ChangeKind
-from kleinkram.contract.errors import KleinkramError, NotFound, RunGone
-from kleinkram.contract.files import ContentState
+from kleinkram.contract.errors import NotFound, RunGone
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.names import name_key
-from kleinkram.contract.reports import MissionFile, Severity
+from kleinkram.contract.reports import Severity
 from kleinkram.contract.runners import (
     LEASE_S,
     Heartbeat,
@@ -46,17 +42,14 @@ from kleinkram.contract.uploads import ChecksumKind
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.access.visible import visible_files
 from kleinkram.server.audit.log import Event, audit
-from kleinkram.server.blobs.service import examine_blobs
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.files import queries as files
-from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.missions import service as missions
-from kleinkram.server.quotas import Amount, require_room
 from kleinkram.server.recordings import queries as recordings
-from kleinkram.server.recordings.service import regroup
 from kleinkram.server.runs.lifecycle import end_run
+from kleinkram.server.runs.mission_files import EndedRun, RunArtifact, create_mission_files
 from kleinkram.server.s3.storage import PartTarget
 from kleinkram.server.tables import (
     action,
@@ -104,13 +97,6 @@ class AssignedRun(NamedTuple):
     action_id: uuid.UUID | None
     project_id: uuid.UUID
     is_deleted: bool
-
-
-class _Artifact(NamedTuple):
-    id: uuid.UUID
-    path: str
-    blob_id: uuid.UUID
-    size_bytes: int
 
 
 async def find_assigned_run(
@@ -332,9 +318,10 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
     problems = list(finish.problems)
     columns = (run_artifact.c.id, run_artifact.c.path, run_artifact.c.blob_id, blob.c.size_bytes)
     stmt = select(*columns).join_from(run_artifact, blob).where(run_artifact.c.run_id == run_id)
-    artifacts = {entry.path: _Artifact._make(entry) for entry in await db.execute(stmt)}
+    artifacts = {entry.path: RunArtifact._make(entry) for entry in await db.execute(stmt)}
     if finish.reason is EndReason.done:
-        problems += await _create_mission_files(db, row, finish.report.mission_files, artifacts)
+        ended_run = EndedRun(row.id, row.mission_id, row.project_id, row.started_by_id, row.definition)
+        problems += await create_mission_files(db, ended_run, finish.report.mission_files, artifacts)
     await _pin_image(db, row, finish.image_digest)
     findings = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in finish.report.findings]
     metrics = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in finish.report.metrics]
@@ -360,57 +347,3 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
     event = Event("run.end", "run", run_id, row.definition.name, row.project_id, after=after, mission_id=row.mission_id)
     await audit(db, actor, event)
     return RunFinished(state=RunState(state))
-
-
-async def _create_mission_files(
-    db: Connection, row: AssignedRun, selected: Sequence[MissionFile], artifacts: Mapping[str, _Artifact]
-) -> list[str]:
-    """Create files of the mission from artifacts of a run; return sentences about those that could not be created.
-
-    Existing files are never changed. The actor is the person who launched the run, with their current rights.
-    """
-    selected = [entry for entry in selected if entry.path in artifacts]
-    if not selected:
-        return []
-    most = row.definition.right
-    starter = await find_person(db, row.started_by_id)
-    if starter is None or most.level < Right.create.level:
-        return ["Files of the mission require an action with `right: CREATE`; they stay artifacts."]
-    actor = replace(starter.for_request("begin_uploads", request_id=None, address=None), max_right=most)
-    try:
-        await missions.lock_mission_to_fill(db, actor, row.mission_id)
-        size_bytes = sum(artifacts[entry.path].size_bytes for entry in selected)
-        await require_room(db, actor, project_id=row.project_id, requested=Amount(len(selected), size_bytes))
-    except KleinkramError as error:
-        return [f"No file of the mission was created; the artifacts stay: {error}"]
-    problems: list[str] = []
-    events: list[Event] = []
-    after: Metadata = {"run_id": str(row.id), "action": row.definition.name}
-    for entry in selected:
-        try:
-            await check_path_free(db, row.mission_id, entry.to)
-        except KleinkramError as error:
-            problems.append(f"{entry.path} did not become a file of the mission: {error}")
-            continue
-        file_id = await _create_file(db, row, entry, artifacts[entry.path])
-        events.append(
-            Event("file.create", "file", file_id, entry.to, row.project_id, after=after, mission_id=row.mission_id)
-        )
-    if events:
-        await audit(db, actor, *events)
-        await regroup(db, row.mission_id)
-    return problems
-
-
-async def _create_file(db: Connection, row: AssignedRun, selected: MissionFile, artifact: _Artifact) -> uuid.UUID:
-    file_id = uuid.uuid4()
-    values = {"mission_id": row.mission_id, "blob_id": artifact.blob_id, "uploaded_by_id": row.started_by_id}
-    path = {"path": selected.to, "path_key": name_key(selected.to), "origin": "run"}
-    await db.execute(insert(file).values(id=file_id, **values, **path))
-    lineage = {"file_id": file_id, "derived_from": selected.derived_from}
-    await db.execute(update(run_artifact).where(run_artifact.c.id == artifact.id).values(**lineage))
-    # Artifacts are not examined; as a file it may be a recording.
-    unread = {"content": ContentState.pending.value, "summarised_at": None}
-    await db.execute(update(blob).where(blob.c.id == artifact.blob_id).values(**unread))
-    await examine_blobs(db, [artifact.blob_id])
-    return file_id

@@ -1,4 +1,4 @@
-"""What a particular store can do: a probe at start-up finds out by trying to deceive it, and sets its CORS rules."""
+"""Detects at start-up what an S3 store supports: checksums, conditional writes, ranges. Sets its CORS rules."""
 
 import base64
 import hashlib

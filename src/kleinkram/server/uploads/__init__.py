@@ -1,1 +1,1 @@
-"""Uploads: begin -> parts -> complete. A crash anywhere leaves no file that lies and no name that is blocked."""
+"""Uploads: begin, sign parts, complete. After a crash at any point, files are whole and names become free."""

@@ -1,1 +1,1 @@
-"""The app in the browser: built from `web/`, shipped in the wheel, served by the API itself."""
+"""Files of the web app, built from `web/` and shipped in the wheel; `http/web_app.py` serves them."""

@@ -19,10 +19,10 @@ from kleinkram.recordings.decoding import (
     Undecodable,
     arrow_batches,
     decoder_for,
+    ros_to_arrow,
     to_arrow,
     to_pandas,
     to_plain,
-    typed_rows,
 )
 from kleinkram.recordings.sample.messages import ros2_definition
 from tests.conftest import MakeCase
@@ -108,7 +108,7 @@ def one_by_one(
     ros_decoder: Decoder, messages: list[tuple[int, int, bytes]], monkeypatch: pytest.MonkeyPatch
 ) -> pa.Table:
     with monkeypatch.context() as patch:
-        patch.setattr(typed_rows, "_MIN_ROWS", 10**9)
+        patch.setattr(ros_to_arrow, "_MIN_ROWS", 10**9)
         return to_arrow(ros_decoder, messages)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from itertools import repeat
 from operator import eq
 
+from kleinkram.recordings.chunk_index_check import ChunkMessages
 from kleinkram.recordings.chunk_scanner import ChunkContents, Hole
 from kleinkram.recordings.chunk_table import ChunkHead, Row
 from kleinkram.recordings.compression import Buffer
@@ -15,7 +16,6 @@ from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, McapFacts, Opcode
 from kleinkram.recordings.formats.mcap.resync import CHUNK_FIXED
-from kleinkram.recordings.index_check import ChunkMessages
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_CHUNK_INDEX, MAX_NAME, MAX_TAKE
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Selection
 from kleinkram.recordings.scanned_messages import Batch

@@ -16,6 +16,7 @@ from dataclasses import replace
 from itertools import chain
 
 from kleinkram.recordings import file_summary
+from kleinkram.recordings.chunk_index_check import wrong_compression, wrong_times
 from kleinkram.recordings.chunk_reader import ChunkedMember, ChunkFormat, FileGap, SalvagedMessages
 from kleinkram.recordings.chunk_scanner import ChunkIndex, count_by_index, open_by_scan, salvage_by_scan
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, ChunkHead, ChunkTableBuilder
@@ -28,7 +29,6 @@ from kleinkram.recordings.formats.mcap import chunks, records
 from kleinkram.recordings.formats.mcap.chunks import open_chunk
 from kleinkram.recordings.formats.mcap.records import MAGIC, ChannelRecord, McapFacts, Opcode
 from kleinkram.recordings.formats.mcap.scan import McapScan, scan_records
-from kleinkram.recordings.index_check import wrong_compression, wrong_times
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_TAKE, TAIL, WINDOW
 from kleinkram.recordings.messages import Channel
 from kleinkram.recordings.model import Depth, Fact, Problem, RecordingFormat, RecordingSummary, counted

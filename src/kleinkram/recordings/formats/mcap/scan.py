@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
+from kleinkram.recordings.chunk_index_check import ChunkClaim, compare_with_scan, wrong_compression
 from kleinkram.recordings.chunk_scanner import LOOK, ChunkContents, ChunkScan, ChunkScanner
 from kleinkram.recordings.chunk_table import UNKNOWN, ChunkHead, ChunkTableBuilder, Int64Table
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.mcap import chunks, records, resync
 from kleinkram.recordings.formats.mcap.chunks import MESSAGE_FIXED, MESSAGE_HEAD, walk_messages
 from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, ChannelRecord, McapFacts, Opcode
-from kleinkram.recordings.index_check import ChunkClaim, compare_with_scan, wrong_compression
 from kleinkram.recordings.limits import MAX_TAKE, WINDOW
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.scanned_messages import Batch, LocationKind, MessageCounter, MessageLocation

@@ -14,13 +14,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from operator import itemgetter
 
+from kleinkram.recordings.chunk_index_check import ChunkMessages
 from kleinkram.recordings.chunk_scanner import ChunkContents, ChunkedFacts, Hole
 from kleinkram.recordings.chunk_table import Row
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.rosbag1 import records
 from kleinkram.recordings.formats.rosbag1.records import Connection, Fields, Op
-from kleinkram.recordings.index_check import ChunkMessages
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_DEFINITIONS, MAX_HEADER, MAX_NAMES, MAX_TAKE, MAX_TOPICS
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.scanned_messages import Batch

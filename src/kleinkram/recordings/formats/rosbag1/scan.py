@@ -8,13 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import partial
 
+from kleinkram.recordings.chunk_index_check import ChunkClaim, compare_with_scan
 from kleinkram.recordings.chunk_scanner import LOOK, ChunkContents, ChunkScan, ChunkScanner, search_width
 from kleinkram.recordings.chunk_table import UNKNOWN, ChunkHead, ChunkTableBuilder, Int64Table
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.rosbag1 import chunks, records
 from kleinkram.recordings.formats.rosbag1.chunks import BagFacts, BagRecord, find_record, opcode_at, parse_record
 from kleinkram.recordings.formats.rosbag1.records import Op
-from kleinkram.recordings.index_check import ChunkClaim, compare_with_scan
 from kleinkram.recordings.limits import LOOK_AHEAD, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.scanned_messages import Batch, LocationKind, MessageCounter, MessageLocation

@@ -1,4 +1,4 @@
-"""Compares the chunk index of a file with its messages, and corrects it for reading.
+"""Checks the chunk index of a recording against its messages, and corrects it for reading.
 
 A reader selects chunks by the times and channels in the index; where these are wrong, it would miss messages. A summary
 compares the chunk index with the message indexes behind the chunks, a scan with the messages themselves.

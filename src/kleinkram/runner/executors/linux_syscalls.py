@@ -1,4 +1,4 @@
-"""System calls of Linux that Python does not wrap. Each raises OSError with the name of the call."""
+"""Linux system calls that Python does not wrap, for sandboxes. Each raises OSError with the name of the call."""
 
 import ctypes
 import errno

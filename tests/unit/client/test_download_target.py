@@ -6,7 +6,7 @@ import pytest
 
 from kleinkram.client.errors import DestinationRefused, PathsCollide
 from kleinkram.client.transfer import plan_download
-from kleinkram.client.transfer.destination import make_folders, partial_path
+from kleinkram.client.transfer.download_target import make_folders, partial_path
 from tests.api_objects import file_read
 
 

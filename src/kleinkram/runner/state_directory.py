@@ -1,4 +1,4 @@
-"""State of a runner: its directory, the attempts at runs in it, and their leases and stop requests.
+"""The state directory of a runner: its attempts at runs; also what the threads of runs share.
 
 One process at a time uses the directory. All state is written before it is acted upon.
 

@@ -1,4 +1,4 @@
-"""The web server: uvicorn with limits on what a connection may cost.
+"""uvicorn with limits on what one connection may cost.
 
 Limits the size and duration of request heads, the pace of bodies, chunk extensions and trailers, and the number of
 connections per address and in total. `middleware` limits the size of bodies. On shutdown, streams end first.

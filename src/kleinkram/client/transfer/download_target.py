@@ -1,4 +1,4 @@
-"""The plan of a download, whose files stay inside the destination; and the temporary file of each download."""
+"""Where a download writes its files: paths that stay inside the destination, and a temporary file for each."""
 
 import fcntl
 import hashlib

@@ -1,4 +1,4 @@
-"""Reading YAML from strangers: plain values only, each with its position.
+"""Parses YAML from users: plain values only, each with its line and column.
 
 YAML 1.2 with the core schema; dates stay text. Must never make objects, follow aliases, or grow beyond its bounds:
 the text is read event by event and given up at the first thing that is not wanted. Pure; slow enough (about 1 s for

@@ -1,4 +1,4 @@
-"""ROS messages as Arrow batches: messages of one shape are read together, the others one by one.
+"""Decodes ROS messages into Arrow batches: messages of one shape are read together, the others one by one.
 
 A shape is the positions of the values in a message. Two messages have the same shape exactly if they have the same size
 and the same bytes wherever a length is written, and most messages of a topic do. Such messages form rows of a byte

@@ -1,4 +1,4 @@
-"""Builds Arrow batches of JSON and protobuf messages, whose columns depend on the messages.
+"""Decodes JSON and protobuf messages into Arrow batches, whose columns depend on the messages.
 
 Where the values of a JSON field disagree on their type, the column takes the most frequent one; a value that does not
 fit is null and reported. Whole numbers are int64, or uint64 if one needs it and none is negative; with fractions among
