@@ -7,6 +7,8 @@ STAMP := $(VENV)/.ready
 MODULES := web/node_modules/.package-lock.json
 APP := src/kleinkram/server/web/built/index.html
 APP_SOURCES := $(shell find web \( -name node_modules -o -name dist \) -prune -o -type f ! -name '*.test.ts' -print)
+# Tests start hundreds of Python processes; without caches of bytecode each compiles all modules anew.
+unexport PYTHONDONTWRITEBYTECODE
 export KLEINKRAM_RECORDINGS ?= $(abspath ../shared/recordings)
 
 .PHONY: setup demo story test-unit test test-all soak check bench pictures dev requirements generated clean

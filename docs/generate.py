@@ -101,8 +101,8 @@ def _right(need: Permission) -> str:
         return "admin"
     if need.right is None:
         return "—"
-    noun = "each object in the result" if need.on is ResourceKind.visible else f"the {need.on.value}"
-    return f"{need.right.value} on {noun}"
+    resource_type = "each object in the result" if need.on is ResourceKind.visible else f"the {need.on.value}"
+    return f"{need.right.value} on {resource_type}"
 
 
 def _scopes(need: Permission) -> str:

@@ -60,7 +60,7 @@ for number, topic in enumerate(imu_topics, 1):
     report.metric("imu_rate", topic.rate_hz, unit="Hz", file=paths[topic.file_id])
     rows.append(f"{paths[topic.file_id]},{topic.name},{topic.rate_hz:.3f}")
 (out / "imu_rates.csv").write_text("\\n".join(rows) + "\\n")
-report.put_back("imu_rates.csv", "derived/imu_rates.csv")
+report.mission_file("imu_rates.csv", "derived/imu_rates.csv")
 """
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -38,6 +39,9 @@ for _sign in (signal.SIGINT, signal.SIGHUP):
     if signal.getsignal(_sign) is signal.SIG_IGN:
         signal.signal(_sign, signal.default_int_handler if _sign is signal.SIGINT else signal.SIG_DFL)
 
+# As the server does: modules are imported without garbage collection, and what they allocate is never looked through.
+gc.disable()
+
 # The width of the terminal must not change what commands print.
 os.environ.pop("COLUMNS", None)
 
@@ -61,6 +65,13 @@ def _start_order(item: pytest.Item) -> int:
     if name in _LONGEST:
         return _LONGEST.index(name)
     return len(_LONGEST) + (not name.startswith("system/"))
+
+
+def pytest_collection_finish() -> None:
+    """Collect garbage again from here on, but not what importing all tests has allocated."""
+    gc.freeze()
+    gc.set_threshold(10_000)
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

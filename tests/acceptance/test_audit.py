@@ -9,7 +9,7 @@ def test_events_are_found_and_exported(terminal: Terminal, project: str) -> None
     terminal.run("mission", "create", "m", "-p", project)
     events = terminal.run("audit", "-p", project, "--operation", "mission.*", "--person", "owner", "--json").json()
     assert [event["operation"] for event in events["items"]] == ["mission.create"]
-    mission_id = events["items"][0]["noun_id"]
+    mission_id = events["items"][0]["resource_id"]
     shown = terminal.run("audit", "-m", "m", "-p", project).out
     assert "mission.create" in shown
     assert "token local owner" in shown
@@ -23,5 +23,5 @@ def test_events_are_found_and_exported(terminal: Terminal, project: str) -> None
 
 def test_invalid_filters_are_refused(terminal: Terminal) -> None:
     assert "--export prints everything" in terminal.run("audit", "--export", "--limit", 3, code=2).err
-    assert "noun_id" in terminal.run("audit", "--id", "x", code=2).err
+    assert "resource_id" in terminal.run("audit", "--id", "x", code=2).err
     assert "write a time as" in terminal.run("audit", "--since", "yesterday", code=2).err

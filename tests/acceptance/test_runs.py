@@ -29,7 +29,7 @@ report.metric("size", inputs()[0].stat().st_size, unit="B", file=inputs()[0])
 report.finding("warning", "few.messages", "fewer than it should have", file=inputs()[0], topic="/imu/data")
 report.propose(sensors=["imu"])
 (out / "counts.csv").write_text("topic,count")
-report.put_back("counts.csv", "derived/counts.csv")
+report.mission_file("counts.csv", "derived/counts.csv")
 """
 
 

@@ -130,9 +130,9 @@ class Api:
         """Return what Prometheus would read."""
         return self._pool.request("GET", f"http://127.0.0.1:{self.app.state.metrics_port}/metrics").data.decode()
 
-    def events(self, noun_id: str) -> list[Any]:
-        """Return what the record says of a noun, latest first."""
-        return self.all("/audit", {"noun_id": noun_id})
+    def events(self, resource_id: str) -> list[Any]:
+        """Return the audit events of a resource, latest first."""
+        return self.all("/audit", {"resource_id": resource_id})
 
     @contextmanager
     def statements(self) -> Iterator[list[str]]:

@@ -15,7 +15,7 @@ from tests.integration.races import racing
 from tests.integration.upload_client import upload
 
 FIELDS = "undeclared: accept\nfields:\n  - {name: robot, type: string}\n"
-# Of each noun: what the first writes, and the second, who looked at the same.
+# Of each resource type: what the first writes, and the second, who looked at the same.
 _EDITS: dict[str, list[tuple[Any, Any]]] = {
     "missions": [
         ({"metadata": {"robot": "spot"}}, {"metadata": {"operator": "ada"}}),
@@ -44,7 +44,7 @@ _LOCK = {
 
 @pytest.fixture(name="made")
 def _made(api: Api) -> dict[str, Any]:
-    """One of each noun, by its path."""
+    """One of each resource type, by its path."""
     project = api.project(fields_yaml=FIELDS)
     mission = api.mission(project["id"], metadata={"robot": "anymal"}, notes="fog")
     return {
@@ -60,33 +60,38 @@ def _definition(script: str) -> dict[str, str]:
     return {"name": "count", "script": script}
 
 
-def _change(api: Api, noun: str, seen: Any, body: Any) -> Answer:
-    return api.call("PATCH", f"/{noun}/{seen['id']}", body, headers={"If-Match": f'"{seen["etag"]}"'})
+def _change(api: Api, resource_type: str, seen: Any, body: Any) -> Answer:
+    return api.call("PATCH", f"/{resource_type}/{seen['id']}", body, headers={"If-Match": f'"{seen["etag"]}"'})
 
 
 @pytest.mark.parametrize(
-    ("noun", "first", "second"), [(noun, *pair) for noun, edits in _EDITS.items() for pair in edits]
+    ("resource_type", "first", "second"),
+    [(resource_type, *pair) for resource_type, edits in _EDITS.items() for pair in edits],
 )
-def test_the_second_of_two_edits_is_refused(api: Api, made: dict[str, Any], noun: str, first: Any, second: Any) -> None:
-    seen = api.get(f"/{noun}/{made[noun]['id']}").ok()
+def test_the_second_of_two_edits_is_refused(
+    api: Api, made: dict[str, Any], resource_type: str, first: Any, second: Any
+) -> None:
+    seen = api.get(f"/{resource_type}/{made[resource_type]['id']}").ok()
     if "name" in first:  # so that nobody else has it
         first, second = ({"name": f"{pair['name']} {seen['id']}"} for pair in (first, second))
-    with racing(api, _LOCK[noun], seen["id"]) as send:
-        both = [send(_change, api, noun, seen, body) for body in (first, second)]
+    with racing(api, _LOCK[resource_type], seen["id"]) as send:
+        both = [send(_change, api, resource_type, seen, body) for body in (first, second)]
     edited = both[0].result(30).ok()
     problem = both[1].result(30).refused(412, "edit_conflict")
     assert problem["etag"] == edited["etag"] != seen["etag"]
     assert "changed by somebody else" in problem["detail"]
-    now = api.get(f"/{noun}/{seen['id']}").ok()
+    now = api.get(f"/{resource_type}/{seen['id']}").ok()
     assert now == edited
-    assert _change(api, noun, now, second).ok()["etag"] != now["etag"], "having looked again, they may"
+    assert _change(api, resource_type, now, second).ok()["etag"] != now["etag"], "having looked again, they may"
 
 
-@pytest.mark.parametrize("noun", _EDITS)
-def test_an_edit_without_change_is_no_conflict(api: Api, made: dict[str, Any], noun: str) -> None:
-    seen, body = made[noun], _EDITS[noun][0][0]
-    edited = _change(api, noun, seen, body).ok()
-    assert _change(api, noun, seen, body).ok()["etag"] == edited["etag"], "an answer was lost, and asked for again"
+@pytest.mark.parametrize("resource_type", _EDITS)
+def test_an_edit_without_change_is_no_conflict(api: Api, made: dict[str, Any], resource_type: str) -> None:
+    seen, body = made[resource_type], _EDITS[resource_type][0][0]
+    edited = _change(api, resource_type, seen, body).ok()
+    assert _change(api, resource_type, seen, body).ok()["etag"] == edited["etag"], (
+        "an answer was lost, and asked for again"
+    )
 
 
 def test_the_second_of_two_new_versions_is_refused(api: Api, made: dict[str, Any]) -> None:

@@ -61,7 +61,7 @@ _WRITES = (
     " VALUES (%(blob)s, 'load/' || %(n)s, 1, sha256('x'), %(person)s)",
     "INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_id)"
     " VALUES (%(file)s, %(mission)s, %(blob)s, 'load ' || %(n)s, 'load ' || %(n)s, 'upload', %(person)s)",
-    "INSERT INTO audit_event (actor_id, operation, noun, noun_id, noun_name, project_id)"
+    "INSERT INTO audit_event (actor_id, operation, resource_type, resource_id, resource_name, project_id)"
     " VALUES (%(person)s, 'file.upload', 'file', %(file)s, 'load ' || %(n)s, %(project)s)",
     "UPDATE mission SET notes = notes || '.', files_revision = files_revision + 1 WHERE id = %(mission)s",
 )
@@ -226,7 +226,7 @@ def test_an_upgrade_keeps_all_rows_while_an_old_server_reads_and_writes(
     postgres: RunningPostgres, database: str
 ) -> None:
     name = postgres.create_database(template=database)
-    ids = {noun: str(uuid.uuid4()) for noun in ("person", "project", "mission")}
+    ids = {resource_type: str(uuid.uuid4()) for resource_type in ("person", "project", "mission")}
     with psycopg.connect(postgres.serve_url(name), cursor_factory=psycopg.ClientCursor) as connection:
         connection.execute(_FILL, ids)
     with _old_server(postgres, name, ids) as load:

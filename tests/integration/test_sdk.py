@@ -245,11 +245,11 @@ def _methods(client: Client) -> Iterator[tuple[str, Callable[..., object], list[
         "service",
         "events",
     }  # for machines, or without arguments to get wrong
-    for noun in sorted({*Client.__annotations__} - left_out):
-        value = getattr(client, noun)
+    for resource_type in sorted({*Client.__annotations__} - left_out):
+        value = getattr(client, resource_type)
         for name, method in inspect.getmembers(value, inspect.ismethod):
             if not name.startswith("_"):
-                yield f"{noun}.{name}", method, [*inspect.signature(method).parameters.values()]
+                yield f"{resource_type}.{name}", method, [*inspect.signature(method).parameters.values()]
 
 
 def test_wrong_arguments_raise_plain_messages(client: Client) -> None:

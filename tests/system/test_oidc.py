@@ -46,7 +46,7 @@ class Place:
     def refusals(self) -> list[str]:
         """Return why the last callbacks from the provider were refused, latest first."""
         events = self.ask("GET", "/audit?operation=auth.refused&limit=50")["items"]
-        return [str(event["after"]["reason"]) for event in events if _CALLBACK[:17] in event["noun_name"]]
+        return [str(event["after"]["reason"]) for event in events if _CALLBACK[:17] in event["resource_name"]]
 
 
 @pytest.fixture(name="place", scope="module")
@@ -109,7 +109,7 @@ def test_signing_in_again_uses_the_same_account(place: Place, chromium: Chromium
     sign_in(place, chromium, "grace")
     chromium.see("Your only sign-in method; it cannot be removed.")
     events = place.ask("GET", "/audit?operation=person.create&limit=100")["items"]
-    assert [event["noun_name"] for event in events].count("grace") == 1
+    assert [event["resource_name"] for event in events].count("grace") == 1
 
 
 def test_a_refused_consent_is_reported(place: Place, chromium: Chromium) -> None:

@@ -56,14 +56,14 @@ class Reporting:
         """Propose metadata of the mission, which people accept or ignore."""
         _append(metadata=metadata)
 
-    def put_back(self, path: AnyPath, to: str | None = None, *, derived_from: list[AnyPath] | None = None) -> None:
+    def mission_file(self, path: AnyPath, to: str | None = None, *, derived_from: list[AnyPath] | None = None) -> None:
         """Create a file of the mission from an artifact, at `to` (default: its path under `/out`).
 
         `derived_from` are the inputs that it was made from; by default all.
         """
         artifact = _within(path, run_files.out)
         sources = [_within(source, run_files.in_dir) for source in derived_from or []]
-        _append(put_back=_validated(reports.PutBack, path=artifact, to=to or artifact, derived_from=sources))
+        _append(mission_file=_validated(reports.MissionFile, path=artifact, to=to or artifact, derived_from=sources))
 
 
 def progress(fraction: float, message: str = "") -> None:

@@ -147,5 +147,5 @@ def _read_report(out: Path) -> Report:
         metrics=[*(event.metric for event in events if event.metric), *last.metrics],
         previews=[*(event.preview for event in events if event.preview), *last.previews],
         metadata={**metadata, **last.metadata},
-        put_back=[*(event.put_back for event in events if event.put_back), *last.put_back],
+        mission_files=[*(event.mission_file for event in events if event.mission_file), *last.mission_files],
     )

@@ -1,1 +1,1 @@
-"""The command `klein`: one module a noun; parse, one SDK call, render. No logic, no HTTP."""
+"""The command `klein`: one module per resource; parse, one SDK call, render. No logic, no HTTP."""

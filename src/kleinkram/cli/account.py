@@ -5,7 +5,7 @@ import uuid
 from typing import Annotated
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import Many, Noun, Text, argument, flag, option
+from kleinkram.cli.commands import Many, Subcommands, Text, argument, flag, option
 from kleinkram.cli.render import Output, as_details, as_table, details, line, moment, note, plain, table
 from kleinkram.cli.units import count, expiry, size
 from kleinkram.client import Client
@@ -18,7 +18,7 @@ from kleinkram.contract.files import FileFilter
 from kleinkram.contract.names import is_id
 from kleinkram.contract.tokens import ShareRead, TokenRead
 
-app = Noun("Show your own account and how you sign in.")
+app = Subcommands("Show your own account and how you sign in.")
 
 
 @app.command("info")
@@ -62,7 +62,7 @@ def unlink(
     if len(matches) > 1:
         raise InvalidInput(what=f"The provider {provider!r}", reason="you linked several of its accounts: give an id")
     if not matches:
-        raise NotFound(noun="linked provider", ref=provider)
+        raise NotFound(resource_type="linked provider", ref=provider)
     name = _provider(matches[0])
     options.confirm(f"Stop signing in with {name}?", yes)
     client.me.unlink_identity(matches[0].id)
@@ -74,7 +74,7 @@ def _provider(row: IdentityRead) -> str:
     return row.provider or row.issuer
 
 
-session_app = Noun("Manage the browsers that you are signed in with.", no_args_is_help=False)
+session_app = Subcommands("Manage the browsers that you are signed in with.", no_args_is_help=False)
 
 
 @session_app.command("list")
@@ -121,7 +121,7 @@ def revoke_session(
     return Output({"revoked": session or "all"})
 
 
-token_app = Noun("Manage the tokens that scripts, robots and runners sign in with.")
+token_app = Subcommands("Manage the tokens that scripts, robots and runners sign in with.")
 Everybody = Annotated[bool, flag("--everybody", "Include those of others; for admins.")]
 
 
@@ -164,7 +164,7 @@ def create_token(
         line(made.secret)
         ends = f"until {token.expires_at:%Y-%m-%d %H:%M}Z" if token.expires_at else "until it is revoked"
         note(
-            f"Save it now: it cannot be shown again. It allows {_scopes(token)} on {_places(token)}, {ends}. "
+            f"Save it now: it cannot be shown again. It allows {_scopes(token)} on {_limits(token)}, {ends}. "
             f"`klein token revoke {token.prefix}` ends it."
         )
 
@@ -207,20 +207,20 @@ def _token_cells(row: TokenRead) -> tuple[object, ...]:
         runner += f", only {' or '.join(row.runner_labels)}" if row.runner_labels else ""
     of, prefix = row.person.name, row.prefix or None
     dates = (row.last_used_at, row.expires_at, row.revoked_at)
-    return row.name, prefix, row.kind.value, _scopes(row), _places(row), runner, of, *dates, row.id
+    return row.name, prefix, row.kind.value, _scopes(row), _limits(row), runner, of, *dates, row.id
 
 
 def _scopes(token: TokenRead) -> str:
     return ", ".join(scope.value for scope in token.scopes)
 
 
-def _places(token: TokenRead) -> str:
+def _limits(token: TokenRead) -> str:
     if token.limits is None:
         return "all runs" if token.kind is TokenKind.runner else "everything that its person may see"
-    return ", ".join(f"{place.noun} {place.name or place.id}" for place in token.limits) or "nothing any more"
+    return ", ".join(f"{limit.resource_type} {limit.name or limit.id}" for limit in token.limits) or "nothing any more"
 
 
-share_app = Noun("Manage links to a mission, or to some of its files, for people without an account.")
+share_app = Subcommands("Manage links to a mission, or to some of its files, for people without an account.")
 _DEFAULT_DAYS = 14
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import Noun, argument, flag, option
+from kleinkram.cli.commands import Subcommands, argument, flag, option
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.render import Output, as_list, as_table, details, line, note, table
 from kleinkram.cli.run import SetOption, launch, parameter_values, split_version
@@ -35,7 +35,7 @@ _ISOLATIONS = {
     Isolation.none: "as a plain process, because this kernel allows you no namespaces: it can change whatever you can.",
 }
 
-app = Noun("Manage actions: what to run on the files of a mission.")
+app = Subcommands("Manage actions: what to run on the files of a mission.")
 app.command("run")(launch)
 
 PathArgument = Annotated[Path, argument("PATH", "A script, or a folder with action.yaml.")]

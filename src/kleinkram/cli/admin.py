@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from kleinkram.cli.commands import AsJson, Noun, Text, argument, flag, option
+from kleinkram.cli.commands import AsJson, Subcommands, Text, argument, flag, option
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.filters import filter_of, ids_of
 from kleinkram.cli.options import Limit, MissionsOption, ProjectsOption
@@ -19,12 +19,12 @@ from kleinkram.contract.admin import ScrubState, StateAmount
 from kleinkram.contract.audit import AuditFilter, AuditRead
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.names import is_id
-from kleinkram.contract.projects import TrashNoun, TrashRead
+from kleinkram.contract.projects import TrashRead, TrashResourceType
 
 _DAMAGED = {BlobState.lost.value, BlobState.corrupt.value}
 _AUDIT_ROWS = 100
 
-app = Noun("Show and repair the whole server; for admins.")
+app = Subcommands("Show and repair the whole server; for admins.")
 
 
 @app.command("storage")
@@ -69,7 +69,7 @@ def jobs(client: Client) -> Output:
                 ["number", "job", "for", "tries", "failed", "reason"],
                 [(row.id, row.kind, row.ref, row.attempts, row.failed_at, row.error) for row in status.failed],
             )
-            note("`klein admin retry ID` puts one back into the queue, `klein admin retry --all` all of them.")
+            note("`klein admin retry ID` requeues one, `klein admin retry --all` all of them.")
 
     return Output(status, show)
 
@@ -80,12 +80,12 @@ def retry(
     job: Annotated[int | None, argument("[ID]", "Number of the job, as in `klein admin jobs`.", min=1)] = None,
     retry_all: Annotated[bool, flag("--all", "Retry all jobs that failed permanently.")] = False,
 ) -> Output:
-    """Put a job that failed permanently, or all of them, back into the queue."""
+    """Requeue a job that failed permanently, or all of them."""
     if (job is None) != retry_all:
         raise typer.BadParameter("specify the number of a job or --all", param_hint="ID")
     if job is None:
         retried = client.admin.retry_jobs()
-        return Output({"retried": retried}, f"{count(retried, 'job')} put back into the queue.")
+        return Output({"retried": retried}, f"Requeued {count(retried, 'job')}.")
     client.admin.retry_job(job)
     note(f"Job {job} is in the queue again.")
     return Output({"retried": job})
@@ -188,32 +188,34 @@ def health(client: Client) -> Output:
     )
 
 
-trash_app = Noun("List and restore what was deleted in the last 30 days.")
-NounOption = Annotated[TrashNoun | None, option("--noun", None, "Select by kind.")]
+trash_app = Subcommands("List and restore what was deleted in the last 30 days.")
+ResourceTypeOption = Annotated[TrashResourceType | None, option("--type", None, "Select by kind.")]
 
 
 @trash_app.command("list")
-def list_trash(client: Client, noun: NounOption = None) -> Output:
+def list_trash(client: Client, resource_type: ResourceTypeOption = None) -> Output:
     """List what can be restored."""
-    headers = ["noun", "name", "from", "files", "size", "deleted", "by", "purged after", "id"]
-    return as_table(client.trash.list(noun), headers, _trash_cells)
+    headers = ["type", "name", "from", "files", "size", "deleted", "by", "purged after", "id"]
+    return as_table(client.trash.list(resource_type), headers, _trash_cells)
 
 
 def _trash_cells(row: TrashRead) -> tuple[object, ...]:
     content = (row.file_count, size(row.size_bytes))
     deleted = (row.deleted_at, row.deleted_by.name, row.purged_after)
-    return row.noun.value, row.name, row.place, *content, *deleted, row.id
+    return row.resource_type.value, row.name, row.location, *content, *deleted, row.id
 
 
 @trash_app.command("restore")
 def restore(
-    client: Client, refs: Annotated[list[str], argument("NAME", "Names or ids.")], noun: NounOption = None
+    client: Client,
+    refs: Annotated[list[str], argument("NAME", "Names or ids.")],
+    resource_type: ResourceTypeOption = None,
 ) -> Output:
     """Restore deleted projects, missions and files to where they were."""
-    rows = [client.trash.get(ref, noun=noun) for ref in refs]
+    rows = [client.trash.get(ref, resource_type=resource_type) for ref in refs]
     for row in rows:
-        client.trash.restore(row.noun, row.id)
-        note(f"Restored the {row.noun.value} {row.name}.")
+        client.trash.restore(row.resource_type, row.id)
+        note(f"Restored the {row.resource_type.value} {row.name}.")
     return Output({"items": rows})
 
 
@@ -223,8 +225,8 @@ def audit(
     token: Annotated[Text, option("--token", "TOKEN", "Select by token: name or id.")] = None,
     project: ProjectsOption = None,
     mission: MissionsOption = None,
-    noun: Annotated[Text, option("--noun", None, "Select by kind: project, mission, file, …")] = None,
-    noun_id: Annotated[Text, option("--id", "ID", "Select by id of the object.")] = None,
+    resource_type: Annotated[Text, option("--type", None, "Select by kind: project, mission, file, …")] = None,
+    resource_id: Annotated[Text, option("--id", "ID", "Select by id of the object.")] = None,
     operation: Annotated[Text, option("--operation", "GLOB", "Select by operation, such as 'file.*'.")] = None,
     since: Annotated[Text, option("--since", "TIME", "Select entries from this time on.")] = None,
     until: Annotated[Text, option("--until", "TIME", "Select entries before this time.")] = None,
@@ -240,8 +242,8 @@ def audit(
     fields: dict[str, object] = {
         "person_id" if person is not None and is_id(person) else "person": person,
         "token_id" if token is not None and is_id(token) else "token": token,
-        "noun": noun,
-        "noun_id": noun_id,
+        "resource_type": resource_type,
+        "resource_id": resource_id,
         "operation": operation,
         "since": parse_time(since),
         "until": parse_time(until),
@@ -265,4 +267,4 @@ def _audit_cells(row: AuditRead) -> tuple[object, ...]:
         credential = f"token {row.token.name}"
     elif row.share is not None:
         credential = f"link {row.share.name}"
-    return row.at, who, credential, row.address, row.operation, row.noun, row.noun_name, row.request_id
+    return row.at, who, credential, row.address, row.operation, row.resource_type, row.resource_name, row.request_id

@@ -114,8 +114,8 @@ class Group(typer.core.TyperGroup):
         return f"No such command: {name!r}. {hint}"
 
 
-class Noun(typer.Typer):
-    """The commands of one noun, such as `klein mission …`."""
+class Subcommands(typer.Typer):
+    """Commands with a common first word, such as `klein mission …`."""
 
     def __init__(self, summary: str, *, no_args_is_help: bool = True) -> None:
         super().__init__(

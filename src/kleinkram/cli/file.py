@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import BaseModel
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import Many, Noun, Text, argument, flag, option
+from kleinkram.cli.commands import Many, Subcommands, Text, argument, flag, option
 from kleinkram.cli.errors import exit_code_of
 from kleinkram.cli.filters import Choice, file_filter, select_files, with_choice
 from kleinkram.cli.mission import show_files, show_topics
@@ -20,7 +20,7 @@ from kleinkram.contract.files import FileRead, FileSort, ReadDepth
 from kleinkram.contract.problems import from_problem
 
 _DEPTHS = {ReadDepth.summary: "its index", ReadDepth.scan: "every byte"}
-app = Noun("Manage the files of missions.")
+app = Subcommands("Manage the files of missions.")
 app.command("create", help="Upload files. The same as `klein upload`.")(upload)
 
 

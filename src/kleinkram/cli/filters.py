@@ -12,7 +12,7 @@ from kleinkram.cli.commands import Many, Text, option, set_parameters
 from kleinkram.cli.options import MissionsOption, ProjectsOption, the_only
 from kleinkram.cli.units import parse_size, parse_time
 from kleinkram.client import Client
-from kleinkram.client._nouns import checked, is_glob
+from kleinkram.client._resources import checked, is_glob
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionFilter, MissionRead
@@ -76,35 +76,35 @@ def file_filter(client: Client, choice: Choice, paths: Sequence[str] = ()) -> Fi
     """
     projects, missions = choice.project, choice.mission
     is_wide = projects is not None and (len(projects) > 1 or any(map(is_glob, projects)))
-    place: dict[str, object]
+    location: dict[str, object]
     if not missions:
-        place = projects_of(client, projects)
+        location = projects_of(client, projects)
     elif len(missions) == 1 and (is_glob(missions[0]) or (is_wide and not is_id(missions[0]))):
-        place = {**projects_of(client, projects), "mission": missions[0]}
+        location = {**projects_of(client, projects), "mission": missions[0]}
     elif len(missions) == 1:
-        place = {"mission_id": client.missions.get(missions[0], project=the_only("project", projects)).id}
+        location = {"mission_id": client.missions.get(missions[0], project=the_only("project", projects)).id}
     elif is_wide:
-        place = {**projects_of(client, projects), "missions": missions}
+        location = {**projects_of(client, projects), "missions": missions}
     else:
         globs = [ref for ref in missions if is_glob(ref)]
         names = [ref for ref in missions if not is_glob(ref)]
         ids = [str(mission.id) for ref in names for mission in find_missions(client, ref, projects)]
-        place = {**(projects_of(client, projects) if globs else {}), "missions": [*ids, *globs]}
-    return _filter(choice, place, paths)
+        location = {**(projects_of(client, projects) if globs else {}), "missions": [*ids, *globs]}
+    return _filter(choice, location, paths)
 
 
 def mission_query(client: Client, choice: Choice, paths: Sequence[str] = ()) -> str:
     """Return the query for the missions of the options; several missions may have the same name."""
     missions = choice.mission or []
-    place: dict[str, object] = {"missions": missions}
+    location: dict[str, object] = {"missions": missions}
     if len(missions) == 1:
-        place = {"mission_id" if is_id(missions[0]) else "mission": missions[0]}
-    return render(_filter(choice, {**projects_of(client, choice.project), **place}, paths))
+        location = {"mission_id" if is_id(missions[0]) else "mission": missions[0]}
+    return render(_filter(choice, {**projects_of(client, choice.project), **location}, paths))
 
 
-def _filter(choice: Choice, place: dict[str, object], paths: Sequence[str]) -> FileFilter:
+def _filter(choice: Choice, location: dict[str, object], paths: Sequence[str]) -> FileFilter:
     fields = {name: value for name, value in vars(choice).items() if name not in {"project", "mission"}}
-    fields |= {**place, "path": [*paths]}
+    fields |= {**location, "path": [*paths]}
     for name in ("recorded_after", "recorded_before"):
         fields[name] = parse_time(fields[name])
     for name in ("min_size_bytes", "max_size_bytes"):
@@ -132,7 +132,7 @@ def select_files(client: Client, choice: Choice, refs: Sequence[str]) -> list[Fi
     keys = {name_key(file.path) for file in matches}
     for path in paths:
         if not is_glob(path) and name_key(path) not in keys:
-            raise NotFound(noun="file", ref=path)
+            raise NotFound(resource_type="file", ref=path)
     return [*{file.id: file for file in matches}.values()]
 
 
@@ -163,7 +163,7 @@ def ids_of(client: Client, projects: Sequence[str] | None, missions: Sequence[st
     for ref in projects:
         rows = [*client.projects.list(name=ref)] if is_glob(ref) else [client.projects.get(ref)]
         if not rows:
-            raise NotFound(noun="project", ref=ref)
+            raise NotFound(resource_type="project", ref=ref)
         ids += [row.id for row in rows]
     return {"project_id": ids[0]} if len(ids) == 1 else {"project_ids": [*dict.fromkeys(ids)]}
 
@@ -181,5 +181,5 @@ def find_missions(client: Client, ref: str, projects: Sequence[str] | None) -> l
     within = filter_of(MissionFilter, {"name": ref, **projects_of(client, projects)})
     matches = [row for row in client.missions.list(within) if is_glob(ref) or name_key(row.name) == name_key(ref)]
     if not matches:
-        raise NotFound(noun="mission", ref=ref)
+        raise NotFound(resource_type="mission", ref=ref)
     return matches

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 import typer
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import AsJson, Noun, Text, argument, flag, option
+from kleinkram.cli.commands import AsJson, Subcommands, Text, argument, flag, option
 from kleinkram.cli.errors import exit_code_of
 from kleinkram.cli.render import Output, as_details, details, moment, note, show_json, table
 from kleinkram.client import Client, config
@@ -181,7 +181,7 @@ def whoami(client: Client) -> Output:
     )
 
 
-app = Noun("Show and choose the server that commands use.", no_args_is_help=False)
+app = Subcommands("Show and choose the server that commands use.", no_args_is_help=False)
 NameArgument = Annotated[str, argument("NAME", autocompletion=options.complete_endpoint)]
 _SOURCES = {
     EndpointSource.argument: "it is given as an argument",
@@ -207,8 +207,8 @@ def show(ctx: typer.Context, as_json: AsJson = False) -> None:
         show_json({**fields, **_plain(saved)})
         return
     who, until = _who_until(saved)
-    place = [("endpoint", used.name), ("url", used.url), ("because", why)]
-    details([*place, ("signed in as", who), ("until", until), ("saved in", str(endpoints_file()))])
+    rows = [("endpoint", used.name), ("url", used.url), ("because", why)]
+    details([*rows, ("signed in as", who), ("until", until), ("saved in", str(endpoints_file()))])
 
 
 @app.command("list")

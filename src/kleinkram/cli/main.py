@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 import typer.main
 
-from kleinkram.cli.commands import Group, Noun, closest, print_requests, take_flag
+from kleinkram.cli.commands import Group, Subcommands, closest, print_requests, take_flag
 
 # name -> (module of kleinkram.cli, attribute, the line in `klein --help`)
 COMMANDS: dict[str, tuple[str, str, str]] = {
@@ -94,7 +94,7 @@ def load(name: str, target: Any) -> Any:
         group = typer.main.get_command(target)
         group.name = name
         return group
-    single = Noun("")
+    single = Subcommands("")
     single.command(name)(target)
     return typer.main.get_command(single)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import AsJson, Many, Noun, Text, argument, flag, option
+from kleinkram.cli.commands import AsJson, Many, Subcommands, Text, argument, flag, option
 from kleinkram.cli.filters import WhereOption, filter_of, projects_of
 from kleinkram.cli.render import Output, as_list, as_total, details, line, note, show_json, table
 from kleinkram.cli.units import count as count_of
@@ -16,7 +16,7 @@ from kleinkram.contract.files import BlobState, FileFilter, FileRead, RecordingR
 from kleinkram.contract.missions import MissionFilter, MissionRead, MissionSort
 from kleinkram.contract.names import is_id
 
-app = Noun("Manage missions: each is one outing of a robot, with the metadata that its project requires.")
+app = Subcommands("Manage missions: each is one outing of a robot, with the metadata that its project requires.")
 NameArgument = Annotated[
     Text, argument("MISSION", "Name or id of the mission.", autocompletion=options.complete_mission)
 ]
@@ -281,9 +281,9 @@ def show_files(files: Iterable[FileRead], *, to_stderr: bool = False) -> None:
     """Print files of any missions as a table."""
     cells = []
     for row in files:
-        place = (row.mission.project.name, row.mission.name, row.path)
+        location = (row.mission.project.name, row.mission.name, row.path)
         content = (row.content.value, row.message_count)
-        cells.append((*place, size(row.size_bytes), row.state.value, *content, *_times(row), row.id))
+        cells.append((*location, size(row.size_bytes), row.state.value, *content, *_times(row), row.id))
     headers = ["project", "mission", "path", "size", "bytes", "content", "messages", "start", "span", "id"]
     table(headers, cells, to_stderr=to_stderr)
 

@@ -13,7 +13,7 @@ from kleinkram.cli.commands import Many, Text, argument, flag, option
 from kleinkram.cli.errors import NotConfirmed
 from kleinkram.cli.render import escape
 from kleinkram.client._http import Api
-from kleinkram.client._nouns import pages
+from kleinkram.client._resources import pages
 from kleinkram.client.config import find_endpoint, load_endpoints
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.missions import MissionRead

@@ -5,17 +5,17 @@ from typing import Annotated
 import typer
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import Noun, Text, argument, flag, option
+from kleinkram.cli.commands import Subcommands, Text, argument, flag, option
 from kleinkram.cli.render import Output, as_details, as_table, details, line, moment, note, table
 from kleinkram.cli.units import count, parse_time
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
-from kleinkram.client.people import Place, find_grant
+from kleinkram.client.people import AccessResource, find_grant
 from kleinkram.contract.access import AccessRead, GrantRead, GroupRead, Right
 from kleinkram.contract.accounts import OneTimeLink
 from kleinkram.contract.people import PersonRead
 
-person_app = Noun("Manage people. You see those who share a group or a project with you; admins see all.")
+person_app = Subcommands("Manage people. You see those who share a group or a project with you; admins see all.")
 PersonArgument = Annotated[str, argument("PERSON", "Name, id, or an address that you may see.")]
 
 
@@ -122,7 +122,7 @@ def _person(person: PersonRead) -> Output:
     )
 
 
-group_app = Noun("Manage groups of people. Each member has the rights that were granted to the group.")
+group_app = Subcommands("Manage groups of people. Each member has the rights that were granted to the group.")
 GroupArgument = Annotated[str, argument("GROUP", "Name or id of the group.")]
 MembersArgument = Annotated[list[str], argument("PERSON", "Names, ids, or addresses that you may see.")]
 
@@ -229,7 +229,7 @@ def _group_details(group: GroupRead) -> list[tuple[str, object]]:
     ]
 
 
-access_app = Noun("Manage the rights on a project or a mission.")
+access_app = Subcommands("Manage the rights on a project or a mission.")
 GranteeOption = Annotated[
     str, option("--to", "WHO", "The e-mail address, or the name or id of the person or group.", show_default=False)
 ]
@@ -243,10 +243,10 @@ def list_access(
     grants: Annotated[bool, flag("--grants", "List what was granted here, including what has expired.")] = False,
 ) -> Output:
     """List who has which right on a project or mission now, and its source. Without WRITE, you see only your own."""
-    place = _place(client, project, mission)
+    resource = _resource(client, project, mission)
     if grants:
-        return as_table(client.access.grants(place), ["right", "to", "by", "until"], _grant_cells)
-    return as_table(client.access.ways(place), ["who", "right", "through", "until"], _access_cells)
+        return as_table(client.access.grants(resource), ["right", "to", "by", "until"], _grant_cells)
+    return as_table(client.access.ways(resource), ["who", "right", "through", "until"], _access_cells)
 
 
 @access_app.command("grant")
@@ -261,10 +261,10 @@ def grant(
     until: options.Until = None,
 ) -> Output:
     """Grant a right. It replaces the right that they were granted here before."""
-    place = _place(client, project, mission)
-    made = client.access.grant(place, client.access.grantee(to), right, expires_at=parse_time(until))
+    resource = _resource(client, project, mission)
+    made = client.access.grant(resource, client.access.grantee(to), right, expires_at=parse_time(until))
     end = f" until {moment(made.expires_at)}" if made.expires_at else ""
-    return Output(made, f"{made.to.name} has {made.right.value} on the {made.on.value} {place.name}{end}.")
+    return Output(made, f"{made.to.name} has {made.right.value} on the {made.on.value} {resource.name}{end}.")
 
 
 @access_app.command("revoke")
@@ -275,13 +275,13 @@ def revoke(
     mission: options.MissionOption = None,
 ) -> Output:
     """Revoke a right that was granted here. Rights from elsewhere stay: see `klein access list`."""
-    place = _place(client, project, mission)
-    target = find_grant(client.access.grants(place), to)
-    client.access.revoke(place, target.id)
-    return Output(target, f"Took {target.right.value} on the {target.on.value} {place.name} from {target.to.name}.")
+    resource = _resource(client, project, mission)
+    target = find_grant(client.access.grants(resource), to)
+    client.access.revoke(resource, target.id)
+    return Output(target, f"Took {target.right.value} on the {target.on.value} {resource.name} from {target.to.name}.")
 
 
-def _place(client: Client, project: Text, mission: Text) -> Place:
+def _resource(client: Client, project: Text, mission: Text) -> AccessResource:
     if mission is not None:
         return client.missions.get(mission, project=project)
     if project is None:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import Noun, Text, argument, option
+from kleinkram.cli.commands import Subcommands, Text, argument, option
 from kleinkram.cli.render import Output, as_table, as_total, details, line, note, table
 from kleinkram.cli.units import count as count_of
 from kleinkram.cli.units import parse_size, size, total_hours
@@ -12,7 +12,7 @@ from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.projects import ProjectRead, ProjectSort
 
-app = Noun("Manage projects, which contain missions, which contain files.")
+app = Subcommands("Manage projects, which contain missions, which contain files.")
 NameArgument = Annotated[
     Text, argument("PROJECT", "Name or id of the project.", autocompletion=options.complete_project)
 ]

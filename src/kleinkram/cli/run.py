@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import AsJson, Many, Noun, Text, argument, flag, option
+from kleinkram.cli.commands import AsJson, Many, Subcommands, Text, argument, flag, option
 from kleinkram.cli.errors import ExitCode, exit_code_of
 from kleinkram.cli.filters import Choice, WhereOption, filter_of, find_missions, ids_of, mission_query
 from kleinkram.cli.render import Output, as_list, as_table, as_total, note, show_json
@@ -176,7 +176,7 @@ def _exit_code(runs: Iterable[contract.RunRead]) -> int:
     return 0 if all(run.state is contract.RunState.done for run in runs) else ExitCode.run_failed
 
 
-app = Noun("Manage runs of actions on missions.")
+app = Subcommands("Manage runs of actions on missions.")
 RunArgument = Annotated[str, argument("RUN", "Id of the run.")]
 RunFilterArgument = Annotated[Text, argument("RUN", "Id of a run.")]
 CodeOption = Annotated[Text, option("--name", "GLOB", "Select by name, such as 'imu.*'.")]

@@ -8,13 +8,13 @@ from typing import Annotated
 
 import platformdirs
 
-from kleinkram.cli.commands import Many, Noun, Text, flag, option
+from kleinkram.cli.commands import Many, Subcommands, Text, flag, option
 from kleinkram.cli.render import Output, as_table, moment
 from kleinkram.cli.units import parse_size, size
 from kleinkram.client import Client
 from kleinkram.contract.runners import RunnerRead
 
-app = Noun("Run and list runners: machines that run actions.")
+app = Subcommands("Run and list runners: machines that run actions.")
 _FOLDER = "kleinkram-runner"
 
 
@@ -91,7 +91,7 @@ def list_(client: Client) -> Output:
 def _cells(row: RunnerRead) -> tuple[object, ...]:
     token = None
     if row.token is not None:
-        limits = [f"project {place.name}" for place in row.token.projects or []]
+        limits = [f"project {project.name}" for project in row.token.projects or []]
         limits += [f"label {label}" for label in row.token.labels or []]
         token = f"{row.token.name} (only {', '.join(limits)})" if limits else row.token.name
     seen = "now" if row.is_alive else moment(row.last_seen_at)

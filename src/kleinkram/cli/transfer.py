@@ -100,7 +100,7 @@ def _upload(
             mission, project=project if is_id(mission) else options.the_ref("project", None, project)
         )
     except NotFound as error:
-        if not settings.create or is_id(mission) or error.noun != "mission":
+        if not settings.create or is_id(mission) or error.resource_type != "mission":
             raise
     if settings.dry_run:
         if not is_json_requested():
@@ -263,10 +263,10 @@ def _show_verdicts(verdicts: list[FileVerdict]) -> None:
 
 def _named(verdicts: list[FileVerdict]) -> list[tuple[FileVerdict, str]]:
     """Return each verdict with its path, preceded by project and mission where there are several missions."""
-    places = [(one.file.mission.project.name, one.file.mission.name) if one.file else () for one in verdicts]
-    if len({place for place in places if place}) < 2:
+    locations = [(one.file.mission.project.name, one.file.mission.name) if one.file else () for one in verdicts]
+    if len({location for location in locations if location}) < 2:
         return [(one, one.path) for one in verdicts]
-    return [(one, "/".join([*place, one.path])) for one, place in zip(verdicts, places, strict=True)]
+    return [(one, "/".join([*location, one.path])) for one, location in zip(verdicts, locations, strict=True)]
 
 
 def _plain_verdict(one: FileVerdict) -> dict[str, object]:

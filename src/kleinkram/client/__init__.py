@@ -1,4 +1,4 @@
-"""The SDK: `connect()` returns a `Client` with one attribute a noun; `transfer` moves the bytes.
+"""The SDK: `connect()` returns a `Client` with one attribute per resource; `transfer` moves the bytes.
 
 Talks HTTP to one server and nothing else; never prints, never asks, never exits.
 """

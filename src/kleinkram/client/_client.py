@@ -1,4 +1,4 @@
-"""The client: one connection, with one attribute per noun."""
+"""The client: one connection, with one attribute per resource."""
 
 import importlib
 import logging
@@ -18,7 +18,7 @@ from kleinkram.client.errors import InvalidInput, NothingToDo
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from kleinkram.client._nouns import Ref
+    from kleinkram.client._resources import Ref
     from kleinkram.client.search import Condition, FileFields
     from kleinkram.client.transfer import TransferReport
     from kleinkram.contract.files import FileRead
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("kleinkram")
 
-# The modules of nouns that are not named after them.
+# The modules of resources that are not named after them.
 _MODULES = {
     "access": "people",
     "groups": "people",
@@ -54,7 +54,7 @@ _MODULES = {
 class Client:
     """A connection to one Kleinkram server. A context manager; may be shared between threads.
 
-    The module of a noun is imported on first use, which keeps short commands fast.
+    The module of a resource is imported on first use, which keeps short commands fast.
     """
 
     projects: "Projects"
@@ -118,11 +118,11 @@ class Client:
         try:
             mission_id = self.missions.get(mission, project=project).id
         except NotFound as error:
-            if not create or error.noun != "mission" or not isinstance(mission, str):
+            if not create or error.resource_type != "mission" or not isinstance(mission, str):
                 raise
             named, _, name = mission.rpartition("/")
-            place = project if project is not None else named or None
-            mission_id = self.missions.create(name, project=place, metadata=metadata).id
+            parent = project if project is not None else named or None
+            mission_id = self.missions.create(name, project=parent, metadata=metadata).id
         return upload(self, mission_id, plan, connections=connections, bytes_per_s=bytes_per_s)
 
     def download(
@@ -150,7 +150,7 @@ class Client:
 
         Raises:
             NothingToDo: no file matches, or nothing was selected.
-            PathsCollide: two files would have the same place.
+            PathsCollide: two files would have the same path.
             DiskFull, DestinationRefused: the folder cannot take them.
             ServerUnreachable, StoreUnreachable: one of them stayed unavailable.
         """
@@ -196,12 +196,12 @@ class Client:
 
     if not TYPE_CHECKING:  # type checkers read the annotations
 
-        def __getattr__(self, noun: str) -> object:
-            kind = Client.__annotations__.get(noun)
+        def __getattr__(self, name: str) -> object:
+            kind = Client.__annotations__.get(name)
             if kind is None:
-                raise AttributeError(f"{type(self).__name__!r} object has no attribute {noun!r}")
-            made = getattr(importlib.import_module(f"kleinkram.client.{_MODULES.get(noun, noun)}"), kind)(self._api)
-            setattr(self, noun, made)
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            made = getattr(importlib.import_module(f"kleinkram.client.{_MODULES.get(name, name)}"), kind)(self._api)
+            setattr(self, name, made)
             return made
 
     def __dir__(self) -> list[str]:

@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from kleinkram.client._http import query_of
-from kleinkram.client._nouns import Listing, NamedResource, Ref, checked, known_id, pages, resolve_one
+from kleinkram.client._resources import Listing, NamedResource, Ref, checked, known_id, pages, resolve_one
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.missions import Projects
 from kleinkram.contract.actions import (
@@ -45,7 +45,7 @@ _BLOCK = re.compile(r"(?m)^# /// script$\s(?P<content>(^#(| .*)$\s)+)^# ///$")
 class Actions(NamedResource[ActionRead]):
     """`client.actions`."""
 
-    _noun = "action"
+    _resource_type = "action"
 
     def list(
         self, *, name: str | None = None, project: Ref | None = None, archived: bool = False, limit: int | None = None
@@ -101,7 +101,7 @@ class Actions(NamedResource[ActionRead]):
         for version in self.versions(action.id):
             if version.number == number:
                 return version
-        raise NotFound(noun="version", ref=f"{action.name}@{number}")
+        raise NotFound(resource_type="version", ref=f"{action.name}@{number}")
 
     def archive(self, action_id: Ref, *, archived: bool = True, if_match: str | None = None) -> ActionRead:
         """Archive an action, which removes it from lists, or with `archived=False` restore it; its runs stay."""
@@ -114,8 +114,8 @@ class Actions(NamedResource[ActionRead]):
 
 def action_label(action: ActionRead) -> str:
     """Return an action as it is listed among candidates."""
-    place = f"{action.project.name}/{action.name}" if action.project else f"{action.name} of the whole lab"
-    return f"{place} ({action.id})"
+    full_name = f"{action.project.name}/{action.name}" if action.project else f"{action.name} of the whole lab"
+    return f"{full_name} ({action.id})"
 
 
 def read_manifest(path: Path) -> ActionDefinition:

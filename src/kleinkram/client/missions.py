@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing_extensions import Unpack
 
 from kleinkram.client._http import query_of
-from kleinkram.client._nouns import Listing, NamedResource, Ref, checked, count, known_id, pages, resolve_one
+from kleinkram.client._resources import Listing, NamedResource, Ref, checked, count, known_id, pages, resolve_one
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.search import MissionFields, as_mission_filter
 from kleinkram.contract.errors import NotFound
@@ -26,7 +26,7 @@ from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, Pro
 class Projects(NamedResource[ProjectRead]):
     """`client.projects`."""
 
-    _noun = "project"
+    _resource_type = "project"
 
     def list(
         self,
@@ -99,7 +99,7 @@ def project_label(project: ProjectRead) -> str:
 class Missions(NamedResource[MissionRead]):
     """`client.missions`."""
 
-    _noun = "mission"
+    _resource_type = "mission"
 
     def list(
         self,

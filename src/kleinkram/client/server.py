@@ -8,14 +8,14 @@ from collections.abc import Iterator
 from pydantic import RootModel
 
 from kleinkram.client._http import query_of
-from kleinkram.client._nouns import ApiResource, Listing, Ref, known_id, pages, resolve_one
+from kleinkram.client._resources import ApiResource, Listing, Ref, known_id, pages, resolve_one
 from kleinkram.client.errors import TimedOut
 from kleinkram.contract import admin
 from kleinkram.contract.accounts import AccountRead, IdentityRead, MeRead, OneTimeLink, SessionRead
 from kleinkram.contract.audit import AuditFilter, AuditRead, Change, Refetch
 from kleinkram.contract.home import HomeRead, HomeStorage
 from kleinkram.contract.people import ServiceRead
-from kleinkram.contract.projects import TrashNoun, TrashRead
+from kleinkram.contract.projects import TrashRead, TrashResourceType
 
 
 class Service(ApiResource):
@@ -133,27 +133,30 @@ class Audit(ApiResource):
 class Trash(ApiResource):
     """`client.trash`."""
 
-    def list(self, noun: TrashNoun | None = None) -> Listing[TrashRead]:
+    def list(self, resource_type: TrashResourceType | None = None) -> Listing[TrashRead]:
         """Yield what is in the trash, latest first."""
-        return pages(self._api, "/trash", TrashRead, query_of(None, noun=noun.value if noun else None))
+        return pages(
+            self._api, "/trash", TrashRead, query_of(None, resource_type=resource_type.value if resource_type else None)
+        )
 
-    def get(self, ref: Ref, *, noun: TrashNoun | None = None) -> TrashRead:
+    def get(self, ref: Ref, *, resource_type: TrashResourceType | None = None) -> TrashRead:
         """Return the thing in the trash with this id or name."""
-        rows = self.list(noun)
-        what = noun.value if noun else "deleted thing"
-        if (noun_id := known_id(ref, what)) is not None:
-            return resolve_one(what, str(noun_id), rows, name=lambda row: str(row.id), label=trash_label)
+        rows = self.list(resource_type)
+        what = resource_type.value if resource_type else "deleted thing"
+        if (resource_id := known_id(ref, what)) is not None:
+            return resolve_one(what, str(resource_id), rows, name=lambda row: str(row.id), label=trash_label)
         return resolve_one(what, str(ref), rows, name=lambda row: row.name, label=trash_label)
 
-    def restore(self, noun: TrashNoun, ref: Ref) -> None:
+    def restore(self, resource_type: TrashResourceType, ref: Ref) -> None:
         """Restore a deleted thing; NameTaken or FileExists where something else has its name now."""
-        self._api.post(f"/trash/{noun.value}/{known_id(ref, noun.value) or self.get(ref, noun=noun).id}/restore")
+        resource_id = known_id(ref, resource_type.value) or self.get(ref, resource_type=resource_type).id
+        self._api.post(f"/trash/{resource_type.value}/{resource_id}/restore")
 
 
 def trash_label(row: TrashRead) -> str:
     """Return a deleted thing as it is listed among candidates."""
-    place = f"{row.place}/" if row.place else ""
-    return f"{row.noun.value} {place}{row.name} ({row.id})"
+    location = f"{row.location}/" if row.location else ""
+    return f"{row.resource_type.value} {location}{row.name} ({row.id})"
 
 
 _POLL_S = 1.0
@@ -171,11 +174,11 @@ class Admin(ApiResource):
         return self._api.get("/admin/jobs", admin.AdminJobs)
 
     def retry_job(self, job_id: int) -> None:
-        """Put a job that failed permanently back into the queue."""
+        """Requeue a job that failed permanently."""
         self._api.post(f"/admin/jobs/{job_id}/retry")
 
     def retry_jobs(self) -> int:
-        """Put all jobs that failed permanently back into the queue, and return how many."""
+        """Requeue all jobs that failed permanently, and return how many."""
         return self._api.send("POST", "/admin/jobs/retry", admin.RetriedJobs).count
 
     def scrub(self) -> admin.ScrubState:

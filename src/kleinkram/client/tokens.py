@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kleinkram.client._http import query_of
-from kleinkram.client._nouns import ApiResource, HasId, Listing, Ref, checked, known_id, pages, resolve_one
+from kleinkram.client._resources import ApiResource, HasId, Listing, Ref, checked, known_id, pages, resolve_one
 from kleinkram.client.missions import Missions, Projects
 from kleinkram.contract.access import Scope, TokenKind
 from kleinkram.contract.tokens import ShareCreate, SharedRead, ShareMade, ShareRead, TokenCreate, TokenMade, TokenRead

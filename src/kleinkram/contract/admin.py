@@ -71,7 +71,7 @@ class AdminJobs(Response):
 
 
 class RetriedJobs(Response):
-    """The number of failed jobs that were put back into the queue."""
+    """The number of failed jobs that were requeued."""
 
     count: int
 

@@ -6,7 +6,7 @@ import uuid
 
 from kleinkram.contract.base import NamedRef, Response
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.missions import PlaceFilter
+from kleinkram.contract.missions import LocationFilter
 from kleinkram.contract.names import Term
 from kleinkram.contract.people import PersonRef
 
@@ -31,9 +31,9 @@ class AuditRead(Response):
     address: str | None
     as_admin: bool
     operation: str
-    noun: str
-    noun_id: uuid.UUID | None
-    noun_name: str
+    resource_type: str
+    resource_id: uuid.UUID | None
+    resource_name: str
     project_id: uuid.UUID | None
     mission_id: uuid.UUID | None
     before: Metadata
@@ -41,7 +41,7 @@ class AuditRead(Response):
     request_id: str | None
 
 
-class AuditFilter(PlaceFilter):
+class AuditFilter(LocationFilter):
     """A filter of events; all given conditions apply.
 
     `person`, `token` and `operation` may be globs: `anna*`, `file.*`. `since` is inclusive, `until` exclusive; times
@@ -54,8 +54,8 @@ class AuditFilter(PlaceFilter):
     token: Term | None = None
     token_id: uuid.UUID | None = None
     share_id: uuid.UUID | None = None
-    noun: Term | None = None
-    noun_id: uuid.UUID | None = None
+    resource_type: Term | None = None
+    resource_id: uuid.UUID | None = None
     operation: Term | None = None
     since: datetime.datetime | None = None
     until: datetime.datetime | None = None
@@ -73,7 +73,7 @@ class ChangeKind(str, enum.Enum):
 class Change(Response):
     """The event `change`. `id` is null if several objects changed at once, in that mission or project."""
 
-    noun: str
+    resource_type: str
     change: ChangeKind
     id: uuid.UUID | None
     project_id: uuid.UUID | None

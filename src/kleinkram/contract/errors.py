@@ -212,15 +212,15 @@ class LastSignInMethod(KleinkramError, status=409):
 class Forbidden(KleinkramError, status=403):
     """You may not {operation}: this requires {requirement}"""
 
-    noun: str
+    resource_type: str
     operation: str
     needs: str
 
     @property
     def requirement(self) -> str:
         """The missing right, its object, and the people who can grant it."""
-        if self.noun in {"project", "mission"}:
-            return f"{self.needs} on the {self.noun}. Ask one of its owners."
+        if self.resource_type in {"project", "mission"}:
+            return f"{self.needs} on the {self.resource_type}. Ask one of its owners."
         return f"{self.needs}."
 
 
@@ -238,9 +238,9 @@ class TokenTooWide(KleinkramError, status=403):
 
 
 class RightExceeded(KleinkramError, status=403):
-    """You may not grant {requested} on this {noun}: you have {own}. Nobody can grant more, or for longer, than they have."""  # noqa: E501  one sentence
+    """You may not grant {requested} on this {resource_type}: you have {own}. Nobody can grant more, or for longer, than they have."""  # noqa: E501  one sentence
 
-    noun: str
+    resource_type: str
     requested: str
     own: str
 
@@ -271,9 +271,9 @@ class GroupFixed(KleinkramError, status=409):
 
 
 class NotFound(KleinkramError, status=404):
-    """There is no {noun} {ref!r} that you may see."""
+    """There is no {resource_type} {ref!r} that you may see."""
 
-    noun: str
+    resource_type: str
     ref: str
 
 
@@ -290,9 +290,9 @@ class WrongClient(KleinkramError, status=404):  # the client of the original sho
 
 
 class AmbiguousName(KleinkramError, status=409):
-    """{ref!r} names more than one {noun}: {listing}. Use its id, or name what contains it."""
+    """{ref!r} names more than one {resource_type}: {listing}. Use its id, or name what contains it."""
 
-    noun: str
+    resource_type: str
     ref: str
     candidates: list[str]
 
@@ -303,16 +303,16 @@ class AmbiguousName(KleinkramError, status=409):
 
 
 class NameTaken(KleinkramError, status=409):
-    """There is already a {noun} named {name!r} here (names that differ only in case or Unicode form are the same)."""
+    """There is already a {resource_type} named {name!r} here (names that differ only in case or Unicode form are the same)."""  # noqa: E501  one sentence
 
-    noun: str
+    resource_type: str
     name: str
 
 
 class EditConflict(KleinkramError, status=412):
-    """The {noun} {name!r} was changed by somebody else after you read it. Your change was not saved; read it again, then repeat your change."""  # noqa: E501  one sentence
+    """The {resource_type} {name!r} was changed by somebody else after you read it. Your change was not saved; read it again, then repeat your change."""  # noqa: E501  one sentence
 
-    noun: str
+    resource_type: str
     name: str
     etag: str
 

@@ -104,7 +104,7 @@ class ProjectSort(str, enum.Enum):
     created_desc = "-created"
 
 
-class TrashNoun(str, enum.Enum):
+class TrashResourceType(str, enum.Enum):
     """What can be in the trash."""
 
     project = "project"
@@ -113,15 +113,15 @@ class TrashNoun(str, enum.Enum):
 
 
 class TrashRead(Response):
-    """A deleted object. `place` is the project of a mission, or project and mission of a file.
+    """A deleted object. `location` is the project of a mission, or project and mission of a file.
 
     Missions that were deleted with their project are restored with it, and not listed.
     """
 
-    noun: TrashNoun
+    resource_type: TrashResourceType
     id: uuid.UUID
     name: str
-    place: str
+    location: str
     size_bytes: int
     file_count: int
     deleted_at: datetime.datetime

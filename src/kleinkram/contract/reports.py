@@ -63,7 +63,7 @@ class Preview(Request):
     title: Annotated[str, AfterValidator(check_text), Field(max_length=200)] = ""
 
 
-class PutBack(Request):
+class MissionFile(Request):
     """An artifact that becomes the file `to` of the mission, made from the inputs `derived_from` (empty: all)."""
 
     path: FilePath
@@ -78,7 +78,7 @@ class Report(Request):
     metrics: Annotated[list[Metric], Field(max_length=MAX_METRICS)] = []
     previews: Annotated[list[Preview], Field(max_length=MAX_PREVIEWS)] = []
     metadata: BoundedMetadata = {}
-    put_back: Annotated[list[PutBack], Field(max_length=10_000)] = []
+    mission_files: Annotated[list[MissionFile], Field(max_length=10_000)] = []
 
 
 class Progress(Request):
@@ -96,7 +96,7 @@ class ReportEvent(Request):
     progress: Progress | None = None
     preview: Preview | None = None
     metadata: BoundedMetadata | None = None
-    put_back: PutBack | None = None
+    mission_file: MissionFile | None = None
 
     @model_validator(mode="after")
     def _has_one_field(self) -> Self:

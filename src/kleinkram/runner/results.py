@@ -130,12 +130,12 @@ def collect_results(out: Path) -> Results:
         report_error = f"{reports.REPORT_FILE} is not a report: {_first(error)}."
     report = _merged(_events(out, problems), report, problems)
     paths = {artifact.path for artifact in artifacts}
-    for path in [*(preview.path for preview in report.previews), *(artifact.path for artifact in report.put_back)]:
+    for path in [*(preview.path for preview in report.previews), *(artifact.path for artifact in report.mission_files)]:
         if path not in paths:
             problems.add(f"It reports the artifact {path}, which does not exist.")
     existing = {
         "previews": [preview for preview in report.previews if preview.path in paths],
-        "put_back": [artifact for artifact in report.put_back if artifact.path in paths],
+        "mission_files": [artifact for artifact in report.mission_files if artifact.path in paths],
     }
     return Results(artifacts, report.model_copy(update=existing), problems.sentences(), report_error)
 
@@ -250,7 +250,7 @@ def _merged(events: list[reports.ReportEvent], report: reports.Report, problems:
     all_metrics = [event.metric for event in events if event.metric] + report.metrics
     metrics = list({(metric.name, metric.file): metric for metric in all_metrics}.values())
     previews = {one.path: one for one in [event.preview for event in events] + [*report.previews] if one}
-    put_back = {one.to: one for one in [event.put_back for event in events] + [*report.put_back] if one}
+    mission_files = {one.to: one for one in [event.mission_file for event in events] + [*report.mission_files] if one}
     metadata = {name: value for event in events if event.metadata for name, value in event.metadata.items()}
     metadata |= report.metadata
     try:
@@ -267,7 +267,7 @@ def _merged(events: list[reports.ReportEvent], report: reports.Report, problems:
         metrics=metrics[: reports.MAX_METRICS],
         previews=list(previews.values()),
         metadata=metadata,
-        put_back=list(put_back.values()),
+        mission_files=list(mission_files.values()),
     )
 
 

@@ -25,9 +25,9 @@ _NOTIFY = text("SELECT pg_notify(:channel, payload) FROM unnest(CAST(:payloads A
 
 @dataclass(frozen=True)
 class ChangeEvent:
-    """One change. Without an id, it concerns several objects of the noun. `by_id` is the person who made the change."""
+    """One change. Without an id, it concerns several objects of the type. `by_id` is the person who made the change."""
 
-    noun: str
+    resource_type: str
     change: ChangeKind
     id: uuid.UUID | None = None
     project_id: uuid.UUID | None = None
@@ -36,7 +36,7 @@ class ChangeEvent:
 
 
 async def publish(db: Connection, events: Iterable[ChangeEvent]) -> None:
-    """Publish events as part of the caller's transaction; several of one noun in one place become one event."""
+    """Publish events as part of the caller's transaction; those of one type and mission become one event."""
     payloads = [json.dumps(astuple(event), default=str) for event in merge_events(events, max_alike=1)]
     if payloads:
         payloads = payloads if len(payloads) <= _MAX_EVENTS else [EVERYTHING]
@@ -54,5 +54,5 @@ def merge_events(events: Iterable[ChangeEvent], *, max_alike: int) -> list[Chang
 
 def read_event(payload: str) -> ChangeEvent:
     """Return the event that a payload holds."""
-    noun, change, *ids = json.loads(payload)
-    return ChangeEvent(noun, ChangeKind(change), *(uuid.UUID(value) if value else None for value in ids))
+    resource_type, change, *ids = json.loads(payload)
+    return ChangeEvent(resource_type, ChangeKind(change), *(uuid.UUID(value) if value else None for value in ids))

@@ -1,4 +1,4 @@
-"""The worker: a process that runs the jobs of the queue, and puts back jobs of dead workers.
+"""The worker: a process that runs the jobs of the queue, and requeues jobs of dead workers.
 
 It survives a restart of PostgreSQL: each queue reconnects.
 """
@@ -207,4 +207,4 @@ async def _rescue(app: App, job: ProcrastinateJob) -> None:
         else:
             await app.job_manager.retry_job(job, retry_at=datetime.datetime.now(datetime.timezone.utc))
     except ConnectorException as error:  # another worker took it, or the next round finds it
-        _log.warning("job not put back", extra={"fields": {"id": job.id, "reason": str(error)}})
+        _log.warning("job not requeued", extra={"fields": {"id": job.id, "reason": str(error)}})

@@ -65,15 +65,15 @@ def _grant(_: Principal) -> Any:
     return {"email": _new_email(), "right": Right.read.value}
 
 
-def _on_new_grant(method: str, noun: str, body: Any = None) -> Callable[[Principal], Request]:
+def _on_new_grant(method: str, resource_type: str, body: Any = None) -> Callable[[Principal], Request]:
     """Ask for something to be done with a grant that was made for it."""
 
     def request(by: Principal) -> Request:
-        place = filled(f"{{{noun}}}", by)
+        place = filled(f"{{{resource_type}}}", by)
         to = people.email_group(by.api, _new_email())
-        of = (place, None) if noun == "project" else (None, place)
+        of = (place, None) if resource_type == "project" else (None, place)
         grant_id = people.grant(by.api, to, Right.read, project_id=of[0], mission_id=of[1])
-        return Request(method, f"/{noun}s/{place}/grants/{grant_id}", body)
+        return Request(method, f"/{resource_type}s/{place}/grants/{grant_id}", body)
 
     return request
 

@@ -74,8 +74,8 @@ def requested(start_api: StartApi) -> ProxiedRequest:
         "token_id": people.token(api, member).id,
         "share_id": items.link,
         "grant_id": people.grant(api, group, Right.read, project_id=items.project),
-        "noun": "mission",
-        "noun_id": items.trashed_mission,
+        "resource_type": "mission",
+        "resource_id": items.trashed_mission,
         "name": "none",
     }
     principals = {name: {"Authorization": f"Bearer {secret}"} for name, secret in secrets.items()}

@@ -71,10 +71,10 @@ def test_a_grant_is_created_listed_changed_and_revoked(
     assert his.get(path).ok()["right"] == "READ"
     assert hers.delete(f"{path}/grants/{values['id']}").status == 204
     his.get(path).refused(404, "not_found")
-    message = [event for event in api.all("/audit", {"project_id": project["id"]}) if event["noun"] == "grant"]
+    message = [event for event in api.all("/audit", {"project_id": project["id"]}) if event["resource_type"] == "grant"]
     assert [event["operation"] for event in message] == ["grant.revoke", "grant.change", "grant.create"]
     assert [event["after"].get("right") for event in message] == [None, "READ", right]
-    assert {event["noun_name"] for event in message} == {bob.name}
+    assert {event["resource_name"] for event in message} == {bob.name}
 
 
 def test_an_equal_grant_changes_nothing_and_another_one_replaces_it(
@@ -280,7 +280,7 @@ def test_a_right_on_a_mission_shows_only_its_projects_name_in_lists(
     assert {row["person"]["id"] for row in his.all(f"{path}/access") if row["person"]} == {bob.id, carol.id}
     assert {row["to"]["id"] for row in his.all(f"{path}/grants")} == {bob.id, carol.id}
     assert api.events(shown["id"]) != []
-    message = api.all("/audit", {"mission_id": shown["id"], "noun": "grant"})
+    message = api.all("/audit", {"mission_id": shown["id"], "resource_type": "grant"})
     assert {(event["project_id"], event["mission_id"]) for event in message} == {(project["id"], shown["id"])}
 
 

@@ -280,7 +280,7 @@ def test_changed_affiliations_update_members_and_pass_projects_to_admins(start_a
     assert owners == {("lab", "DELETE"), ("admins", "DELETE")}
     (seen,) = api.all("/groups", {"name": "lab"})
     assert (seen["member_count"], seen["domains"]) == (0, [])
-    assert len(api.all("/audit", {"noun_id": lab["id"], "operation": "group.member"})) == 4
+    assert len(api.all("/audit", {"resource_id": lab["id"], "operation": "group.member"})) == 4
     api.delete(f"/groups/{lab['id']}").ok(204)
 
 
@@ -303,7 +303,7 @@ def test_several_processes_can_start_at_once(start_api: Callable[..., Api]) -> N
         start.join()
     (seen,) = api.all("/groups", {"name": "Lab"})
     assert seen["member_count"] == 5
-    assert len(api.all("/audit", {"noun_id": seen["id"], "operation": "group.member"})) == 5
+    assert len(api.all("/audit", {"resource_id": seen["id"], "operation": "group.member"})) == 5
 
 
 def _run(api: Api, affiliations: list[Affiliation] | None, *, join: tuple[str, str] | None = None) -> None:

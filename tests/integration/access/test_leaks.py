@@ -79,7 +79,11 @@ def test_a_name_taken_by_a_hidden_object_reveals_nothing_else(api: Api, hidden: 
     """Names of projects are one space, as people speak of them: see docs/access.md. Whose it is, is not answers."""
     problem = api.as_(member.token).post("/projects", {"name": hidden["name"]}).refused(409, "name_taken")
     message = problem.keys() - {"type", "title", "status", "detail", "code", "request_id"}
-    assert (message, problem["noun"], problem["name"]) == ({"noun", "name"}, "project", hidden["name"])
+    assert (message, problem["resource_type"], problem["name"]) == (
+        {"resource_type", "name"},
+        "project",
+        hidden["name"],
+    )
 
 
 def test_a_hash_does_not_reveal_whether_the_bytes_exist(api: Api, hidden: Any, member: Person) -> None:

@@ -239,9 +239,9 @@ class History:
     def restore(self) -> None:
         """An admin has something back."""
         place = self.choose.choice([*self.rights.deleted] or ["alps"])
-        noun = "mission" if place in self.rights.project_of else "project"
+        resource_type = "mission" if place in self.rights.project_of else "project"
         may = place in self.rights.deleted and self.rights.project_of.get(place) not in self.rights.deleted
-        answer = self._as("owner").post(f"/trash/{noun}/{self.ids[place]}/restore")
+        answer = self._as("owner").post(f"/trash/{resource_type}/{self.ids[place]}/restore")
         if self._saw(answer, 204 if may else 404, "owner restores", place):
             self.rights.deleted.remove(place)
 

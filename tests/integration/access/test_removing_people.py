@@ -45,11 +45,11 @@ def test_sessions_tokens_and_links_end_at_once(api: Api, ada: Person) -> None:
     guest.get(f"/missions/{mission['id']}").refused(401, "not_authenticated")
     cookie = {"Cookie": f"kleinkram={browser}"}
     api.as_(None).call("GET", "/projects", headers=cookie).refused(401, "not_authenticated")
-    message = api.all("/audit", {"noun_id": second.id}) + api.all(
-        "/audit", {"noun": "share", "mission_id": mission["id"]}
+    message = api.all("/audit", {"resource_id": second.id}) + api.all(
+        "/audit", {"resource_type": "share", "mission_id": mission["id"]}
     )
     assert [event["operation"] for event in message] == ["token.revoke", "share.revoke"]
-    (left,) = api.all("/audit", {"noun_id": ada.id, "operation": "person.deactivate"})
+    (left,) = api.all("/audit", {"resource_id": ada.id, "operation": "person.deactivate"})
     assert (left["after"]["tokens"], left["after"]["projects"], left["as_admin"]) == (2, [project["name"]], True)
 
 
@@ -66,7 +66,7 @@ def test_projects_without_another_owner_pass_to_the_admins(api: Api, ada: Person
     assert "admins" not in [row["to"]["name"] for row in api.all(f"/projects/{shared['id']}/grants")]
     api.post(f"/trash/project/{trashed['id']}/restore").ok(204)
     message = api.all("/audit", {"project_id": alone["id"], "operation": "grant.create"})
-    assert [(event["noun_name"], event["after"]["right"]) for event in message] == [("admins", "DELETE")]
+    assert [(event["resource_name"], event["after"]["right"]) for event in message] == [("admins", "DELETE")]
     # Her name stays in the record, and beside what she made.
     assert api.get(f"/projects/{alone['id']}").ok()["created_by"] == {"id": ada.id, "name": ada.name}
 
@@ -97,7 +97,7 @@ def test_reactivation_restores_memberships_and_grants_but_no_tokens(api: Api, ad
     api.as_(ada.token).get("/projects").refused(401, "not_authenticated")
     fresh = api.as_(token(api, ada).secret)
     assert fresh.get(f"/projects/{project['id']}").ok()["right"] == "WRITE"
-    assert len(api.all("/audit", {"noun_id": ada.id, "operation": "person.reactivate"})) == 1
+    assert len(api.all("/audit", {"resource_id": ada.id, "operation": "person.reactivate"})) == 1
 
 
 def test_the_last_active_owner_cannot_leave_after_the_other_was_removed(api: Api, ada: Person) -> None:

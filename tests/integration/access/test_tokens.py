@@ -94,11 +94,11 @@ def test_a_token_cannot_be_limited_to_objects_its_creator_cannot_see(api: Api) -
     hers.post("/tokens", {"name": "x", "mission_ids": [other["id"]]}).refused(404, "not_found")
     hers.post("/tokens", {"name": "x", "mission_ids": [mission["id"], mission["id"]]}).ok(201)
     made = _made(hers, project_ids=[seen["id"]])
-    assert made["token"]["limits"] == [{"noun": "project", "id": seen["id"], "name": seen["name"]}]
+    assert made["token"]["limits"] == [{"resource_type": "project", "id": seen["id"], "name": seen["name"]}]
     # What she may no longer see keeps its id there, and loses its name.
     api.sql("DELETE FROM access_grant WHERE group_id = %s", ada.group_id)
     (limit,) = {item["id"]: item for item in hers.all("/tokens")}[made["token"]["id"]]["limits"]
-    assert limit == {"noun": "project", "id": seen["id"], "name": None}
+    assert limit == {"resource_type": "project", "id": seen["id"], "name": None}
 
 
 def test_a_token_cannot_create_a_wider_token(api: Api) -> None:

@@ -21,7 +21,10 @@ def own(start_api: StartApi) -> Api:
 
 def _looks(api: Api, who: Person) -> list[Any]:
     query = {"person_id": who.id, "operation": "admin.read"}
-    return [(event["noun"], event["noun_id"] or event["noun_name"]) for event in reversed(api.all("/audit", query))]
+    return [
+        (event["resource_type"], event["resource_id"] or event["resource_name"])
+        for event in reversed(api.all("/audit", query))
+    ]
 
 
 def test_admin_reads_are_audited_once_an_hour_for_each_object(own: Api) -> None:

@@ -25,18 +25,22 @@ def test_events_are_listed_latest_first(api: Api) -> None:
     events = api.all("/audit", {"project_id": project["id"], "limit": "1"})
     assert [event["operation"] for event in events] == ["mission.update", "mission.create", "project.create"]
     latest = events[0]
-    assert (latest["noun"], latest["noun_id"], latest["noun_name"]) == ("mission", mission["id"], mission["name"])
+    assert (latest["resource_type"], latest["resource_id"], latest["resource_name"]) == (
+        "mission",
+        mission["id"],
+        mission["name"],
+    )
     assert (latest["actor"]["name"], latest["request_id"]) == ("owner", "my-request")
     assert (latest["before"], latest["after"]) == ({"notes": ""}, {"notes": "x"})
 
 
-def test_events_are_filtered_by_noun(api: Api) -> None:
+def test_events_are_filtered_by_resource_type(api: Api) -> None:
     project = api.project()
     mission = api.mission(project["id"])
-    query = {"project_id": project["id"], "noun": "mission"}
-    assert [event["noun_id"] for event in api.all("/audit", query)] == [mission["id"]]
-    assert api.all("/audit", {"noun_id": str(uuid.uuid4())}) == []
-    assert api.all("/audit", {**query, "noun": "colour"}) == []
+    query = {"project_id": project["id"], "resource_type": "mission"}
+    assert [event["resource_id"] for event in api.all("/audit", query)] == [mission["id"]]
+    assert api.all("/audit", {"resource_id": str(uuid.uuid4())}) == []
+    assert api.all("/audit", {**query, "resource_type": "colour"}) == []
 
 
 def test_failed_requests_write_no_audit_entry(api: Api) -> None:
@@ -46,7 +50,7 @@ def test_failed_requests_write_no_audit_entry(api: Api) -> None:
 
 
 def test_invalid_query_parameters_are_named(api: Api) -> None:
-    api.get("/audit", {"noun_id": "x"}).refused(422, "invalid_request")
+    api.get("/audit", {"resource_id": "x"}).refused(422, "invalid_request")
     api.get("/audit", {"colour": "red"}).refused(422, "invalid_request")
     api.get("/audit", {"cursor": "x"}).refused(422, "invalid_cursor")
     api.post("/audit", {}).refused(405, "method_not_allowed")
@@ -94,8 +98,8 @@ def _operations(answer: Answer) -> list[str]:
         ({"person": "owner"}, ["project.create"]),
         ({"token_id": "robot"}, ["file.download"]),
         ({"token": "local own*"}, ["project.create"]),
-        ({"noun": "file"}, ["file.download"]),
-        ({"noun_id": "mission"}, ["mission.create"]),
+        ({"resource_type": "file"}, ["file.download"]),
+        ({"resource_id": "mission"}, ["mission.create"]),
         ({"mission_id": "mission"}, ["file.download", "mission.create"]),
         ({"operation": "*.create"}, ["mission.create", "project.create"]),
         ({"operation": "mission_create"}, []),
@@ -160,7 +164,7 @@ def test_owners_see_events_of_their_projects_without_addresses_of_others(api: Ap
     assert [event["address"] for event in own] == ["127.0.0.1"]
     assert api.as_(owner.token).all("/audit", {"project_id": other}) == []
     assert api.as_(reader.token).all("/audit") == []
-    assert api.as_(reader.token).all("/audit", {"noun_id": lab["mission"]}) == []
+    assert api.as_(reader.token).all("/audit", {"resource_id": lab["mission"]}) == []
     api.as_(None).get("/audit").refused(401, "not_authenticated")
 
 

@@ -38,7 +38,7 @@ WRITES: dict[str, set[str]] = {
     "cancel_run": {"[run.cancel]"},
     "download_artifacts": {"run.download"},
     "register_runner": {"[runner.register]"},
-    "finish_run": {"[run.end]", "[file.put_back]"},
+    "finish_run": {"[run.end]", "[file.create]"},
     # What a runner says of a run while it lasts; what comes of it is written when the run ends.
     "claim_run": set(),
     "send_heartbeats": set(),

@@ -33,7 +33,11 @@ def test_a_failed_sign_in_is_audited_without_its_token(start_api: StartApi, sent
     headers = {"Authorization": sent, "X-Request-Id": "mine"}
     api.call("GET", f"/projects/{uuid.uuid4()}", headers=headers).refused(401, "not_authenticated")
     (event,) = _noted(api, "auth.refused")
-    assert (event["actor"], event["noun"], event["noun_name"]) == (None, "request", "GET /api/v1/projects/{project_id}")
+    assert (event["actor"], event["resource_type"], event["resource_name"]) == (
+        None,
+        "request",
+        "GET /api/v1/projects/{project_id}",
+    )
     assert (event["after"]["reason"], event["address"], event["request_id"]) == (reason, "127.0.0.1", "mine")
     assert sent.split()[1] not in str(event)
 
@@ -42,13 +46,13 @@ def test_a_denial_is_recorded_although_the_transaction_is_rolled_back(start_api:
     api = start_api()
 
     async def forbidden(db: Transaction, actor: CurrentActor) -> None:
-        raise Forbidden(noun="project", operation="delete", needs="DELETE")
+        raise Forbidden(resource_type="project", operation="delete", needs="DELETE")
 
     api.app.add_api_route("/api/v1/forbidden", forbidden, operation_id="get_service")
     api.get("/forbidden").refused(403, "forbidden")
     (event,) = _noted(api, "access.denied")
-    assert (event["actor"]["name"], event["noun_name"]) == ("owner", "GET /api/v1/forbidden")
-    assert event["after"] == {"noun": "project", "operation": "delete", "needs": "DELETE"}
+    assert (event["actor"]["name"], event["resource_name"]) == ("owner", "GET /api/v1/forbidden")
+    assert event["after"] == {"resource_type": "project", "operation": "delete", "needs": "DELETE"}
     assert event["address"] == "127.0.0.1"
 
 
@@ -112,7 +116,7 @@ def test_creation_and_revocation_of_owner_tokens_are_audited(start_api: StartApi
                 await ensure_owner(db, "another secret")
 
     on_site(api, replace)
-    operations = api.sql("SELECT operation, noun_id FROM audit_event WHERE noun = 'token' ORDER BY id")
+    operations = api.sql("SELECT operation, resource_id FROM audit_event WHERE resource_type = 'token' ORDER BY id")
     tokens = [row[0] for row in api.sql("SELECT id FROM token ORDER BY created_at")]
     assert operations == [("token.create", tokens[0]), ("token.revoke", tokens[0]), ("token.create", tokens[1])]
 

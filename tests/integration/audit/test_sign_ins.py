@@ -23,15 +23,15 @@ def _latest(api: Api, operation: str) -> Any:
 def test_sign_in_and_sign_out_are_recorded_with_their_session(api: Api) -> None:
     ada = account(api)
     made = _latest(api, "person.create")
-    assert (made["actor"], made["noun_id"], made["address"]) == (None, ada.id, "127.0.0.1")
+    assert (made["actor"], made["resource_id"], made["address"]) == (None, ada.id, "127.0.0.1")
     browser = Browser(api)
     sign_in(browser, ada.email)
     began = _latest(api, "session.create")
-    assert (began["actor"]["id"], began["session_id"]) == (ada.id, began["noun_id"])
+    assert (began["actor"]["id"], began["session_id"]) == (ada.id, began["resource_id"])
     assert (began["after"], began["address"]) == ({"method": "password"}, "127.0.0.1")
     browser.post("/auth/sign-out").ok(204)
     ended = _latest(api, "session.revoke")
-    assert (ended["noun_id"], ended["actor"]["id"]) == (began["noun_id"], ada.id)
+    assert (ended["resource_id"], ended["actor"]["id"]) == (began["resource_id"], ada.id)
 
 
 def test_a_failed_sign_in_is_recorded_without_the_input(api: Api) -> None:
@@ -40,7 +40,7 @@ def test_a_failed_sign_in_is_recorded_without_the_input(api: Api) -> None:
         401, "sign_in_failed"
     )
     event = _latest(api, "auth.refused")
-    assert (event["noun_name"], event["address"]) == ("POST /api/v1/auth/password", "127.0.0.1")
+    assert (event["resource_name"], event["address"]) == ("POST /api/v1/auth/password", "127.0.0.1")
     assert typed not in str(event)
 
 
@@ -58,7 +58,7 @@ def test_approval_of_a_program_is_recorded(api: Api, act: str, message: str) -> 
     shown = api.as_(None).post("/auth/device", {"client": "klein on anymal"}).ok()["user_code"]
     ada.browser.post(f"/auth/device/{act}", {"user_code": shown}).ok()
     event = _latest(api, message)
-    assert (event["actor"]["id"], event["noun_name"]) == (ada.id, "klein on anymal")
+    assert (event["actor"]["id"], event["resource_name"]) == (ada.id, "klein on anymal")
     assert event["session_id"] is not None
 
 
@@ -67,7 +67,7 @@ def test_too_many_attempts_are_refused_and_recorded(start_api: StartApi) -> None
     wrong = {"email": any_email(), "password": "not the right one"}
     answers = [Browser(api).post("/auth/password", wrong) for _ in range(5)]
     assert {answer.status for answer in answers} == {401, 429}
-    assert _latest(api, "rate.limited")["noun_name"] == "POST /api/v1/auth/password"
+    assert _latest(api, "rate.limited")["resource_name"] == "POST /api/v1/auth/password"
 
 
 def test_reuse_of_a_code_is_recorded(api: Api) -> None:
@@ -75,5 +75,5 @@ def test_reuse_of_a_code_is_recorded(api: Api) -> None:
     Browser(api).post("/auth/link", {"code": link}).ok()
     Browser(api).post("/auth/link", {"code": link}).refused(410, "code_gone")
     event = _latest(api, "auth.refused")
-    assert (event["noun_name"], event["actor"]) == ("POST /api/v1/auth/link", None)
+    assert (event["resource_name"], event["actor"]) == ("POST /api/v1/auth/link", None)
     assert link not in str(event)

@@ -67,7 +67,7 @@ def test_unlinking_a_provider_ends_nothing_else(lab: Lab) -> None:
     assert by_provider.is_signed_in(), "sessions stay"
     assert lab.api.as_(token.secret).get("/me").ok()["emails"] == [made.email]
     (event,) = [item for item in lab.api.events(linked["id"]) if item["operation"] == "identity.unlink"]
-    assert (event["noun_name"], event["before"]["email"]) == ("The Lab", made.email)
+    assert (event["resource_name"], event["before"]["email"]) == ("The Lab", made.email)
     sign_in(Browser(lab.api), made.email)
     _unlink(made.browser, linked).refused(404, "not_found")
 

@@ -66,7 +66,7 @@ def test_the_code_in_the_log_makes_the_first_admin_once(fresh: Api, caplog: pyte
         Browser(fresh).post("/auth/bootstrap", _bootstrap(used)).refused(410, "code_gone")
     assert Browser(fresh).get("/api/v1/auth/methods").ok()["bootstrap"] is False
     event = ada.get("/api/v1/audit?operation=server.bootstrap").ok()["items"][0]
-    assert event["noun_id"] == ada.me()["person"]["id"]
+    assert event["resource_id"] == ada.me()["person"]["id"]
 
 
 def test_a_wrong_code_makes_no_admin(fresh: Api, caplog: pytest.LogCaptureFixture) -> None:

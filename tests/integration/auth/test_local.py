@@ -78,7 +78,7 @@ def test_failed_sign_ins_are_audited_without_the_input(start_api: StartApi) -> N
     api = start_api()
     Browser(api).post("/auth/password", {"email": "ada@lab.example", "password": "hunter2-hunter2"})
     (event,) = (item for item in api.all("/audit") if item["operation"] == "auth.refused")
-    assert event["noun_name"] == "POST /api/v1/auth/password"
+    assert event["resource_name"] == "POST /api/v1/auth/password"
     assert "hunter2" not in str(event)
 
 

@@ -26,7 +26,7 @@ Change = Callable[[dict[str, Any]], dict[str, Any]]
 def latest_refusal(api: Api) -> Any:
     """Return what the record says of the last way back from a provider that was refused."""
     events = api.get("/audit", {"operation": "auth.refused", "limit": "20"}).ok()["items"]
-    return next(event["after"] for event in events if event["noun_name"] == "GET /sign-in/callback/{provider}")
+    return next(event["after"] for event in events if event["resource_name"] == "GET /sign-in/callback/{provider}")
 
 
 def test_the_first_sign_in_creates_an_account_and_the_next_opens_it(lab: Lab) -> None:
@@ -71,7 +71,9 @@ def test_a_trusted_address_opens_the_existing_account(lab: Lab) -> None:
     assert browser.me()["person"]["id"] == made.id
     (own,) = browser.get("/api/v1/me/identities").ok()
     assert (own["issuer"], own["email"]) == (lab.provider.url, made.email)
-    (event,) = (item for item in lab.api.all("/audit", {"noun": "identity"}) if item["noun_id"] == own["id"])
+    (event,) = (
+        item for item in lab.api.all("/audit", {"resource_type": "identity"}) if item["resource_id"] == own["id"]
+    )
     assert (event["operation"], event["after"]["person_id"]) == ("identity.link", made.id)
 
 

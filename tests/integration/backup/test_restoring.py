@@ -52,7 +52,9 @@ def test_every_row_and_every_byte_are_restored(populated: Api, instances: EmptyI
             # The serving role cannot see sequences of newer tables; they continue above the highest id all the same.
             last = "SELECT max(id) FROM mission_topic"
             assert database.execute(last).fetchall() == populated.sql(last)
-            event = "INSERT INTO audit_event (operation, noun, noun_name) VALUES ('t', 't', 't') RETURNING id"
+            event = (
+                "INSERT INTO audit_event (operation, resource_type, resource_name) VALUES ('t', 't', 't') RETURNING id"
+            )
             highest = populated.sql("SELECT max(id) FROM audit_event")[0][0]
             row = database.execute(event).fetchone()
             assert row is not None

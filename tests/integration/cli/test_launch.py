@@ -57,7 +57,7 @@ def test_an_unpublished_action_is_run_and_followed(tmp_path: Path) -> None:
 
 def test_a_version_of_an_action_can_be_run() -> None:
     action, older = action_read("look", number=4), action_read("look", number=3).latest
-    refusal = RunRefused(mission_id=MISSION.id, problem=to_problem(NotFound(noun="mission", ref="day"), "r"))
+    refusal = RunRefused(mission_id=MISSION.id, problem=to_problem(NotFound(resource_type="mission", ref="day"), "r"))
     with scripted(page(MISSION), page(action), page(action.latest, older), RunsCreated(items=[refusal])) as script:
         ran = klein(script, "action", "run", "look@3", "-m", "day")
     assert ran.exit_code == ExitCode.not_found

@@ -9,7 +9,7 @@ from kleinkram.contract.audit import Change, Refetch
 from tests.scripted_server import scripted
 
 NOTHING = {"id": None, "project_id": None, "mission_id": None}
-CHANGE = f"event: change\ndata: {json.dumps({'noun': 'mission', 'change': 'changed', **NOTHING})}\n\n".encode()
+CHANGE = f"event: change\ndata: {json.dumps({'resource_type': 'mission', 'change': 'changed', **NOTHING})}\n\n".encode()
 REFETCH = b'event: refetch\ndata: {"reason": "missed"}\n\n'
 
 

@@ -19,20 +19,20 @@ def test_the_package_exports_its_public_names() -> None:
             assert getattr(module, name) is not None
 
 
-def test_a_client_has_one_attribute_per_noun() -> None:
+def test_a_client_has_one_attribute_per_resource() -> None:
     with kleinkram.client.Client(Endpoint("x", "http://127.0.0.1:9", "t", EndpointSource.argument)) as client:
-        nouns = {name for name in dir(client) if not name.startswith("_")} - {"endpoint", "close", "upload", "download"}
-        assert all(getattr(client, noun) is getattr(client, noun) for noun in nouns)
+        names = {name for name in dir(client) if not name.startswith("_")} - {"endpoint", "close", "upload", "download"}
+        assert all(getattr(client, name) is getattr(client, name) for name in names)
         with pytest.raises(AttributeError, match="robots"):
             client.robots  # type: ignore[attr-defined]  # noqa: B018  that is what is tried
-    assert nouns >= {"projects", "missions", "files", "recordings", "uploads", "trash", "stats", "audit"}
-    assert nouns >= {"service", "me", "search", "actions", "runs"}
+    assert names >= {"projects", "missions", "files", "recordings", "uploads", "trash", "stats", "audit"}
+    assert names >= {"service", "me", "search", "actions", "runs"}
 
 
 def test_exports_are_imported_on_first_use() -> None:
     program = (
         "import sys, kleinkram; client = kleinkram.connect('http://127.0.0.1:9', 'a token'); client.projects\n"
-        "sys.exit(any(f'kleinkram.client.{noun}' in sys.modules for noun in ('actions', 'runs', 'admin', 'tokens')))"
+        "sys.exit(any(f'kleinkram.client.{name}' in sys.modules for name in ('actions', 'runs', 'admin', 'tokens')))"
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 

@@ -29,7 +29,7 @@ def _marked(api: Api, ears: Ears, mission_id: str) -> None:
     made = api.post(f"/missions/{mission_id}/uploads", {"files": [{"path": "mark", "size_bytes": 1}]}).ok()
     upload_id = made["items"][0]["upload"]["id"]
     api.delete(f"/uploads/{upload_id}").ok(204)
-    ears.receive(noun="upload", id=upload_id, change="removed")
+    ears.receive(resource_type="upload", id=upload_id, change="removed")
 
 
 def test_events_follow_a_file_from_announcement_to_summary_and_verification(lab: Api) -> None:
@@ -39,33 +39,33 @@ def test_events_follow_a_file_from_announcement_to_summary_and_verification(lab:
     people.grant(lab, member, Right.read, mission_id=mission["id"])
     with listening(lab.as_(member.token)) as ears:
         begun = begin(lab, mission["id"], {"seen.txt": b"some words"})[0]["upload"]
-        message = ears.receive(noun="upload", id=begun["id"], change="created")
+        message = ears.receive(resource_type="upload", id=begun["id"], change="created")
         assert (message["mission_id"], message["project_id"]) == (mission["id"], project["id"])
         send(lab, begun, b"some words")
         file_id = complete(lab, begun, b"some words")["file"]["id"]
-        ears.receive(noun="upload", id=begun["id"], change="removed")
-        message = ears.receive(noun="file", id=file_id, change="created")
-        assert set(message) == {"noun", "change", "id", "project_id", "mission_id"}, "no contents"
+        ears.receive(resource_type="upload", id=begun["id"], change="removed")
+        message = ears.receive(resource_type="file", id=file_id, change="created")
+        assert set(message) == {"resource_type", "change", "id", "project_id", "mission_id"}, "no contents"
         run_jobs(lab)
-        ears.receive(noun="file", id=file_id, change="changed")
-        ears.receive(noun="recording", change="changed", mission_id=mission["id"])
+        ears.receive(resource_type="file", id=file_id, change="changed")
+        ears.receive(resource_type="recording", change="changed", mission_id=mission["id"])
 
 
 def test_creating_renaming_moving_and_deleting_send_events(lab: Api) -> None:
     project, target = lab.project(), lab.project()
     with listening(lab) as ears:
         mission = lab.mission(project["id"])
-        ears.receive(noun="mission", id=mission["id"], change="created")
+        ears.receive(resource_type="mission", id=mission["id"], change="created")
         file = upload(lab, mission["id"], "a.txt", b"a file that is renamed")
         lab.patch(f"/files/{file['id']}", {"path": "b.txt"}).ok()
-        ears.receive(noun="file", id=file["id"], change="changed", mission_id=mission["id"])
+        ears.receive(resource_type="file", id=file["id"], change="changed", mission_id=mission["id"])
         lab.delete(f"/files/{file['id']}").ok()
-        ears.receive(noun="file", id=file["id"], change="removed")
+        ears.receive(resource_type="file", id=file["id"], change="removed")
         lab.patch(f"/missions/{mission['id']}", {"project_id": target["id"]}).ok()
-        ears.receive(noun="mission", id=mission["id"], change="removed", project_id=project["id"])
-        ears.receive(noun="mission", id=mission["id"], change="created", project_id=target["id"])
+        ears.receive(resource_type="mission", id=mission["id"], change="removed", project_id=project["id"])
+        ears.receive(resource_type="mission", id=mission["id"], change="created", project_id=target["id"])
         lab.delete(f"/missions/{mission['id']}").ok()
-        ears.receive(noun="mission", id=mission["id"], change="removed", project_id=target["id"])
+        ears.receive(resource_type="mission", id=mission["id"], change="removed", project_id=target["id"])
 
 
 def test_events_of_hidden_objects_are_not_sent(lab: Api) -> None:
@@ -88,9 +88,9 @@ def test_many_changes_at_once_are_one_event(lab: Api) -> None:
     mission = lab.mission(lab.project()["id"])
     with listening(lab) as ears, lab.statements() as statements:
         upload_all(lab, mission["id"], {f"{number}.txt": f"file {number}".encode() for number in range(30)})
-        ears.receive(noun="file", id=None, change="created", mission_id=mission["id"])
+        ears.receive(resource_type="file", id=None, change="created", mission_id=mission["id"])
         _marked(lab, ears, mission["id"])
-    message = [event for event in ears.events if event[1]["noun"] == "file"]
+    message = [event for event in ears.events if event[1]["resource_type"] == "file"]
     assert len(message) == 1, "not one event a file"
     announced, finished, marks = 1, 2, 2
     assert sum("pg_notify" in item for item in statements) <= announced + finished + marks
@@ -119,7 +119,7 @@ def test_a_stream_ends_with_its_session_or_token(lab: Api, end: Callable[[Api, p
         lab.patch(f"/missions/{mission['id']}", {"notes": "not for them any more"}).ok()
         ears.ends()
         assert time.monotonic() - ended_at < 10
-        assert [data for event, data in ears.events if event == "change" and data["noun"] == "mission"] == []
+        assert [data for event, data in ears.events if event == "change" and data["resource_type"] == "mission"] == []
 
 
 def test_signing_out_ends_the_stream_of_the_browser(lab: Api) -> None:
@@ -152,7 +152,7 @@ def test_a_reconnecting_client_receives_missed_events(lab: Api) -> None:
         last = ears.last_id
     made = lab.mission(mission["project"]["id"])
     with listening(lab, after=last) as ears:
-        ears.receive(noun="mission", id=made["id"], change="created")
+        ears.receive(resource_type="mission", id=made["id"], change="created")
         assert all(event == "change" for event, _ in ears.events)
         last = ears.last_id
     headers = {"Authorization": f"Bearer {lab.token}", "Last-Event-ID": "gone-5"}

@@ -73,4 +73,4 @@ def test_clients_reload_after_a_restart_of_the_database(
         )
         ears.until(lambda: ("refetch", {"reason": "missed"}) in ears.events)
         made = api.project()
-        ears.receive(noun="project", id=made["id"], change="created")
+        ears.receive(resource_type="project", id=made["id"], change="created")

@@ -129,7 +129,7 @@ def test_does_not_move_to_a_mission_that_is_not_there(api: Api, sample: Sample, 
     gone = api.mission(api.project()["id"])["id"]
     api.delete(f"/missions/{gone}").ok()
     file_id = sample.file(mission, "a.mcap")
-    assert api.patch(f"/files/{file_id}", {"mission_id": gone}).refused(404, "not_found")["noun"] == "mission"
+    assert api.patch(f"/files/{file_id}", {"mission_id": gone}).refused(404, "not_found")["resource_type"] == "mission"
     assert api.sql("SELECT 1 FROM procrastinate_jobs WHERE args ->> 'ref' IN (%s, %s)", gone, mission) == []
 
 
@@ -174,19 +174,19 @@ def test_the_audit_log_names_who_requested_a_verification(api: Api, sample: Samp
     file_id = sample.file(mission, "a.mcap")
     api.post(f"/files/{file_id}/verify").ok(202)
     (event,) = api.events(file_id)
-    assert (event["operation"], event["noun_name"], event["actor"]["name"]) == ("file.verify", "a.mcap", "owner")
+    assert (event["operation"], event["resource_name"], event["actor"]["name"]) == ("file.verify", "a.mcap", "owner")
 
 
-@pytest.mark.parametrize("noun", ["project", "mission", "file"])
-def test_two_deletions_at_once_are_one(api: Api, sample: Sample, noun: str) -> None:
+@pytest.mark.parametrize("resource_type", ["project", "mission", "file"])
+def test_two_deletions_at_once_are_one(api: Api, sample: Sample, resource_type: str) -> None:
     project = api.project()["id"]
     mission = api.mission(project)["id"]
-    noun_id = {"project": project, "mission": mission, "file": sample.file(mission, "a.mcap")}[noun]
-    locked, locked_id = ("project", project) if noun == "project" else ("mission", mission)
+    resource_id = {"project": project, "mission": mission, "file": sample.file(mission, "a.mcap")}[resource_type]
+    locked, locked_id = ("project", project) if resource_type == "project" else ("mission", mission)
     with racing(api, f"SELECT 1 FROM {locked} WHERE id = %s FOR UPDATE", locked_id) as send:
-        both = [send(api.delete, f"/{noun}s/{noun_id}") for _ in range(2)]
+        both = [send(api.delete, f"/{resource_type}s/{resource_id}") for _ in range(2)]
     assert sorted(item.result().status for item in both) == [200, 404]
-    assert [event["operation"] for event in api.events(noun_id)].count(f"{noun}.delete") == 1
+    assert [event["operation"] for event in api.events(resource_id)].count(f"{resource_type}.delete") == 1
 
 
 def test_changing_a_file_takes_at_most_a_fixed_number_of_queries(api: Api, sample: Sample, mission: str) -> None:

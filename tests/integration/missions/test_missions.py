@@ -30,7 +30,7 @@ def test_creating_a_mission_takes_a_bounded_number_of_queries_and_one_audit_row(
         made = api.mission(project["id"], metadata_yaml="robot: spot\n")
     assert len(statements) == 7  # who, fields, right, insert, read, record, tell
     (event,) = api.events(made["id"])
-    assert (event["operation"], event["noun_name"]) == ("mission.create", made["name"])
+    assert (event["operation"], event["resource_name"]) == ("mission.create", made["name"])
     assert (event["before"], event["after"]) == ({}, {"name": made["name"], "metadata": {"robot": "spot"}})
     assert event["project_id"] == project["id"]
 

@@ -117,24 +117,24 @@ class FakeServer:
         if self.has_no_store.is_set() and name == "/uploads/complete":
             raise StoreUnavailable(reason="it is away")
         result = re.search(r"[0-9a-f]{8}-[0-9a-f-]{27}", path)
-        noun = uuid.UUID(result.group()) if result else None
+        resource_type = uuid.UUID(result.group()) if result else None
         if name == "/service":
             return self._service()
         if name == "/runners":
             return self._hello(RunnerRegistration.model_validate_json(body))
         if name == "/runners/*/claims":
-            assert noun is not None
-            return self._claim(noun, ClaimRequest.model_validate_json(body))
+            assert resource_type is not None
+            return self._claim(resource_type, ClaimRequest.model_validate_json(body))
         if name == "/runners/*/heartbeats":
-            assert noun is not None
-            return self._heartbeat(noun, Heartbeats.model_validate_json(body))
+            assert resource_type is not None
+            return self._heartbeat(resource_type, Heartbeats.model_validate_json(body))
         if name == "/uploads/parts":
             return self.uploads.sign(PartsSign.model_validate_json(body))
         if name == "/uploads/complete":
             return self.uploads.complete(UploadsComplete.model_validate_json(body))
-        run = self.runs.get(noun) if noun else None
+        run = self.runs.get(resource_type) if resource_type else None
         if run is None or not name.startswith("/runner/runs/*/"):
-            raise NotFound(noun="route", ref=path)
+            raise NotFound(resource_type="route", ref=path)
         return self._of_run(run, name.removeprefix("/runner/runs/*/"), query, body)
 
     def _of_run(self, run: FakeRun, what: str, query: str, body: bytes) -> BaseModel | None:

@@ -41,8 +41,10 @@ def _world(lab: Api, runner: FakeRunner, place: Place) -> World:
     runner.upload_artifact(claim, ".kleinkram/log", b"a line\n")
     values = {"file": "wexford-input.bin", "message": "odd", "code": "odd", "severity": "warning"}
     metric = {"name": "rate", "value": 1, "unit": None, "file": "wexford-input.bin"}
-    put_back = [{"path": "result.bin", "to": "wexford-output.bin", "derived_from": ["drive.bin", "wexford-input.bin"]}]
-    report = {"put_back": put_back, "findings": [values], "metrics": [metric]}
+    mission_files = [
+        {"path": "result.bin", "to": "wexford-output.bin", "derived_from": ["drive.bin", "wexford-input.bin"]}
+    ]
+    report = {"mission_files": mission_files, "findings": [values], "metrics": [metric]}
     runner.finish(claim, report=report).ok()
     made = {entry["path"]: entry["id"] for entry in lab.all("/files", {"mission_id": mission})}["wexford-output.bin"]
     for file_id, path in ((moving["id"], "wexford-input.bin"), (made, "renamed-zanzibar.bin")):

@@ -124,16 +124,16 @@ def test_a_restored_artifact_is_a_file_with_its_lineage(lab: Api, runner: FakeRu
     claim = runner.claim()
     runner.upload_artifact(claim, "clean.bin", b"cleaned")
     runner.upload_artifact(claim, "second.bin", b"other")
-    put_back = [
+    mission_files = [
         {"path": "clean.bin", "to": "clean/drive.bin", "derived_from": ["drive.bin"]},
         {"path": "second.bin", "to": "drive.bin"},
     ]
-    runner.finish(claim, report={"put_back": put_back}).ok()
+    runner.finish(claim, report={"mission_files": mission_files}).ok()
     files = {entry["path"]: entry for entry in lab.all("/files", {"mission_id": place.mission["id"]})}
     assert files["clean/drive.bin"]["origin"] == "run"
     assert files["clean/drive.bin"]["sha256"] == sha256(b"cleaned")
     (problem,) = lab.get(f"/runs/{made['id']}").ok()["problems"]
-    assert problem.startswith("second.bin was not put back")
+    assert problem.startswith("second.bin did not become a file of the mission")
     assert files["drive.bin"]["sha256"] == place.files["drive.bin"]["sha256"], "nothing was replaced"
     origin = lab.get(f"/files/{files['clean/drive.bin']['id']}/lineage").ok()["made_by"]
     assert origin["run"]["id"] == made["id"]
@@ -146,7 +146,7 @@ def test_an_action_that_may_only_read_puts_nothing_back(lab: Api, runner: FakeRu
     made = launch(lab, runner, place.mission)
     claim = runner.claim()
     runner.upload_artifact(claim, "clean.bin", b"cleaned")
-    runner.finish(claim, report={"put_back": [{"path": "clean.bin", "to": "clean.bin"}]}).ok()
+    runner.finish(claim, report={"mission_files": [{"path": "clean.bin", "to": "clean.bin"}]}).ok()
     assert len(lab.all("/files", {"mission_id": place.mission["id"]})) == 2
     assert "right: CREATE" in lab.get(f"/runs/{made['id']}").ok()["problems"][0]
 

@@ -88,8 +88,8 @@ def test_deleting_an_input_names_the_files_made_from_it(lab: Api, runner: FakeRu
     launch(lab, runner, place.mission, right="CREATE")
     claim = runner.claim()
     runner.upload_artifact(claim, "clean", b"cleaned")
-    put_back = [{"path": "clean", "to": "clean/drive", "derived_from": ["drive.bin"]}]
-    runner.finish(claim, report={"put_back": put_back}).ok()
+    mission_files = [{"path": "clean", "to": "clean/drive", "derived_from": ["drive.bin"]}]
+    runner.finish(claim, report={"mission_files": mission_files}).ok()
     reported = lab.delete(f"/files/{place.files['drive.bin']['id']}", {"dry_run": "true"}).ok()
     assert (reported["read_by_runs"], reported["made_from_it"]) == (1, ["clean/drive"])
     other = lab.delete(f"/files/{place.files['notes/day.txt']['id']}").ok()

@@ -277,7 +277,7 @@ def test_labels_are_put_on_many_files_each_by_its_own_right(lab: Api) -> None:
     ]
     assert [lab.get(f"/files/{entry}").ok()["labels"] for entry in files] == [["kept", "new"]] * 3
     rows = lab.sql(
-        "SELECT noun_id::text, before, after FROM audit_event WHERE actor_id = %s AND operation = 'file.update'",
+        "SELECT resource_id::text, before, after FROM audit_event WHERE actor_id = %s AND operation = 'file.update'",
         member.id,
     )
     change = ({"labels": ["old", "kept"]}, {"labels": ["kept", "new"]})

@@ -33,44 +33,52 @@ def _empty(api: Api, *, limit: int = 100) -> None:
     on_site(api, work)
 
 
-def _age(api: Api, noun: str, noun_id: str, days: int = 31) -> None:
-    api.sql(f"UPDATE {noun} SET deleted_at = now() - make_interval(days => %s) WHERE id = %s", days, noun_id)
+def _age(api: Api, resource_type: str, resource_id: str, days: int = 31) -> None:
+    api.sql(
+        f"UPDATE {resource_type} SET deleted_at = now() - make_interval(days => %s) WHERE id = %s", days, resource_id
+    )
 
 
 def _left(api: Api, tree: dict[str, str]) -> list[str]:
-    return [noun for noun, noun_id in tree.items() if api.sql(f"SELECT 1 FROM {noun} WHERE id = %s", noun_id)]
+    return [
+        resource_type
+        for resource_type, resource_id in tree.items()
+        if api.sql(f"SELECT 1 FROM {resource_type} WHERE id = %s", resource_id)
+    ]
 
 
-def _restore(api: Api, noun: str, noun_id: str) -> Any:
-    return api.post(f"/trash/{noun}/{noun_id}/restore")
+def _restore(api: Api, resource_type: str, resource_id: str) -> Any:
+    return api.post(f"/trash/{resource_type}/{resource_id}/restore")
 
 
-@pytest.mark.parametrize("noun", ["project", "mission", "file"])
-def test_expired_trash_cannot_be_restored(own: Api, tree: dict[str, str], noun: str) -> None:
-    own.delete(f"/{noun}s/{tree[noun]}").ok()
-    _age(own, noun, tree[noun])
-    assert tree[noun] not in [row["id"] for row in own.all("/trash")]
-    _restore(own, noun, tree[noun]).refused(404, "not_found")
-    _age(own, noun, tree[noun], 29)
-    assert tree[noun] in [row["id"] for row in own.all("/trash")]
-    _restore(own, noun, tree[noun]).ok(204)
+@pytest.mark.parametrize("resource_type", ["project", "mission", "file"])
+def test_expired_trash_cannot_be_restored(own: Api, tree: dict[str, str], resource_type: str) -> None:
+    own.delete(f"/{resource_type}s/{tree[resource_type]}").ok()
+    _age(own, resource_type, tree[resource_type])
+    assert tree[resource_type] not in [row["id"] for row in own.all("/trash")]
+    _restore(own, resource_type, tree[resource_type]).refused(404, "not_found")
+    _age(own, resource_type, tree[resource_type], 29)
+    assert tree[resource_type] in [row["id"] for row in own.all("/trash")]
+    _restore(own, resource_type, tree[resource_type]).ok(204)
 
 
 @pytest.mark.parametrize(
-    ("noun", "left"), [("project", []), ("mission", ["project"]), ("file", ["project", "mission"])]
+    ("resource_type", "left"), [("project", []), ("mission", ["project"]), ("file", ["project", "mission"])]
 )
 def test_all_of_what_is_due_goes_and_is_noted_with_its_project(
-    own: Api, tree: dict[str, str], noun: str, left: list[str]
+    own: Api, tree: dict[str, str], resource_type: str, left: list[str]
 ) -> None:
-    own.delete(f"/{noun}s/{tree[noun]}").ok()
-    _age(own, noun, tree[noun])
+    own.delete(f"/{resource_type}s/{tree[resource_type]}").ok()
+    _age(own, resource_type, tree[resource_type])
     _empty(own)
     assert _left(own, tree) == left
     events = own.all("/audit", {"project_id": tree["project"]})
     purged = {
-        event["noun"]: (event["noun_id"], event["actor"]) for event in events if event["operation"].endswith("purge")
+        event["resource_type"]: (event["resource_id"], event["actor"])
+        for event in events
+        if event["operation"].endswith("purge")
     }
-    assert purged == {item: (noun_id, None) for item, noun_id in tree.items() if item not in left}
+    assert purged == {item: (resource_id, None) for item, resource_id in tree.items() if item not in left}
 
 
 def test_an_upload_goes_with_its_mission_once_the_store_is_rid_of_it(own: Api, tree: dict[str, str]) -> None:
@@ -99,22 +107,22 @@ def test_a_round_takes_no_more_than_it_may_and_the_next_goes_on(own: Api, tree: 
     assert _left(own, tree) == []
 
 
-@pytest.mark.parametrize("noun", ["project", "mission", "file"])
-def test_locked_rows_are_skipped(own: Api, tree: dict[str, str], noun: str) -> None:
-    own.delete(f"/{noun}s/{tree[noun]}").ok()
-    _age(own, noun, tree[noun])
-    with racing(own, f"SELECT 1 FROM {noun} WHERE id = %s FOR UPDATE", tree[noun]):
+@pytest.mark.parametrize("resource_type", ["project", "mission", "file"])
+def test_locked_rows_are_skipped(own: Api, tree: dict[str, str], resource_type: str) -> None:
+    own.delete(f"/{resource_type}s/{tree[resource_type]}").ok()
+    _age(own, resource_type, tree[resource_type])
+    with racing(own, f"SELECT 1 FROM {resource_type} WHERE id = %s FOR UPDATE", tree[resource_type]):
         _empty(own)
         assert _left(own, tree) == ["project", "mission", "file"]
     _empty(own)
-    assert noun not in _left(own, tree)
+    assert resource_type not in _left(own, tree)
 
 
-@pytest.mark.parametrize("noun", ["mission", "file"])
-def test_a_mission_is_restored_only_after_its_project(own: Api, tree: dict[str, str], noun: str) -> None:
-    own.delete(f"/{noun}s/{tree[noun]}").ok()
+@pytest.mark.parametrize("resource_type", ["mission", "file"])
+def test_a_mission_is_restored_only_after_its_project(own: Api, tree: dict[str, str], resource_type: str) -> None:
+    own.delete(f"/{resource_type}s/{tree[resource_type]}").ok()
     with racing(own, "SELECT 1 FROM project WHERE id = %s FOR UPDATE", tree["project"]) as send:
-        restored = send(_restore, own, noun, tree[noun])
+        restored = send(_restore, own, resource_type, tree[resource_type])
         # Whoever holds the project may still take what is in it.
-        own.sql(f"SELECT 1 FROM {noun} WHERE id = %s FOR UPDATE NOWAIT", tree[noun])
+        own.sql(f"SELECT 1 FROM {resource_type} WHERE id = %s FOR UPDATE NOWAIT", tree[resource_type])
     restored.result().ok(204)

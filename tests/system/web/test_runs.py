@@ -47,7 +47,7 @@ line = [[8.5, 47.3], [8.501, 47.3], [8.501, 47.301]]
 report.preview("plot.svg", title="A plot")
 report.preview("track.geojson", title="Where it went")
 report.preview("table.csv", title="Numbers")
-report.put_back("table.csv", "derived/<b>table<b>.csv")
+report.mission_file("table.csv", "derived/<b>table<b>.csv")
 report.propose(robot="anymal <b>3<b>", distance_m=42.5)
 print("the very end", flush=True)
 """

@@ -26,9 +26,9 @@ def test_each_report_is_one_event() -> None:
     report.metric("ate_rmse", 0.12, unit="m", file=run_files.in_dir / "a" / "drive.bag")
     report.preview(run_files.out / "track.png", "The way")
     report.propose(distance_m=12.5, sensors=["imu"])
-    report.put_back("a/slam.bag", derived_from=["a/drive.bag"])
+    report.mission_file("a/slam.bag", derived_from=["a/drive.bag"])
     progress(0.5, "half")
-    finding, metric, preview, metadata, put_back, half = values()
+    finding, metric, preview, metadata, created, half = values()
     assert finding.finding is not None
     assert (finding.finding.severity, finding.finding.file) == (Severity.warning, "a/drive.bag")
     assert metric.metric is not None
@@ -36,8 +36,8 @@ def test_each_report_is_one_event() -> None:
     assert preview.preview is not None
     assert preview.preview.path == "track.png"
     assert metadata.metadata == {"distance_m": 12.5, "sensors": ["imu"]}
-    assert put_back.put_back is not None
-    assert (put_back.put_back.path, put_back.put_back.to) == ("a/slam.bag", "a/slam.bag")
+    assert created.mission_file is not None
+    assert (created.mission_file.path, created.mission_file.to) == ("a/slam.bag", "a/slam.bag")
     assert half.progress is not None
     assert half.progress.fraction == 0.5
 
@@ -48,7 +48,7 @@ def test_invalid_reports_are_refused_in_the_script() -> None:
         lambda: report.metric("a", float("inf")),
         lambda: report.metric("A name", 1),
         lambda: report.preview("/etc/passwd"),
-        lambda: report.put_back("../x"),
+        lambda: report.mission_file("../x"),
         lambda: progress(1.5),
         lambda: report.finding("info", "a", "b" * 3000),
         lambda: report.propose(notes="x" * 70_000),

@@ -41,7 +41,7 @@ def test_numbers_never_change() -> None:
 def test_failures_with_one_exit_code_keep_it() -> None:
     changed = local.FileChanged(path="a", reason="b")
     left_out = local.StillRecording(path="a", reason="b")
-    gone: KleinkramError = NotFound(noun="file", ref="x")
+    gone: KleinkramError = NotFound(resource_type="file", ref="x")
     assert exit_code_of([]) == 0
     assert exit_code_of([left_out]) == ExitCode.local_file, "a file that was left out is not where it should be"
     assert exit_code_of([changed, changed, left_out]) == ExitCode.local_file
@@ -49,7 +49,7 @@ def test_failures_with_one_exit_code_keep_it() -> None:
 
 
 def test_a_failure_is_printed_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
-    assert explain(remember_request(NotFound(noun="file", ref="evil\x1b[2J"), "abc")) == 3
+    assert explain(remember_request(NotFound(resource_type="file", ref="evil\x1b[2J"), "abc")) == 3
     output = capsys.readouterr()
     assert output.out == ""
     assert "Request id: abc" in output.err

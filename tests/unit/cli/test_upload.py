@@ -36,7 +36,7 @@ def test_ctrl_c_stops_all_uploads(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_failed_upload_does_not_stop_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    begun, run = _upload(tmp_path, NotFound(noun="mission", ref="a"), monkeypatch)
+    begun, run = _upload(tmp_path, NotFound(resource_type="mission", ref="a"), monkeypatch)
     result, code = run()
     assert (begun, code) == (["a", "b"], ExitCode.not_found)
     assert [item["mission"] for item in result["items"]] == ["a", "b"]

@@ -6,7 +6,7 @@ import pytest
 
 from kleinkram.client import errors
 from kleinkram.client._http import query_of, reason_of
-from kleinkram.client._nouns import checked
+from kleinkram.client._resources import checked
 from kleinkram.client.errors import ClientError, InvalidInput, remember_request, request_id_of
 from kleinkram.client.transfer.store import StoreAnswer, meaning
 from kleinkram.contract.errors import InternalError, NotFound
@@ -26,7 +26,7 @@ def test_a_sentence_contains_all_fields(cls: type[ClientError]) -> None:
 
 
 def test_the_request_id_stays_with_the_error() -> None:
-    error = remember_request(NotFound(noun="file", ref="x"), "abc")
+    error = remember_request(NotFound(resource_type="file", ref="x"), "abc")
     assert request_id_of(error) == "abc"
     assert str(error) == "There is no file 'x' that you may see."
     assert request_id_of(remember_request(InternalError(request_id="unknown"), "abc")) == "abc"

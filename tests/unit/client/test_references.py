@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import pytest
 
-from kleinkram.client._nouns import is_glob, resolve_one
+from kleinkram.client._resources import is_glob, resolve_one
 from kleinkram.contract.errors import AmbiguousName, NotFound
 
 

@@ -95,7 +95,7 @@ def test_links_on_pages_exist(page: Path) -> None:
 def test_paths_on_pages_exist(page: Path) -> None:
     if page.name != "CHANGELOG.md":
         paths = _PATH.findall(page.read_text(encoding="utf-8"))
-        assert not [path for path in paths if "NOUN" not in path and not (ROOT / path).exists()]
+        assert not [path for path in paths if "FEATURE" not in path and not (ROOT / path).exists()]
 
 
 def test_the_reading_paths_exist_and_are_short() -> None:

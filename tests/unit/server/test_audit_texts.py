@@ -19,12 +19,14 @@ def _worded(name: str) -> dict[str, str]:
 
 
 def _recorded() -> set[str]:
-    """Return what the server's code calls the acts that it records, of the nouns that have acts."""
-    nouns = {act.partition(".")[0] for act in _worded("operations")}
+    """Return what the server's code calls the acts that it records, of the resource types that have acts."""
+    resource_types = {act.partition(".")[0] for act in _worded("operations")}
     code = [path.read_text() for path in (_ROOT / "src/kleinkram/server").rglob("*.py") if path.parent.name != "tables"]
     result = {result for text in code for result in re.findall(r'"([a-z]+\.[a-z_]+)"', text)}
     return {
-        act for act in result if act.partition(".")[0] in nouns and act.rpartition(".")[2] not in {"id", "css", "js"}
+        act
+        for act in result
+        if act.partition(".")[0] in resource_types and act.rpartition(".")[2] not in {"id", "css", "js"}
     }
 
 

@@ -1,7 +1,7 @@
 import { expect, it } from "vitest";
 import { keysOf } from "./live";
 
-const change = { noun: "file", change: "changed", id: "f", mission_id: "m", project_id: "p" };
+const change = { resource_type: "file", change: "changed", id: "f", mission_id: "m", project_id: "p" };
 
 it("makes old what a change of a file shows in", () => {
   const keys = keysOf("change", change);
@@ -10,8 +10,8 @@ it("makes old what a change of a file shows in", () => {
   expect(keysOf("change", { ...change, id: null })).toContainEqual(["files", "one"]);
 });
 
-it("makes old everything where something was missed, and nothing for nouns that nobody shows", () => {
+it("makes old everything where something was missed, and nothing for resource types that nobody shows", () => {
   expect(keysOf("refetch", { reason: "rights" })).toEqual([[]]);
-  expect(keysOf("change", { ...change, noun: "weather" })).toEqual([]);
+  expect(keysOf("change", { ...change, resource_type: "weather" })).toEqual([]);
   expect(keysOf("change", "markup")).toEqual([]);
 });

@@ -1,4 +1,4 @@
-// Live updates: events of the server say which noun changed, and the queries of that noun are refetched.
+// Live updates: events of the server say which type of resource changed, and the queries of that type are refetched.
 import { useQueryClient } from "@tanstack/vue-query";
 import { onScopeDispose, ref, watch, type Ref, type WatchSource } from "vue";
 import { isSignInRequired } from "./client";
@@ -101,7 +101,7 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
 type Key = readonly unknown[];
 
 interface Change {
-  readonly noun: string;
+  readonly resource_type: string;
   readonly id: string | null;
   readonly mission_id: string | null;
   readonly project_id: string | null;
@@ -111,7 +111,7 @@ interface Change {
 const EVERYTHING: readonly Key[] = [[]];
 
 function isChange(value: unknown): value is Change {
-  return typeof value === "object" && value !== null && "noun" in value;
+  return typeof value === "object" && value !== null && "resource_type" in value;
 }
 
 function inMission(change: Change): Key[] {
@@ -119,7 +119,7 @@ function inMission(change: Change): Key[] {
   return change.mission_id === null ? [["missions"], ...list] : [keys.mission(change.mission_id), ...list];
 }
 
-const OF_NOUNS: Readonly<Record<string, (change: Change) => readonly Key[]>> = {
+const OF_RESOURCE_TYPES: Readonly<Record<string, (change: Change) => readonly Key[]>> = {
   file: (change) => [...inMission(change), ["files", "list"], ["trash"], ...(change.id === null ? [["files", "one"]] : [keys.file(change.id)])],
   recording: (change) => [...inMission(change), ["files", "list"]],
   upload: (change) => (change.mission_id === null ? [] : [keys.uploads(change.mission_id)]),
@@ -138,7 +138,7 @@ const OF_NOUNS: Readonly<Record<string, (change: Change) => readonly Key[]>> = {
 /** Returns the keys of the answers that an event makes old. */
 export function keysOf(kind: string, data: unknown): readonly Key[] {
   if (kind === "refetch") return EVERYTHING;
-  return isChange(data) ? (OF_NOUNS[data.noun]?.(data) ?? []) : [];
+  return isChange(data) ? (OF_RESOURCE_TYPES[data.resource_type]?.(data) ?? []) : [];
 }
 
 /** Keeps the shown data current while the user is signed in and the window is visible. */

@@ -124,7 +124,7 @@ export interface paths {
         put?: never;
         /**
          * Retry Job
-         * @description Put a failed job back into the queue.
+         * @description Requeue a failed job.
          */
         post: operations["retry_job"];
         delete?: never;
@@ -144,7 +144,7 @@ export interface paths {
         put?: never;
         /**
          * Retry Jobs
-         * @description Put all failed jobs back into the queue.
+         * @description Requeue all failed jobs.
          */
         post: operations["retry_jobs"];
         delete?: never;
@@ -2390,7 +2390,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/trash/{noun}/{noun_id}/restore": {
+    "/api/v1/trash/{resource_type}/{resource_id}/restore": {
         parameters: {
             query?: never;
             header?: never;
@@ -2911,18 +2911,18 @@ export interface components {
             id: number;
             /** Mission Id */
             mission_id: string | null;
-            /** Noun */
-            noun: string;
-            /** Noun Id */
-            noun_id: string | null;
-            /** Noun Name */
-            noun_name: string;
             /** Operation */
             operation: string;
             /** Project Id */
             project_id: string | null;
             /** Request Id */
             request_id: string | null;
+            /** Resource Id */
+            resource_id: string | null;
+            /** Resource Name */
+            resource_name: string;
+            /** Resource Type */
+            resource_type: string;
             /** Session Id */
             session_id: string | null;
             share: components["schemas"]["CredentialRef"] | null;
@@ -4342,6 +4342,21 @@ export interface components {
             notes: string;
         };
         /**
+         * MissionFile
+         * @description An artifact that becomes the file `to` of the mission, made from the inputs `derived_from` (empty: all).
+         */
+        MissionFile: {
+            /**
+             * Derived From
+             * @default []
+             */
+            derived_from: string[];
+            /** Path */
+            path: string;
+            /** To */
+            to: string;
+        };
+        /**
          * MissionRead
          * @description A mission and its totals.
          *
@@ -5156,21 +5171,6 @@ export interface components {
             title: string;
         };
         /**
-         * PutBack
-         * @description An artifact that becomes the file `to` of the mission, made from the inputs `derived_from` (empty: all).
-         */
-        PutBack: {
-            /**
-             * Derived From
-             * @default []
-             */
-            derived_from: string[];
-            /** Path */
-            path: string;
-            /** To */
-            to: string;
-        };
-        /**
          * ReadDepth
          * @description How content was read: by the file's own index, or every byte of it.
          * @enum {string}
@@ -5277,15 +5277,15 @@ export interface components {
              */
             metrics: components["schemas"]["Metric"][];
             /**
+             * Mission Files
+             * @default []
+             */
+            mission_files: components["schemas"]["MissionFile"][];
+            /**
              * Previews
              * @default []
              */
             previews: components["schemas"]["Preview"][];
-            /**
-             * Put Back
-             * @default []
-             */
-            put_back: components["schemas"]["PutBack"][];
         };
         /**
          * Resources
@@ -5327,7 +5327,7 @@ export interface components {
         };
         /**
          * RetriedJobs
-         * @description The number of failed jobs that were put back into the queue.
+         * @description The number of failed jobs that were requeued.
          */
         RetriedJobs: {
             /** Count */
@@ -5558,8 +5558,8 @@ export interface components {
              *       "findings": [],
              *       "metadata": {},
              *       "metrics": [],
-             *       "previews": [],
-             *       "put_back": []
+             *       "mission_files": [],
+             *       "previews": []
              *     }
              */
             report: components["schemas"]["Report"];
@@ -6285,19 +6285,10 @@ export interface components {
          */
         TokenKind: "personal" | "robot" | "runner" | "run";
         /**
-         * TokenMade
-         * @description A new token with its secret, which cannot be shown again.
-         */
-        TokenMade: {
-            /** Secret */
-            secret: string;
-            token: components["schemas"]["TokenRead"];
-        };
-        /**
-         * TokenPlace
+         * TokenLimit
          * @description A project or mission to which a token is limited. `name` is null if the caller may not see it.
          */
-        TokenPlace: {
+        TokenLimit: {
             /**
              * Id
              * Format: uuid
@@ -6305,8 +6296,17 @@ export interface components {
             id: string;
             /** Name */
             name: string | null;
-            /** Noun */
-            noun: string;
+            /** Resource Type */
+            resource_type: string;
+        };
+        /**
+         * TokenMade
+         * @description A new token with its secret, which cannot be shown again.
+         */
+        TokenMade: {
+            /** Secret */
+            secret: string;
+            token: components["schemas"]["TokenRead"];
         };
         /**
          * TokenRead
@@ -6332,7 +6332,7 @@ export interface components {
             /** Last Used At */
             last_used_at: string | null;
             /** Limits */
-            limits: components["schemas"]["TokenPlace"][] | null;
+            limits: components["schemas"]["TokenLimit"][] | null;
             /** Name */
             name: string;
             person: components["schemas"]["PersonRef"];
@@ -6449,14 +6449,8 @@ export interface components {
             recovery_codes_left: number;
         };
         /**
-         * TrashNoun
-         * @description What can be in the trash.
-         * @enum {string}
-         */
-        TrashNoun: "project" | "mission" | "file";
-        /**
          * TrashRead
-         * @description A deleted object. `place` is the project of a mission, or project and mission of a file.
+         * @description A deleted object. `location` is the project of a mission, or project and mission of a file.
          *
          *     Missions that were deleted with their project are restored with it, and not listed.
          */
@@ -6474,19 +6468,25 @@ export interface components {
              * Format: uuid
              */
             id: string;
+            /** Location */
+            location: string;
             /** Name */
             name: string;
-            noun: components["schemas"]["TrashNoun"];
-            /** Place */
-            place: string;
             /**
              * Purged After
              * Format: date-time
              */
             purged_after: string;
+            resource_type: components["schemas"]["TrashResourceType"];
             /** Size Bytes */
             size_bytes: number;
         };
+        /**
+         * TrashResourceType
+         * @description What can be in the trash.
+         * @enum {string}
+         */
+        TrashResourceType: "project" | "mission" | "file";
         /**
          * Undeclared
          * @description Treatment of metadata keys that no field declares.
@@ -7169,13 +7169,13 @@ export interface operations {
                 limit?: number;
                 mission_id?: string | null;
                 mission_ids?: string[];
-                noun?: string | null;
-                noun_id?: string | null;
                 operation?: string | null;
                 person?: string | null;
                 person_id?: string | null;
                 project_id?: string | null;
                 project_ids?: string[];
+                resource_id?: string | null;
+                resource_type?: string | null;
                 share_id?: string | null;
                 since?: string | null;
                 token?: string | null;
@@ -7214,13 +7214,13 @@ export interface operations {
                 as_admin?: boolean | null;
                 mission_id?: string | null;
                 mission_ids?: string[];
-                noun?: string | null;
-                noun_id?: string | null;
                 operation?: string | null;
                 person?: string | null;
                 person_id?: string | null;
                 project_id?: string | null;
                 project_ids?: string[];
+                resource_id?: string | null;
+                resource_type?: string | null;
                 share_id?: string | null;
                 since?: string | null;
                 token?: string | null;
@@ -11389,7 +11389,7 @@ export interface operations {
             query?: {
                 cursor?: string | null;
                 limit?: number;
-                noun?: components["schemas"]["TrashNoun"] | null;
+                resource_type?: components["schemas"]["TrashResourceType"] | null;
             };
             header?: never;
             path?: never;
@@ -11422,8 +11422,8 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
-                noun: components["schemas"]["TrashNoun"];
-                noun_id: string;
+                resource_id: string;
+                resource_type: components["schemas"]["TrashResourceType"];
             };
             cookie?: never;
         };

@@ -77,7 +77,7 @@ export const placeTexts = {
   remove: (name: string) => `Remove ${name}`,
 } as const;
 
-const nouns: Readonly<Record<Trashed["noun"], string>> = { project: "Project", mission: "Mission", file: "File" };
+const resourceTypes: Readonly<Record<Trashed["resource_type"], string>> = { project: "Project", mission: "Mission", file: "File" };
 
 export const trashTexts = {
   title: "Trash",
@@ -86,8 +86,8 @@ export const trashTexts = {
   type: "Type",
   everything: "All types",
   only: { project: "Projects", mission: "Missions", file: "Files" },
-  nouns,
-  columns: { name: "Name", noun: "Type", holds: "Content", deleted: "Deleted", drops: "Deleted permanently", act: "Restore" },
+  resourceTypes,
+  columns: { name: "Name", resource_type: "Type", holds: "Content", deleted: "Deleted", drops: "Deleted permanently", act: "Restore" },
   files: (count: number) => counted(count, "file"),
   by: (name: string) => `by ${name}`,
   restore: "Restore",

@@ -143,7 +143,7 @@ export const texts = {
     licenceHint: "An SPDX identifier such as CC-BY-4.0, or the licence text.",
     citation: "Citation",
     public: "Public",
-    publicHint: "Anyone can read it without an account. Requires the right Own.",
+    publicHint: "Anyone can read it without an account. Requires the right Delete.",
     publicTitle: "Make this project public?",
     publicConfirm: "Anyone can then see and download all its current and future content without an account.",
     publish: "Make public",

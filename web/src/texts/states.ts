@@ -8,7 +8,7 @@ interface Named {
 
 export const contentTexts: Readonly<Record<ContentState, Named>> = {
   pending: { label: "Not read yet", why: "The server has not read this file yet." },
-  indexed: { label: "Intact", why: "The content of this file is known and complete." },
+  indexed: { label: "Indexed", why: "The content of this file is known and complete." },
   recovered: { label: "Recovered", why: "The file is damaged or was not closed. The readable content is known." },
   broken: { label: "Broken", why: "Nothing in this file is readable as a recording. The bytes are stored safely." },
   opaque: { label: "Other file", why: "Not a recording. The file is stored as is." },
@@ -26,5 +26,5 @@ export const rightTexts: Readonly<Record<Right, Named>> = {
   READ: { label: "Read", why: "See and download." },
   CREATE: { label: "Create", why: "Also upload and create missions." },
   WRITE: { label: "Write", why: "Also edit, share, and grant rights." },
-  DELETE: { label: "Own", why: "Also delete, and everything else." },
+  DELETE: { label: "Delete", why: "Also delete, and everything else." },
 };

@@ -39,7 +39,7 @@ export const texts = {
   columns: { name: "Name", person: "Owner", scopes: "Scopes", limits: "Limited to", used: "Last used", ends: "Expires", act: "Revoke" },
   everywhere: "Everything its owner can access",
   nowhere: "Nothing (all deleted)",
-  unseen: (noun: string) => `A ${noun} without access`,
+  unseen: (resourceType: string) => `A ${resourceType} without access`,
   begins: (prefix: string) => `${prefix}…`,
   never: "never",
   longest: (days: number) => (days === 0 ? "" : `At most ${days} days.`),

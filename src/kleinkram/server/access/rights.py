@@ -65,7 +65,7 @@ def admit(actor: Actor, operation: str) -> None:
     if missing is not None:
         raise errors.ScopeMissing(operation=_phrase(operation), needs=missing)
     if permission.on is ResourceKind.server and not actor.is_admin:
-        raise errors.Forbidden(noun="server", operation=_phrase(operation), needs="admin rights")
+        raise errors.Forbidden(resource_type="server", operation=_phrase(operation), needs="admin rights")
     if (permission.unrestricted or permission.on is ResourceKind.server) and actor.limits is not None:
         raise errors.ScopeMissing(operation=_phrase(operation), needs="a token without limits")
 
@@ -86,13 +86,13 @@ async def require_project(db: Connection, actor: Actor, operation: str, project_
     """Check that the actor may perform an operation on a project. Raises NotFound or Forbidden."""
     levels = visible_projects(actor).with_only_columns(level_on_project(actor)).where(project.c.id == project_id)
     level: int | None = (await db.execute(levels)).scalar_one_or_none()
-    _require_level(level, operation, noun="project", noun_id=project_id)
+    _require_level(level, operation, resource_type="project", resource_id=project_id)
 
 
 async def require_mission(db: Connection, actor: Actor, operation: str, mission_id: uuid.UUID) -> None:
     """Check that the actor may perform an operation on a mission. Raises NotFound or Forbidden."""
     level: int | None = (await db.execute(_mission_level(actor, mission_id))).scalar_one_or_none()
-    _require_level(level, operation, noun="mission", noun_id=mission_id)
+    _require_level(level, operation, resource_type="mission", resource_id=mission_id)
 
 
 async def still_shares(db: Connection, guest: Actor) -> bool:
@@ -132,12 +132,12 @@ def _mission_level(actor: Actor, mission_id: uuid.UUID) -> Select[tuple[int]]:
     return levels.where(mission.c.id == mission_id)
 
 
-def _require_level(level: int | None, operation: str, *, noun: str, noun_id: uuid.UUID) -> None:
+def _require_level(level: int | None, operation: str, *, resource_type: str, resource_id: uuid.UUID) -> None:
     if level is None:
-        raise errors.NotFound(noun=noun, ref=str(noun_id))
+        raise errors.NotFound(resource_type=resource_type, ref=str(resource_id))
     needed = OPERATIONS[operation].right or Right.read
     if level < needed.level:
-        raise errors.Forbidden(noun=noun, operation=_phrase(operation), needs=needed.value)
+        raise errors.Forbidden(resource_type=resource_type, operation=_phrase(operation), needs=needed.value)
 
 
 def _phrase(operation: str) -> str:
@@ -203,14 +203,14 @@ async def _unowned(db: Connection, project_ids: Sequence[uuid.UUID]) -> list[Own
     return [OwnedProject(*row) for row in await db.execute(stmt.order_by(project.c.name, project.c.id))]
 
 
-async def require_creator(db: Connection, actor: Actor, creators: Creators, *, noun: str) -> bool:
+async def require_creator(db: Connection, actor: Actor, creators: Creators, *, resource_type: str) -> bool:
     """Check that the actor may create a project or group; returns whether that required admin rights.
 
     Without affiliations in the settings, everybody counts as affiliated. Raises Forbidden.
     """
-    operation = f"create a {noun}"
+    operation = f"create a {resource_type}"
     if actor.limits is not None:
-        raise errors.Forbidden(noun="server", operation=operation, needs="a token without limits")
+        raise errors.Forbidden(resource_type="server", operation=operation, needs="a token without limits")
     if creators == "everybody":
         return False
     if creators == "affiliated":
@@ -224,7 +224,7 @@ async def require_creator(db: Connection, actor: Actor, creators: Creators, *, n
     if actor.is_admin:
         return True
     needs = "admin rights" if creators == "admins" else "an affiliation with the lab"
-    raise errors.Forbidden(noun="server", operation=operation, needs=needs)
+    raise errors.Forbidden(resource_type="server", operation=operation, needs=needs)
 
 
 async def grant_first_rights(db: Connection, actor: Actor, project_id: uuid.UUID) -> dict[str, Right]:
@@ -244,7 +244,7 @@ async def grant_first_rights(db: Connection, actor: Actor, project_id: uuid.UUID
     return {row.name: Right.of_level(row.default_level) for row in rows}
 
 
-def require_match(if_match: str | None, etag: str, *, noun: str, name: str) -> None:
+def require_match(if_match: str | None, etag: str, *, resource_type: str, name: str) -> None:
     """Check that an object still has one of the ETags in an If-Match header; without a header, there is no check.
 
     Raises EditConflict.
@@ -253,4 +253,4 @@ def require_match(if_match: str | None, etag: str, *, noun: str, name: str) -> N
         return
     expected = {part.strip().removeprefix("W/").strip('"') for part in if_match.split(",")}
     if not expected & {etag, "*"}:
-        raise errors.EditConflict(noun=noun, name=name, etag=etag)
+        raise errors.EditConflict(resource_type=resource_type, name=name, etag=etag)

@@ -73,7 +73,7 @@ async def create_action(db: Connection, actor: Actor, *, requested: ActionCreate
     """
     needs_admin = False
     if requested.project_id is None:
-        needs_admin = await require_creator(db, actor, creators, noun="action")
+        needs_admin = await require_creator(db, actor, creators, resource_type="action")
     else:
         await require_project(db, actor, "create_action", requested.project_id)
     action_id, name = uuid.uuid4(), requested.definition.name
@@ -83,7 +83,7 @@ async def create_action(db: Connection, actor: Actor, *, requested: ActionCreate
     except IntegrityError as error:
         if violated_constraint(error) != "uq_action_name_key_live":
             raise
-        raise NameTaken(noun="action", name=name) from error
+        raise NameTaken(resource_type="action", name=name) from error
     await _add_version(db, actor, action_id, 1, requested.definition)
     made = await get_action(db, actor, action_id)
     await audit(db, actor, _event("action.create", made, needs_admin=needs_admin))
@@ -107,7 +107,7 @@ async def add_version(
         raise InvalidRequest(problems=[FieldProblem(field="definition.name", message=message)])
     if definition == old.latest.definition:
         return old
-    require_match(if_match, old.etag, noun="action", name=old.name)
+    require_match(if_match, old.etag, resource_type="action", name=old.name)
     await _add_version(db, actor, action_id, old.latest.number + 1, definition)
     made = await get_action(db, actor, action_id)
     await audit(db, actor, _event("action.publish", made))
@@ -128,12 +128,12 @@ async def set_archived(
     old = await _changeable(db, actor, action_id)
     if old.archived is archived:
         return old
-    require_match(if_match, old.etag, noun="action", name=old.name)
+    require_match(if_match, old.etag, resource_type="action", name=old.name)
     values = {"archived_at": func.now() if archived else None}
     try:
         await db.execute(update(action).where(action.c.id == action_id).values(**values))
     except IntegrityError as error:
-        raise NameTaken(noun="action", name=old.name) from error
+        raise NameTaken(resource_type="action", name=old.name) from error
     made = await get_action(db, actor, action_id)
     await audit(db, actor, _event("action.archive" if archived else "action.restore", made))
     return made
@@ -169,7 +169,7 @@ async def get_version(db: Connection, actor: Actor, *, action_id: uuid.UUID, num
     stmt = _versions_of(action_id).where(action_version.c.number == number)
     version = (await db.execute(stmt)).mappings().one_or_none()
     if version is None:
-        raise NotFound(noun="version", ref=f"{name}@{number}")
+        raise NotFound(resource_type="version", ref=f"{name}@{number}")
     return _to_version(version)
 
 
@@ -189,7 +189,7 @@ async def _changeable(db: Connection, actor: Actor, action_id: uuid.UUID) -> Act
     row = await get_action(db, actor, action_id)
     if not row.may_change:
         needs = "WRITE on its project" if row.project else "admin rights, or to be the person who created it"
-        raise Forbidden(noun="action", operation="change the action", needs=needs)
+        raise Forbidden(resource_type="action", operation="change the action", needs=needs)
     return row
 
 
@@ -197,7 +197,7 @@ async def _row(db: Connection, actor: Actor, action_id: uuid.UUID) -> RowMapping
     stmt = _visible_actions(actor).where(action.c.id == action_id)
     row = (await db.execute(stmt)).mappings().one_or_none()
     if row is None:
-        raise NotFound(noun="action", ref=str(action_id))
+        raise NotFound(resource_type="action", ref=str(action_id))
     return row
 
 

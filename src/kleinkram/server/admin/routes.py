@@ -26,13 +26,13 @@ async def get_admin_jobs(db: Transaction) -> admin.AdminJobs:
 
 @router.post("/jobs/{job_id}/retry", operation_id="retry_job", status_code=204)
 async def retry_job(job_id: JobId, db: Transaction, actor: CurrentActor) -> None:
-    """Put a failed job back into the queue."""
+    """Requeue a failed job."""
     await service.retry_job(db, actor, job_id)
 
 
 @router.post("/jobs/retry", operation_id="retry_jobs")
 async def retry_jobs(db: Transaction, actor: CurrentActor) -> admin.RetriedJobs:
-    """Put all failed jobs back into the queue."""
+    """Requeue all failed jobs."""
     return await service.retry_jobs(db, actor)
 
 

@@ -101,15 +101,15 @@ async def get_jobs(db: Connection) -> admin.AdminJobs:
 
 
 async def retry_job(db: Connection, actor: Actor, job_id: int) -> None:
-    """Put a failed job back into the queue. Raises NotFound."""
+    """Requeue a failed job. Raises NotFound."""
     kind = (await db.execute(_RETRY, {"id": job_id})).scalar_one_or_none()
     if kind is None:
-        raise NotFound(noun="failed job", ref=str(job_id))
+        raise NotFound(resource_type="failed job", ref=str(job_id))
     await audit(db, actor, Event("job.retry", "job", None, kind, after={"job": job_id}, needs_admin=True))
 
 
 async def retry_jobs(db: Connection, actor: Actor) -> admin.RetriedJobs:
-    """Put all failed jobs back into the queue, and return their number."""
+    """Requeue all failed jobs, and return their number."""
     count: int = (await db.execute(_RETRY_ALL)).scalar_one()
     if count:
         await audit(db, actor, Event("job.retry", "job", None, "all", after={"jobs": count}, needs_admin=True))

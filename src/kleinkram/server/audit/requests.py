@@ -64,7 +64,7 @@ _BY_LINK = frozenset({"get_share"})
 _INSIDE = {"file_id": file, "recording_id": recording, "upload_id": upload}
 _OUTSIDE = {"person_id": person, "group_id": access_group}
 _INVALID_ID = uuid.UUID(int=0)
-_OBJECT_COLUMNS = ("noun", "noun_id", "noun_name", "project_id", "mission_id")
+_OBJECT_COLUMNS = ("resource_type", "resource_id", "resource_name", "project_id", "mission_id")
 
 
 class RequestTarget(NamedTuple):
@@ -99,8 +99,8 @@ def _target_object(target: RequestTarget) -> sa.Select[Any]:
         stmt = sa.select(*columns, nowhere.label("project_id"), nowhere.label("mission_id"))
         return stmt.where(table.c.id == target.id)
     if target.kind == "project_id":
-        place_columns = project.c.id.label("project_id"), nowhere.label("mission_id")
-        return sa.select(*_columns("project", project), *place_columns).where(project.c.id == target.id)
+        location_columns = project.c.id.label("project_id"), nowhere.label("mission_id")
+        return sa.select(*_columns("project", project), *location_columns).where(project.c.id == target.id)
     columns = *_columns("mission", mission), mission.c.project_id, mission.c.id.label("mission_id")
     stmt = sa.select(*columns).join(project, project.c.id == mission.c.project_id)
     if target.kind == "mission_id":
@@ -109,8 +109,12 @@ def _target_object(target: RequestTarget) -> sa.Select[Any]:
     return stmt.join(inside, inside.c.mission_id == mission.c.id).where(inside.c.id == target.id)
 
 
-def _columns(noun: str, table: sa.Table) -> tuple[sa.ColumnElement[Any], ...]:
-    return sa.literal(noun).label("noun"), table.c.id.label("noun_id"), table.c.name.label("noun_name")
+def _columns(resource_type: str, table: sa.Table) -> tuple[sa.ColumnElement[Any], ...]:
+    return (
+        sa.literal(resource_type).label("resource_type"),
+        table.c.id.label("resource_id"),
+        table.c.name.label("resource_name"),
+    )
 
 
 class Refusals:
@@ -196,9 +200,9 @@ def _foreign_object(admin: Actor, operation: str, target: RequestTarget | None, 
     is_unlimited = sa.literal(admin.limits is None)
     nowhere = sa.null().cast(sa.Uuid)
     everything = sa.select(
-        sa.literal("server").label("noun"),
-        nowhere.label("noun_id"),
-        sa.literal(operation).label("noun_name"),
+        sa.literal("server").label("resource_type"),
+        nowhere.label("resource_id"),
+        sa.literal(operation).label("resource_name"),
         nowhere.label("project_id"),
         nowhere.label("mission_id"),
     )
@@ -233,9 +237,9 @@ def _insert_unless_audited(admin: Actor, stmt: sa.Select[Any]) -> sa.Insert:
         audit_event.c.actor_id == admin.person_id,
         audit_event.c.operation == _ADMIN_READ,
         audit_event.c.at > sa.func.now() - _READ_INTERVAL,
-        audit_event.c.noun == seen.c.noun,
-        audit_event.c.noun_id.is_not_distinct_from(seen.c.noun_id),
-        (audit_event.c.noun != "server") | (audit_event.c.noun_name == seen.c.noun_name),
+        audit_event.c.resource_type == seen.c.resource_type,
+        audit_event.c.resource_id.is_not_distinct_from(seen.c.resource_id),
+        (audit_event.c.resource_type != "server") | (audit_event.c.resource_name == seen.c.resource_name),
     )
     values: dict[str, sa.ColumnElement[Any]] = {
         "operation": sa.literal(_ADMIN_READ),

@@ -121,7 +121,7 @@ async def unlink_identity(db: Connection, actor: Actor, *, identity_id: uuid.UUI
     identities = await list_identities(db, actor, settings=settings)
     unlinked = next((candidate for candidate in identities if candidate.id == identity_id), None)
     if unlinked is None:
-        raise errors.NotFound(noun="identity", ref=str(identity_id))
+        raise errors.NotFound(resource_type="identity", ref=str(identity_id))
     name = unlinked.provider or unlinked.issuer
     if unlinked.is_last:
         raise errors.LastSignInMethod(provider=name)

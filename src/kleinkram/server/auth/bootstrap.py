@@ -84,7 +84,7 @@ async def bootstrap_admin(
 async def create_owner_link(db: Connection, actor: Actor, *, settings: Settings) -> OneTimeLink:
     """Return a link with which the owner of `klein up` signs in. Raises Forbidden."""
     if actor.person_id != OWNER_ID:
-        raise Forbidden(noun="server", operation="sign in as its owner", needs="the owner's token")
+        raise Forbidden(resource_type="server", operation="sign in as its owner", needs="the owner's token")
     code = await create_code(db, CodeRequest(CodePurpose.owner, settings.owner_link_s, person_id=OWNER_ID))
     after: Metadata = {"expires_at": code.expires_at.isoformat()}
     await audit(db, actor, Event("link.create", "person", OWNER_ID, actor.name, after=after))

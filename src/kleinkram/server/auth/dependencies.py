@@ -55,7 +55,7 @@ class SignInContext:
         """Return an identity provider. Raises NotFound."""
         providers: dict[str, OpenIdProvider] = self.request.app.state.providers
         if name not in providers:
-            raise NotFound(noun="provider", ref=name)
+            raise NotFound(resource_type="provider", ref=name)
         return providers[name]
 
     async def count_attempt(self, account: str | None = None) -> None:
@@ -100,7 +100,7 @@ class SignInContext:
     def require_local_accounts(self) -> None:
         """Check that this server has local accounts. Raises NotFound."""
         if not self.settings.local_accounts:
-            raise NotFound(noun="sign-in method", ref="password")
+            raise NotFound(resource_type="sign-in method", ref="password")
 
 
 @asynccontextmanager

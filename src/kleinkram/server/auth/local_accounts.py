@@ -208,10 +208,12 @@ async def create_invitation(
     """
     if not settings.local_accounts and not settings.oidc_providers:
         raise errors.Forbidden(
-            noun="server", operation="invite people", needs="local accounts, which this server has switched off"
+            resource_type="server",
+            operation="invite people",
+            needs="local accounts, which this server has switched off",
         )
     if await has_account(db, invitation.email):
-        raise errors.NameTaken(noun="person", name=invitation.email)
+        raise errors.NameTaken(resource_type="person", name=invitation.email)
     request = CodeRequest(
         CodePurpose.invitation,
         settings.invitation_s,
@@ -258,11 +260,13 @@ async def create_reset_link(
     """
     if not settings.local_accounts:
         raise errors.Forbidden(
-            noun="server", operation="reset a password", needs="local accounts, which this server has switched off"
+            resource_type="server",
+            operation="reset a password",
+            needs="local accounts, which this server has switched off",
         )
     owner = await find_person(db, person_id)
     if owner is None:
-        raise errors.NotFound(noun="person", ref=str(person_id))
+        raise errors.NotFound(resource_type="person", ref=str(person_id))
     request = CodeRequest(CodePurpose.reset, settings.reset_link_s, person_id=person_id, created_by_id=actor.person_id)
     code = await create_code(db, request)
     after: Metadata = {"expires_at": code.expires_at.isoformat()}

@@ -151,7 +151,7 @@ async def sign_in(settings: CurrentSettings) -> HTMLResponse:
 async def static(name: str) -> Response:
     """Return the script or stylesheet of the pages."""
     if name not in _STATIC:
-        raise NotFound(noun="page", ref=name)
+        raise NotFound(resource_type="page", ref=name)
     return Response(_read(name), media_type=_STATIC[name], headers={"X-Content-Type-Options": "nosniff"})
 
 
@@ -199,7 +199,7 @@ async def _finish_sign_in(context: SignInContext, name: str, query: CallbackQuer
 async def page(name: str, settings: CurrentSettings) -> HTMLResponse:
     """Show one of the other pages."""
     if name not in _PAGES:
-        raise NotFound(noun="page", ref=name)
+        raise NotFound(resource_type="page", ref=name)
     title, body = _PAGES[name]
     return _page(settings, title, name, body)
 

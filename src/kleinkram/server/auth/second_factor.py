@@ -58,13 +58,13 @@ async def begin_totp(db: Connection, actor: Actor, *, settings: Settings) -> acc
     has_password = select(password.c.person_id).where(password.c.person_id == actor.person_id)
     if actor.person_id is None or (await db.execute(has_password)).first() is None:
         needs = "an account with a password; providers have second factors of their own"
-        raise errors.Forbidden(noun="account", operation="add a second factor", needs=needs)
+        raise errors.Forbidden(resource_type="account", operation="add a second factor", needs=needs)
     secret = pyotp.random_base32()
     row = upsert(totp).values(person_id=actor.person_id, secret=secret)
     new_values = {"secret": secret, "created_at": func.now()}
     stmt = row.on_conflict_do_update(index_elements=["person_id"], set_=new_values, where=~_is_confirmed())
     if (await db.execute(stmt.returning(totp.c.person_id))).first() is None:
-        raise errors.NameTaken(noun="second factor", name=actor.name)
+        raise errors.NameTaken(resource_type="second factor", name=actor.name)
     email = select(person_email.c.email).where(person_email.c.person_id == actor.person_id).limit(1)
     account = (await db.execute(email)).scalar_one_or_none() or actor.name
     url = pyotp.TOTP(secret).provisioning_uri(name=account, issuer_name=settings.lab_name)
@@ -80,7 +80,7 @@ async def confirm_totp(database: Database, actor: Actor, *, code: str) -> accoun
     async with database.begin() as db:
         enrolled = await _lock_totp(db, actor.person_id, ~_is_confirmed())
         if enrolled is None or actor.person_id is None:
-            raise errors.NotFound(noun="second factor to confirm", ref=actor.name)
+            raise errors.NotFound(resource_type="second factor to confirm", ref=actor.name)
         if await _is_correct(db, enrolled, code):
             stmt = update(totp).where(totp.c.person_id == actor.person_id).values(confirmed_at=func.now())
             await db.execute(stmt)
@@ -93,7 +93,7 @@ async def confirm_totp(database: Database, actor: Actor, *, code: str) -> accoun
 async def renew_recovery_codes(db: Connection, actor: Actor) -> accounts.RecoveryCodes:
     """Replace the recovery codes. Raises NotFound."""
     if actor.person_id is None or await read_totp(db, actor.person_id) is None:
-        raise errors.NotFound(noun="second factor", ref=actor.name)
+        raise errors.NotFound(resource_type="second factor", ref=actor.name)
     await audit(db, actor, Event("totp.renew_codes", "person", actor.person_id, actor.name))
     return await _create_recovery_codes(db, actor.person_id)
 
@@ -102,7 +102,7 @@ async def disable_totp(db: Connection, actor: Actor) -> None:
     """Remove the actor's second factor. Raises NotFound."""
     stmt = delete(totp).where(totp.c.person_id == actor.person_id, _is_confirmed()).returning(totp.c.person_id)
     if (await db.execute(stmt)).first() is None:
-        raise errors.NotFound(noun="second factor", ref=actor.name)
+        raise errors.NotFound(resource_type="second factor", ref=actor.name)
     await audit(db, actor, Event("totp.disable", "person", actor.person_id, actor.name))
 
 
@@ -111,7 +111,7 @@ async def reset_totp(db: Connection, admin: Actor, *, person_id: uuid.UUID) -> N
     owner = await find_person(db, person_id)
     stmt = delete(totp).where(totp.c.person_id == person_id).returning(totp.c.person_id)
     if owner is None or (await db.execute(stmt)).first() is None:
-        raise errors.NotFound(noun="second factor", ref=str(person_id))
+        raise errors.NotFound(resource_type="second factor", ref=str(person_id))
     await audit(db, admin, Event("totp.reset", "person", person_id, owner.name, needs_admin=True))
 
 

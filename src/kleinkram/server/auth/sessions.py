@@ -100,7 +100,7 @@ async def end_session(db: Connection, actor: Actor, *, session_id: uuid.UUID) ->
     """End one of the actor's sessions. Raises NotFound."""
     is_own = (session.c.person_id == actor.person_id) & (session.c.id == session_id)
     if not await _end(db, actor, is_own):
-        raise NotFound(noun="session", ref=str(session_id))
+        raise NotFound(resource_type="session", ref=str(session_id))
 
 
 async def end_sessions(db: Connection, actor: Actor, *, except_session_id: uuid.UUID | None = None) -> int:

@@ -50,14 +50,16 @@ class PendingEvents:
 
 @dataclass(frozen=True)
 class EventFilter:
-    """Events of these nouns and, with `noun_id`, of this object or of several objects at once."""
+    """Events of these types and, with `resource_id`, of this object or of several objects at once."""
 
-    nouns: frozenset[str]
-    noun_id: uuid.UUID | None = None
+    resource_types: frozenset[str]
+    resource_id: uuid.UUID | None = None
 
     def includes(self, event: ChangeEvent) -> bool:
         """Whether an event passes the filter."""
-        return event.noun in self.nouns and (None in (self.noun_id, event.id) or event.id == self.noun_id)
+        return event.resource_type in self.resource_types and (
+            None in (self.resource_id, event.id) or event.id == self.resource_id
+        )
 
 
 class EventSubscription:

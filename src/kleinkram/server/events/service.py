@@ -122,7 +122,7 @@ async def _visible_changes(db: Connection, actor: Actor, events: Sequence[Change
         if is_visible:
             project_id = event.project_id or (missions.get(event.mission_id) if event.mission_id else None)
             change = Change(
-                noun=event.noun,
+                resource_type=event.resource_type,
                 change=event.change,
                 id=event.id,
                 project_id=project_id,

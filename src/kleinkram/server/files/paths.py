@@ -44,6 +44,6 @@ async def check_path_free(
         PathConflict: the path is a folder there, or needs a folder where a file is.
     """
     if (await db.execute(queries.files_at(mission_id, [name_key(path)], except_id=except_id))).first() is not None:
-        raise NameTaken(noun="file", name=path)
+        raise NameTaken(resource_type="file", name=path)
     if other := (await path_conflicts(db, mission_id, [path], except_id=except_id)).get(path):
         raise PathConflict(path=path, other=other)

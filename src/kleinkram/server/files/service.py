@@ -69,7 +69,7 @@ async def _stored_files(db: Connection, actor: Actor, file_ids: Sequence[uuid.UU
     stored = queries.to_stored_files(rows)
     for file_id in file_ids:
         if file_id not in stored:
-            raise NotFound(noun="file", ref=str(file_id))
+            raise NotFound(resource_type="file", ref=str(file_id))
     return [stored[file_id] for file_id in file_ids]
 
 
@@ -155,7 +155,7 @@ async def update_file(
         values |= {"mission_id": mission_id, "path": path, "path_key": name_key(path)}
     if not values:
         return old
-    require_match(if_match, old.etag, noun="file", name=old.path)
+    require_match(if_match, old.etag, resource_type="file", name=old.path)
     if "path" in values:
         if moves and (project_id := await project_of(db, mission_id)) != old.mission.project.id:
             await require_room(db, actor, project_id=project_id, requested=Amount(1, old.size_bytes))
@@ -316,9 +316,9 @@ def _new_labels(
     read: FileRead | None, file_id: uuid.UUID, writable: Collection[uuid.UUID], change: LabelChange
 ) -> list[str] | KleinkramError:
     if read is None:
-        return NotFound(noun="file", ref=str(file_id))
+        return NotFound(resource_type="file", ref=str(file_id))
     if file_id not in writable:
-        return Forbidden(noun="mission", operation="label files", needs=Right.write.value)
+        return Forbidden(resource_type="mission", operation="label files", needs=Right.write.value)
     removed = set(change.remove) - set(change.add)
     labels = [label for label in dict.fromkeys([*read.labels, *change.add]) if label not in removed]
     if len(labels) > MAX_LABELS:

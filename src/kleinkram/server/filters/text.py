@@ -113,8 +113,10 @@ def mission_may_have_topic(*conditions: ColumnElement[bool]) -> ColumnElement[bo
 
 
 def plan_conditions(plan: SearchPlan) -> Conditions:
-    """Return the conditions on files that a plan adds to its filter."""
-    conditions = [] if plan.mission_ids is None else [among_parameter(file.c.mission_id, "visible_mission_ids")]
+    """Return the conditions on `file` and its `mission` that a plan adds to its filter."""
+    # On both sides of the join: PostgreSQL does not conclude one from the other, and would read all missions.
+    ids = () if plan.mission_ids is None else (file.c.mission_id, mission.c.id)
+    conditions = [among_parameter(column, "visible_mission_ids") for column in ids]
     if plan.has_time is None:
         return conditions
     if plan.has_time:

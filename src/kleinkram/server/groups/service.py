@@ -55,13 +55,13 @@ async def get_group(db: Connection, actor: Actor, group_id: uuid.UUID) -> GroupR
     """Return one group. Raises NotFound."""
     row = (await db.execute(_visible_groups(actor).where(access_group.c.id == group_id))).one_or_none()
     if row is None:
-        raise errors.NotFound(noun="group", ref=str(group_id))
+        raise errors.NotFound(resource_type="group", ref=str(group_id))
     return _to_group(row)
 
 
 async def create_group(db: Connection, actor: Actor, *, request: GroupCreate, creators: Creators) -> GroupRead:
     """Create a group, with its creator as first member and editor, and return it. Raises Forbidden or NameTaken."""
-    needs_admin = await require_creator(db, actor, creators, noun="group")
+    needs_admin = await require_creator(db, actor, creators, resource_type="group")
     group_id = uuid.uuid4()
     values = {"name": request.name, "name_key": name_key(request.name), "created_by_id": actor.person_id}
     try:
@@ -87,7 +87,7 @@ async def rename_group(
         raise errors.GroupFixed(name=group.name, reason="its name is fixed")
     if group.name == changes.name:
         return group
-    require_match(if_match, group.etag, noun="group", name=group.name)
+    require_match(if_match, group.etag, resource_type="group", name=group.name)
     renamed = update(access_group).where(access_group.c.id == group_id)
     try:
         await db.execute(renamed.values(name=changes.name, name_key=name_key(changes.name)))
@@ -109,8 +109,8 @@ async def delete_group(db: Connection, actor: Actor, group_id: uuid.UUID) -> Non
     events = [_event(group, "group.delete", {"name": group.name})]
     for row in await db.execute(grants.where(access_grant.c.group_id == group_id)):
         before: Metadata = {"right": Right.of_level(row.level).value}
-        place = {"project_id": row.on_project_id, "mission_id": row.mission_id}
-        events.append(Event("grant.revoke", "grant", row.id, group.name, before=before, **place))
+        location = {"project_id": row.on_project_id, "mission_id": row.mission_id}
+        events.append(Event("grant.revoke", "grant", row.id, group.name, before=before, **location))
     await audit(db, actor, *events)
     await db.execute(delete(access_group).where(access_group.c.id == group_id))
     await ensure_owner_remains(db, owned)
@@ -145,7 +145,7 @@ async def set_member(
     old = await _find_member(db, actor, group_id, person_id)
     name = old.person.name if old is not None else await _get_name(db, actor, person_id)
     if old is None and if_match is not None:
-        raise errors.NotFound(noun="member", ref=str(person_id))
+        raise errors.NotFound(resource_type="member", ref=str(person_id))
     if group.kind is GroupKind.affiliation and (old is None or request.expires_at is not None):
         raise errors.GroupFixed(name=group.name, reason="its members follow from their verified addresses")
     if request.expires_at is not None:
@@ -157,7 +157,7 @@ async def set_member(
     if old is not None and (old.is_editor, old.expires_at) == (request.is_editor, request.expires_at):
         return old
     if old is not None:
-        require_match(if_match, old.etag, noun="member", name=name)
+        require_match(if_match, old.etag, resource_type="member", name=name)
     _require_not_longer(actor, group, request.expires_at)
     after: Metadata = {"person": name, **_audit_values(request.is_editor, request.expires_at)}
     await audit(db, actor, _event(group, "group.member", _before(old), after))
@@ -168,7 +168,7 @@ async def set_member(
         await _ensure_owners_remain(db, group)
     new = await _find_member(db, actor, group_id, person_id)
     if new is None:
-        raise errors.NotFound(noun="member", ref=str(person_id))
+        raise errors.NotFound(resource_type="member", ref=str(person_id))
     return new
 
 
@@ -186,7 +186,7 @@ async def remove_member(db: Connection, actor: Actor, *, group_id: uuid.UUID, pe
         raise errors.GroupFixed(name=group.name, reason="its members follow from their verified addresses")
     old = await _find_member(db, actor, group_id, person_id)
     if old is None:
-        raise errors.NotFound(noun="member", ref=str(person_id))
+        raise errors.NotFound(resource_type="member", ref=str(person_id))
     after: Metadata = {"person": old.person.name, "removed": True}
     await audit(db, actor, _event(group, "group.member", _before(old), after))
     await db.execute(delete(membership).where(membership.c.group_id == group_id, membership.c.person_id == person_id))
@@ -196,7 +196,7 @@ async def remove_member(db: Connection, actor: Actor, *, group_id: uuid.UUID, pe
 async def _get_edited_group(db: Connection, actor: Actor, group_id: uuid.UUID, operation: str) -> GroupRead:
     group = await get_group(db, actor, group_id)
     if not (actor.is_admin or (group.is_editor and group.kind is not GroupKind.admins)):
-        raise errors.Forbidden(noun="group", operation=operation, needs="an editor of the group")
+        raise errors.Forbidden(resource_type="group", operation=operation, needs="an editor of the group")
     return group
 
 
@@ -205,7 +205,9 @@ def _require_not_longer(actor: Actor, group: GroupRead, expires_at: datetime.dat
     if not actor.is_admin and own_expiry is not None and (expires_at is None or expires_at > own_expiry):
         requested_end = "without an end" if expires_at is None else f"until {expires_at:%Y-%m-%d %H:%M} UTC"
         raise errors.RightExceeded(
-            noun="group", requested=f"a membership {requested_end}", own=f"one until {own_expiry:%Y-%m-%d %H:%M} UTC"
+            resource_type="group",
+            requested=f"a membership {requested_end}",
+            own=f"one until {own_expiry:%Y-%m-%d %H:%M} UTC",
         )
 
 
@@ -218,7 +220,7 @@ async def _find_member(db: Connection, actor: Actor, group_id: uuid.UUID, person
 async def _get_name(db: Connection, actor: Actor, person_id: uuid.UUID) -> str:
     stmt = visible_people(actor).where(person.c.id == person_id, person.c.deactivated_at.is_(None))
     if (row := (await db.execute(stmt)).one_or_none()) is None:
-        raise errors.NotFound(noun="person", ref=str(person_id))
+        raise errors.NotFound(resource_type="person", ref=str(person_id))
     return str(row.name)
 
 
@@ -243,7 +245,11 @@ def _event(group: GroupRead, operation: str, before: Metadata | None = None, aft
 
 
 def _name_taken(error: IntegrityError, name: str) -> Exception:
-    return errors.NameTaken(noun="group", name=name) if violated_constraint(error) == "uq_access_group_name" else error
+    return (
+        errors.NameTaken(resource_type="group", name=name)
+        if violated_constraint(error) == "uq_access_group_name"
+        else error
+    )
 
 
 def _visible_groups(actor: Actor) -> Select[Any]:

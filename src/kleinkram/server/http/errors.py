@@ -109,7 +109,9 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
     elif error.status_code == 404:
         is_original = is_original_api_path(path)
         problem = (
-            errors.WrongClient(server=settings.public_url) if is_original else errors.NotFound(noun="page", ref=path)
+            errors.WrongClient(server=settings.public_url)
+            if is_original
+            else errors.NotFound(resource_type="page", ref=path)
         )
     else:
         problem = errors.InvalidRequest(problems=[errors.FieldProblem(field="request", message=str(error.detail))])

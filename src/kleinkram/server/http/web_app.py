@@ -122,5 +122,5 @@ def static_file(name: str) -> Response:
 def _within(folder: Path, name: str) -> Path:
     path = folder / name
     if path.suffix not in _TYPES or ".." in path.parts or not path.is_file():
-        raise NotFound(noun="page", ref=name)
+        raise NotFound(resource_type="page", ref=name)
     return path

@@ -75,9 +75,9 @@ async def lock_mission_to_fill(db: Connection, actor: Actor, mission_id: uuid.UU
 
 async def get_mission_ref(db: Connection, actor: Actor, mission_id: uuid.UUID) -> MissionRef:
     """Return the names of a mission and its project. Raises NotFound."""
-    row = (await db.execute(queries.mission_place(actor, mission_id))).one_or_none()
+    row = (await db.execute(queries.mission_ref_row(actor, mission_id))).one_or_none()
     if row is None:
-        raise NotFound(noun="mission", ref=str(mission_id))
+        raise NotFound(resource_type="mission", ref=str(mission_id))
     return queries.mission_ref(*row)
 
 
@@ -85,7 +85,7 @@ async def get_mission(db: Connection, actor: Actor, mission_id: uuid.UUID) -> Mi
     """Return one mission with its totals. Raises NotFound."""
     rows = (await db.execute(queries.complete_mission(actor, mission_id))).all()
     if not rows:
-        raise NotFound(noun="mission", ref=str(mission_id))
+        raise NotFound(resource_type="mission", ref=str(mission_id))
     return queries.to_missions(rows)[0]
 
 
@@ -175,9 +175,9 @@ async def update_mission(
     """
     has_metadata = changes.metadata_yaml is not None or changes.metadata is not None
     document = await _read_document(changes) if has_metadata else None
-    place = await get_mission_ref(db, actor, mission_id)
+    ref = await get_mission_ref(db, actor, mission_id)
     # Before anything about the other project is revealed; and again once the mission is locked.
-    moves = changes.project_id is not None and changes.project_id != place.project.id
+    moves = changes.project_id is not None and changes.project_id != ref.project.id
     await require_mission(db, actor, "move_mission" if moves else "update_mission", mission_id)
     if document is not None or changes.project_id is not None:
         # Project before mission, as where the fields of a project change, so that the two cannot deadlock.
@@ -193,7 +193,7 @@ async def update_mission(
     values = _plain_changes(old, changes) | await _metadata_changes(db, actor, old, changes=changes, document=document)
     if not values:
         return old
-    require_match(if_match, old.etag, noun="mission", name=old.name)
+    require_match(if_match, old.etag, resource_type="mission", name=old.name)
     await _change(db, queries.change_mission(mission_id, **values), name=changes.name or old.name)
     new = await get_mission(db, actor, mission_id)
     await audit(db, actor, *_change_events(old, new))
@@ -249,8 +249,8 @@ async def template_for(db: Connection, actor: Actor, *, project_id: uuid.UUID) -
     if sees_whole_missions(actor) and (
         row := (await db.execute(queries.last_mission(actor, project_id))).one_or_none()
     ):
-        *place, metadata = row
-        previous, carried = queries.mission_ref(*place), carried_over(fields, metadata)
+        *ref, metadata = row
+        previous, carried = queries.mission_ref(*ref), carried_over(fields, metadata)
     return MissionTemplate(
         yaml=write_template(fields, values, carried, project=name, source=previous.name if previous else None),
         fields=fields,
@@ -329,7 +329,7 @@ async def _metadata_changes(
 async def _project(db: Connection, actor: Actor, project_id: uuid.UUID) -> tuple[str, MetadataFields]:
     row = (await db.execute(queries.fields_of_project(actor, project_id))).one_or_none()
     if row is None:
-        raise NotFound(noun="project", ref=str(project_id))
+        raise NotFound(resource_type="project", ref=str(project_id))
     return row.name, MetadataFields.model_validate(row.metadata_fields)
 
 
@@ -341,7 +341,7 @@ async def _fields_after(
         return (await _project(db, actor, moves_to))[1]
     row = (await db.execute(queries.fields_of_mission(mission_id))).one_or_none()
     if row is None:
-        raise NotFound(noun="mission", ref=str(mission_id))
+        raise NotFound(resource_type="mission", ref=str(mission_id))
     return MetadataFields.model_validate(row.metadata_fields)
 
 
@@ -350,5 +350,5 @@ async def _change(db: Connection, statement: Insert | Update, *, name: str) -> N
         await db.execute(statement)
     except IntegrityError as error:
         if violated_constraint(error) == "uq_mission_name_key_live":
-            raise NameTaken(noun="mission", name=name) from error
+            raise NameTaken(resource_type="mission", name=name) from error
         raise

@@ -27,7 +27,7 @@ async def get_timeline(db: Connection, actor: Actor, *, mission_id: uuid.UUID, p
     """
     span = (await db.execute(queries.mission_span(actor, mission_id))).one_or_none()
     if span is None:
-        raise NotFound(noun="mission", ref=str(mission_id))
+        raise NotFound(resource_type="mission", ref=str(mission_id))
     rows = await fetch_page(db, queries.timeline_files(actor, mission_id), queries.TIMELINE_ORDER, page)
     items = [queries.to_timeline_file(row) for row in rows.items]
     return MissionTimeline(start_ns=span.start_ns, end_ns=span.end_ns, items=items, next=rows.next)

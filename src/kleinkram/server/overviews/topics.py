@@ -188,7 +188,7 @@ async def list_mission_topics(
     """
     state = (await db.execute(queries.mission_topics_state(actor, mission_id))).one_or_none()
     if state is None:
-        raise NotFound(noun="mission", ref=str(mission_id))
+        raise NotFound(resource_type="mission", ref=str(mission_id))
     if sees_whole_missions(actor) and state.revision is not None:
         topics = await _derived(db, state, mission_id, page)
     else:

@@ -53,7 +53,7 @@ async def get_person(db: Connection, actor: Actor, person_id: uuid.UUID) -> Pers
     """Return a visible person. Raises NotFound."""
     row = (await db.execute(_people_seen(actor).where(person.c.id == person_id))).one_or_none()
     if row is None:
-        raise NotFound(noun="person", ref=str(person_id))
+        raise NotFound(resource_type="person", ref=str(person_id))
     return _to_person(row)
 
 
@@ -171,7 +171,7 @@ async def _lock_active(db: Connection, person_id: uuid.UUID) -> str:
     """Lock an active person, so that nothing is created for them concurrently, and return their name."""
     row = (await db.execute(select(person).where(person.c.id == person_id).with_for_update())).one_or_none()
     if row is None or row.deactivated_at is not None:
-        raise NotFound(noun="active person", ref=str(person_id))
+        raise NotFound(resource_type="active person", ref=str(person_id))
     return str(row.name)
 
 

@@ -45,7 +45,7 @@ async def get_project(db: Connection, actor: Actor, project_id: uuid.UUID) -> Pr
     stmt = _with_contents(actor, visible_projects(actor).where(project.c.id == project_id))
     row = (await db.execute(stmt)).one_or_none()
     if row is None:
-        raise NotFound(noun="project", ref=str(project_id))
+        raise NotFound(resource_type="project", ref=str(project_id))
     return _to_projects([row])[0]
 
 
@@ -60,7 +60,7 @@ async def list_projects(
 
 async def create_project(db: Connection, actor: Actor, *, request: ProjectCreate, creators: Creators) -> ProjectRead:
     """Create a project and return it. Raises Forbidden, YamlInvalid, FieldsInvalid or NameTaken."""
-    needs_admin = await require_creator(db, actor, creators, noun="project")
+    needs_admin = await require_creator(db, actor, creators, resource_type="project")
     fields = await _read_declaration(request) or MetadataFields()
     project_id = uuid.uuid4()
     values: Metadata = {
@@ -96,7 +96,7 @@ async def update_project(
     before, after = _changed_values(old, changes, fields)
     if not after:
         return old
-    require_match(if_match, old.etag, noun="project", name=old.name)
+    require_match(if_match, old.etag, resource_type="project", name=old.name)
     if after.keys() & _PUBLICATION:
         admit(actor, "publish_project")
         await require_project(db, actor, "publish_project", project_id)
@@ -183,7 +183,11 @@ def _events(new: ProjectRead, before: Metadata, after: Metadata) -> list[Event]:
 
 
 def _name_taken(error: IntegrityError, name: str) -> Exception:
-    return NameTaken(noun="project", name=name) if violated_constraint(error) == "uq_project_name_key_live" else error
+    return (
+        NameTaken(resource_type="project", name=name)
+        if violated_constraint(error) == "uq_project_name_key_live"
+        else error
+    )
 
 
 def read_fields(text: str | None) -> MetadataFields:
@@ -244,7 +248,7 @@ def _find_duplicates(document: Document) -> list[FieldProblem]:
 
 
 def _problem_at(document: Document, path: Path, message: str) -> FieldProblem:
-    position = document.place(path)
+    position = document.position(path)
     where = {"line": position.line, "column": position.column} if position else {}
     return FieldProblem(field=_format_path(document.value, path), message=message, **where)
 

@@ -65,7 +65,7 @@ async def get_recording(db: Connection, actor: Actor, recording_id: uuid.UUID) -
     """
     row = (await db.execute(queries.recording_by_id(actor, recording_id))).one_or_none()
     if row is None:
-        raise NotFound(noun="recording", ref=str(recording_id))
+        raise NotFound(resource_type="recording", ref=str(recording_id))
     return queries.to_recording(row)
 
 

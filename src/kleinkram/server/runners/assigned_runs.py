@@ -16,7 +16,7 @@ from kleinkram.contract.errors import KleinkramError, NotFound, RunGone
 from kleinkram.contract.files import ContentState
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
-from kleinkram.contract.reports import PutBack, Severity
+from kleinkram.contract.reports import MissionFile, Severity
 from kleinkram.contract.runners import (
     LEASE_S,
     Heartbeat,
@@ -229,7 +229,7 @@ async def get_context(db: Connection, actor: Actor, *, run_id: uuid.UUID, attemp
     if starter is None:
         raise RunGone(run_id=str(run_id))
     try:
-        place = await missions.get_mission(db, starter, row.mission_id)
+        visible_mission = await missions.get_mission(db, starter, row.mission_id)
     except NotFound:
         raise RunGone(run_id=str(run_id)) from None
     input_ids = select(run_input.c.file_id).where(run_input.c.run_id == run_id, run_input.c.file_id.is_not(None))
@@ -241,7 +241,7 @@ async def get_context(db: Connection, actor: Actor, *, run_id: uuid.UUID, attemp
         action=ActionRef(id=row.action_id, name=row.definition.name, version=row.version_number),
         parameters=row.parameters,
         cause=Cause(person=starter.ref, retry_of_id=row.retry_of_id),
-        mission=place,
+        mission=visible_mission,
         files=files.to_files((await db.execute(files.file_rows(seen))).all()),
         topics=files.to_topics(topics.all()),
         recordings=[recordings.to_recording(entry) for entry in await db.execute(named)],
@@ -262,7 +262,7 @@ async def sign_inputs(context: AppContext, actor: Actor, *, run_id: uuid.UUID, r
         keys = {row.path: row.key for row in await db.execute(selected)}
     for path in requested.paths:
         if path not in keys:
-            raise NotFound(noun="input", ref=path)
+            raise NotFound(resource_type="input", ref=path)
     expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
     urls = [context.storage.sign_get(keys[path], path=path, expires_s=expires_s) for path in requested.paths]
@@ -334,7 +334,7 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
     stmt = select(*columns).join_from(run_artifact, blob).where(run_artifact.c.run_id == run_id)
     artifacts = {entry.path: _Artifact._make(entry) for entry in await db.execute(stmt)}
     if finish.reason is EndReason.done:
-        problems += await _put_back(db, row, finish.report.put_back, artifacts)
+        problems += await _create_mission_files(db, row, finish.report.mission_files, artifacts)
     await _pin_image(db, row, finish.image_digest)
     findings = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in finish.report.findings]
     metrics = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in finish.report.metrics]
@@ -362,8 +362,8 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
     return RunFinished(state=RunState(state))
 
 
-async def _put_back(
-    db: Connection, row: AssignedRun, selected: Sequence[PutBack], artifacts: Mapping[str, _Artifact]
+async def _create_mission_files(
+    db: Connection, row: AssignedRun, selected: Sequence[MissionFile], artifacts: Mapping[str, _Artifact]
 ) -> list[str]:
     """Create files of the mission from artifacts of a run; return sentences about those that could not be created.
 
@@ -375,14 +375,14 @@ async def _put_back(
     most = row.definition.right
     starter = await find_person(db, row.started_by_id)
     if starter is None or most.level < Right.create.level:
-        return ["It put files back, which requires an action with `right: CREATE`; they stay artifacts."]
+        return ["Files of the mission require an action with `right: CREATE`; they stay artifacts."]
     actor = replace(starter.for_request("begin_uploads", request_id=None, address=None), max_right=most)
     try:
         await missions.lock_mission_to_fill(db, actor, row.mission_id)
         size_bytes = sum(artifacts[entry.path].size_bytes for entry in selected)
         await require_room(db, actor, project_id=row.project_id, requested=Amount(len(selected), size_bytes))
     except KleinkramError as error:
-        return [f"What it put back stays among the artifacts: {error}"]
+        return [f"No file of the mission was created; the artifacts stay: {error}"]
     problems: list[str] = []
     events: list[Event] = []
     after: Metadata = {"run_id": str(row.id), "action": row.definition.name}
@@ -390,11 +390,11 @@ async def _put_back(
         try:
             await check_path_free(db, row.mission_id, entry.to)
         except KleinkramError as error:
-            problems.append(f"{entry.path} was not put back: {error}")
+            problems.append(f"{entry.path} did not become a file of the mission: {error}")
             continue
         file_id = await _create_file(db, row, entry, artifacts[entry.path])
         events.append(
-            Event("file.put_back", "file", file_id, entry.to, row.project_id, after=after, mission_id=row.mission_id)
+            Event("file.create", "file", file_id, entry.to, row.project_id, after=after, mission_id=row.mission_id)
         )
     if events:
         await audit(db, actor, *events)
@@ -402,11 +402,11 @@ async def _put_back(
     return problems
 
 
-async def _create_file(db: Connection, row: AssignedRun, selected: PutBack, artifact: _Artifact) -> uuid.UUID:
+async def _create_file(db: Connection, row: AssignedRun, selected: MissionFile, artifact: _Artifact) -> uuid.UUID:
     file_id = uuid.uuid4()
     values = {"mission_id": row.mission_id, "blob_id": artifact.blob_id, "uploaded_by_id": row.started_by_id}
-    place = {"path": selected.to, "path_key": name_key(selected.to), "origin": "run"}
-    await db.execute(insert(file).values(id=file_id, **values, **place))
+    path = {"path": selected.to, "path_key": name_key(selected.to), "origin": "run"}
+    await db.execute(insert(file).values(id=file_id, **values, **path))
     lineage = {"file_id": file_id, "derived_from": selected.derived_from}
     await db.execute(update(run_artifact).where(run_artifact.c.id == artifact.id).values(**lineage))
     # Artifacts are not examined; as a file it may be a recording.

@@ -76,11 +76,13 @@ async def register_runner(db: Connection, actor: Actor, *, registration: RunnerR
     allowed: list[str] | None = (await db.execute(stmt)).scalar_one()
     if allowed is not None and (not_allowed := sorted(set(registration.labels) - set(allowed))):
         needs = f"a token for it; this one is limited to {', '.join(allowed)}"
-        raise Forbidden(noun="server", operation=f"be a runner with the label {not_allowed[0]}", needs=needs)
+        raise Forbidden(resource_type="server", operation=f"be a runner with the label {not_allowed[0]}", needs=needs)
     owner = select(runner.c.person_id).where(runner.c.id == registration.id).with_for_update()
     owner_id = (await db.execute(owner)).scalar_one_or_none()
     if owner_id not in {None, actor.person_id}:
-        raise Forbidden(noun="server", operation="be this runner", needs="a token of the same person as before")
+        raise Forbidden(
+            resource_type="server", operation="be this runner", needs="a token of the same person as before"
+        )
     values = registration.model_dump(mode="json", exclude={"id"})
     values |= {"token_id": actor.token_id}
     write = upsert(runner).values(id=registration.id, person_id=actor.person_id, last_seen_at=func.now(), **values)
@@ -111,7 +113,7 @@ async def _bind(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
     stmt = update(token).where(unbound | ((token.c.id == actor.token_id) & (token.c.runner_id == runner_id)))
     bound = await db.execute(stmt.values(runner_id=runner_id).returning(token.c.id))
     if bound.first() is None:
-        raise Forbidden(noun="server", operation="be this runner", needs=_OWN_TOKEN)
+        raise Forbidden(resource_type="server", operation="be this runner", needs=_OWN_TOKEN)
     name = (await db.execute(select(token.c.name).where(token.c.id == actor.token_id))).scalar_one()
     after: Metadata = {"runner_id": str(runner_id)}
     await audit(db, actor, Event("token.bind", "token", actor.token_id, name, None, after=after))
@@ -229,9 +231,9 @@ async def record_seen(db: Connection, actor: Actor, runner_id: uuid.UUID) -> Non
     mine = (runner.c.id == runner_id) & (runner.c.person_id == actor.person_id)
     stmt = update(runner).where(mine).values(last_seen_at=func.now(), token_id=actor.token_id)
     if (await db.execute(stmt.returning(runner.c.id))).first() is None:
-        raise NotFound(noun="runner", ref=str(runner_id))
+        raise NotFound(resource_type="runner", ref=str(runner_id))
     if actor.runner_id != runner_id:
-        raise Forbidden(noun="server", operation="be this runner", needs=_OWN_TOKEN)
+        raise Forbidden(resource_type="server", operation="be this runner", needs=_OWN_TOKEN)
 
 
 async def _may_still_run(db: Connection, candidate: AssignedRun) -> bool:

@@ -218,11 +218,11 @@ async def _find_target(db: Connection, actor: Actor, task: Task, mission_id: uui
     locked = stmt.where(mission.c.id == mission_id).with_for_update(read=True, key_share=True, of=[mission, project])
     row = (await db.execute(locked)).one_or_none()
     if row is None:
-        raise NotFound(noun="mission", ref=str(mission_id))
+        raise NotFound(resource_type="mission", ref=str(mission_id))
     target = _TargetMission._make(row)
     needed = max(Right.create, task.definition.right, key=lambda right: right.level)
     if target.level < needed.level:
-        raise Forbidden(noun="mission", operation=f"run {task.definition.name} on it", needs=needed.value)
+        raise Forbidden(resource_type="mission", operation=f"run {task.definition.name} on it", needs=needed.value)
     if task.project_id not in {None, target.project_id}:
         message = (
             f"{task.definition.name} is an action of another project; publish it in this one, or for the whole lab"

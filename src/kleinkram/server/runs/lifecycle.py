@@ -37,7 +37,7 @@ async def cancel_run(db: Connection, actor: Actor, *, run_id: uuid.UUID) -> RunR
     where, state = visible.run.mission, visible.run.state.value
     await require_mission(db, actor, "cancel_run", where.id)
     if visible.started_by_id != actor.person_id and visible.level < Right.delete.level:
-        raise Forbidden(noun="mission", operation="cancel another person's run", needs=Right.delete.value)
+        raise Forbidden(resource_type="mission", operation="cancel another person's run", needs=Right.delete.value)
     if state == RunState.queued.value:
         await end_run(db, run_id, EndReason.cancelled, f"Cancelled by {actor.name} before it started.")
     elif state in ASSIGNED and visible.run.cancel_requested_at is None:

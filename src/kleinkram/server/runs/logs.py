@@ -18,7 +18,7 @@ from kleinkram.server.tables.runs import ACTIVE
 
 _CHUNK_BYTES = 2**20
 _CHECK_EVERY_S = 5.0
-_LOG_NOUNS = frozenset({"run", "run_log"})
+_LOG_RESOURCE_TYPES = frozenset({"run", "run_log"})
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ async def read_log(
     if not wait_s:
         return await _read_now(context, actor, run_id, offset)
     until = time.monotonic() + wait_s
-    with hub.long_poll(actor.person_id or actor.share_id, EventFilter(_LOG_NOUNS, run_id)) as subscription:
+    with hub.long_poll(actor.person_id or actor.share_id, EventFilter(_LOG_RESOURCE_TYPES, run_id)) as subscription:
         chunk = await _read_now(context, actor, run_id, offset)
         while not (chunk.text or chunk.is_over or hub.is_closed) and (left_s := until - time.monotonic()) > 0:
             await hub.next_event(subscription, timeout_s=min(left_s, _CHECK_EVERY_S))

@@ -106,7 +106,7 @@ async def find_run(db: Connection, actor: Actor, run_id: uuid.UUID) -> VisibleRu
 async def _find_row(db: Connection, actor: Actor, run_id: uuid.UUID) -> RowMapping:
     row = (await db.execute(queries.one_run(actor, run_id))).mappings().one_or_none()
     if row is None:
-        raise NotFound(noun="run", ref=str(run_id))
+        raise NotFound(resource_type="run", ref=str(run_id))
     return row
 
 
@@ -204,7 +204,7 @@ async def link_artifacts(
         rows_by_id = {row.id: row for row in await db.execute(stmt)}
         for entry in artifact_ids:
             if entry not in rows_by_id:
-                raise NotFound(noun="artifact", ref=str(entry))
+                raise NotFound(resource_type="artifact", ref=str(entry))
             if rows_by_id[entry].state in _UNREADABLE:
                 raise FileUnavailable(path=rows_by_id[entry].path, state=rows_by_id[entry].state)
         after: Metadata = {"files": len(rows_by_id)}
@@ -283,7 +283,7 @@ async def get_lineage(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> ru
     stmt = visible_files(actor).with_only_columns(*columns, maintain_column_froms=True).where(file.c.id == file_id)
     row = (await db.execute(stmt)).one_or_none()
     if row is None:
-        raise NotFound(noun="file", ref=str(file_id))
+        raise NotFound(resource_type="file", ref=str(file_id))
     producers = select(run_artifact.c.run_id, run_artifact.c.derived_from).where(run_artifact.c.file_id == file_id)
     produced = (await db.execute(producers)).one_or_none()
     # By content, too: it may have been read under another name, or before it was moved.

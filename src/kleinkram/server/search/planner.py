@@ -118,9 +118,11 @@ async def plan_search(
     if sample.is_common():
         return replace(plan, is_common=True), sample
     if not actor.is_admin:
-        await db.execute(_ALLOW_HASH_JOINS)
         if rarest is not None and plan.word(rarest).sampled_paths >= _COMMON_PATHS and has_selective_word:
             rarest = None  # common, but not in what the actor sees: its index leads to everybody's files
+        # Without a word whose index leads to few files, those of few visible missions are joined one by one.
+        if rarest is not None or row.visible >= COMMON:
+            await db.execute(_ALLOW_HASH_JOINS)
     return replace(plan, leading_word=rarest), sample
 
 
@@ -133,7 +135,8 @@ def _one_match(actor: Actor, matching: FileFilter, *, plan: SearchPlan) -> Selec
 def _sampled(actor: Actor, *filters: FileFilter, plan: SearchPlan) -> Select[tuple[object, ...]]:
     """Return the number of sampled files that match each filter, and each word of the first where it has several.
 
-    Then the attributes of `Sample`, and `timed`: the files that match the first filter and have a time.
+    Then the attributes of `Sample`; `visible`: the sampled files that the actor sees; and `timed`: the files that match
+    the first filter and have a time.
     """
     conditions = [and_(true(), *file_conditions(actor, matching, plan)) for matching in filters]
     words = [*dict.fromkeys(words_of(filters[0].text))]
@@ -150,6 +153,7 @@ def _sampled(actor: Actor, *filters: FileFilter, plan: SearchPlan) -> Select[tup
         *(func.count().filter(evaluated.c[column.name]) for column in columns),
         select(func.count()).select_from(sample).scalar_subquery().label("size"),
         select(sample.c.id).order_by(sample.c.id.desc()).limit(1).scalar_subquery().label("last_id"),
+        func.count().label("visible"),
         func.count().filter(evaluated.c.holds_0, evaluated.c.start_ns.is_not(None)).label("timed"),
         cast(func.array_agg(evaluated.c.blob_id, type_=ARRAY(Text)).filter(evaluated.c.holds_0), Text).label(
             "blob_ids"

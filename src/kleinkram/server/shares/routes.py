@@ -96,7 +96,7 @@ def share_policy(settings: Settings) -> str:
 async def static(name: str) -> Response:
     """Return the script or stylesheet of the page."""
     if name not in _STATIC:
-        raise NotFound(noun="page", ref=name)
+        raise NotFound(resource_type="page", ref=name)
     return Response(_read(name), media_type=_STATIC[name])
 
 

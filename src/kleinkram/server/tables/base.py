@@ -19,7 +19,7 @@ metadata = MetaData(
 
 
 def id_column() -> Column[uuid.UUID]:
-    """Return a primary key for a noun with a URL."""
+    """Return a primary key for a resource with a URL."""
     return Column("id", Uuid, primary_key=True, default=uuid.uuid4)
 
 

@@ -161,7 +161,7 @@ run_input = sa.Table(
     sa.PrimaryKeyConstraint("run_id", "path"),
 )
 
-# `file_id` and `derived_from` are set if it was put back into the mission; an empty `derived_from` means all inputs.
+# `file_id` and `derived_from` are set if it became a file of the mission; an empty `derived_from` means all inputs.
 run_artifact = sa.Table(
     "run_artifact",
     metadata,

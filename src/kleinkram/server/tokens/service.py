@@ -13,7 +13,7 @@ from kleinkram.contract.access import Scope, TokenKind
 from kleinkram.contract.base import Page
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.tokens import SecretKind, TokenCreate, TokenMade, TokenPlace, TokenRead, TokenRunner
+from kleinkram.contract.tokens import SecretKind, TokenCreate, TokenLimit, TokenMade, TokenRead, TokenRunner
 from kleinkram.server.access.actor import Actor, NewSecret, new_secret
 from kleinkram.server.access.rights import ensure_active_person, lock_person, require_fresh_sign_in
 from kleinkram.server.access.visible import visible_missions, visible_projects
@@ -41,8 +41,8 @@ async def create_token(db: Connection, actor: Actor, *, request: TokenCreate, se
     if Scope.admin in request.chosen_scopes:
         require_fresh_sign_in(actor, "create_token_with_the_scope_admin", within_s=settings.fresh_sign_in_s)
     if request.kind is TokenKind.runner and not actor.is_admin:
-        raise errors.Forbidden(noun="server", operation="create a token for a runner", needs="admin rights")
-    await _require_visible_places(db, actor, request)
+        raise errors.Forbidden(resource_type="server", operation="create a token for a runner", needs="admin rights")
+    await _require_visible_limits(db, actor, request)
     expires_at = await _find_expiry(db, actor, request, settings)
     # Its scopes cannot be wider: creating tokens requires the scope that contains all.
     if actor.limits is not None and not request.is_limited:
@@ -92,8 +92,8 @@ async def issue_token(
             runner_labels=request.runner_labels,
         )
     )
-    limits = [{"project_id": place_id, "mission_id": None} for place_id in dict.fromkeys(request.project_ids)]
-    limits += [{"project_id": None, "mission_id": place_id} for place_id in dict.fromkeys(request.mission_ids)]
+    limits = [{"project_id": limit_id, "mission_id": None} for limit_id in dict.fromkeys(request.project_ids)]
+    limits += [{"project_id": None, "mission_id": limit_id} for limit_id in dict.fromkeys(request.mission_ids)]
     if limits:
         await db.execute(insert(token_limit), [{"id": uuid.uuid4(), "token_id": token_id, **limit} for limit in limits])
     return token_id, secret
@@ -104,7 +104,7 @@ async def list_tokens(
 ) -> Page[TokenRead]:
     """Return a page of the tokens of a person (None: of all), latest first. Raises Forbidden or InvalidCursor."""
     if person_id != actor.person_id and not _sees_others(actor):
-        raise errors.Forbidden(noun="server", operation="list tokens of others", needs="admin rights")
+        raise errors.Forbidden(resource_type="server", operation="list tokens of others", needs="admin rights")
     stmt = _tokens_of(person_id)
     if not with_ended:
         is_unexpired = func.coalesce(token.c.expires_at > func.now(), True)
@@ -147,7 +147,7 @@ async def end_personal_tokens(db: Connection, actor: Actor) -> int:
     Tokens of robots and runners stay valid, and so does the token that the server itself created for its local owner.
     """
     was_created_by_person = exists().where(
-        audit_event.c.noun_id == token.c.id,
+        audit_event.c.resource_id == token.c.id,
         audit_event.c.operation == "token.create",
         audit_event.c.actor_id.is_not(None),
     )
@@ -182,12 +182,12 @@ async def _get_row(db: Connection, actor: Actor, token_id: uuid.UUID) -> Row[Any
     stmt = _tokens_of(None if _sees_others(actor) else actor.person_id)
     row = (await db.execute(stmt.where(token.c.id == token_id))).one_or_none()
     if row is None:
-        raise errors.NotFound(noun="token", ref=str(token_id))
+        raise errors.NotFound(resource_type="token", ref=str(token_id))
     return row
 
 
 async def _read_tokens(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -> list[TokenRead]:
-    limits: dict[uuid.UUID, list[TokenPlace]] = {row.id: [] for row in rows if row.is_limited}
+    limits: dict[uuid.UUID, list[TokenLimit]] = {row.id: [] for row in rows if row.is_limited}
     if limits:
         projects = visible_projects(actor).subquery("seen_project")
         missions = visible_missions(actor).with_only_columns(mission.c.id, mission.c.name).subquery("seen_mission")
@@ -199,9 +199,9 @@ async def _read_tokens(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -
             .where(among(token_limit.c.token_id, limits))
         )
         for row in await db.execute(stmt.order_by(token_limit.c.token_id, token_limit.c.id)):
-            noun = "project" if row.project_id else "mission"
-            place = TokenPlace(noun=noun, id=row.project_id or row.mission_id, name=row.name)
-            limits[row.token_id].append(place)
+            resource_type = "project" if row.project_id else "mission"
+            limit = TokenLimit(resource_type=resource_type, id=row.project_id or row.mission_id, name=row.name)
+            limits[row.token_id].append(limit)
     return [
         TokenRead(
             id=row.id,
@@ -222,22 +222,22 @@ async def _read_tokens(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -
     ]
 
 
-async def _require_visible_places(db: Connection, actor: Actor, request: TokenCreate) -> None:
+async def _require_visible_limits(db: Connection, actor: Actor, request: TokenCreate) -> None:
     if not request.is_limited:
         return
-    projects = visible_projects(actor).with_only_columns(literal("project").label("noun"), project.c.id)
+    projects = visible_projects(actor).with_only_columns(literal("project").label("resource_type"), project.c.id)
     missions = visible_missions(actor).with_only_columns(
-        literal("mission").label("noun"), mission.c.id, maintain_column_froms=True
+        literal("mission").label("resource_type"), mission.c.id, maintain_column_froms=True
     )
     stmt = union_all(
         projects.where(among(project.c.id, request.project_ids)),
         missions.where(among(mission.c.id, request.mission_ids)),
     )
-    visible = {(row.noun, row.id) for row in await db.execute(stmt)}
-    for noun, ids in (("project", request.project_ids), ("mission", request.mission_ids)):
-        for place_id in ids:
-            if (noun, place_id) not in visible:
-                raise errors.NotFound(noun=noun, ref=str(place_id))
+    visible = {(row.resource_type, row.id) for row in await db.execute(stmt)}
+    for resource_type, ids in (("project", request.project_ids), ("mission", request.mission_ids)):
+        for limit_id in ids:
+            if (resource_type, limit_id) not in visible:
+                raise errors.NotFound(resource_type=resource_type, ref=str(limit_id))
 
 
 async def _find_expiry(

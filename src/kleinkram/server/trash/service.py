@@ -24,7 +24,7 @@ from sqlalchemy.exc import IntegrityError
 from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NameTaken, NotFound
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.projects import TrashNoun, TrashRead
+from kleinkram.contract.projects import TrashRead, TrashResourceType
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import trashed_files, trashed_missions, trashed_projects
@@ -41,14 +41,14 @@ _NAME_RULES = {"uq_project_name_key_live", "uq_mission_name_key_live", "uq_file_
 
 
 async def list_trash(
-    db: Connection, actor: Actor, *, noun: TrashNoun | None, trash_days: int, page: PageRequest
+    db: Connection, actor: Actor, *, resource_type: TrashResourceType | None, trash_days: int, page: PageRequest
 ) -> Page[TrashRead]:
     """Return a page of what was deleted by itself and can still be restored, latest first. Raises InvalidCursor."""
-    selects = [*_SELECTS.values()] if noun is None else [_SELECTS[noun]]
+    selects = [*_SELECTS.values()] if resource_type is None else [_SELECTS[resource_type]]
     trashed = union_all(*(select_trashed(actor, trash_days) for select_trashed in selects)).subquery("thing")
     stmt = select(trashed, person.c.name.label("deleted_by_name"))
     stmt = stmt.join_from(trashed, person, person.c.id == trashed.c.deleted_by_id)
-    order = Order([trashed.c.deleted_at, trashed.c.noun, trashed.c.id], descending=True)
+    order = Order([trashed.c.deleted_at, trashed.c.resource_type, trashed.c.id], descending=True)
 
     return await read_page(
         db,
@@ -56,10 +56,10 @@ async def list_trash(
         order,
         page,
         lambda row: TrashRead(
-            noun=row.noun,
+            resource_type=row.resource_type,
             id=row.id,
             name=row.name,
-            place=row.place,
+            location=row.location,
             size_bytes=int(row.size_bytes),
             file_count=row.file_count,
             deleted_at=row.deleted_at,
@@ -69,23 +69,25 @@ async def list_trash(
     )
 
 
-async def restore(db: Connection, actor: Actor, *, noun: TrashNoun, noun_id: uuid.UUID, trash_days: int) -> None:
+async def restore(
+    db: Connection, actor: Actor, *, resource_type: TrashResourceType, resource_id: uuid.UUID, trash_days: int
+) -> None:
     """Restore a deleted thing and everything that was deleted with it.
 
     Raises NotFound (also if its project or mission is in the trash), NameTaken, QuotaExceeded or PathConflict.
     """
-    restore_noun = {
-        TrashNoun.project: _restore_project,
-        TrashNoun.mission: _restore_mission,
-        TrashNoun.file: _restore_file,
+    restore_functions = {
+        TrashResourceType.project: _restore_project,
+        TrashResourceType.mission: _restore_mission,
+        TrashResourceType.file: _restore_file,
     }
-    await restore_noun[noun](db, actor, noun_id, trash_days)
+    await restore_functions[resource_type](db, actor, resource_id, trash_days)
 
 
 async def _restore_project(db: Connection, actor: Actor, project_id: uuid.UUID, trash_days: int) -> None:
     stmt = trashed_projects(actor).where(project.c.id == project_id, _is_restorable(project, trash_days))
     stmt = stmt.with_only_columns(project.c.name).with_for_update()
-    (name,) = await _get_row(db, stmt, TrashNoun.project, project_id)
+    (name,) = await _get_row(db, stmt, TrashResourceType.project, project_id)
     await _undelete(db, project, project_id, name)
     await audit(db, actor, Event("project.restore", "project", project_id, name, project_id))
 
@@ -95,7 +97,7 @@ async def _restore_mission(db: Connection, actor: Actor, mission_id: uuid.UUID, 
     stmt = trashed_missions(actor).where(mission.c.id == mission_id, _is_restorable(mission, trash_days))
     columns = (mission.c.name, mission.c.project_id, project.c.name, project.c.deleted_at)
     stmt = stmt.with_only_columns(*columns, maintain_column_froms=True)
-    name, project_id, *parent = await _get_row(db, stmt, TrashNoun.mission, mission_id)
+    name, project_id, *parent = await _get_row(db, stmt, TrashResourceType.mission, mission_id)
     _require_parent("project", *parent)
     await require_room_for_mission(db, actor, project_id=project_id, mission_id=mission_id)
     await _undelete(db, mission, mission_id, name)
@@ -107,12 +109,12 @@ async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID, trash_
     columns = (file.c.path, file.c.mission_id, blob.c.size_bytes, *parents)
     stmt = trashed_files(actor).where(file.c.id == file_id, _is_restorable(file, trash_days))
     stmt = stmt.with_only_columns(*columns, maintain_column_froms=True)
-    path, mission_id, size_bytes, *_ = await _get_row(db, stmt, TrashNoun.file, file_id)
+    path, mission_id, size_bytes, *_ = await _get_row(db, stmt, TrashResourceType.file, file_id)
     await lock_mission(db, mission_id)
     project_id = await project_of(db, mission_id)
     await require_room(db, actor, project_id=project_id, requested=Amount(1, size_bytes))
     # Again, now that the mission is locked. `empty_trash` locks no mission for single files, so lock the file too.
-    row = await _get_row(db, stmt.with_for_update(of=file), TrashNoun.file, file_id)
+    row = await _get_row(db, stmt.with_for_update(of=file), TrashResourceType.file, file_id)
     path, mission_id, _, mission_name, mission_deleted_at, project_id, project_name, project_deleted_at = row
     _require_parent("project", project_name, project_deleted_at)
     _require_parent("mission", mission_name, mission_deleted_at)
@@ -122,16 +124,18 @@ async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID, trash_
     await audit(db, actor, Event("file.restore", "file", file_id, path, project_id, mission_id=mission_id))
 
 
-async def _get_row(db: Connection, stmt: Select[Any], noun: TrashNoun, noun_id: uuid.UUID) -> tuple[Any, ...]:
+async def _get_row(
+    db: Connection, stmt: Select[Any], resource_type: TrashResourceType, resource_id: uuid.UUID
+) -> tuple[Any, ...]:
     row = (await db.execute(stmt)).one_or_none()
     if row is None:
-        raise NotFound(noun=f"{noun.value} in the trash", ref=str(noun_id))
+        raise NotFound(resource_type=f"{resource_type.value} in the trash", ref=str(resource_id))
     return tuple(row)
 
 
-def _require_parent(noun: str, name: str, deleted_at: datetime.datetime | None) -> None:
+def _require_parent(resource_type: str, name: str, deleted_at: datetime.datetime | None) -> None:
     if deleted_at is not None:
-        raise NotFound(noun=noun, ref=f"{name} (it is in the trash too; restore it first)")
+        raise NotFound(resource_type=resource_type, ref=f"{name} (it is in the trash too; restore it first)")
 
 
 async def _undelete(db: Connection, table: Table, row_id: uuid.UUID, name: str) -> None:
@@ -139,7 +143,7 @@ async def _undelete(db: Connection, table: Table, row_id: uuid.UUID, name: str) 
         await db.execute(update(table).where(table.c.id == row_id).values(deleted_at=None, deleted_by_id=None))
     except IntegrityError as error:
         if violated_constraint(error) in _NAME_RULES:
-            raise NameTaken(noun=table.name, name=name) from error
+            raise NameTaken(resource_type=table.name, name=name) from error
         raise
 
 
@@ -151,7 +155,7 @@ def _is_restorable(table: Table, trash_days: int) -> ColumnElement[bool]:
 def _select_trashed(
     stmt: Select[Any], table: Table, trash_days: int, *columns: ColumnElement[Any], sizes: Select[Any] | None = None
 ) -> Select[Any]:
-    own = (literal(table.name).label("noun"), table.c.id, table.c.deleted_at, table.c.deleted_by_id)
+    own = (literal(table.name).label("resource_type"), table.c.id, table.c.deleted_at, table.c.deleted_by_id)
     if sizes is not None:
         live = sizes.where(file.c.deleted_at.is_(None)).correlate(table)
         counts = live.with_only_columns(func.count(), maintain_column_froms=True)
@@ -163,27 +167,27 @@ def _select_trashed(
 def _select_projects(actor: Actor, trash_days: int) -> Select[Any]:
     inside = _SIZES.join(mission, mission.c.id == file.c.mission_id)
     sizes = inside.where(mission.c.project_id == project.c.id, mission.c.deleted_at.is_(None))
-    columns = (project.c.name.label("name"), literal("").label("place"))
+    columns = (project.c.name.label("name"), literal("").label("location"))
     return _select_trashed(trashed_projects(actor), project, trash_days, *columns, sizes=sizes)
 
 
 def _select_missions(actor: Actor, trash_days: int) -> Select[Any]:
     sizes = _SIZES.where(file.c.mission_id == mission.c.id)
-    columns = (mission.c.name.label("name"), project.c.name.label("place"))
+    columns = (mission.c.name.label("name"), project.c.name.label("location"))
     return _select_trashed(trashed_missions(actor), mission, trash_days, *columns, sizes=sizes)
 
 
 def _select_files(actor: Actor, trash_days: int) -> Select[Any]:
-    place = project.c.name.concat("/").concat(mission.c.name).label("place")
-    columns = (file.c.path.label("name"), place, blob.c.size_bytes, literal(1).label("file_count"))
+    location = project.c.name.concat("/").concat(mission.c.name).label("location")
+    columns = (file.c.path.label("name"), location, blob.c.size_bytes, literal(1).label("file_count"))
     return _select_trashed(trashed_files(actor), file, trash_days, *columns)
 
 
 _SIZES = select(func.coalesce(func.sum(blob.c.size_bytes), 0)).join_from(file, blob, blob.c.id == file.c.blob_id)
 _SELECTS = {
-    TrashNoun.project: _select_projects,
-    TrashNoun.mission: _select_missions,
-    TrashNoun.file: _select_files,
+    TrashResourceType.project: _select_projects,
+    TrashResourceType.mission: _select_missions,
+    TrashResourceType.file: _select_files,
 }
 
 
@@ -248,9 +252,9 @@ async def _lock(db: Connection, due: Select[Any], limit: int, *tables: Table) ->
 async def _delete(db: Connection, table: Table, rows: Sequence[_DueRow], *conditions: ColumnElement[bool]) -> None:
     stmt = delete(table).where(table.c.id.in_([row.id for row in rows]), *conditions).returning(table.c.id)
     deleted = set((await db.execute(stmt)).scalars())
-    noun = table.name
+    resource_type = table.name
     events = [
-        Event(f"{noun}.purge", noun, row.id, row.name, row.project_id, mission_id=row.mission_id)
+        Event(f"{resource_type}.purge", resource_type, row.id, row.name, row.project_id, mission_id=row.mission_id)
         for row in rows
         if row.id in deleted
     ]

@@ -352,7 +352,7 @@ async def abort_upload(context: AppContext, actor: Actor, *, upload_id: uuid.UUI
     async with context.database.begin() as db:
         row = (await queries.lock_own_uploads(db, actor, [upload_id])).get(upload_id)
         if row is None:
-            raise NotFound(noun="upload", ref=str(upload_id))
+            raise NotFound(resource_type="upload", ref=str(upload_id))
         if row.state != UploadState.open.value:
             return
         await db.execute(update(upload).where(upload.c.id == upload_id).values(state=UploadState.aborted.value))
@@ -370,7 +370,7 @@ async def get_upload(context: AppContext, actor: Actor, *, upload_id: uuid.UUID)
     async with context.database.begin() as db:
         rows = await queries.read_rows(db, queries.own_uploads(actor).where(upload.c.id == upload_id))
     if not rows:
-        raise NotFound(noun="upload", ref=str(upload_id))
+        raise NotFound(resource_type="upload", ref=str(upload_id))
     [row] = rows
     parts: list[protocol.StoredPart] | None = None
     if row.state == UploadState.open.value and row.multipart_id is not None:

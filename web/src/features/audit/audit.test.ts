@@ -6,7 +6,7 @@ import { startOfDay } from "@/components/time";
 
 const event: AuditEvent = {
   id: 1, at: "2026-11-21T20:00:00Z", actor: { id: "a", name: "Ada" }, token: null, share: null, session_id: null, address: null,
-  as_admin: false, operation: "project.update", noun: "project", noun_id: "p", noun_name: "alpine", project_id: "p",
+  as_admin: false, operation: "project.update", resource_type: "project", resource_id: "p", resource_name: "alpine", project_id: "p",
   mission_id: null, before: {}, after: {}, request_id: "r",
 };
 
@@ -45,10 +45,10 @@ it("says what was done, and the name of an act that it does not know", () => {
 });
 
 it("says what an admin saw of the whole server", () => {
-  const viewed = { ...event, operation: "admin.read", noun: "server", noun_name: "list_people" };
+  const viewed = { ...event, operation: "admin.read", resource_type: "server", resource_name: "list_people" };
   expect(`${eventTextOf(viewed)} ${objectNameOf(viewed)}`).toBe("viewed as an admin the list of people");
-  expect(objectNameOf({ ...viewed, noun: "project", noun_name: "list_people" })).toBe("list_people");
-  expect(objectNameOf({ ...viewed, noun_name: "get_what_is_new" })).toBe("get_what_is_new");
+  expect(objectNameOf({ ...viewed, resource_type: "project", resource_name: "list_people" })).toBe("list_people");
+  expect(objectNameOf({ ...viewed, resource_name: "get_what_is_new" })).toBe("get_what_is_new");
 });
 
 it("finds parts of names, and leaves patterns alone", () => {
@@ -57,17 +57,17 @@ it("finds parts of names, and leaves patterns alone", () => {
 
 it("leads to what has a page", () => {
   expect(placeOf(event)).toEqual({ name: "project", params: { projectId: "p" } });
-  expect(placeOf({ ...event, noun: "token" })).toBeNull();
-  expect(placeOf({ ...event, noun_id: null })).toBeNull();
+  expect(placeOf({ ...event, resource_type: "token" })).toBeNull();
+  expect(placeOf({ ...event, resource_id: null })).toBeNull();
 });
 
 it("does not say a name twice of who signs in", () => {
   expect(objectNameOf(event)).toBe("alpine");
-  expect(objectNameOf({ ...event, noun: "session", noun_name: "Ada" })).toBe("");
+  expect(objectNameOf({ ...event, resource_type: "session", resource_name: "Ada" })).toBe("");
 });
 
 it("asks for what the address says, and for nothing that says nothing", () => {
-  expect(queryOf({ person: "ada", noun: "", until: "2026-11-21", as_admin: "yes", token_id: "t", other: "x" })).toEqual({
+  expect(queryOf({ person: "ada", resource_type: "", until: "2026-11-21", as_admin: "yes", token_id: "t", other: "x" })).toEqual({
     person: "*ada*", until: startOfDay("2026-11-22"), as_admin: true, token_id: "t",
   });
 });

@@ -12,8 +12,8 @@ import { texts } from "@/texts/audit";
 
 export type AuditQuery = NonNullable<operations["export_audit_events"]["parameters"]["query"]>;
 
-export const IDS = ["person_id", "token_id", "share_id", "noun_id", "mission_id"] as const;
-export const NOUNS = ["project", "mission", "file", "grant", "group", "person", "share", "token", "session"] as const;
+export const IDS = ["person_id", "token_id", "share_id", "resource_id", "mission_id"] as const;
+export const RESOURCE_TYPES = ["project", "mission", "file", "grant", "group", "person", "share", "token", "session"] as const;
 /** The event types that the filter lists. The server accepts any pattern. */
 export const OPERATIONS = ["*.create", "*.update", "*.delete", "*.restore", "file.upload", "file.download", "file.preview", "grant.*", "token.*", "share.*", "session.*", "access.denied", "auth.refused"] as const;
 const DAY = /^\d{4}-\d{2}-\d{2}$/;
@@ -30,7 +30,7 @@ export function queryOf(address: LocationQuery): AuditQuery {
   const until = text("until");
   const filters: Record<string, string | boolean | undefined> = {
     person: person === undefined ? undefined : globOf(person),
-    noun: text("noun"),
+    resource_type: text("resource_type"),
     operation: text("operation"),
     project_id: text("project_id"),
     since: since !== undefined && DAY.test(since) ? startOfDay(since) : undefined,
@@ -120,18 +120,18 @@ function textOf(words: Readonly<Record<string, string>>, name: string): string {
 
 /** Returns the name of the target; empty if the target is the actor, as in a sign-in. */
 export function objectNameOf(event: AuditEvent): string {
-  if (event.operation === "admin.read" && event.noun === "server") return textOf(texts.reads, event.noun_name);
-  return event.noun === "session" && event.noun_name === event.actor?.name ? "" : event.noun_name;
+  if (event.operation === "admin.read" && event.resource_type === "server") return textOf(texts.reads, event.resource_name);
+  return event.resource_type === "session" && event.resource_name === event.actor?.name ? "" : event.resource_name;
 }
 
 /** The page of the target of an event; null if it has none. */
 export function placeOf(event: AuditEvent) {
-  const id = event.noun_id;
+  const id = event.resource_id;
   if (id === null) return null;
-  if (event.noun === "project") return { name: "project", params: { projectId: id } };
-  if (event.noun === "mission") return { name: "mission", params: { missionId: id } };
-  if (event.noun === "file") return { name: "file", params: { fileId: id } };
-  if (event.noun === "group") return { name: "group", params: { groupId: id } };
-  if (event.noun === "person") return { name: "person", params: { personId: id } };
+  if (event.resource_type === "project") return { name: "project", params: { projectId: id } };
+  if (event.resource_type === "mission") return { name: "mission", params: { missionId: id } };
+  if (event.resource_type === "file") return { name: "file", params: { fileId: id } };
+  if (event.resource_type === "group") return { name: "group", params: { groupId: id } };
+  if (event.resource_type === "person") return { name: "person", params: { personId: id } };
   return null;
 }

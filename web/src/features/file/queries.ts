@@ -87,7 +87,7 @@ export function useFileChanges(fileId: string) {
     onSuccess: () => showToast({ tone: "plain", text: texts.verifying }),
   });
   const restore = useMutation({
-    mutationFn: () => call(api.POST("/api/v1/trash/{noun}/{noun_id}/restore", { params: { path: { noun: "file", noun_id: fileId } } })),
+    mutationFn: () => call(api.POST("/api/v1/trash/{resource_type}/{resource_id}/restore", { params: { path: { resource_type: "file", resource_id: fileId } } })),
     onSuccess: old,
   });
   const remove = useMutation({

@@ -159,7 +159,7 @@ export function useMissionChanges(missionId: string) {
     meta: { showsItself: true },
   });
   const restore = useMutation({
-    mutationFn: () => call(api.POST("/api/v1/trash/{noun}/{noun_id}/restore", { params: { path: { noun: "mission", noun_id: missionId } } })),
+    mutationFn: () => call(api.POST("/api/v1/trash/{resource_type}/{resource_id}/restore", { params: { path: { resource_type: "mission", resource_id: missionId } } })),
     onSuccess: old,
   });
   return { update, remove, restore, old };

@@ -103,7 +103,7 @@ export function useCreateMission(projectId: string) {
     mutationFn: (body: MissionCreate) => call(api.POST("/api/v1/projects/{project_id}/missions", { params: { path: { project_id: projectId } }, body })),
     onSuccess: (mission) => {
       queries.setQueryData(keys.mission(mission.id), mission);
-      for (const noun of ["projects", "missions"]) void queries.invalidateQueries({ queryKey: [noun] });
+      for (const list of ["projects", "missions"]) void queries.invalidateQueries({ queryKey: [list] });
     },
     meta: { showsItself: true },
   });

@@ -80,7 +80,7 @@ export function useProjectChanges(projectId: string) {
   const path = { project_id: projectId };
 
   function old(): void {
-    for (const noun of ["projects", "missions", "trash"]) void queries.invalidateQueries({ queryKey: [noun] });
+    for (const list of ["projects", "missions", "trash"]) void queries.invalidateQueries({ queryKey: [list] });
   }
 
   const update = useMutation({
@@ -98,7 +98,7 @@ export function useProjectChanges(projectId: string) {
     meta: { showsItself: true },
   });
   const restore = useMutation({
-    mutationFn: () => call(api.POST("/api/v1/trash/{noun}/{noun_id}/restore", { params: { path: { noun: "project", noun_id: projectId } } })),
+    mutationFn: () => call(api.POST("/api/v1/trash/{resource_type}/{resource_id}/restore", { params: { path: { resource_type: "project", resource_id: projectId } } })),
     onSuccess: old,
   });
   return { update, remove, restore, old };

@@ -33,7 +33,7 @@ export function useTokenChanges() {
 }
 
 export interface PlaceOffer {
-  readonly noun: "project" | "mission";
+  readonly resource_type: "project" | "mission";
   readonly id: string;
   readonly label: string;
 }
@@ -41,18 +41,18 @@ export interface PlaceOffer {
 const MAX_SUGGESTIONS = 8;
 
 /** The first projects and missions whose names contain a text. */
-export function usePlaces(typed: () => string, nouns: "missions" | "places"): ComputedRef<readonly PlaceOffer[] | undefined> {
+export function usePlaces(typed: () => string, kinds: "missions" | "places"): ComputedRef<readonly PlaceOffer[] | undefined> {
   const offers = useQuery({
-    queryKey: ["missions", nouns, typed],
+    queryKey: ["missions", kinds, typed],
     queryFn: async ({ signal }) => {
       const query = { limit: MAX_SUGGESTIONS, ...(typed() !== "" && { name: globOf(typed()) }) };
       const [projects, missions] = await Promise.all([
-        nouns === "missions" ? { items: [] } : call(api.GET("/api/v1/projects", { params: { query }, signal })),
+        kinds === "missions" ? { items: [] } : call(api.GET("/api/v1/projects", { params: { query }, signal })),
         call(api.GET("/api/v1/missions", { params: { query }, signal })),
       ]);
       return [
-        ...projects.items.map(({ id, name }) => ({ noun: "project" as const, id, label: name })),
-        ...missions.items.map(({ id, name, project }) => ({ noun: "mission" as const, id, label: texts.mission(name, project.name) })),
+        ...projects.items.map(({ id, name }) => ({ resource_type: "project" as const, id, label: name })),
+        ...missions.items.map(({ id, name, project }) => ({ resource_type: "mission" as const, id, label: texts.mission(name, project.name) })),
       ];
     },
     placeholderData: keepPreviousData,

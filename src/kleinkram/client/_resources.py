@@ -1,4 +1,4 @@
-"""Base of all nouns: validated requests, references (id, name, glob), and lists that load page by page."""
+"""Base of the SDK's resources: validated requests, references (id, name, glob), and lists that load page by page."""
 
 from __future__ import annotations
 
@@ -67,33 +67,33 @@ _SHOWN = 20
 
 
 class HasId(Protocol):
-    """A noun as a list or `get` returns it."""
+    """A resource as a list or `get` returns it."""
 
     @property
     def id(self) -> uuid.UUID:
         """Its id."""
 
 
-NounT = TypeVar("NounT", bound=HasId)
+ResourceT = TypeVar("ResourceT", bound=HasId)
 Ref = str | uuid.UUID | HasId
-"""A reference to a noun: its name, its id (a UUID or text), or the noun itself."""
+"""A reference to a resource: its name, its id (a UUID or text), or the resource itself."""
 
 
-def known_id(ref: Ref, noun: str) -> uuid.UUID | None:
+def known_id(ref: Ref, resource_type: str) -> uuid.UUID | None:
     """Return the id that a reference is or has; None for a name."""
     if isinstance(ref, str):
         return uuid.UUID(ref) if is_id(ref) else None
-    noun_id = ref if isinstance(ref, uuid.UUID) else getattr(ref, "id", None)
-    if not isinstance(noun_id, uuid.UUID):
-        raise InvalidInput(what=f"The {noun} {ref!r}", reason="give its name, its id, or what a list returned")
-    return noun_id
+    resource_id = ref if isinstance(ref, uuid.UUID) else getattr(ref, "id", None)
+    if not isinstance(resource_id, uuid.UUID):
+        raise InvalidInput(what=f"The {resource_type} {ref!r}", reason="give its name, its id, or what a list returned")
+    return resource_id
 
 
-def refs_of(noun: str, value: object) -> list[object]:
+def refs_of(resource_type: str, value: object) -> list[object]:
     """Return one reference or several as a list; raise InvalidInput for none, which would mean all."""
     several = [*value] if isinstance(value, list | tuple | set | frozenset) else [value]
     if not several:
-        raise InvalidInput(what=f"The filter ({noun})", reason="it names none; leave it out to select all")
+        raise InvalidInput(what=f"The filter ({resource_type})", reason="it names none; leave it out to select all")
     return several
 
 
@@ -103,7 +103,7 @@ def is_glob(ref: str) -> bool:
 
 
 def resolve_one(
-    noun: str, ref: str, rows: Iterable[RowT], *, name: Callable[[RowT], str], label: Callable[[RowT], str]
+    resource_type: str, ref: str, rows: Iterable[RowT], *, name: Callable[[RowT], str], label: Callable[[RowT], str]
 ) -> RowT:
     """Return the row that `ref` names, regardless of letter case and Unicode form; a glob may match only one.
 
@@ -116,20 +116,22 @@ def resolve_one(
     if not matches and is_glob(ref):
         matches = candidates
     if not matches:
-        raise NotFound(noun=noun, ref=ref)
+        raise NotFound(resource_type=resource_type, ref=ref)
     if len(matches) > 1:
-        raise AmbiguousName(noun=noun, ref=ref, candidates=[label(row) for row in matches[:_SHOWN_CANDIDATES]])
+        raise AmbiguousName(
+            resource_type=resource_type, ref=ref, candidates=[label(row) for row in matches[:_SHOWN_CANDIDATES]]
+        )
     return matches[0]
 
 
 class ApiResource:
-    """A noun of the API, such as `client.files`."""
+    """Resources of one type, such as `client.files`."""
 
     def __init__(self, api: Api) -> None:
         self._api = api
 
     def with_retry(self, timeout_s: float, wait: Callable[[float], object]) -> Self:
-        """Return this noun with another retry timeout; `wait` waits between tries (seconds)."""
+        """Return these resources with another retry timeout; `wait` waits between tries (seconds)."""
         other = copy.copy(self)
         other._api = self._api.with_retry(timeout_s, wait)
         return other
@@ -139,18 +141,18 @@ class ApiResource:
         return self._api.understood(Deleted, f"DELETE {path}", answer)
 
 
-class NamedResource(ApiResource, ABC, Generic[NounT]):
-    """A noun with names. Methods accept its name, its id, or the noun itself."""
+class NamedResource(ApiResource, ABC, Generic[ResourceT]):
+    """Resources with names. Methods accept the name, the id, or the resource itself."""
 
-    _noun: str
+    _resource_type: str
 
     @abstractmethod
-    def get(self, ref: Ref) -> NounT:
+    def get(self, ref: Ref) -> ResourceT:
         """Return the one with this id or name."""
 
     def id_of(self, ref: Ref) -> uuid.UUID:
-        """Return the id of a noun; asks the server only for a name."""
-        return known_id(ref, self._noun) or self.get(ref).id
+        """Return the id of a resource; asks the server only for a name."""
+        return known_id(ref, self._resource_type) or self.get(ref).id
 
 
 class Listing(Iterator[T], Generic[T]):
