@@ -114,7 +114,7 @@ def test_trash_gives_back_what_was_deleted(terminal: Terminal, project: str, tmp
     assert terminal.run("file", "list", "-p", project, "--count").out == "1\n"
     terminal.run("file", "delete", "-p", project, "-m", "m", "a.bin", "--yes")
     assert terminal.run("file", "list", "-p", project, "--count").out == "0\n"
-    lost = [row for row in terminal.run("trash", "list", "--json").json()["items"] if project in row["place"]]
+    lost = [row for row in terminal.run("trash", "list", "--json").json()["items"] if project in row["location"]]
     assert [row["name"] for row in lost] == ["a.bin"]
     terminal.run("trash", "restore", lost[0]["id"])
     assert terminal.run("file", "list", "-p", project, "--count").out == "1\n"

@@ -164,7 +164,7 @@ def create_token(
         line(made.secret)
         ends = f"until {token.expires_at:%Y-%m-%d %H:%M}Z" if token.expires_at else "until it is revoked"
         note(
-            f"Save it now: it cannot be shown again. It allows {_scopes(token)} on {_places(token)}, {ends}. "
+            f"Save it now: it cannot be shown again. It allows {_scopes(token)} on {_limits(token)}, {ends}. "
             f"`klein token revoke {token.prefix}` ends it."
         )
 
@@ -207,17 +207,17 @@ def _token_cells(row: TokenRead) -> tuple[object, ...]:
         runner += f", only {' or '.join(row.runner_labels)}" if row.runner_labels else ""
     of, prefix = row.person.name, row.prefix or None
     dates = (row.last_used_at, row.expires_at, row.revoked_at)
-    return row.name, prefix, row.kind.value, _scopes(row), _places(row), runner, of, *dates, row.id
+    return row.name, prefix, row.kind.value, _scopes(row), _limits(row), runner, of, *dates, row.id
 
 
 def _scopes(token: TokenRead) -> str:
     return ", ".join(scope.value for scope in token.scopes)
 
 
-def _places(token: TokenRead) -> str:
+def _limits(token: TokenRead) -> str:
     if token.limits is None:
         return "all runs" if token.kind is TokenKind.runner else "everything that its person may see"
-    return ", ".join(f"{place.resource_type} {place.name or place.id}" for place in token.limits) or "nothing any more"
+    return ", ".join(f"{limit.resource_type} {limit.name or limit.id}" for limit in token.limits) or "nothing any more"
 
 
 share_app = Subcommands("Manage links to a mission, or to some of its files, for people without an account.")

@@ -202,7 +202,7 @@ def list_trash(client: Client, resource_type: ResourceTypeOption = None) -> Outp
 def _trash_cells(row: TrashRead) -> tuple[object, ...]:
     content = (row.file_count, size(row.size_bytes))
     deleted = (row.deleted_at, row.deleted_by.name, row.purged_after)
-    return row.resource_type.value, row.name, row.place, *content, *deleted, row.id
+    return row.resource_type.value, row.name, row.location, *content, *deleted, row.id
 
 
 @trash_app.command("restore")

@@ -153,8 +153,8 @@ def explain(error: Exception) -> int | None:
     problems = getattr(error, "problems", None)
     note(f"Error: {error if problems is None else type(error).__doc__ or ''}")
     for problem in problems or ():
-        place = f" (line {problem.line}, column {problem.column})" if problem.line is not None else ""
-        note(f"Error:   {problem.field}{place}: {problem.message}")
+        position = f" (line {problem.line}, column {problem.column})" if problem.line is not None else ""
+        note(f"Error:   {problem.field}{position}: {problem.message}")
     if (request_id := request_id_of(error)) is not None and not isinstance(error, remote.InternalError):
         note(f"Request id: {request_id}")
     return EXIT_CODES[type(error)]

@@ -76,35 +76,35 @@ def file_filter(client: Client, choice: Choice, paths: Sequence[str] = ()) -> Fi
     """
     projects, missions = choice.project, choice.mission
     is_wide = projects is not None and (len(projects) > 1 or any(map(is_glob, projects)))
-    place: dict[str, object]
+    location: dict[str, object]
     if not missions:
-        place = projects_of(client, projects)
+        location = projects_of(client, projects)
     elif len(missions) == 1 and (is_glob(missions[0]) or (is_wide and not is_id(missions[0]))):
-        place = {**projects_of(client, projects), "mission": missions[0]}
+        location = {**projects_of(client, projects), "mission": missions[0]}
     elif len(missions) == 1:
-        place = {"mission_id": client.missions.get(missions[0], project=the_only("project", projects)).id}
+        location = {"mission_id": client.missions.get(missions[0], project=the_only("project", projects)).id}
     elif is_wide:
-        place = {**projects_of(client, projects), "missions": missions}
+        location = {**projects_of(client, projects), "missions": missions}
     else:
         globs = [ref for ref in missions if is_glob(ref)]
         names = [ref for ref in missions if not is_glob(ref)]
         ids = [str(mission.id) for ref in names for mission in find_missions(client, ref, projects)]
-        place = {**(projects_of(client, projects) if globs else {}), "missions": [*ids, *globs]}
-    return _filter(choice, place, paths)
+        location = {**(projects_of(client, projects) if globs else {}), "missions": [*ids, *globs]}
+    return _filter(choice, location, paths)
 
 
 def mission_query(client: Client, choice: Choice, paths: Sequence[str] = ()) -> str:
     """Return the query for the missions of the options; several missions may have the same name."""
     missions = choice.mission or []
-    place: dict[str, object] = {"missions": missions}
+    location: dict[str, object] = {"missions": missions}
     if len(missions) == 1:
-        place = {"mission_id" if is_id(missions[0]) else "mission": missions[0]}
-    return render(_filter(choice, {**projects_of(client, choice.project), **place}, paths))
+        location = {"mission_id" if is_id(missions[0]) else "mission": missions[0]}
+    return render(_filter(choice, {**projects_of(client, choice.project), **location}, paths))
 
 
-def _filter(choice: Choice, place: dict[str, object], paths: Sequence[str]) -> FileFilter:
+def _filter(choice: Choice, location: dict[str, object], paths: Sequence[str]) -> FileFilter:
     fields = {name: value for name, value in vars(choice).items() if name not in {"project", "mission"}}
-    fields |= {**place, "path": [*paths]}
+    fields |= {**location, "path": [*paths]}
     for name in ("recorded_after", "recorded_before"):
         fields[name] = parse_time(fields[name])
     for name in ("min_size_bytes", "max_size_bytes"):

@@ -118,7 +118,7 @@ def resolve_data_dir(data_dir: Path | None) -> Path:
 app = Subcommands("Create, list, verify and prune backups of a whole instance.")
 _REMOTE = re.compile(r"s3://|[\w.+@-]+:")  # of rclone's configuration; a folder is made absolute
 _CONNECTIONS = 8
-Place = Annotated[
+Location = Annotated[
     str,
     argument(
         "LOCATION",
@@ -140,10 +140,10 @@ SnapshotOption = Annotated[Text, option("--snapshot", "ID", "Choose the backup, 
 
 @app.command()
 def create(
-    place: Place,
+    location: Location,
     data_dir: DataDirOption = None,
     encrypt: Annotated[
-        bool, flag("--encrypt", "Encrypt with a passphrase. Decided by the first backup in a place.")
+        bool, flag("--encrypt", "Encrypt with a passphrase. Decided by the first backup in a location.")
     ] = False,
     passphrase_file: PassphraseFile = None,
     limit_rate: LimitRate = None,
@@ -155,18 +155,18 @@ def create(
     The exit code is 9 if the backup was made, but some files were lost or corrupt in the store already; it lists them.
     """
     pace = {"bytes_per_s": parse_rate(limit_rate), "connections": connections}
-    _execute(_command("create", place, passphrase_file, as_json, encrypt=encrypt, **pace), data_dir)
+    _execute(_command("create", location, passphrase_file, as_json, encrypt=encrypt, **pace), data_dir)
 
 
 @app.command("list")
-def list_(place: Place, passphrase_file: PassphraseFile = None, as_json: AsJson = False) -> None:
-    """List the backups in a place, the oldest first."""
-    _execute_server(_command("list", place, passphrase_file, as_json))
+def list_(location: Location, passphrase_file: PassphraseFile = None, as_json: AsJson = False) -> None:
+    """List the backups in a location, the oldest first."""
+    _execute_server(_command("list", location, passphrase_file, as_json))
 
 
 @app.command()
 def verify(
-    place: Place,
+    location: Location,
     snapshot: SnapshotOption = None,
     read_all: Annotated[bool, flag("--read-all", "Read every byte and compare it with its SHA-256.")] = False,
     passphrase_file: PassphraseFile = None,
@@ -177,22 +177,22 @@ def verify(
     """Verify backups by names and sizes, or with --read-all by every byte. The exit code is 9 if one is incomplete."""
     pace = {"bytes_per_s": parse_rate(limit_rate), "connections": connections}
     which = {"snapshot_id": snapshot, "read_all": read_all}
-    _execute_server(_command("verify", place, passphrase_file, as_json, **which, **pace))
+    _execute_server(_command("verify", location, passphrase_file, as_json, **which, **pace))
 
 
 @app.command()
 def prune(
-    place: Place,
+    location: Location,
     keep: Annotated[int, option("--keep", "N", "Keep the latest N backups.", min=1)],
     passphrase_file: PassphraseFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Remove all but the latest N backups, and the objects that only they contain."""
-    _execute_server(_command("prune", place, passphrase_file, as_json, keep=keep))
+    _execute_server(_command("prune", location, passphrase_file, as_json, keep=keep))
 
 
 def restore(
-    place: Place,
+    location: Location,
     data_dir: DataDirOption = None,
     snapshot: SnapshotOption = None,
     passphrase_file: PassphraseFile = None,
@@ -205,16 +205,16 @@ def restore(
     The exit code is 9 if it was restored, but some files are lost or corrupt; it lists them.
     """
     pace = {"bytes_per_s": parse_rate(limit_rate), "connections": connections}
-    _execute(_command("restore", place, passphrase_file, as_json, snapshot_id=snapshot, **pace), data_dir)
+    _execute(_command("restore", location, passphrase_file, as_json, snapshot_id=snapshot, **pace), data_dir)
 
 
 def _command(
-    command: str, place: str, passphrase_file: Path | None, as_json: bool, **more: object
+    command: str, location: str, passphrase_file: Path | None, as_json: bool, **more: object
 ) -> dict[str, object]:
     # The process that runs the command has another working directory.
-    where = place if _REMOTE.match(place) else str(Path(place).expanduser().resolve())
+    where = location if _REMOTE.match(location) else str(Path(location).expanduser().resolve())
     file = str(passphrase_file.expanduser().resolve()) if passphrase_file else None
-    return {"command": command, "place": where, "passphrase_file": file, "as_json": as_json, **more}
+    return {"command": command, "location": where, "passphrase_file": file, "as_json": as_json, **more}
 
 
 def _execute(command: dict[str, object], data_dir: Path | None) -> None:

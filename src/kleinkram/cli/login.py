@@ -207,8 +207,8 @@ def show(ctx: typer.Context, as_json: AsJson = False) -> None:
         show_json({**fields, **_plain(saved)})
         return
     who, until = _who_until(saved)
-    place = [("endpoint", used.name), ("url", used.url), ("because", why)]
-    details([*place, ("signed in as", who), ("until", until), ("saved in", str(endpoints_file()))])
+    rows = [("endpoint", used.name), ("url", used.url), ("because", why)]
+    details([*rows, ("signed in as", who), ("until", until), ("saved in", str(endpoints_file()))])
 
 
 @app.command("list")

@@ -281,9 +281,9 @@ def show_files(files: Iterable[FileRead], *, to_stderr: bool = False) -> None:
     """Print files of any missions as a table."""
     cells = []
     for row in files:
-        place = (row.mission.project.name, row.mission.name, row.path)
+        location = (row.mission.project.name, row.mission.name, row.path)
         content = (row.content.value, row.message_count)
-        cells.append((*place, size(row.size_bytes), row.state.value, *content, *_times(row), row.id))
+        cells.append((*location, size(row.size_bytes), row.state.value, *content, *_times(row), row.id))
     headers = ["project", "mission", "path", "size", "bytes", "content", "messages", "start", "span", "id"]
     table(headers, cells, to_stderr=to_stderr)
 

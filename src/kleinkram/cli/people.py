@@ -10,7 +10,7 @@ from kleinkram.cli.render import Output, as_details, as_table, details, line, mo
 from kleinkram.cli.units import count, parse_time
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
-from kleinkram.client.people import Place, find_grant
+from kleinkram.client.people import AccessResource, find_grant
 from kleinkram.contract.access import AccessRead, GrantRead, GroupRead, Right
 from kleinkram.contract.accounts import OneTimeLink
 from kleinkram.contract.people import PersonRead
@@ -243,10 +243,10 @@ def list_access(
     grants: Annotated[bool, flag("--grants", "List what was granted here, including what has expired.")] = False,
 ) -> Output:
     """List who has which right on a project or mission now, and its source. Without WRITE, you see only your own."""
-    place = _place(client, project, mission)
+    resource = _resource(client, project, mission)
     if grants:
-        return as_table(client.access.grants(place), ["right", "to", "by", "until"], _grant_cells)
-    return as_table(client.access.ways(place), ["who", "right", "through", "until"], _access_cells)
+        return as_table(client.access.grants(resource), ["right", "to", "by", "until"], _grant_cells)
+    return as_table(client.access.ways(resource), ["who", "right", "through", "until"], _access_cells)
 
 
 @access_app.command("grant")
@@ -261,10 +261,10 @@ def grant(
     until: options.Until = None,
 ) -> Output:
     """Grant a right. It replaces the right that they were granted here before."""
-    place = _place(client, project, mission)
-    made = client.access.grant(place, client.access.grantee(to), right, expires_at=parse_time(until))
+    resource = _resource(client, project, mission)
+    made = client.access.grant(resource, client.access.grantee(to), right, expires_at=parse_time(until))
     end = f" until {moment(made.expires_at)}" if made.expires_at else ""
-    return Output(made, f"{made.to.name} has {made.right.value} on the {made.on.value} {place.name}{end}.")
+    return Output(made, f"{made.to.name} has {made.right.value} on the {made.on.value} {resource.name}{end}.")
 
 
 @access_app.command("revoke")
@@ -275,13 +275,13 @@ def revoke(
     mission: options.MissionOption = None,
 ) -> Output:
     """Revoke a right that was granted here. Rights from elsewhere stay: see `klein access list`."""
-    place = _place(client, project, mission)
-    target = find_grant(client.access.grants(place), to)
-    client.access.revoke(place, target.id)
-    return Output(target, f"Took {target.right.value} on the {target.on.value} {place.name} from {target.to.name}.")
+    resource = _resource(client, project, mission)
+    target = find_grant(client.access.grants(resource), to)
+    client.access.revoke(resource, target.id)
+    return Output(target, f"Took {target.right.value} on the {target.on.value} {resource.name} from {target.to.name}.")
 
 
-def _place(client: Client, project: Text, mission: Text) -> Place:
+def _resource(client: Client, project: Text, mission: Text) -> AccessResource:
     if mission is not None:
         return client.missions.get(mission, project=project)
     if project is None:

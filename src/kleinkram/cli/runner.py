@@ -91,7 +91,7 @@ def list_(client: Client) -> Output:
 def _cells(row: RunnerRead) -> tuple[object, ...]:
     token = None
     if row.token is not None:
-        limits = [f"project {place.name}" for place in row.token.projects or []]
+        limits = [f"project {project.name}" for project in row.token.projects or []]
         limits += [f"label {label}" for label in row.token.labels or []]
         token = f"{row.token.name} (only {', '.join(limits)})" if limits else row.token.name
     seen = "now" if row.is_alive else moment(row.last_seen_at)

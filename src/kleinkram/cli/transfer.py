@@ -263,10 +263,10 @@ def _show_verdicts(verdicts: list[FileVerdict]) -> None:
 
 def _named(verdicts: list[FileVerdict]) -> list[tuple[FileVerdict, str]]:
     """Return each verdict with its path, preceded by project and mission where there are several missions."""
-    places = [(one.file.mission.project.name, one.file.mission.name) if one.file else () for one in verdicts]
-    if len({place for place in places if place}) < 2:
+    locations = [(one.file.mission.project.name, one.file.mission.name) if one.file else () for one in verdicts]
+    if len({location for location in locations if location}) < 2:
         return [(one, one.path) for one in verdicts]
-    return [(one, "/".join([*place, one.path])) for one, place in zip(verdicts, places, strict=True)]
+    return [(one, "/".join([*location, one.path])) for one, location in zip(verdicts, locations, strict=True)]
 
 
 def _plain_verdict(one: FileVerdict) -> dict[str, object]:

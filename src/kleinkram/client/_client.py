@@ -121,8 +121,8 @@ class Client:
             if not create or error.resource_type != "mission" or not isinstance(mission, str):
                 raise
             named, _, name = mission.rpartition("/")
-            place = project if project is not None else named or None
-            mission_id = self.missions.create(name, project=place, metadata=metadata).id
+            parent = project if project is not None else named or None
+            mission_id = self.missions.create(name, project=parent, metadata=metadata).id
         return upload(self, mission_id, plan, connections=connections, bytes_per_s=bytes_per_s)
 
     def download(
@@ -150,7 +150,7 @@ class Client:
 
         Raises:
             NothingToDo: no file matches, or nothing was selected.
-            PathsCollide: two files would have the same place.
+            PathsCollide: two files would have the same path.
             DiskFull, DestinationRefused: the folder cannot take them.
             ServerUnreachable, StoreUnreachable: one of them stayed unavailable.
         """

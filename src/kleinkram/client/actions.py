@@ -114,8 +114,8 @@ class Actions(NamedResource[ActionRead]):
 
 def action_label(action: ActionRead) -> str:
     """Return an action as it is listed among candidates."""
-    place = f"{action.project.name}/{action.name}" if action.project else f"{action.name} of the whole lab"
-    return f"{place} ({action.id})"
+    full_name = f"{action.project.name}/{action.name}" if action.project else f"{action.name} of the whole lab"
+    return f"{full_name} ({action.id})"
 
 
 def read_manifest(path: Path) -> ActionDefinition:

@@ -87,12 +87,12 @@ class Files(NamedResource[FileRead]):
         if (file_id := known_id(ref, "file")) is not None:
             return self._api.get(f"/files/{file_id}", FileRead)
         path = str(ref)
-        place: FileFields = {"path": path}
+        fields: FileFields = {"path": path}
         if mission is not None:
-            place["mission"] = Missions(self._api).id_of(mission, project=project)
+            fields["mission"] = Missions(self._api).id_of(mission, project=project)
         elif project is not None:
-            place["project"] = project
-        scope = as_filter(None, place)
+            fields["project"] = project
+        scope = as_filter(None, fields)
         return resolve_one("file", path, self.list(scope), name=lambda row: row.path, label=file_label)
 
     def topics(self, file_id: Ref) -> Listing[TopicRead]:
@@ -128,7 +128,7 @@ class Files(NamedResource[FileRead]):
         """Change some fields of `FileUpdate`: a path renames, a `mission_id` moves; no bytes are copied.
 
         Raises:
-            FileExists, PathConflict: the new place is taken.
+            FileExists, PathConflict: the new path is taken.
         """
         body = checked(FileUpdate, "The file", **changes)
         return self._api.patch(f"/files/{self.id_of(file_id)}", FileRead, body, etag=if_match)

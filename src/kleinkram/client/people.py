@@ -147,23 +147,23 @@ def group_label(group: access.GroupRead) -> str:
     return f"{group.name} ({group.id})"
 
 
-Place = ProjectRead | MissionRead
+AccessResource = ProjectRead | MissionRead
 
 
 class Access(ApiResource):
-    """`client.access`. A place is a project or a mission, as `client.projects` and `client.missions` return them."""
+    """`client.access`. A resource is a project or a mission, as `client.projects` and `client.missions` return them."""
 
-    def ways(self, place: Place) -> Listing[access.AccessRead]:
-        """Yield who has which right on a place now, and through what; without WRITE there, only one's own rights."""
-        return pages(self._api, f"{_path(place)}/access", access.AccessRead, [])
+    def ways(self, resource: AccessResource) -> Listing[access.AccessRead]:
+        """Yield who has which right on a resource now, and through what; without WRITE there, only one's own rights."""
+        return pages(self._api, f"{_path(resource)}/access", access.AccessRead, [])
 
-    def grants(self, place: Place) -> Listing[access.GrantRead]:
-        """Yield the grants on a place itself, by the name of the grantee, including expired ones."""
-        return pages(self._api, f"{_path(place)}/grants", access.GrantRead, [])
+    def grants(self, resource: AccessResource) -> Listing[access.GrantRead]:
+        """Yield the grants on a resource itself, by the name of the grantee, including expired ones."""
+        return pages(self._api, f"{_path(resource)}/grants", access.GrantRead, [])
 
     def grant(
         self,
-        place: Place,
+        resource: AccessResource,
         to: access.Grantee | str,
         right: access.Right,
         *,
@@ -180,13 +180,13 @@ class Access(ApiResource):
         to = self.grantee(to) if isinstance(to, str) else to
         grantee_fields = {"email": to.name} if to.kind is access.GranteeKind.email else {f"{to.kind.value}_id": to.id}
         body = checked(access.GrantCreate, "The grant", **grantee_fields, right=right, expires_at=expires_at)
-        return self._api.send("POST", f"{_path(place)}/grants", access.GrantRead, body)
+        return self._api.send("POST", f"{_path(resource)}/grants", access.GrantRead, body)
 
-    def revoke(self, place: Place, grant: Ref) -> None:
+    def revoke(self, resource: AccessResource, grant: Ref) -> None:
         """Revoke a grant, by itself, its id, or the name, address or id of the grantee; LastOwner for the last."""
-        existing = find_grant(self.grants(place), grant) if isinstance(grant, str) else None
+        existing = find_grant(self.grants(resource), grant) if isinstance(grant, str) else None
         grant_id = existing.id if existing else known_id(grant, "grant")
-        self._api.delete(f"{_path(place)}/grants/{grant_id}")
+        self._api.delete(f"{_path(resource)}/grants/{grant_id}")
 
     def grantee(self, ref: str) -> access.Grantee:
         """Return the grantee that an address, an id or a name means: that address, a person, or a group.
@@ -223,8 +223,8 @@ def find_grant(grants: Iterator[access.GrantRead], ref: str) -> access.GrantRead
     )
 
 
-def _path(place: Place) -> str:
-    return f"/projects/{place.id}" if isinstance(place, ProjectRead) else f"/missions/{place.id}"
+def _path(resource: AccessResource) -> str:
+    return f"/projects/{resource.id}" if isinstance(resource, ProjectRead) else f"/missions/{resource.id}"
 
 
 def _grantee_label(to: access.Grantee) -> str:

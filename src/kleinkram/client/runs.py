@@ -36,7 +36,10 @@ _LOOK_EVERY_S = 1.0
 
 
 class RunFields(TypedDict, total=False):
-    """The keywords that select runs: those of `RunFilter`, with one value or several; places by name, id or object."""
+    """The keywords that select runs: those of `RunFilter`, with one value or several.
+
+    Projects and missions are a name, an id or an object.
+    """
 
     project: Ref | Sequence[Ref]
     mission: Ref | Sequence[Ref]
@@ -47,7 +50,7 @@ class RunFields(TypedDict, total=False):
 
 
 class ReportFields(TypedDict, total=False):
-    """The keywords that select findings or metrics: those of `ReportFilter`, with places as in `RunFields`."""
+    """The keywords that select findings or metrics: those of `ReportFilter`; projects and missions as above."""
 
     run: Ref
     project: Ref | Sequence[Ref]

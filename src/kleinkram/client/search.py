@@ -106,7 +106,7 @@ def _read_fields(fields: Mapping[str, object]) -> dict[str, object]:
         if name == "mission":
             values |= _missions(value, has_project=fields.get("project") is not None)
         elif name == "project":
-            values |= _place(name, refs_of(name, value))
+            values |= _location(name, refs_of(name, value))
         elif name in {"recorded_after", "recorded_before"}:
             values[name] = as_datetime(name, value)
         elif name.endswith("_size_bytes") and isinstance(value, str):
@@ -126,15 +126,15 @@ def _missions(value: object, *, has_project: bool) -> dict[str, object]:
     refs = refs_of("mission", value)
     qualified = [ref for ref in refs if isinstance(ref, str) and "/" in ref]
     if not qualified:
-        return _place("mission", refs)
+        return _location("mission", refs)
     if has_project or len(refs) > 1:
         reason = f"specify the project of {qualified[0]!r} with project="
         raise InvalidInput(what="The filter (mission)", reason=reason)
     project, _, name = qualified[0].partition("/")
-    return {**_place("project", [project]), **_place("mission", [name])}
+    return {**_location("project", [project]), **_location("mission", [name])}
 
 
-def _place(resource_type: str, several: Sequence[object]) -> dict[str, object]:
+def _location(resource_type: str, several: Sequence[object]) -> dict[str, object]:
     refs = [known_id(cast(Ref, ref), resource_type) or str(ref) for ref in several]
     if len(refs) == 1:
         return {f"{resource_type}_id" if isinstance(refs[0], uuid.UUID) else resource_type: refs[0]}

@@ -155,8 +155,8 @@ class Trash(ApiResource):
 
 def trash_label(row: TrashRead) -> str:
     """Return a deleted thing as it is listed among candidates."""
-    place = f"{row.place}/" if row.place else ""
-    return f"{row.resource_type.value} {place}{row.name} ({row.id})"
+    location = f"{row.location}/" if row.location else ""
+    return f"{row.resource_type.value} {location}{row.name} ({row.id})"
 
 
 _POLL_S = 1.0

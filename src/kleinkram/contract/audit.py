@@ -6,7 +6,7 @@ import uuid
 
 from kleinkram.contract.base import NamedRef, Response
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.missions import PlaceFilter
+from kleinkram.contract.missions import LocationFilter
 from kleinkram.contract.names import Term
 from kleinkram.contract.people import PersonRef
 
@@ -41,7 +41,7 @@ class AuditRead(Response):
     request_id: str | None
 
 
-class AuditFilter(PlaceFilter):
+class AuditFilter(LocationFilter):
     """A filter of events; all given conditions apply.
 
     `person`, `token` and `operation` may be globs: `anna*`, `file.*`. `since` is inclusive, `until` exclusive; times

@@ -129,7 +129,7 @@ MetadataSort = Annotated[str, Field(pattern=r"^-?meta\.[A-Za-z][A-Za-z0-9_.]{0,1
 MissionOrder = MissionSort | MetadataSort
 
 
-class PlaceFilter(Request):
+class LocationFilter(Request):
     """A filter by where something happened; of several projects or missions, any may match."""
 
     project_id: uuid.UUID | None = None

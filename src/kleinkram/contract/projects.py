@@ -113,7 +113,7 @@ class TrashResourceType(str, enum.Enum):
 
 
 class TrashRead(Response):
-    """A deleted object. `place` is the project of a mission, or project and mission of a file.
+    """A deleted object. `location` is the project of a mission, or project and mission of a file.
 
     Missions that were deleted with their project are restored with it, and not listed.
     """
@@ -121,7 +121,7 @@ class TrashRead(Response):
     resource_type: TrashResourceType
     id: uuid.UUID
     name: str
-    place: str
+    location: str
     size_bytes: int
     file_count: int
     deleted_at: datetime.datetime

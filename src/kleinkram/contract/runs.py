@@ -12,7 +12,7 @@ from kleinkram.contract.actions import ActionDefinition, Network, ParameterValue
 from kleinkram.contract.base import Request, Response
 from kleinkram.contract.files import FileRead, RecordingRead, TopicRead
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.missions import MissionRead, MissionRef, PlaceFilter
+from kleinkram.contract.missions import LocationFilter, MissionRead, MissionRef
 from kleinkram.contract.names import Term
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.problems import ProblemDocument
@@ -205,7 +205,7 @@ class RunsCreated(Response):
     items: list[Annotated[RunCreated | RunRefused, Field(discriminator="outcome")]]
 
 
-class RunFilter(PlaceFilter):
+class RunFilter(LocationFilter):
     """A filter for runs: all criteria must match. `action` may be a glob of the name.
 
     Of several projects or missions, any may match.
@@ -277,7 +277,7 @@ class MetricRead(_FromRun):
     metric: Metric
 
 
-class ReportFilter(PlaceFilter):
+class ReportFilter(LocationFilter):
     """A filter for findings or metrics. `code` (or a metric's name) may be a glob."""
 
     run_id: uuid.UUID | None = None

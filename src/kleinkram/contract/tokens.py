@@ -54,7 +54,7 @@ DEFAULT_SCOPES = {
     TokenKind.runner: (Scope.run,),
     TokenKind.run: (Scope.read,),
 }
-Places = Annotated[list[uuid.UUID], Field(max_length=100)]
+LimitIds = Annotated[list[uuid.UUID], Field(max_length=100)]
 
 
 class TokenCreate(Request):
@@ -68,8 +68,8 @@ class TokenCreate(Request):
     name: Label
     kind: TokenKind = TokenKind.personal
     scopes: Annotated[list[Scope], Field(min_length=1, max_length=len(Scope))] | None = None
-    project_ids: Places = []
-    mission_ids: Places = []
+    project_ids: LimitIds = []
+    mission_ids: LimitIds = []
     expires_at: Expiry | None = None
     no_end: bool = False
     runner_id: uuid.UUID | None = None
@@ -102,7 +102,7 @@ class TokenCreate(Request):
         return self
 
 
-class TokenPlace(Response):
+class TokenLimit(Response):
     """A project or mission to which a token is limited. `name` is null if the caller may not see it."""
 
     resource_type: str
@@ -130,7 +130,7 @@ class TokenRead(Response):
     kind: TokenKind
     prefix: str
     scopes: list[Scope]
-    limits: list[TokenPlace] | None
+    limits: list[TokenLimit] | None
     created_at: datetime.datetime
     expires_at: datetime.datetime | None
     last_used_at: datetime.datetime | None

@@ -28,7 +28,7 @@ from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_READ
 from kleinkram.recordings.merge_messages import OVERHEAD_BYTES, MessagePiece, MessageRun, merge
 from kleinkram.recordings.messages import Block, Channel, Selection
 from kleinkram.recordings.model import RecordingSummary
-from kleinkram.recordings.scanned_messages import PlaceKind
+from kleinkram.recordings.scanned_messages import LocationKind
 from kleinkram.recordings.sources import ReadAheadTask, Source, read_ahead
 from kleinkram.recordings.streams import ByteStream, open_bytes, open_range
 
@@ -142,7 +142,7 @@ class _ChunkReader:
 
             first_ns = max(row.first_ns, selection.start_ns)
             yield MessagePiece(
-                first_ns, (*order, number), open_next, read_again if row.kind == PlaceKind.chunk else None
+                first_ns, (*order, number), open_next, read_again if row.kind == LocationKind.chunk else None
             )
 
     def _with_missed_chunks(self, row: Row, run: MessageRun) -> MessageRun:
@@ -196,9 +196,9 @@ class _ChunkReader:
 
     def _load(self, row: Row) -> Loaded:
         start, end = row.start, row.start + row.length
-        if row.kind == PlaceKind.records and row.length > MAX_MESSAGE:
+        if row.kind == LocationKind.records and row.length > MAX_MESSAGE:
             return Malformed(f"byte {start}", f"a message of {row.length} bytes; at most {MAX_MESSAGE} are read")
-        if row.kind == PlaceKind.chunk and row.length > MAX_CHUNK_BYTES:
+        if row.kind == LocationKind.chunk and row.length > MAX_CHUNK_BYTES:
             return unreadable_chunk("", stored=row.length, uncompressed=0) or b""
         read = self._file.source.read
         if row.length <= MAX_READ:
@@ -207,12 +207,12 @@ class _ChunkReader:
 
     def _content_of(self, row: Row, data: Buffer) -> Loaded:
         """Return the content of a row: records as they are, a chunk decompressed."""
-        if row.kind == PlaceKind.records:
+        if row.kind == LocationKind.records:
             return data
         try:
             head = self._file.format.open_chunk(open_bytes(bytes(data[:_HEAD_BYTES]), row.start))
             stored = memoryview(data)[head.data_start : head.record_bytes]
-            if row.kind == PlaceKind.cut:
+            if row.kind == LocationKind.cut:
                 max_bytes = min(head.uncompressed_bytes, MAX_CHUNK_BYTES)
                 return decompress_beginning(head.compression, bytes(stored), max_bytes)
             if why := unreadable_chunk(head.compression, stored=row.length, uncompressed=head.uncompressed_bytes):
@@ -246,13 +246,15 @@ class _ChunkReader:
         """Scan a damaged chunk, or the file where the index lists a chunk that is not there."""
         file = self._file
         gaps: Iterable[FileGap] = []
-        if not file.is_part and row.kind != PlaceKind.records:
-            is_there = row.kind == PlaceKind.cut or end_of_chunk(file.source, row, file.format.open_chunk) is not None
+        if not file.is_part and row.kind != LocationKind.records:
+            is_there = (
+                row.kind == LocationKind.cut or end_of_chunk(file.source, row, file.format.open_chunk) is not None
+            )
             gaps = [FileGap(row.start, row.end)] if is_there else self._search_unlisted_ranges()
         size = sum(gap.end - gap.start for gap in gaps)
         contents = file.contents
         saved = file.format.salvage(file.source, gaps, contents.channels) if 0 < size <= self._salvage_left else None
-        where = f"{'messages' if row.kind == PlaceKind.records else 'chunk'} at byte {row.start}"
+        where = f"{'messages' if row.kind == LocationKind.records else 'chunk'} at byte {row.start}"
         if saved is None or not saved.table.rows:
             file.problem_log.add("damaged", where, f"left out: {damage.message}")
             return MessageRun([], 0)

@@ -1,7 +1,7 @@
 """Scans files made of chunks (MCAP, ROS 1 bag) from the first byte to the last, and counts messages by their index.
 
 A scan holds one chunk of at most `MAX_CHUNK_BYTES` (larger ones are left out) and no messages. It continues behind
-damage: behind a chunk that cannot be read, or, where the records themselves break off, at the next place where a record
+damage: behind a chunk that cannot be read, or, where the records themselves break off, at the next byte where a record
 can begin. It measures what it leaves out.
 """
 
@@ -24,7 +24,7 @@ from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, IndexFau
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES
 from kleinkram.recordings.messages import Channel
 from kleinkram.recordings.model import RecordingSummary, counted
-from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessagePlace, PlaceKind
+from kleinkram.recordings.scanned_messages import Batch, LocationKind, MessageCounter, MessageLocation
 from kleinkram.recordings.sources import SequentialReader, Source, SourceReader
 from kleinkram.recordings.streams import LookaheadStream
 from kleinkram.recordings.timeline import ChunkEntries, Timeline
@@ -104,7 +104,7 @@ class ChunkScanner(ABC, Generic[FactsT]):
 
     @abstractmethod
     def _reaches_over_chunk(self, after: int) -> bool:
-        """Return whether another chunk of this file begins before a place in the window."""
+        """Return whether another chunk of this file begins before an offset in the window."""
 
     @abstractmethod
     def _search(self) -> None:
@@ -135,8 +135,8 @@ class ChunkScanner(ABC, Generic[FactsT]):
             return
         batch = Batch(scan.facts.channels)
         contents = self._walk(raw, batch, may_end_early=not head.compression)
-        place = MessagePlace(PlaceKind.chunk, start, total, len(raw), contents.readable_ranges)
-        self._count(batch, place, stored=head.stored_bytes)
+        location = MessageLocation(LocationKind.chunk, start, total, len(raw), contents.readable_ranges)
+        self._count(batch, location, stored=head.stored_bytes)
         self._note_holes(start, head, contents, len(raw))
         stream.advance(total if contents.end == len(raw) else head.data_start + contents.end)
         self._content = raw
@@ -148,12 +148,12 @@ class ChunkScanner(ABC, Generic[FactsT]):
         messages.add(batch)
         self._note_chunk(start, head, messages if is_complete else None)
 
-    def _count(self, batch: Batch, place: MessagePlace, *, stored: int) -> None:
-        """Count messages at a place, of whose content `stored` bytes are in the file."""
+    def _count(self, batch: Batch, location: MessageLocation, *, stored: int) -> None:
+        """Count messages at a location, of whose content `stored` bytes are in the file."""
         self._scan.counter.learn(self._scan.facts.channels)
         if self._builder is not None:
-            self._builder.add(place, batch)
-        self._scan.counter.add(batch, stored=stored, uncompressed=place.uncompressed)
+            self._builder.add(location, batch)
+        self._scan.counter.add(batch, stored=stored, uncompressed=location.uncompressed)
 
     def _note_chunk(self, start: int, head: ChunkHead, messages: ChunkMessages | None) -> None:
         """Note the messages of a chunk (None: not all of them), and compare them with its head."""
@@ -215,10 +215,14 @@ class ChunkScanner(ABC, Generic[FactsT]):
         raw = decompress_beginning(head.compression, stored, max_bytes)
         batch, before, record_bytes = Batch(scan.facts.channels), scan.counter.messages, head.data_start + len(stored)
         contents = self._walk(raw, batch)
-        place = MessagePlace(
-            PlaceKind.cut, self._stream.position, record_bytes, len(raw), contents.readable_ranges or ((0, len(raw)),)
+        location = MessageLocation(
+            LocationKind.cut,
+            self._stream.position,
+            record_bytes,
+            len(raw),
+            contents.readable_ranges or ((0, len(raw)),),
         )
-        self._count(batch, place, stored=len(stored))
+        self._count(batch, location, stored=len(stored))
         scan.losses.unverified += scan.counter.messages - before
         followed = len(raw) - sum(hole.end - hole.start for hole in contents.holes)
         return head.data_start + len(stored) * followed // len(raw) if followed else 0

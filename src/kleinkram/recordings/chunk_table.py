@@ -13,7 +13,7 @@ from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_CHUNKS, WINDOW
 from kleinkram.recordings.messages import Selection
-from kleinkram.recordings.scanned_messages import BATCH_STRIDE, Batch, MessagePlace, PlaceKind, ReadableRanges
+from kleinkram.recordings.scanned_messages import BATCH_STRIDE, Batch, LocationKind, MessageLocation, ReadableRanges
 
 MAX_SET_BYTES = 16 * 2**20
 _MAX_MESSAGES_OF_ROW = 8192
@@ -140,7 +140,7 @@ class ChunkHead(NamedTuple):
 class Row(NamedTuple):
     """A chunk, or records outside of chunks: [start, start + length), with inclusive times.
 
-    `end`: behind its message indexes. `kind`: as in `MessagePlace`. `uncompressed_bytes` may be a guess; `stored_bytes`
+    `end`: behind its message indexes. `kind`: of `MessageLocation`. `uncompressed_bytes`: maybe a guess. `stored_bytes`
     and `messages` are `UNKNOWN` where the index does not state them.
     """
 
@@ -169,13 +169,13 @@ class ChunkTable:
         return frozenset().union(*self.sets.members)
 
     def span(self, without: Container[int] = ()) -> tuple[int | None, int | None]:
-        """Return first and last time of all chunks, except empty ones and those that start at places in `without`."""
+        """Return first and last time of all chunks, except empty ones and those that start at offsets in `without`."""
         rows = [row for row in self.rows if row.uncompressed_bytes and row.start not in without]
         first_ns = min((row.first_ns for row in rows), default=None)
         return first_ns, max((row.last_ns for row in rows), default=None)
 
     def select(self, selection: Selection, channel_ids: frozenset[int]) -> array[int]:
-        """Return the numbers of the rows that may hold selected messages of these channels, by first time and place."""
+        """Return the numbers of the rows that may hold selected messages of channels, by first time and offset."""
         hits = [
             number == ANY_CHANNEL or bool(members & channel_ids) for number, members in enumerate(self.sets.members)
         ]
@@ -195,29 +195,29 @@ class ChunkTable:
 
 
 class ChunkTableBuilder:
-    """Makes a table of chunks from the places of messages that a scan finds, and counts messages by channel."""
+    """Makes a table of chunks from the locations of messages that a scan finds, and counts messages by channel."""
 
     def __init__(self, problem_log: ProblemLog) -> None:
         self.counts: dict[int, int] = {}
         self.problem_log = problem_log
         self.table = ChunkTable()
-        self._place: MessagePlace | None = None
+        self._location: MessageLocation | None = None
         self._channels: set[int] = set()
         self._first_ns, self._last_ns = _NO_TIME
         self._messages = 0
         self._counts_here: dict[int, int] = {}
         self._range_count = 0
 
-    def add(self, place: MessagePlace, batch: Batch) -> None:
-        """Note messages at a place. May be called several times for one place."""
+    def add(self, location: MessageLocation, batch: Batch) -> None:
+        """Note messages at a location. May be called several times for one location."""
         if not any(batch.values()):
             return
-        if self._place is None or not self._joins(place):
+        if self._location is None or not self._joins(location):
             self.close()
-            self._place = place
-        elif place.kind == PlaceKind.records:
-            length = self._place.length + place.length
-            self._place = self._place._replace(length=length, uncompressed=length)
+            self._location = location
+        elif location.kind == LocationKind.records:
+            length = self._location.length + location.length
+            self._location = self._location._replace(length=length, uncompressed=length)
         seen: set[int] = set()
         for number, rows in batch.items():
             stamps = rows[0::BATCH_STRIDE]
@@ -233,9 +233,9 @@ class ChunkTableBuilder:
 
     def close(self) -> None:
         """End the current row, if there is one."""
-        place = self._place
-        if place is not None and self._remembers(place):
-            kind, start, length, uncompressed, readable_ranges = place
+        location = self._location
+        if location is not None and self._remembers(location):
+            kind, start, length, uncompressed, readable_ranges = location
             members = self.table.sets.number(self._channels)
             times = self._first_ns, self._last_ns
             self.table.rows.append(Row(start, length, start + length, *times, kind, members, uncompressed))
@@ -243,23 +243,25 @@ class ChunkTableBuilder:
                 self.table.readable_ranges[start] = readable_ranges
         for number, count in self._counts_here.items():
             self.counts[number] = self.counts.get(number, 0) + count
-        self._place, self._messages = None, 0
+        self._location, self._messages = None, 0
         self._channels, self._counts_here = set(), {}
         self._first_ns, self._last_ns = _NO_TIME
 
-    def _joins(self, place: MessagePlace) -> bool:
-        known = self._place
-        if known is None or known.kind != place.kind:
+    def _joins(self, location: MessageLocation) -> bool:
+        known = self._location
+        if known is None or known.kind != location.kind:
             return False
-        if place.kind != PlaceKind.records:
-            return known.start == place.start
-        fits = known.length + place.length <= WINDOW and self._messages < _MAX_MESSAGES_OF_ROW
-        return fits and known.start + known.length == place.start
+        if location.kind != LocationKind.records:
+            return known.start == location.start
+        fits = known.length + location.length <= WINDOW and self._messages < _MAX_MESSAGES_OF_ROW
+        return fits and known.start + known.length == location.start
 
-    def _remembers(self, place: MessagePlace) -> bool:
-        """Return whether there is room for another place. Bounds the memory for files full of damage."""
-        self._range_count += len(place.readable_ranges or ())
+    def _remembers(self, location: MessageLocation) -> bool:
+        """Return whether there is room for another location. Bounds the memory for files full of damage."""
+        self._range_count += len(location.readable_ranges or ())
         if self._range_count <= _MAX_RANGES and len(self.table.rows) < MAX_CHUNKS:
             return True
-        self.problem_log.add("too-damaged", f"byte {place.start}", "left out: the file has too many places to remember")
+        self.problem_log.add(
+            "too-damaged", f"byte {location.start}", "left out: the file has too many locations to remember"
+        )
         return False

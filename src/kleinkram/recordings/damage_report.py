@@ -36,7 +36,7 @@ class DamageReport:
     unpacked_bytes: int = 0
 
     def unpack(self, uncompressed: int, *, end: int) -> None:
-        """Count the uncompressed size of a chunk that ends at a place in the file."""
+        """Count the uncompressed size of a chunk that ends at an offset of the file."""
         if not self.may_unpack(uncompressed, end=end):
             most = _max_unpacked(end)
             message = (
@@ -66,7 +66,7 @@ class DamageReport:
         self.messages += messages
 
     def note(self, damage: Malformed) -> None:
-        """Add a damaged place."""
+        """Add a damaged location."""
         if len(self.damage) < MAX_DAMAGE:
             self.damage.append(_alone(damage))
 
@@ -96,9 +96,9 @@ class DamageReport:
             content = Content.broken if is_broken else Content.opaque
         if self.damage:
             first, others = self.damage[0], len(self.damage) - 1
-            place = f"at {first.where}" if first.where.startswith("byte ") else f"in the {first.where}"
-            more = f" (and {counted(others, 'more damaged place')})" if others else ""
-            parts.append(f"it is damaged {place}: {first.message}{more}")
+            location = f"at {first.where}" if first.where.startswith("byte ") else f"in the {first.where}"
+            more = f" (and {counted(others, 'more damaged location')})" if others else ""
+            parts.append(f"it is damaged {location}: {first.message}{more}")
         if self.unverified:
             saved = counted(self.unverified, "message was", "messages were")
             parts.append(f"{saved} saved from the beginning of a cut chunk{checksum_note}")
@@ -170,7 +170,7 @@ class ProblemLog:
         self._late_count = 0
 
     def add(self, code: str, where: str, message: str) -> None:
-        """Add a problem, unless there is one with this code and place."""
+        """Add a problem, unless there is one with this code and location."""
         if (code, where) in self._problems:
             return
         if len(self._problems) < MAX_PROBLEMS:

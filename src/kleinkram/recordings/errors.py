@@ -36,7 +36,7 @@ class SummaryFailed(RecordingError):
 
 
 class Malformed(RecordingError):
-    """The bytes contradict their format at a known place. Whatever parses bytes may raise it, internally.
+    """The bytes contradict their format at a known position. Whatever parses bytes may raise it, internally.
 
     `where`: such as "byte 4117". `certain`: the file is damaged, rather than of a kind that is not read.
     """

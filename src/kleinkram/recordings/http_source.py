@@ -26,7 +26,7 @@ from kleinkram.recordings.sources import check_range
 CONNECT_TIMEOUT_S = 10.0
 READ_TIMEOUT_S = 30.0
 
-_Place = tuple[str, str, "int | None"]
+_Origin = tuple[str, str, "int | None"]
 
 
 class HttpConnections:
@@ -34,7 +34,7 @@ class HttpConnections:
 
     def __init__(self, max_idle: int) -> None:
         self._max_idle = max_idle
-        self._idle: list[tuple[_Place, http.client.HTTPConnection]] = []
+        self._idle: list[tuple[_Origin, http.client.HTTPConnection]] = []
         self._lock = threading.Lock()
         self._tls: ssl.SSLContext | None = None
         # For a caller that forgets to close: sources are handed around, and few of their users own them.
@@ -42,10 +42,10 @@ class HttpConnections:
 
     def send(self, url: SplitResult, headers: dict[str, str]) -> Exchange:
         """Send a GET without waiting for the response; `OSError` without a connection."""
-        place = (url.scheme, url.hostname or "", url.port)
-        connection = self._take(place)
+        origin = (url.scheme, url.hostname or "", url.port)
+        connection = self._take(origin)
         if connection is None:
-            connection = self._new(*place)
+            connection = self._new(*origin)
             connection.connect()
             connection.sock.settimeout(READ_TIMEOUT_S)
         target = url.path or "/"
@@ -54,7 +54,7 @@ class HttpConnections:
         except BaseException:
             connection.close()
             raise
-        return Exchange(connection, lambda: self._keep(place, connection))
+        return Exchange(connection, lambda: self._keep(origin, connection))
 
     def close(self) -> None:
         """Close the idle connections."""
@@ -68,10 +68,10 @@ class HttpConnections:
             self._tls = self._tls or ssl.create_default_context()
         return http.client.HTTPSConnection(host, port, timeout=CONNECT_TIMEOUT_S, context=self._tls)
 
-    def _take(self, place: _Place) -> http.client.HTTPConnection | None:
+    def _take(self, origin: _Origin) -> http.client.HTTPConnection | None:
         while True:
             with self._lock:
-                at = next((at for at in reversed(range(len(self._idle))) if self._idle[at][0] == place), None)
+                at = next((at for at in reversed(range(len(self._idle))) if self._idle[at][0] == origin), None)
                 if at is None:
                     return None
                 _, connection = self._idle.pop(at)
@@ -81,10 +81,10 @@ class HttpConnections:
                 return connection
             connection.close()
 
-    def _keep(self, place: _Place, connection: http.client.HTTPConnection) -> None:
+    def _keep(self, origin: _Origin, connection: http.client.HTTPConnection) -> None:
         with self._lock:
             if len(self._idle) < self._max_idle:
-                self._idle.append((place, connection))
+                self._idle.append((origin, connection))
                 return
         connection.close()
 
@@ -122,7 +122,7 @@ class Exchange:
         self._connection.close()
 
 
-def _close_all(idle: list[tuple[_Place, http.client.HTTPConnection]]) -> None:
+def _close_all(idle: list[tuple[_Origin, http.client.HTTPConnection]]) -> None:
     while idle:
         _, connection = idle.pop()
         connection.close()

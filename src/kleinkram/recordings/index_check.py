@@ -17,7 +17,7 @@ from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, ChannelSets, 
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.file_summary import merge_similar
 from kleinkram.recordings.model import Problem, counted
-from kleinkram.recordings.scanned_messages import BATCH_STRIDE, Batch, PlaceKind
+from kleinkram.recordings.scanned_messages import BATCH_STRIDE, Batch, LocationKind
 from kleinkram.recordings.sources import FileSource, ReadAheadTask, Source, read_ahead
 
 _MAX_FAULTS = 10_000
@@ -254,7 +254,7 @@ class IndexCheck:
 
     def _corrected(self, row: Row, messages: ChunkMessages | None) -> Row:
         """Return a row extended by the times and channels of its message index; report a difference."""
-        if row.kind != PlaceKind.chunk:
+        if row.kind != LocationKind.chunk:
             return row
         is_contradiction = row.first_ns > row.last_ns
         if messages is None or not messages.messages:

@@ -37,5 +37,5 @@ MAX_EXPANSION = 200  # and, in addition, for each byte of the file so far: ten t
 MAX_PROBLEMS = 50  # problems that a summary lists; the last one is then the number of the others
 MAX_HEADER = 2**20  # bytes of a bag record's header
 PARALLEL_READS = 8  # ranges in flight over a network
-MAX_DAMAGE = 10_000  # damaged places of one file that a scan keeps
+MAX_DAMAGE = 10_000  # damaged locations of one file that a scan keeps
 MAX_FACTS = 100  # names of attachments and metadata records that are listed

@@ -30,7 +30,7 @@ class Content(str, Enum):
     """Completeness of the known content of a file.
 
     pending: a recording that was not read yet. indexed: known. recovered: known as far as it can be read. broken:
-    damaged, at the place in the reason. opaque: not a supported recording. error: reading failed, and is retried.
+    damaged, at the position in the reason. opaque: not a supported recording. error: reading failed, and is retried.
     """
 
     pending = "pending"
@@ -74,7 +74,7 @@ class Fact:
 
 @dataclass(frozen=True)
 class Problem:
-    """A warning about a file that can be read. `code`: stable; `where`: topic, place or file; `message`: a sentence."""
+    """A warning about a readable file. `code`: stable; `where`: topic, position or file; `message`: a sentence."""
 
     code: str
     where: str

@@ -1,4 +1,4 @@
-"""The messages that a scan finds: batches, their places in the file, and counts and times by topic.
+"""The messages that a scan finds: batches, their locations in the file, and counts and times by topic.
 
 A message refers to its channel by a number, which the file may define only later, even at its end. Until then, its
 messages are counted under the number.
@@ -125,7 +125,7 @@ def _placeholder_topic(number: int) -> str:
     return f"{_PLACEHOLDER}{number}"
 
 
-class PlaceKind(IntEnum):
+class LocationKind(IntEnum):
     """Kind of a position: a chunk, records outside of chunks, or a truncated chunk, read as far as possible."""
 
     chunk = 0
@@ -136,13 +136,13 @@ class PlaceKind(IntEnum):
 ReadableRanges = tuple[tuple[int, int], ...]
 
 
-class MessagePlace(NamedTuple):
+class MessageLocation(NamedTuple):
     """Bytes of a file that hold messages: [start, start + length).
 
     `uncompressed`: bytes of the content. `readable_ranges`: parts [start, end) of it that can be read; None: all of it.
     """
 
-    kind: PlaceKind
+    kind: LocationKind
     start: int
     length: int
     uncompressed: int

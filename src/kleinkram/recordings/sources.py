@@ -146,7 +146,7 @@ class ReadAheadTask(NamedTuple, Generic[T]):
 
 
 def read_ahead(tasks: Iterator[ReadAheadTask[T]], *, workers: int, max_bytes: int) -> Iterator[T]:
-    """Yield the results of tasks, in order, while threads run the next ones; an exception is raised at its place.
+    """Yield the results of tasks, in order, while threads run the next ones; an exception is raised in this order.
 
     Closed early, it returns at once: tasks that have begun run to their end, without effect.
     """

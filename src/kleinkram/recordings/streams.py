@@ -130,7 +130,7 @@ def open_range(source: Source, start: int, end: int, *, window: int = WINDOW) ->
 
 
 def open_bytes(data: bytes, start: int) -> ByteStream:
-    """Read bytes in memory; `start`: their place in the file."""
+    """Read bytes in memory; `start`: their offset in the file."""
     pieces = [data]
     return ByteStream(lambda: pieces.pop() if pieces else b"", start=start)
 

@@ -86,7 +86,7 @@ def summarise(source: Source, *, max_bytes: int | None = MAX_SCAN_BYTES) -> Reco
 
     A file without the index that this needs is scanned, if it has at most `max_bytes` (None: of whatever size);
     else it stays `pending`, and `reason` says what a scan would cost. Otherwise `content` is `indexed` for a whole
-    recording, `recovered` or `broken` where the file itself is at fault, with the place in `reason`, and `opaque` for
+    recording, `recovered` or `broken` where the file is at fault, with the position in `reason`, and `opaque` for
     anything that is not a recording.
 
     Raises:

@@ -360,12 +360,12 @@ def _with_password(url: str, password: object) -> str:
     if not secret:
         return url
     scheme, _, rest = url.partition("://")
-    userinfo, at, place = rest.partition("@")
+    userinfo, at, host = rest.partition("@")
     if not at or ":" in userinfo:
         raise ValueError(
             "a database password needs an address with a user and no password: postgresql://user@host/name"
         )
-    return f"{scheme}://{userinfo}:{quote(str(secret), safe='')}@{place}"
+    return f"{scheme}://{userinfo}:{quote(str(secret), safe='')}@{host}"
 
 
 def origin_of(url: str) -> str:

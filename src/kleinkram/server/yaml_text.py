@@ -1,4 +1,4 @@
-"""Reading YAML from strangers: plain values only, each with the place where it stands.
+"""Reading YAML from strangers: plain values only, each with its position.
 
 YAML 1.2 with the core schema; dates stay text. Must never make objects, follow aliases, or grow beyond its bounds:
 the text is read event by event and given up at the first thing that is not wanted. Pure; slow enough (about 1 s for
@@ -55,16 +55,16 @@ class TextPosition:
 
 @dataclass(frozen=True)
 class Document:
-    """A parsed text; `places` maps the path of every value to the position of its key or list item."""
+    """A parsed text; `positions` maps the path of every value to the position of its key or list item."""
 
     value: JsonValue
-    places: dict[Path, TextPosition] = field(default_factory=dict)
+    positions: dict[Path, TextPosition] = field(default_factory=dict)
 
-    def place(self, path: Path) -> TextPosition | None:
+    def position(self, path: Path) -> TextPosition | None:
         """Return where a value stands, or, where it is absent, the nearest thing that would hold it."""
-        while path and path not in self.places:
+        while path and path not in self.positions:
             path = path[:-1]
-        return self.places.get(path) if path else None
+        return self.positions.get(path) if path else None
 
 
 def read_yaml(text: str) -> Document:
@@ -123,7 +123,7 @@ class _Builder:
 
     def __init__(self, events: Iterator[Event]) -> None:
         self._events = events
-        self._places: dict[Path, TextPosition] = {}
+        self._positions: dict[Path, TextPosition] = {}
         self._nodes = 0
 
     def document(self) -> Document:
@@ -137,7 +137,7 @@ class _Builder:
                 value = self._value(next(self._events), ())
                 end = next(self._events)
                 assert isinstance(end, DocumentEndEvent)  # noqa: S101  the parser's own grammar
-        return Document(value, self._places)
+        return Document(value, self._positions)
 
     def _value(self, event: Event, path: Path) -> JsonValue:
         self._refuse_unwanted(event, path)
@@ -175,7 +175,7 @@ class _Builder:
             if key in mapping:
                 raise _invalid(event.start_mark, f"the key {key!r} is given twice")
             here = (*path, key)
-            self._places[here] = TextPosition(event.start_mark.line + 1, event.start_mark.column + 1)
+            self._positions[here] = TextPosition(event.start_mark.line + 1, event.start_mark.column + 1)
             mapping[key] = self._value(next(self._events), here)
         return mapping
 
@@ -185,7 +185,7 @@ class _Builder:
             if isinstance(event, SequenceEndEvent):
                 break
             here = (*path, len(items))
-            self._places[here] = TextPosition(event.start_mark.line + 1, event.start_mark.column + 1)
+            self._positions[here] = TextPosition(event.start_mark.line + 1, event.start_mark.column + 1)
             items.append(self._value(event, here))
         return items
 

@@ -81,7 +81,7 @@ def _restore(task: BackupTask, data_dir: DataDir) -> int:
         raise DataDirUnusable(f"{data_dir.root} is not empty: a backup is restored into a new folder.")
     create(data_dir)
     with exclusive(data_dir):
-        write_private(data_dir.restoring_file, f"{task.request['place']}\n")
+        write_private(data_dir.restoring_file, f"{task.request['location']}\n")
         with _data_services(data_dir) as environment:
             code = _run(task, environment)
         if code in (0, _DAMAGED):  # an instance with lost objects is complete otherwise

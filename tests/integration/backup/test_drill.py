@@ -163,7 +163,7 @@ def _rounds(api: Api, instances: EmptyInstances, folder: Path, *, seed: int, cou
     upload_all(api, mission, {f"small {n}": chance.randbytes(2000) for n in range(200)})
     source = settings_of(api)
     place = folder / "backups"
-    request = {"command": "create", "place": str(place), "as_json": True, "bytes_per_s": 15e6}
+    request = {"command": "create", "location": str(place), "as_json": True, "bytes_per_s": 15e6}
     began = time.monotonic()
     first = _carry_out(request, source, None)
     took_s = time.monotonic() - began  # moments are chosen by this: on a busy machine it begins only after seconds
@@ -178,7 +178,7 @@ def _rounds(api: Api, instances: EmptyInstances, folder: Path, *, seed: int, cou
     assert _carry_out(request, source, None)["problems"] == []
     assert verify_place(place).damage.first == []
     assert len(content_files(place)) >= object_count
-    request = {"command": "restore", "place": str(place), "as_json": True, "bytes_per_s": 15e6}
+    request = {"command": "restore", "location": str(place), "as_json": True, "bytes_per_s": 15e6}
     with instances.empty() as target:
         for _ in range(count):
             result = _carry_out(request, target, chance.uniform(0.2, 1.5) * took_s)

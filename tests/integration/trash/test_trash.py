@@ -38,17 +38,17 @@ def test_deleted_objects_are_in_the_trash_with_place_size_and_expiry(api: Api, t
     place = f"{project['name']}/{mission['name']}"
     api.delete(f"/files/{tree['file']}").ok()
     row = _lying(api, tree["file"])
-    assert (row["resource_type"], row["name"], row["place"]) == ("file", "a.mcap", place)
+    assert (row["resource_type"], row["name"], row["location"]) == ("file", "a.mcap", place)
     assert (row["size_bytes"], row["file_count"], row["deleted_by"]["name"]) == (5, 1, "owner")
     deleted_at, purged_after = (datetime.datetime.fromisoformat(row[name]) for name in ("deleted_at", "purged_after"))
     assert purged_after - deleted_at == datetime.timedelta(days=30)
     api.delete(f"/missions/{mission['id']}").ok()
     row = _lying(api, mission["id"])
-    assert (row["resource_type"], row["name"], row["place"]) == ("mission", mission["name"], project["name"])
+    assert (row["resource_type"], row["name"], row["location"]) == ("mission", mission["name"], project["name"])
     assert (row["size_bytes"], row["file_count"]) == (1, 1)
     api.delete(f"/projects/{project['id']}").ok()
     row = _lying(api, project["id"])
-    assert (row["resource_type"], row["name"], row["place"]) == ("project", project["name"], "")
+    assert (row["resource_type"], row["name"], row["location"]) == ("project", project["name"], "")
     assert (row["size_bytes"], row["file_count"]) == (0, 0)
 
 

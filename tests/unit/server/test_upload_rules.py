@@ -7,7 +7,7 @@ import pytest
 from kleinkram.contract.errors import FileExists, NameLeased, PathConflict
 from kleinkram.contract.uploads import UploadFile
 from kleinkram.server.uploads.queries import ExistingFile, FileContent, UploadRow
-from kleinkram.server.uploads.rules import Action, RequestFacts, conflicts_among, decide, place
+from kleinkram.server.uploads.rules import Action, RequestFacts, conflicts_among, decide, placement_of
 
 _SHA = "ab" * 32
 _OTHER = "cd" * 32
@@ -155,22 +155,22 @@ def test_the_earlier_of_two_conflicting_paths_wins(paths: list[str], refused: di
 
 
 def test_a_completed_upload_becomes_a_new_file() -> None:
-    placement = place(_upload(), None, None, may_read=True)
+    placement = placement_of(_upload(), None, None, may_read=True)
     assert (placement.file_id, placement.needs_blob, placement.error) == (None, True, None)
 
 
 def test_a_completed_upload_repairs_a_damaged_file() -> None:
-    placement = place(_upload(), _existing(state="lost"), None, may_read=True)
+    placement = placement_of(_upload(), _existing(state="lost"), None, may_read=True)
     assert (placement.file_id, placement.needs_blob, placement.error) == (_ID, True, None)
 
 
 def test_a_completed_upload_leaves_a_sound_file_with_the_same_bytes() -> None:
-    placement = place(_upload(), _existing(), None, may_read=True)
+    placement = placement_of(_upload(), _existing(), None, may_read=True)
     assert (placement.file_id, placement.needs_blob, placement.error) == (_ID, False, None)
 
 
 def test_a_completed_upload_never_replaces_other_bytes() -> None:
     other = _existing()._replace(sha256=bytes.fromhex(_OTHER))
-    error = place(_upload(), other, None, may_read=False).error
+    error = placement_of(_upload(), other, None, may_read=False).error
     assert isinstance(error, FileExists)
     assert error.existing_sha256 is None, "hidden from an actor who may not read"

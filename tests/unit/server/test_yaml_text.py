@@ -68,10 +68,10 @@ def test_scalars_follow_the_core_schema(text: str, value: object) -> None:
 
 def test_every_value_has_its_place() -> None:
     document = read_yaml("a: 1\nb:\n  - x\n  - c: 2\n")
-    assert document.place(("b", 1, "c")) == TextPosition(4, 5)
-    assert document.place(("b", 1, "absent")) == TextPosition(4, 5)
-    assert document.place(("b", 1)) == TextPosition(4, 5)
-    assert document.place(("absent",)) is None
+    assert document.position(("b", 1, "c")) == TextPosition(4, 5)
+    assert document.position(("b", 1, "absent")) == TextPosition(4, 5)
+    assert document.position(("b", 1)) == TextPosition(4, 5)
+    assert document.position(("absent",)) is None
 
 
 @pytest.mark.parametrize(

@@ -6285,19 +6285,10 @@ export interface components {
          */
         TokenKind: "personal" | "robot" | "runner" | "run";
         /**
-         * TokenMade
-         * @description A new token with its secret, which cannot be shown again.
-         */
-        TokenMade: {
-            /** Secret */
-            secret: string;
-            token: components["schemas"]["TokenRead"];
-        };
-        /**
-         * TokenPlace
+         * TokenLimit
          * @description A project or mission to which a token is limited. `name` is null if the caller may not see it.
          */
-        TokenPlace: {
+        TokenLimit: {
             /**
              * Id
              * Format: uuid
@@ -6307,6 +6298,15 @@ export interface components {
             name: string | null;
             /** Resource Type */
             resource_type: string;
+        };
+        /**
+         * TokenMade
+         * @description A new token with its secret, which cannot be shown again.
+         */
+        TokenMade: {
+            /** Secret */
+            secret: string;
+            token: components["schemas"]["TokenRead"];
         };
         /**
          * TokenRead
@@ -6332,7 +6332,7 @@ export interface components {
             /** Last Used At */
             last_used_at: string | null;
             /** Limits */
-            limits: components["schemas"]["TokenPlace"][] | null;
+            limits: components["schemas"]["TokenLimit"][] | null;
             /** Name */
             name: string;
             person: components["schemas"]["PersonRef"];
@@ -6450,7 +6450,7 @@ export interface components {
         };
         /**
          * TrashRead
-         * @description A deleted object. `place` is the project of a mission, or project and mission of a file.
+         * @description A deleted object. `location` is the project of a mission, or project and mission of a file.
          *
          *     Missions that were deleted with their project are restored with it, and not listed.
          */
@@ -6468,10 +6468,10 @@ export interface components {
              * Format: uuid
              */
             id: string;
+            /** Location */
+            location: string;
             /** Name */
             name: string;
-            /** Place */
-            place: string;
             /**
              * Purged After
              * Format: date-time

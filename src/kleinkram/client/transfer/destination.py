@@ -27,7 +27,7 @@ JOURNAL_SUFFIX = ".klein-journal"
 
 
 def make_folders(dest: Path, relative: str) -> Path:
-    """Make the folders of a file below `dest`, and return its place. Links are followed only inside `dest`."""
+    """Make the folders of a file below `dest`, and return its path. Links are followed only inside `dest`."""
     target = dest / relative
     root = Path(os.path.realpath(dest))
     for folder in [*reversed(target.relative_to(dest).parents)][1:]:
@@ -75,7 +75,7 @@ class DownloadTarget:
 
     @property
     def local(self) -> Path:
-        """The place on this machine."""
+        """The path on this machine."""
         return self.dest / self.relative
 
 
@@ -107,34 +107,36 @@ def plan_download(files: Iterable[FileRead], dest: Path, *, nested: bool = False
     """Return where these files go below `dest`: by their path in the mission, below project and mission if `nested`.
 
     Raises:
-        PathsCollide: two files would have the same place, or one would be a folder of the other; names both.
+        PathsCollide: two files would have the same path, or one would be a folder of the other; names both.
     """
     plan = DownloadPlan()
-    places: dict[str, tuple[FileRead, DownloadTarget]] = {}
+    targets: dict[str, tuple[FileRead, DownloadTarget]] = {}
     for file in files:
         above = f"{file.mission.project.name}/{file.mission.name}/" if nested else ""
         if (target := plan.add(file, dest, above + file.path)) is None:
             continue
-        other, first = places.setdefault(target.relative, (file, target))
+        other, first = targets.setdefault(target.relative, (file, target))
         if first is not target:
             raise _collision(target, file, other, nested=nested)
-    for file, target in [*places.values()]:
+    for file, target in [*targets.values()]:
         for folder in PurePosixPath(target.relative).parents:
-            if str(folder) in places:
-                raise _collision(target, file, places[str(folder)][0], nested=nested)
+            if str(folder) in targets:
+                raise _collision(target, file, targets[str(folder)][0], nested=nested)
     return plan
 
 
 def _collision(target: DownloadTarget, file: FileRead, other: FileRead, *, nested: bool) -> PathsCollide:
     collision = PathsCollide(
-        path=distinct_text(str(target.local)), first=distinct_text(_place(other)), second=distinct_text(_place(file))
+        path=distinct_text(str(target.local)),
+        first=distinct_text(_full_path(other)),
+        second=distinct_text(_full_path(file)),
     )
     if not nested and file.mission.id != other.mission.id:
         collision.remedy = "keep the missions apart with --nested (in the SDK nested=True), or download one at a time"
     return collision
 
 
-def _place(file: FileRead) -> str:
+def _full_path(file: FileRead) -> str:
     return f"{file.mission.project.name}/{file.mission.name}/{file.path}"
 
 

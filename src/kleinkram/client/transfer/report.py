@@ -96,7 +96,7 @@ class LinkReport:
         if self.network_changes:
             remedy = "the robot moves between networks: a cable, or one access point for the upload, avoids this"
         else:
-            remedy = "a cable, a place nearer to the access point, or --connections 1 may help"
+            remedy = "a cable, a spot nearer to the access point, or --connections 1 may help"
         return f"The network was unsteady: {', '.join(facts)}. If this is frequent: {remedy}."
 
 

@@ -160,7 +160,7 @@ class _CodeWriter:
         return f"o + {ahead}" if ahead else "o"
 
     def _align(self, size: int) -> None:
-        """Move to the next place where a number of `size` bytes may stand."""
+        """Move to the next position where a number of `size` bytes may stand."""
         size = min(size, self._wire.alignment)
         if size <= self._modulus:
             step = -self._residue % size

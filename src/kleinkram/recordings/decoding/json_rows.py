@@ -107,18 +107,18 @@ def joined(type_name: str, tables: Iterable[Any], notice: Callable[[int, DecodeE
     """Return batches as one table. A column whose type differs between batches is rebuilt from all its values."""
     tables = list(tables)
     for name in dict.fromkeys(name for table in tables for name in table.column_names):
-        having = [place for place, table in enumerate(tables) if name in table.column_names]
+        having = [index for index, table in enumerate(tables) if name in table.column_names]
         try:
-            pa.concat_tables([tables[place].select([name]) for place in having], promote_options="permissive")
+            pa.concat_tables([tables[index].select([name]) for index in having], promote_options="permissive")
         except pa.ArrowException:
-            log_ns = [stamp for place in having for stamp in tables[place]["log_time_ns"].to_pylist()]
-            values = [value for place in having for value in tables[place][name].to_pylist()]
+            log_ns = [stamp for index in having for stamp in tables[index]["log_time_ns"].to_pylist()]
+            values = [value for index in having for value in tables[index][name].to_pylist()]
             array = JsonArrays(type_name, log_ns, notice).build(values, name)
             at = 0
-            for place in having:
-                table = tables[place]
+            for index in having:
+                table = tables[index]
                 column = array.slice(at, len(table))
-                tables[place] = table.set_column(table.column_names.index(name), name, column)
+                tables[index] = table.set_column(table.column_names.index(name), name, column)
                 at += len(table)
     return pa.concat_tables(tables, promote_options="permissive")
 

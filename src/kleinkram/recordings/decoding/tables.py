@@ -38,7 +38,7 @@ class NoSuchField(DecodeError):
 
 @dataclass(frozen=True)
 class TableColumn:
-    """One column: the places of its field, from the message inwards, and the attributes by which it is reached."""
+    """One column: the positions of its field, from the message inwards, and the attributes by which it is reached."""
 
     name: str
     path: tuple[int, ...]
@@ -76,8 +76,8 @@ def _is_selected(column: TableColumn, name: str) -> bool:
 
 
 def _flat(kind: Struct, path: tuple[int, ...], names: tuple[str, ...]) -> Iterator[TableColumn]:
-    for place, field in enumerate(kind.fields):
-        here, called = (*path, place), (*names, field.name)
+    for position, field in enumerate(kind.fields):
+        here, called = (*path, position), (*names, field.name)
         if isinstance(field.type, Struct) and not is_time(field.type):
             yield from _flat(field.type, here, called)
         else:

@@ -86,7 +86,7 @@ def shape_of(root: Struct, data: bytes, message_encoding: str) -> Shape:
     if not reader.at <= len(data) <= reader.at + wire.padding:
         raise NoShape
     header = (0, 1) if wire.start else ()
-    fixed = (*header, *(place + step for place in reader.lengths for step in range(4)))
+    fixed = (*header, *(position + step for position in reader.lengths for step in range(4)))
     return Shape(wire.order, fixed, parts)
 
 
@@ -159,10 +159,10 @@ def gather(rows: Any, shape: Shape, columns: list[TableColumn]) -> list[Any]:
 
 
 def _node(node: Node, path: tuple[int, ...]) -> Node:
-    for place in path:
+    for position in path:
         if not isinstance(node, Parts):
             raise NoShape
-        node = node.parts[place]
+        node = node.parts[position]
     return node
 
 
@@ -213,9 +213,9 @@ class _ColumnReader:
         count, rows = len(node.parts), len(self._rows)
         if not count:
             return self._listed(pa.array([], arrow_type(kind.element)), 0, kind)
-        by_place = pa.concat_arrays([self.array(part, kind.element) for part in node.parts])
+        by_position = pa.concat_arrays([self.array(part, kind.element) for part in node.parts])
         by_row = np.arange(rows * count).reshape(count, rows).T.reshape(-1)
-        return self._listed(by_place.take(arrow_of(by_row)), count, kind)
+        return self._listed(by_position.take(arrow_of(by_row)), count, kind)
 
     def _listed(self, values: Any, count: int, kind: Array) -> Any:
         if kind.length is not None:
@@ -257,39 +257,39 @@ class TypedRows:
         sizes = np.fromiter(map(len, data), np.int64, len(data))
         by_size = np.argsort(sizes, kind="stable")
         ends = np.flatnonzero(np.diff(sizes[by_size])) + 1
-        for places in np.split(by_size, ends) if len(data) else ():
-            single += self._shaped(places, data, groups).tolist()
+        for positions in np.split(by_size, ends) if len(data) else ():
+            single += self._shaped(positions, data, groups).tolist()
         if single or not groups:
             single.sort()
-            values = [self._decoded(log_ns[place], data[place]) for place in single]
+            values = [self._decoded(log_ns[position], data[position]) for position in single]
             groups.append((np.array(single, np.int64), [_column(column, values) for column in self._columns]))
         if len(groups) == 1:
             return tables.timed_batch(log_ns, publish_ns, [c.name for c in self._columns], groups[0][1])
-        order = arrow_of(np.argsort(np.concatenate([places for places, _ in groups]), kind="stable"))
+        order = arrow_of(np.argsort(np.concatenate([positions for positions, _ in groups]), kind="stable"))
         joined = [pa.concat_arrays([arrays[n] for _, arrays in groups]).take(order) for n in range(len(self._columns))]
         return tables.timed_batch(log_ns, publish_ns, [c.name for c in self._columns], joined)
 
-    def _shaped(self, places: Any, data: list[bytes], groups: list[tuple[Any, list[Any]]]) -> Any:
+    def _shaped(self, positions: Any, data: list[bytes], groups: list[tuple[Any, list[Any]]]) -> Any:
         """Read messages of one size by shape; return the indices of those that are left."""
-        if len(places) < _MIN_ROWS:
-            return places
-        rows = np.frombuffer(b"".join([data[place] for place in places.tolist()]), np.uint8)
-        rows = rows.reshape(len(places), -1)
+        if len(positions) < _MIN_ROWS:
+            return positions
+        rows = np.frombuffer(b"".join([data[position] for position in positions.tolist()]), np.uint8)
+        rows = rows.reshape(len(positions), -1)
         for _ in range(_MAX_SHAPES):
             try:
                 shape = shape_of(self._struct, rows[0].tobytes(), self._decoder.message_encoding)
                 fixed = list(shape.fixed)
                 fits = (rows[:, fixed] == rows[0, fixed]).all(axis=1)
                 if fits.sum() < _MIN_ROWS:
-                    return places
+                    return positions
                 is_complete = bool(fits.all())
-                groups.append((places[fits], gather(rows if is_complete else rows[fits], shape, self._columns)))
+                groups.append((positions[fits], gather(rows if is_complete else rows[fits], shape, self._columns)))
             except NoShape:
-                return places
-            places, rows = places[~fits], rows[~fits]
-            if len(places) < _MIN_ROWS:
-                return places
-        return places
+                return positions
+            positions, rows = positions[~fits], rows[~fits]
+            if len(positions) < _MIN_ROWS:
+                return positions
+        return positions
 
     def _decoded(self, log_ns: int, data: bytes) -> Value | None:
         try:

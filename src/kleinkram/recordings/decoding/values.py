@@ -104,7 +104,7 @@ def _plain(value: Any, as_map: Callable[[Iterator[tuple[Any, Any]]], Any]) -> An
     if hasattr(value, "keys"):  # protobuf's maps; reading one of a message-valued map by [] would add missing keys
         return as_map((key, _plain(value[key], as_map)) for key in sorted(value.keys()))
     if hasattr(value, "__len__") and hasattr(value, "__getitem__"):  # protobuf's repeated fields have no `__iter__`
-        return [_plain(value[place], as_map) for place in range(len(value))]
+        return [_plain(value[index], as_map) for index in range(len(value))]
     return value
 
 
@@ -126,7 +126,7 @@ def stamp_ns(value: object) -> int | None:
     Raises:
         DecodeError: the stamp is not a time.
     """
-    stamps = (part(place, name) for place in (part(value, "header"), value) for name in ("stamp", "timestamp"))
+    stamps = (part(holder, name) for holder in (part(value, "header"), value) for name in ("stamp", "timestamp"))
     stamp = next((stamp for stamp in stamps if stamp is not None and not callable(stamp)), value)
     for seconds, nanoseconds in _STAMPS:
         whole, rest = part(stamp, seconds), part(stamp, nanoseconds)

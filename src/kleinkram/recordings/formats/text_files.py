@@ -4,7 +4,7 @@ TUM's stamps are seconds; many tools write milliseconds, microseconds or nanosec
 is not 0 decides: the largest unit in which it lies before 2262, the last year that int64 nanoseconds hold.
 
 Source: TUM RGB-D file formats (`timestamp tx ty tz qx qy qz qw`, seconds and metres); KITTI odometry (the upper
-3 x 4 of a pose a line, row by row, metres); EuRoC MAV's state_groundtruth_estimate0/data.csv (nanoseconds, place,
+3 x 4 of a pose a line, row by row, metres); EuRoC MAV's state_groundtruth_estimate0/data.csv (nanoseconds, position,
 quaternion with w first, then 9 more columns) and vicon0/data.csv (the first 8 of them).
 """
 

@@ -1,4 +1,4 @@
-"""The PX4 flight log format (ULog): one pass finds topics, counts, times and the places of messages.
+"""The PX4 flight log format (ULog): one pass finds topics, counts, times and the offsets of messages.
 
 Times are those of the autopilot's clock, which starts at boot: nanoseconds since then. A log begins with the latest
 message of each topic, published before; its log time is that of the beginning. A topic is the name of a message format;
@@ -28,7 +28,7 @@ from kleinkram.recordings.formats.base import Format, MemberContents, OpenContex
 from kleinkram.recordings.limits import MAX_DEFINITIONS, MAX_NAME, MAX_TOPICS, WINDOW
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.model import Content, Depth, Fact, Problem, RecordingFormat, RecordingSummary, counted
-from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessagePlace, PlaceKind
+from kleinkram.recordings.scanned_messages import Batch, LocationKind, MessageCounter, MessageLocation
 from kleinkram.recordings.sources import SequentialReader, Source, SourceReader
 from kleinkram.recordings.streams import LookaheadStream
 
@@ -143,15 +143,15 @@ def _size_of(formats: Mapping[str, str], type_name: str, depth: int = 0) -> int:
 
 
 @lru_cache(maxsize=1024)
-def stamp_place(name: str, definition: bytes) -> int | None:
+def stamp_offset(name: str, definition: bytes) -> int | None:
     """Return the offset of the field `timestamp` in a message; None if unknown."""
     formats = _formats_of(definition)
-    place = 0
+    offset = 0
     for one in parse_fields(formats.get(name, "")):
         if one.name == "timestamp":
-            return place if (one.type_name, one.length) == ("uint64_t", None) else None
+            return offset if (one.type_name, one.length) == ("uint64_t", None) else None
         try:
-            place += _size_of(formats, one.type_name) * (one.length or 1)
+            offset += _size_of(formats, one.type_name) * (one.length or 1)
         except KeyError:
             return None
     return None
@@ -253,9 +253,9 @@ class _UlogScanner:
         if subscription is None:
             scan.undefined += 1
             return
-        place = subscription.stamp_at
-        is_there = place is not None and _U16.size + place + _U64.size <= size
-        stamp_us = _U64.unpack_from(window, at + _U16.size + (place or 0))[0] if is_there else _LATEST_US + 1
+        offset = subscription.stamp_at
+        is_there = offset is not None and _U16.size + offset + _U64.size <= size
+        stamp_us = _U64.unpack_from(window, at + _U16.size + (offset or 0))[0] if is_there else _LATEST_US + 1
         if stamp_us > _LATEST_US:
             scan.without_time += 1
             return
@@ -269,7 +269,7 @@ class _UlogScanner:
             name = body[3 : 3 + MAX_NAME].decode("utf-8", "replace")
             if number not in scan.subscriptions:  # the first one of a message id counts
                 topic = f"{name}#{instance}" if instance else name
-                scan.subscriptions[number] = Subscription(topic, name, stamp_place(name, scan._definition(name)))
+                scan.subscriptions[number] = Subscription(topic, name, stamp_offset(name, scan._definition(name)))
         elif kind == MessageType.format:
             name, _, fields = body[:_MAX_FORMAT_BYTES].decode("utf-8", "replace").partition(":")
             scan.format_bytes += len(body)
@@ -298,7 +298,7 @@ class _UlogScanner:
         scan, stream = self.scan, self._stream
         scan.counter.learn(scan.subscriptions)
         if self._builder is not None and self._batch:
-            self._builder.add(MessagePlace(PlaceKind.records, stream.position, length, length), self._batch)
+            self._builder.add(MessageLocation(LocationKind.records, stream.position, length, length), self._batch)
         scan.counter.add(self._batch)
         self._batch = Batch(scan.subscriptions)
         stream.advance(length)
@@ -414,10 +414,10 @@ def _parse_messages(content: Buffer, channels: Mapping[int, Channel], selection:
         if channel is None:
             continue
         data = view[body_at + _U16.size : at]
-        place = stamp_place(channel.schema.name, channel.schema.data)
-        if place is None or place + _U64.size > len(data):
+        offset = stamp_offset(channel.schema.name, channel.schema.data)
+        if offset is None or offset + _U64.size > len(data):
             continue
-        stamp_us = _U64.unpack_from(data, place)[0]
+        stamp_us = _U64.unpack_from(data, offset)[0]
         log_ns = max(stamp_us, start_us) * 1000
         if stamp_us <= _LATEST_US and selection.start_ns <= log_ns < selection.end_ns:
             messages.append(RawMessage(channel.topic, log_ns, log_ns, 0, data, channel))

@@ -187,7 +187,7 @@ class Vehicle:
         metres_per_degree_east = _METRES_PER_DEGREE * math.cos(math.radians(LATITUDE_DEG))
 
         def measure(seconds: float) -> tuple[float, ...]:
-            east, north = _place(seconds)
+            east, north = _position(seconds)
             latitude = LATITUDE_DEG + (north + noise(0, 0.2)) / _METRES_PER_DEGREE
             longitude = LONGITUDE_DEG + (east + noise(0, 0.2)) / metres_per_degree_east
             return latitude, longitude, ALTITUDE_M + noise(0, 0.4)
@@ -203,21 +203,21 @@ class Vehicle:
         noise = self._random("odometry noise").gauss
 
         def measure(seconds: float) -> tuple[float, ...]:
-            east, north = _place(seconds)
+            east, north = _position(seconds)
             return (east + noise(0, 0.01), north + noise(0, 0.01), 0.0, *_orientation(seconds))
 
         return self._measurement(layout, measure)
 
     def _tf(self) -> Maker:
         layout = self._layout([("I", 1)], header("odom", self._encoding), [("s", "base_link")], variable(7))
-        return self._measurement(layout, lambda seconds: (*_place(seconds), 0.0, *_orientation(seconds)))
+        return self._measurement(layout, lambda seconds: (*_position(seconds), 0.0, *_orientation(seconds)))
 
     def _tf_static(self) -> Maker:
         mounts = {"camera": (0.3, 0.0, 0.4), "lidar": (0.0, 0.0, 0.6), "imu": (0.0, 0.0, 0.1), "gps": (-0.2, 0.0, 0.5)}
         items: list[Item] = [("I", len(mounts))]
-        for name, place in mounts.items():
+        for name, mount in mounts.items():
             level: list[Item] = [("d", 0.0), ("d", 0.0), ("d", 0.0), ("d", 1.0)]
-            items += [*header("base_link", self._encoding), ("s", name), *(("d", metres) for metres in place), *level]
+            items += [*header("base_link", self._encoding), ("s", name), *(("d", metres) for metres in mount), *level]
         layout = self._layout(items)
         return lambda _k, _seconds, stamp_ns: layout.pack(*_stamp(stamp_ns) * len(mounts))
 
@@ -226,7 +226,7 @@ def _stamp(stamp_ns: int) -> tuple[int, int]:
     return divmod(stamp_ns, 1_000_000_000)
 
 
-def _place(seconds: float) -> tuple[float, float]:
+def _position(seconds: float) -> tuple[float, float]:
     """Return metres east and north of the centre of the circle."""
     angle = TURN_RAD_S * seconds
     return RADIUS_M * math.cos(angle), RADIUS_M * math.sin(angle)

@@ -257,8 +257,8 @@ class BagWriter(_ChunkedWriter):
             self._put(_bag_record(Op.INDEX_DATA, entries, ver=_u32(1), conn=_u32(connection), count=count))
         times = (struct.pack("<II", *divmod(time_ns, 1_000_000_000)) for time_ns in (self._first_ns, self._last_ns))
         info = dict(zip(("start_time", "end_time"), times, strict=True))
-        place = {"ver": _u32(1), "chunk_pos": struct.pack("<Q", start), **info, "count": _u32(len(self._index))}
-        self._chunk_indexes.append(_bag_record(Op.CHUNK_INFO, counts, **place))
+        fields = {"ver": _u32(1), "chunk_pos": struct.pack("<Q", start), **info, "count": _u32(len(self._index))}
+        self._chunk_indexes.append(_bag_record(Op.CHUNK_INFO, counts, **fields))
         self._begin_chunk()
 
 

@@ -95,11 +95,11 @@ class LocalExecutor(Executor):
             if missing := cache.missing(files.values()):
                 cache.make_space(missing)
                 source.fetch_into(cache, missing)
-            place = cache.copy if self.abilities.isolation is Isolation.none else cache.link
+            add = cache.copy if self.abilities.isolation is Isolation.none else cache.link
             for path, file in files.items():
                 target = directory / path
                 target.parent.mkdir(parents=True, exist_ok=True)
-                place(file, target)
+                add(file, target)
 
     def set_lease(self, job: RunJob, until_s: float, *, create: bool = False) -> None:
         """Write the lease beside the job. A directory that is being removed does not get it back."""

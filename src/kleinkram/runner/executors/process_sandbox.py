@@ -160,8 +160,8 @@ def _mount_root(sandbox: Sandbox) -> None:
     for name in ("out", "tmp"):
         _bind(sandbox.directory / name, root / name)
     # After those: Python itself may stand below /tmp.
-    for place in _system_paths():
-        _bind_read_only(place, root / str(place)[1:])
+    for path in _system_paths():
+        _bind_read_only(path, root / str(path)[1:])
     _bind_read_only(sandbox.directory / "in", root / "in")
     names = port_forward.host_entries([forward.host for forward in sandbox.forwards])
     if names:

@@ -88,8 +88,8 @@ def watchable_missions(actor: Actor) -> sa.Select[Any]:
 def rights_hash(actor: Actor) -> sa.Select[Any]:
     """Return a hash that changes when what is granted to `actor`, or to everybody, changes."""
     is_own = (access_grant.c.group_id == sa.any_(_memberships(actor.person_id))) & unexpired(access_grant.c.expires_at)
-    place_id = sa.func.coalesce(access_grant.c.project_id, access_grant.c.mission_id)
-    granted = sa.select(sa.func.concat(place_id, " ", access_grant.c.level).label("item")).where(is_own)
+    resource_id = sa.func.coalesce(access_grant.c.project_id, access_grant.c.mission_id)
+    granted = sa.select(sa.func.concat(resource_id, " ", access_grant.c.level).label("item")).where(is_own)
     public = sa.select(sa.func.concat(_public.c.id, " public").label("item")).where(_public.c.is_public)
     items = sa.union_all(granted, public).subquery().c.item
     return sa.select(
@@ -320,10 +320,10 @@ def _valid_until(until: datetime.datetime | None) -> NotExpired:
 
 
 @functools.lru_cache(maxsize=_CACHE_SIZE)
-def _granted_to(person_id: uuid.UUID | None, place: sa.ColumnElement[Any], right: Right) -> sa.Select[Any]:
+def _granted_to(person_id: uuid.UUID | None, resource: sa.ColumnElement[Any], right: Right) -> sa.Select[Any]:
     # For IN, uncorrelated: evaluated once per statement and hashed, for any number of grants.
     is_own = (access_grant.c.group_id == sa.any_(_memberships(person_id))) & unexpired(access_grant.c.expires_at)
-    return sa.select(place).where(is_own, place.is_not(None), access_grant.c.level >= right.level).correlate(None)
+    return sa.select(resource).where(is_own, resource.is_not(None), access_grant.c.level >= right.level).correlate(None)
 
 
 @functools.lru_cache(maxsize=_CACHE_SIZE)
@@ -342,19 +342,19 @@ def _levels_granted_on_mission(
 
 
 def _granted_level(
-    person_id: uuid.UUID | None, place: _GrantColumns, outer: Any, still: NotExpired = unexpired
+    person_id: uuid.UUID | None, resource: _GrantColumns, outer: Any, still: NotExpired = unexpired
 ) -> sa.ColumnElement[int]:
     # Levels until a given time are rare, and each is different: do not cache them.
     level = _level_granted_to if still is unexpired else _level_granted_to.__wrapped__
-    return level(person_id, place, outer, still)
+    return level(person_id, resource, outer, still)
 
 
 @functools.lru_cache(maxsize=_CACHE_SIZE)
 def _level_granted_to(
-    person_id: uuid.UUID | None, place: _GrantColumns, outer: Any, still: NotExpired
+    person_id: uuid.UUID | None, resource: _GrantColumns, outer: Any, still: NotExpired
 ) -> sa.ColumnElement[int]:
-    grant_column, place_column = place
+    grant_column, resource_column = resource
     is_own = (access_grant.c.group_id == sa.any_(_memberships(person_id, still))) & still(access_grant.c.expires_at)
     highest = sa.select(sa.func.coalesce(sa.func.max(access_grant.c.level), 0))
-    highest = highest.where(is_own, grant_column == place_column)
+    highest = highest.where(is_own, grant_column == resource_column)
     return highest.correlate(outer).scalar_subquery()

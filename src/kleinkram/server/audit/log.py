@@ -45,7 +45,7 @@ class Event:
     needs_admin: bool = False
 
 
-class _EventPlace(NamedTuple):
+class _EventLocation(NamedTuple):
     """Where something happened, and the level of right that it required there."""
 
     project_id: uuid.UUID | None
@@ -65,13 +65,15 @@ async def audit(db: Connection, actor: Actor | None, *events: Event) -> None:
     if actor is None or not actor.is_admin:
         await db.execute(insert_rows(audit_event, rows))
     else:
-        places = [_EventPlace(event.project_id, event.mission_id, _needed_level(actor, event)) for event in events]
-        numbers = {place: number for number, place in enumerate(dict.fromkeys(places), start=1)}
-        numbered = [{**row, "place": numbers[place]} for row, place in zip(rows, places, strict=True)]
+        locations = [
+            _EventLocation(event.project_id, event.mission_id, _needed_level(actor, event)) for event in events
+        ]
+        numbers = {location: number for number, location in enumerate(dict.fromkeys(locations), start=1)}
+        numbered = [{**row, "location": numbers[location]} for row, location in zip(rows, locations, strict=True)]
         columns = [audit_event.c[key] for key in rows[0]]
-        values = unnest_rows([*columns, sa.column("place", sa.Integer)], numbered)
+        values = unnest_rows([*columns, sa.column("location", sa.Integer)], numbered)
         marks = _lacks_own_right(actor, [*numbers])
-        marked = sa.select(*(values.c[key] for key in rows[0]), marks[values.c.place])
+        marked = sa.select(*(values.c[key] for key in rows[0]), marks[values.c.location])
         await db.execute(sa.insert(audit_event).from_select([*rows[0], "as_admin"], marked))
     changes = []
     for event in events:
@@ -104,17 +106,17 @@ def _needed_level(actor: Actor, event: Event) -> int:
     return 0 if permission.right is None else permission.right.level
 
 
-def _lacks_own_right(admin: Actor, places: list[_EventPlace]) -> sa.ScalarSelect[list[bool]]:
-    """Return, as an array in order, whether `admin` would have been refused at each place without admin rights."""
+def _lacks_own_right(admin: Actor, locations: list[_EventLocation]) -> sa.ScalarSelect[list[bool]]:
+    """Return, as an array in order, whether `admin` would have been refused at each location without admin rights."""
     own = admin.without_admin()
     columns = [sa.column("number", sa.Integer), sa.column("project_id", sa.Uuid), sa.column("mission_id", sa.Uuid)]
-    rows = [{"number": number, **place._asdict()} for number, place in enumerate(places)]
-    place = unnest_rows([*columns, sa.column("needed", sa.Integer)], rows)
+    rows = [{"number": number, **location._asdict()} for number, location in enumerate(locations)]
+    location = unnest_rows([*columns, sa.column("needed", sa.Integer)], rows)
     missions = sa.select(level_on_mission(own)).select_from(mission.join(project))
-    missions = missions.where(mission.c.id == place.c.mission_id).correlate_except(mission, project)
+    missions = missions.where(mission.c.id == location.c.mission_id).correlate_except(mission, project)
     projects = sa.select(level_on_project(own)).select_from(project)
-    projects = projects.where(project.c.id == place.c.project_id).correlate_except(project)
+    projects = projects.where(project.c.id == location.c.project_id).correlate_except(project)
     level = sa.func.coalesce(missions.scalar_subquery(), projects.scalar_subquery(), sa.literal(0))
-    in_order = aggregate_order_by(level < place.c.needed, place.c.number)
+    in_order = aggregate_order_by(level < location.c.needed, location.c.number)
     marks = sa.func.array_agg(in_order, type_=sa.ARRAY(sa.Boolean))
-    return sa.select(marks).select_from(place).scalar_subquery()
+    return sa.select(marks).select_from(location).scalar_subquery()

@@ -99,8 +99,8 @@ def _target_object(target: RequestTarget) -> sa.Select[Any]:
         stmt = sa.select(*columns, nowhere.label("project_id"), nowhere.label("mission_id"))
         return stmt.where(table.c.id == target.id)
     if target.kind == "project_id":
-        place_columns = project.c.id.label("project_id"), nowhere.label("mission_id")
-        return sa.select(*_columns("project", project), *place_columns).where(project.c.id == target.id)
+        location_columns = project.c.id.label("project_id"), nowhere.label("mission_id")
+        return sa.select(*_columns("project", project), *location_columns).where(project.c.id == target.id)
     columns = *_columns("mission", mission), mission.c.project_id, mission.c.id.label("mission_id")
     stmt = sa.select(*columns).join(project, project.c.id == mission.c.project_id)
     if target.kind == "mission_id":

@@ -32,7 +32,7 @@ class BackupRequest(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     command: Literal["create", "list", "verify", "prune", "restore"]
-    place: str
+    location: str
     passphrase_file: Path | None = None
     as_json: bool = False
     encrypt: bool = False
@@ -46,8 +46,8 @@ class BackupRequest(BaseModel):
         """Open the backups in the location; `create` begins them there."""
         rclone = Rclone({}, self.connections, self.bytes_per_s)
         if self.command == "create":
-            return make_repository(self.place, self._passphrase(), rclone, encrypt=self.encrypt)
-        return open_repository(self.place, self._passphrase(), rclone)
+            return make_repository(self.location, self._passphrase(), rclone, encrypt=self.encrypt)
+        return open_repository(self.location, self._passphrase(), rclone)
 
     def show_progress(self, line: str) -> None:
         """Show progress on stderr, in one line on a terminal."""

@@ -238,40 +238,42 @@ class Repository:
             os.sync()
 
 
-def open_repository(place: str, passphrase: str | None, rclone: Rclone) -> Repository:
+def open_repository(location: str, passphrase: str | None, rclone: Rclone) -> Repository:
     """Open the backups in a location.
 
     Raises:
         BackupNotFound: there are none.
         PassphraseWrong: they are encrypted, and this is not their passphrase.
     """
-    root, rclone = _resolve(place, rclone)
-    marker = _read_marker(place, root, rclone)
+    root, rclone = _resolve(location, rclone)
+    marker = _read_marker(location, root, rclone)
     if marker is None:
-        raise BackupNotFound(f"There are no backups in {place}.")
-    return _open(place, root, marker, passphrase, rclone)
+        raise BackupNotFound(f"There are no backups in {location}.")
+    return _open(location, root, marker, passphrase, rclone)
 
 
-def make_repository(place: str, passphrase: str | None, rclone: Rclone, *, encrypt: bool) -> Repository:
+def make_repository(location: str, passphrase: str | None, rclone: Rclone, *, encrypt: bool) -> Repository:
     """Open the backups in a location, or begin them there.
 
     Raises:
         BackupRequestInvalid: they are to be encrypted, and there is no passphrase, or they are not encrypted.
         BackupConflict: the location contains something else.
     """
-    root, rclone = _resolve(place, rclone)
-    marker = _read_marker(place, root, rclone)
+    root, rclone = _resolve(location, rclone)
+    marker = _read_marker(location, root, rclone)
     if marker is None:
-        marker = _begin(place, root, passphrase, rclone, encrypt=encrypt)
+        marker = _begin(location, root, passphrase, rclone, encrypt=encrypt)
     elif encrypt and marker.salt is None:
-        raise BackupRequestInvalid(f"The backups in {place} were begun without --encrypt: name another location.")
-    return _open(place, root, marker, passphrase, rclone, may_begin=True)
+        raise BackupRequestInvalid(f"The backups in {location} were begun without --encrypt: name another location.")
+    return _open(location, root, marker, passphrase, rclone, may_begin=True)
 
 
-def _begin(place: str, root: str, passphrase: str | None, rclone: Rclone, *, encrypt: bool) -> _Marker:
+def _begin(location: str, root: str, passphrase: str | None, rclone: Rclone, *, encrypt: bool) -> _Marker:
     for file in rclone.files(root):
         if not _LEFT_BY_US.fullmatch(file.path):
-            raise BackupConflict(f"{place} is not empty and contains no backups ({file.path} is there): name another.")
+            raise BackupConflict(
+                f"{location} is not empty and contains no backups ({file.path} is there): name another."
+            )
     if encrypt and not passphrase:
         raise BackupRequestInvalid(
             "--encrypt needs a passphrase: give --passphrase-file, or KLEINKRAM_BACKUP_PASSPHRASE."
@@ -281,19 +283,19 @@ def _begin(place: str, root: str, passphrase: str | None, rclone: Rclone, *, enc
         try:
             Path(root).mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:
-            raise BackupLocationFull(f"{place} cannot be made: {error.strerror or error}.") from error
+            raise BackupLocationFull(f"{location} cannot be made: {error.strerror or error}.") from error
     rclone.write(join_remote(root, _MARKER), marker.model_dump_json().encode())
     return marker
 
 
 def _open(
-    place: str, root: str, marker: _Marker, passphrase: str | None, rclone: Rclone, *, may_begin: bool = False
+    location: str, root: str, marker: _Marker, passphrase: str | None, rclone: Rclone, *, may_begin: bool = False
 ) -> Repository:
     if marker.salt is None:
-        return Repository(place, root, root, rclone, None)
+        return Repository(location, root, root, rclone, None)
     if passphrase is None:
         raise PassphraseWrong(
-            f"The backups in {place} are encrypted: give --passphrase-file, or set KLEINKRAM_BACKUP_PASSPHRASE."
+            f"The backups in {location} are encrypted: give --passphrase-file, or set KLEINKRAM_BACKUP_PASSPHRASE."
         )
     folder = join_remote(root, "encrypted")
     encrypted = rclone.with_remotes(
@@ -309,14 +311,14 @@ def _open(
     try:
         encrypted.read(_CRYPT + _CHECK)
     except FileNotFoundError:
-        raise PassphraseWrong(f"The passphrase is not the one of the backups in {place}.") from None
-    return Repository(place, root, _CRYPT, encrypted, marker.salt)
+        raise PassphraseWrong(f"The passphrase is not the one of the backups in {location}.") from None
+    return Repository(location, root, _CRYPT, encrypted, marker.salt)
 
 
-def _resolve(place: str, rclone: Rclone) -> tuple[str, Rclone]:
+def _resolve(location: str, rclone: Rclone) -> tuple[str, Rclone]:
     """Return a location as a folder or a path of rclone, and rclone with its remote."""
-    if not place.startswith("s3://"):
-        return place if _REMOTE.fullmatch(place) else str(Path(place).absolute()), rclone
+    if not location.startswith("s3://"):
+        return location if _REMOTE.fullmatch(location) else str(Path(location).absolute()), rclone
     names = ("s3_access_key", "s3_secret_key")
     try:
         secrets_in_files = {name: secret_from_file(f"KLEINKRAM_BACKUP_{name.upper()}") for name in names}
@@ -324,12 +326,12 @@ def _resolve(place: str, rclone: Rclone) -> tuple[str, Rclone]:
         settings = _BucketSettings(**credentials)  # type: ignore[arg-type]  # validated
     except ValidationError as error:
         missing = ", ".join(f"KLEINKRAM_BACKUP_{str(detail['loc'][0]).upper()}" for detail in error.errors())
-        raise BackupRequestInvalid(f"{place} needs these settings: {missing}.") from None
+        raise BackupRequestInvalid(f"{location} needs these settings: {missing}.") from None
     except SettingsInvalid as error:
         raise BackupRequestInvalid(str(error)) from None
     secret = settings.s3_secret_key.get_secret_value()
     access = S3Access(settings.s3_url, settings.s3_region, settings.s3_access_key, secret, settings.s3_ca_file)
-    return f"kleinbackup:{place.removeprefix('s3://').strip('/')}", rclone.with_s3("kleinbackup", access)
+    return f"kleinbackup:{location.removeprefix('s3://').strip('/')}", rclone.with_s3("kleinbackup", access)
 
 
 def complete_ids(paths: Iterable[str]) -> list[str]:
@@ -354,7 +356,7 @@ def _hash(file: IO[bytes]) -> StoredFile:
     return StoredFile(sha256=digest.hexdigest(), size_bytes=size_bytes)
 
 
-def _read_marker(place: str, root: str, rclone: Rclone) -> _Marker | None:
+def _read_marker(location: str, root: str, rclone: Rclone) -> _Marker | None:
     try:
         values = json.loads(rclone.read(join_remote(root, _MARKER)))
         if values["format"] == _FORMAT:
@@ -362,5 +364,5 @@ def _read_marker(place: str, root: str, rclone: Rclone) -> _Marker | None:
     except FileNotFoundError:
         return None
     except (ValueError, KeyError, TypeError):
-        raise BackupDamaged(f"{_MARKER} in {place} cannot be read: restore it from a copy.") from None
-    raise BackupRequestInvalid(f"The backups in {place} have another format: use a later version of Kleinkram.")
+        raise BackupDamaged(f"{_MARKER} in {location} cannot be read: restore it from a copy.") from None
+    raise BackupRequestInvalid(f"The backups in {location} have another format: use a later version of Kleinkram.")

@@ -143,7 +143,7 @@ def expected_between(
 ) -> Select[Any]:
     """Select, as `ExpectedBlob`, blobs with keys above `after` up to `until` (None: the last), ordered by key.
 
-    Blobs that arrived at `since_before` or later are left out, since the listing may have passed their place, and so
+    Blobs that arrived at `since_before` or later are left out, since the listing may have passed their position, and so
     are blobs marked for deletion. Keys are compared by their bytes, as stores list them, whatever the database's
     collation; an index does the same.
     """

@@ -217,8 +217,8 @@ def prepare(
     )
     if shape not in _built:
         bound = []
-        for place, matching in enumerate(filters):
-            names = [(at, name) for at, name in enumerate(_IDS, len(_IDS) * place) if ids[at] is not None]
+        for index, matching in enumerate(filters):
+            names = [(at, name) for at, name in enumerate(_IDS, len(_IDS) * index) if ids[at] is not None]
             bound.append(matching.model_copy(update={name: _BoundId(int=at) for at, name in names}))
         while len(_built) >= _MAX_STATEMENTS:
             del _built[next(iter(_built))]

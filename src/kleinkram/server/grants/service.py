@@ -46,7 +46,7 @@ _GRANT_ORDER = Order([_GRANTEE_NAME, access_grant.c.id])
 
 
 @dataclass(frozen=True)
-class GrantPlace:
+class GrantResource:
     """The project or mission that a grant is on."""
 
     on: access.GrantOn
@@ -72,41 +72,45 @@ _COLUMNS: dict[str, TypeEngine[Any]] = {
 
 
 class _Granter(NamedTuple):
-    """The actor of a change, the place it is on, and the level of their own right there."""
+    """The actor of a change, the resource it is on, and the level of their own right there."""
 
     actor: Actor
-    place: GrantPlace
+    resource: GrantResource
     project_id: uuid.UUID
     level: int
 
 
-async def list_grants(db: Connection, actor: Actor, *, place: GrantPlace, page: PageRequest) -> Page[access.GrantRead]:
-    """Return a page of the grants on a place, by the name of the grantee. Raises NotFound, Forbidden, InvalidCursor."""
-    await _require(db, actor, f"list_{place.on.value}_grants", place)
-    return await read_page(db, _grants_on(place), _GRANT_ORDER, page, _to_grant)
+async def list_grants(
+    db: Connection, actor: Actor, *, resource: GrantResource, page: PageRequest
+) -> Page[access.GrantRead]:
+    """Return a page of the grants on a resource, by name of the grantee. Raises NotFound, Forbidden, InvalidCursor."""
+    await _require(db, actor, f"list_{resource.on.value}_grants", resource)
+    return await read_page(db, _grants_on(resource), _GRANT_ORDER, page, _to_grant)
 
 
-async def list_access(db: Connection, actor: Actor, *, place: GrantPlace, page: PageRequest) -> Page[access.AccessRead]:
-    """Return a page of who has which right on a place and why; actors without WRITE see only their own.
+async def list_access(
+    db: Connection, actor: Actor, *, resource: GrantResource, page: PageRequest
+) -> Page[access.AccessRead]:
+    """Return a page of who has which right on a resource and why; actors without WRITE see only their own.
 
     Raises NotFound, InvalidCursor.
     """
-    await _require(db, actor, f"get_{place.on.value}_access", place)
-    return await read_page(db, *_access_on(actor, place), page, _to_access)
+    await _require(db, actor, f"get_{resource.on.value}_access", resource)
+    return await read_page(db, *_access_on(actor, resource), page, _to_access)
 
 
 async def create_grant(
-    db: Connection, actor: Actor, *, place: GrantPlace, request: access.GrantCreate
+    db: Connection, actor: Actor, *, resource: GrantResource, request: access.GrantCreate
 ) -> access.GrantRead:
-    """Grant a right and return the grant; it replaces the grantee's earlier grant on the place.
+    """Grant a right and return the grant; it replaces the grantee's earlier grant on the resource.
 
     A grant to an address has the same effect and response whether or not anybody has the address.
 
     Raises NotFound, Forbidden, RightExceeded, InvalidRequest, LastOwner.
     """
-    granter = await _lock_granter(db, actor, f"create_{place.on.value}_grant", place)
+    granter = await _lock_granter(db, actor, f"create_{resource.on.value}_grant", resource)
     group_id, name = await _find_group(db, actor, request)
-    of_group = _grants_on(place).where(access_grant.c.group_id == group_id)
+    of_group = _grants_on(resource).where(access_grant.c.group_id == group_id)
     row = (await db.execute(of_group)).one_or_none()
     old = None if row is None else _to_grant(row)
     if old is not None and _is_same(old, request.right, request.expires_at):
@@ -118,19 +122,19 @@ async def create_grant(
     before = {} if old is None else _audit_values(old.right, old.expires_at)
     await _record(db, granter, operation, grant_id, name, before, after)
     values = {"level": request.right.level, "expires_at": request.expires_at, "granted_by_id": actor.person_id}
-    inserted = upsert(access_grant).values(id=grant_id, group_id=group_id, **{place.key: place.id}, **values)
+    inserted = upsert(access_grant).values(id=grant_id, group_id=group_id, **{resource.key: resource.id}, **values)
     changed = {**values, "created_at": sa.func.now()}
-    await db.execute(inserted.on_conflict_do_update(index_elements=[place.key, "group_id"], set_=changed))
-    await _ensure_owner(db, place)
+    await db.execute(inserted.on_conflict_do_update(index_elements=[resource.key, "group_id"], set_=changed))
+    await _ensure_owner(db, resource)
     return _to_grant((await db.execute(of_group)).one())
 
 
 async def update_grant(
-    db: Connection, actor: Actor, *, place: GrantPlace, grant_id: uuid.UUID, changes: access.GrantUpdate
+    db: Connection, actor: Actor, *, resource: GrantResource, grant_id: uuid.UUID, changes: access.GrantUpdate
 ) -> access.GrantRead:
     """Change a grant and return it. Raises NotFound, Forbidden, RightExceeded, InvalidRequest, LastOwner."""
-    granter = await _lock_granter(db, actor, f"update_{place.on.value}_grant", place)
-    old = await _get_grant(db, place, grant_id)
+    granter = await _lock_granter(db, actor, f"update_{resource.on.value}_grant", resource)
+    old = await _get_grant(db, resource, grant_id)
     right = changes.right or old.right
     expires_at = changes.expires_at if "expires_at" in changes.model_fields_set else old.expires_at
     if _is_same(old, right, expires_at):
@@ -140,31 +144,31 @@ async def update_grant(
     await _record(db, granter, "grant.change", grant_id, old.to.name, before, after)
     values = {"level": right.level, "expires_at": expires_at}
     await db.execute(sa.update(access_grant).where(access_grant.c.id == grant_id).values(values))
-    await _ensure_owner(db, place)
-    return await _get_grant(db, place, grant_id)
+    await _ensure_owner(db, resource)
+    return await _get_grant(db, resource, grant_id)
 
 
-async def delete_grant(db: Connection, actor: Actor, *, place: GrantPlace, grant_id: uuid.UUID) -> None:
+async def delete_grant(db: Connection, actor: Actor, *, resource: GrantResource, grant_id: uuid.UUID) -> None:
     """Revoke a right. Raises NotFound, Forbidden, LastOwner."""
-    granter = await _lock_granter(db, actor, f"delete_{place.on.value}_grant", place)
-    old = await _get_grant(db, place, grant_id)
+    granter = await _lock_granter(db, actor, f"delete_{resource.on.value}_grant", resource)
+    old = await _get_grant(db, resource, grant_id)
     _require_not_higher(granter, old)
     await _record(db, granter, "grant.revoke", grant_id, old.to.name, _audit_values(old.right, old.expires_at), {})
     await db.execute(sa.delete(access_grant).where(access_grant.c.id == grant_id))
-    await _ensure_owner(db, place)
+    await _ensure_owner(db, resource)
 
 
-async def _lock_granter(db: Connection, actor: Actor, operation: str, place: GrantPlace) -> _Granter:
+async def _lock_granter(db: Connection, actor: Actor, operation: str, resource: GrantResource) -> _Granter:
     await lock_rights(db)
-    await _require(db, actor, operation, place)
-    level = level_on_project if place.on is access.GrantOn.project else level_on_mission
-    row = (await db.execute(_visible_place(actor, place, project.c.id, level(actor).label("level")))).one()
-    return _Granter(actor, place, row.id, row.level)
+    await _require(db, actor, operation, resource)
+    level = level_on_project if resource.on is access.GrantOn.project else level_on_mission
+    row = (await db.execute(_visible_resource(actor, resource, project.c.id, level(actor).label("level")))).one()
+    return _Granter(actor, resource, row.id, row.level)
 
 
-async def _require(db: Connection, actor: Actor, operation: str, place: GrantPlace) -> None:
-    require = require_project if place.on is access.GrantOn.project else require_mission
-    await require(db, actor, operation, place.id)
+async def _require(db: Connection, actor: Actor, operation: str, resource: GrantResource) -> None:
+    require = require_project if resource.on is access.GrantOn.project else require_mission
+    await require(db, actor, operation, resource.id)
 
 
 async def _find_group(db: Connection, actor: Actor, request: access.GrantCreate) -> tuple[uuid.UUID, str]:
@@ -181,8 +185,8 @@ async def _find_group(db: Connection, actor: Actor, request: access.GrantCreate)
     return row.id, row.name
 
 
-async def _get_grant(db: Connection, place: GrantPlace, grant_id: uuid.UUID) -> access.GrantRead:
-    row = (await db.execute(_grants_on(place).where(access_grant.c.id == grant_id))).one_or_none()
+async def _get_grant(db: Connection, resource: GrantResource, grant_id: uuid.UUID) -> access.GrantRead:
+    row = (await db.execute(_grants_on(resource).where(access_grant.c.id == grant_id))).one_or_none()
     if row is None:
         raise NotFound(resource_type="grant", ref=str(grant_id))
     return _to_grant(row)
@@ -195,7 +199,7 @@ def _is_same(grant: access.GrantRead, right: access.Right, expires_at: datetime.
 def _require_not_higher(granter: _Granter, grant: access.GrantRead | None) -> None:
     if grant is not None and grant.right.level > granter.level and not grant.has_expired:
         needs = grant.right.value
-        raise Forbidden(resource_type=granter.place.on.value, operation=f"change a grant of {needs}", needs=needs)
+        raise Forbidden(resource_type=granter.resource.on.value, operation=f"change a grant of {needs}", needs=needs)
 
 
 async def _require_may_grant(
@@ -208,29 +212,29 @@ async def _require_may_grant(
     _require_not_higher(granter, old)
     if expires_at is not None and (await db.execute(sa.select(sa.literal(expires_at) <= sa.func.now()))).scalar_one():
         raise InvalidRequest(problems=[FieldProblem(field="body.expires_at", message="has passed already")])
-    place, actor = granter.place, granter.actor
-    level = lasting_level_on_project if place.on is access.GrantOn.project else lasting_level_on_mission
-    lasting_level = (await db.execute(_visible_place(actor, place, level(actor, expires_at)))).scalar_one()
+    resource, actor = granter.resource, granter.actor
+    level = lasting_level_on_project if resource.on is access.GrantOn.project else lasting_level_on_mission
+    lasting_level = (await db.execute(_visible_resource(actor, resource, level(actor, expires_at)))).scalar_one()
     if right.level > lasting_level:
         until = "without an end" if expires_at is None else f"until {expires_at:%Y-%m-%d %H:%M} UTC"
         own_right = access.Right.of_level(granter.level).value + (
             "" if right.level > granter.level else ", not as long"
         )
-        raise RightExceeded(resource_type=place.on.value, requested=f"{right.value} {until}", own=own_right)
+        raise RightExceeded(resource_type=resource.on.value, requested=f"{right.value} {until}", own=own_right)
 
 
-async def _ensure_owner(db: Connection, place: GrantPlace) -> None:
-    if place.on is access.GrantOn.project:
-        await ensure_owner_remains(db, [place.id])
+async def _ensure_owner(db: Connection, resource: GrantResource) -> None:
+    if resource.on is access.GrantOn.project:
+        await ensure_owner_remains(db, [resource.id])
 
 
 async def _record(
     db: Connection, granter: _Granter, operation: str, grant_id: uuid.UUID, name: str, before: Metadata, after: Metadata
 ) -> None:
     # Before the change itself, so that the use of admin rights is judged by the actor's rights until then.
-    place, has_delete = granter.place, access.Right.delete.value in (before.get("right"), after.get("right"))
-    mission_id = place.id if place.on is access.GrantOn.mission else None
-    takes = f"delete_{place.on.value}" if has_delete else None
+    resource, has_delete = granter.resource, access.Right.delete.value in (before.get("right"), after.get("right"))
+    mission_id = resource.id if resource.on is access.GrantOn.mission else None
+    takes = f"delete_{resource.on.value}" if has_delete else None
     event = Event(
         operation, "grant", grant_id, name, granter.project_id, before, after, mission_id=mission_id, takes=takes
     )
@@ -241,15 +245,15 @@ def _audit_values(right: access.Right, expires_at: datetime.datetime | None) -> 
     return {"right": right.value, "expires_at": None if expires_at is None else expires_at.isoformat()}
 
 
-def _visible_place(actor: Actor, place: GrantPlace, *columns: sa.ColumnElement[Any]) -> sa.Select[Any]:
+def _visible_resource(actor: Actor, resource: GrantResource, *columns: sa.ColumnElement[Any]) -> sa.Select[Any]:
     """Return columns of a project or mission that is visible to the actor."""
-    is_project = place.on is access.GrantOn.project
+    is_project = resource.on is access.GrantOn.project
     seen, table = (visible_projects(actor), project) if is_project else (visible_missions(actor), mission)
-    return seen.where(table.c.id == place.id).with_only_columns(*columns, maintain_column_froms=True)
+    return seen.where(table.c.id == resource.id).with_only_columns(*columns, maintain_column_froms=True)
 
 
-def _grants_on(place: GrantPlace) -> sa.Select[Any]:
-    """Return the grants on a place for `_to_grant`, including expired ones."""
+def _grants_on(resource: GrantResource) -> sa.Select[Any]:
+    """Return the grants on a resource for `_to_grant`, including expired ones."""
     return (
         sa.select(
             access_grant,
@@ -262,7 +266,7 @@ def _grants_on(place: GrantPlace) -> sa.Select[Any]:
         .join_from(access_grant, access_group, access_group.c.id == access_grant.c.group_id)
         .outerjoin(_grantee, _grantee.c.id == access_group.c.person_id)
         .outerjoin(_giver, _giver.c.id == access_grant.c.granted_by_id)
-        .where(access_grant.c[place.key] == place.id)
+        .where(access_grant.c[resource.key] == resource.id)
     )
 
 
@@ -285,19 +289,19 @@ def _to_grantee(group_kind: str, grantee_id: uuid.UUID, name: str) -> access.Gra
     return access.Grantee(kind=kind, id=None if kind is access.GranteeKind.email else grantee_id, name=name)
 
 
-def _access_on(actor: Actor, place: GrantPlace) -> tuple[sa.Select[Any], Order]:
-    """Return who has which right on a visible place, one row for each reason, for `_to_access`; and the order.
+def _access_on(actor: Actor, resource: GrantResource) -> tuple[sa.Select[Any], Order]:
+    """Return who has which right on a visible resource, one row for each reason, for `_to_access`; and the order.
 
     All of it where the actor has WRITE where the grant is; otherwise only their own and everybody's.
     """
     columns: list[sa.ColumnElement[Any]] = [project.c.id.label("project_id"), project.c.is_public]
     of_project = (level_on_project(actor) >= access.Right.write.level).label("of_project")
-    if place.on is access.GrantOn.project:
+    if resource.on is access.GrantOn.project:
         columns += [sa.cast(sa.null(), sa.Uuid).label("mission_id"), of_project, sa.false().label("of_mission")]
     else:
         of_mission = (level_on_mission(actor) >= access.Right.write.level).label("of_mission")
         columns += [mission.c.id.label("mission_id"), of_project, of_mission]
-    seen = _visible_place(actor, place, *columns).cte("seen")
+    seen = _visible_resource(actor, resource, *columns).cte("seen")
     public = _reason(level=sa.literal(access.Right.read.level), through=sa.literal(access.AccessThrough.public.value))
     admins = _reason(level=sa.literal(access.Right.delete.level), through=sa.literal(access.AccessThrough.admin.value))
     reasons = sa.union_all(

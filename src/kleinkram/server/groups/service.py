@@ -109,8 +109,8 @@ async def delete_group(db: Connection, actor: Actor, group_id: uuid.UUID) -> Non
     events = [_event(group, "group.delete", {"name": group.name})]
     for row in await db.execute(grants.where(access_grant.c.group_id == group_id)):
         before: Metadata = {"right": Right.of_level(row.level).value}
-        place = {"project_id": row.on_project_id, "mission_id": row.mission_id}
-        events.append(Event("grant.revoke", "grant", row.id, group.name, before=before, **place))
+        location = {"project_id": row.on_project_id, "mission_id": row.mission_id}
+        events.append(Event("grant.revoke", "grant", row.id, group.name, before=before, **location))
     await audit(db, actor, *events)
     await db.execute(delete(access_group).where(access_group.c.id == group_id))
     await ensure_owner_remains(db, owned)

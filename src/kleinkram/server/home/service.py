@@ -152,22 +152,22 @@ def _disk(settings: Settings) -> tuple[int, int] | None:
 async def _attention(db: Connection, actor: Actor) -> list[Attention]:
     counts: dict[tuple[AttentionKind, MissionRef], int] = {}
 
-    def count(kind: AttentionKind, number: int, *place: Any) -> None:  # Any: the arguments of `mission_ref`
-        key = (kind, mission_ref(*place))
+    def count(kind: AttentionKind, number: int, *mission_columns: Any) -> None:  # Any: the arguments of `mission_ref`
+        key = (kind, mission_ref(*mission_columns))
         counts[key] = counts.get(key, 0) + number
 
-    for *place, state, content, number in await db.execute(_damaged_files(actor)):
-        count(_OF_STATE.get(state) or _OF_CONTENT[content], number, *place)
+    for *mission_columns, state, content, number in await db.execute(_damaged_files(actor)):
+        count(_OF_STATE.get(state) or _OF_CONTENT[content], number, *mission_columns)
     queued = (await db.execute(_queued_runs(actor))).all()
     if queued:
         known = await known_runners(db)
         for row in queued:
             if known.reason_never_starts(Needs(*(row._mapping[name] for name in Needs._fields))) is not None:
                 count(AttentionKind.runs_cannot_start, row.number, *row[: len(_MISSION)])
-    for *place, number in await db.execute(_failed_runs(actor)):
-        count(AttentionKind.runs_failed, number, *place)
-    for *place, number in await db.execute(_unsatisfied_missions(actor)):
-        count(AttentionKind.metadata_missing, number, *place)
+    for *mission_columns, number in await db.execute(_failed_runs(actor)):
+        count(AttentionKind.runs_failed, number, *mission_columns)
+    for *mission_columns, number in await db.execute(_unsatisfied_missions(actor)):
+        count(AttentionKind.metadata_missing, number, *mission_columns)
     items = [Attention(kind=kind, count=number, mission=where) for (kind, where), number in counts.items()]
     order = list(AttentionKind)
     return sorted(items, key=lambda attention: order.index(attention.kind))
@@ -230,10 +230,10 @@ def _recent_missions(actor: Actor) -> Select[Any]:
 
 def _unfinished_uploads(actor: Actor) -> Select[Any]:
     own = [upload.c[name] for name in _StartedUpload._fields if name in upload.c]
-    place = (mission.c.name, mission.c.project_id, project.c.name)
+    mission_columns = (mission.c.name, mission.c.project_id, project.c.name)
     return (
         own_uploads(actor)
-        .with_only_columns(*own, *place, maintain_column_froms=True)
+        .with_only_columns(*own, *mission_columns, maintain_column_froms=True)
         .join(mission, mission.c.id == upload.c.mission_id)
         .join(project, project.c.id == mission.c.project_id)
         .where(upload.c.state.in_(UNDER_WAY), upload.c.expires_at > func.now())

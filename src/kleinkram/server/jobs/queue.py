@@ -52,8 +52,8 @@ queue = App(connector=PsycopgConnector())
 _DEFER = text(
     "SELECT procrastinate_defer_jobs_v1(array_agg(ROW(CAST(:queue AS varchar), CAST(:task AS varchar),"
     " CAST(:priority AS integer), NULL, NULL, jsonb_build_object('ref', ref), now() + CAST(:later AS interval))"
-    "::procrastinate_job_to_defer_v1 ORDER BY place))"
-    " FROM unnest(CAST(:ids AS text[])) WITH ORDINALITY AS given (ref, place)"
+    "::procrastinate_job_to_defer_v1 ORDER BY number))"
+    " FROM unnest(CAST(:ids AS text[])) WITH ORDINALITY AS given (ref, number)"
 )
 
 _RAISE_PRIORITY = text(

@@ -116,8 +116,8 @@ class MetadataValidator:
             accepted = self._accepted(key, value)
         except InvalidValue as wrong:
             path = (key, *wrong.path)
-            place = document.place(path)
-            where = {"line": place.line, "column": place.column} if place else {}
+            position = document.position(path)
+            where = {"line": position.line, "column": position.column} if position else {}
             hint = wrong.near.hint() if wrong.near and hinting else ""
             return FieldProblem(field=".".join(map(str, path)), message=f"{wrong}{hint}", **where)
         if accepted is not None or key not in self._fields:
@@ -288,10 +288,10 @@ def _location(value: JsonValue) -> JsonValue:
         raise InvalidValue(f"is {_kind(value)}; write a place's name, or latitude and longitude in degrees")
     _finite(value, ())
     try:
-        place = Location.model_validate(value, strict=True)
+        location = Location.model_validate(value, strict=True)
     except ValidationError as error:
         raise InvalidValue(first_message(error), tuple(error.errors()[0]["loc"])) from None
-    stored: JsonValue = place.model_dump(mode="json", exclude_none=True)
+    stored: JsonValue = location.model_dump(mode="json", exclude_none=True)
     return stored
 
 

@@ -84,7 +84,7 @@ def _to_mission(values: dict[str, Any]) -> MissionRead:
     return MissionRead.model_validate(values)
 
 
-_PLACE = (mission.c.id, mission.c.name, mission.c.project_id, project.c.name)
+_REF_COLUMNS = (mission.c.id, mission.c.name, mission.c.project_id, project.c.name)
 
 
 def mission_ref(mission_id: uuid.UUID, name: str, project_id: uuid.UUID, project_name: str) -> MissionRef:
@@ -173,10 +173,12 @@ def _as_integers(*numbers: ColumnElement[Any]) -> ColumnElement[Any]:
     return type_coerce(array([func.coalesce(number, 0) for number in numbers]), ARRAY(BigInteger))
 
 
-def mission_place(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
+def mission_ref_row(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
     """Return the arguments of `mission_ref` for a visible mission."""
     return (
-        visible_missions(actor).with_only_columns(*_PLACE, maintain_column_froms=True).where(mission.c.id == mission_id)
+        visible_missions(actor)
+        .with_only_columns(*_REF_COLUMNS, maintain_column_froms=True)
+        .where(mission.c.id == mission_id)
     )
 
 
@@ -274,7 +276,7 @@ def visible_ids(actor: Actor, *, plan: SearchPlan, limit: int) -> Select[Any]:
 
 def last_mission(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
     """Return the newest visible mission of a project: the arguments of `mission_ref`, and its metadata."""
-    newest = visible_missions(actor).with_only_columns(*_PLACE, mission.c.metadata, maintain_column_froms=True)
+    newest = visible_missions(actor).with_only_columns(*_REF_COLUMNS, mission.c.metadata, maintain_column_froms=True)
     newest = newest.where(mission.c.project_id == project_id)
     return newest.order_by(mission.c.created_at.desc(), mission.c.id.desc()).limit(1)
 

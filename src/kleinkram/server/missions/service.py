@@ -75,7 +75,7 @@ async def lock_mission_to_fill(db: Connection, actor: Actor, mission_id: uuid.UU
 
 async def get_mission_ref(db: Connection, actor: Actor, mission_id: uuid.UUID) -> MissionRef:
     """Return the names of a mission and its project. Raises NotFound."""
-    row = (await db.execute(queries.mission_place(actor, mission_id))).one_or_none()
+    row = (await db.execute(queries.mission_ref_row(actor, mission_id))).one_or_none()
     if row is None:
         raise NotFound(resource_type="mission", ref=str(mission_id))
     return queries.mission_ref(*row)
@@ -175,9 +175,9 @@ async def update_mission(
     """
     has_metadata = changes.metadata_yaml is not None or changes.metadata is not None
     document = await _read_document(changes) if has_metadata else None
-    place = await get_mission_ref(db, actor, mission_id)
+    ref = await get_mission_ref(db, actor, mission_id)
     # Before anything about the other project is revealed; and again once the mission is locked.
-    moves = changes.project_id is not None and changes.project_id != place.project.id
+    moves = changes.project_id is not None and changes.project_id != ref.project.id
     await require_mission(db, actor, "move_mission" if moves else "update_mission", mission_id)
     if document is not None or changes.project_id is not None:
         # Project before mission, as where the fields of a project change, so that the two cannot deadlock.
@@ -249,8 +249,8 @@ async def template_for(db: Connection, actor: Actor, *, project_id: uuid.UUID) -
     if sees_whole_missions(actor) and (
         row := (await db.execute(queries.last_mission(actor, project_id))).one_or_none()
     ):
-        *place, metadata = row
-        previous, carried = queries.mission_ref(*place), carried_over(fields, metadata)
+        *ref, metadata = row
+        previous, carried = queries.mission_ref(*ref), carried_over(fields, metadata)
     return MissionTemplate(
         yaml=write_template(fields, values, carried, project=name, source=previous.name if previous else None),
         fields=fields,

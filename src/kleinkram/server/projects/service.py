@@ -248,7 +248,7 @@ def _find_duplicates(document: Document) -> list[FieldProblem]:
 
 
 def _problem_at(document: Document, path: Path, message: str) -> FieldProblem:
-    position = document.place(path)
+    position = document.position(path)
     where = {"line": position.line, "column": position.column} if position else {}
     return FieldProblem(field=_format_path(document.value, path), message=message, **where)
 

@@ -229,7 +229,7 @@ async def get_context(db: Connection, actor: Actor, *, run_id: uuid.UUID, attemp
     if starter is None:
         raise RunGone(run_id=str(run_id))
     try:
-        place = await missions.get_mission(db, starter, row.mission_id)
+        visible_mission = await missions.get_mission(db, starter, row.mission_id)
     except NotFound:
         raise RunGone(run_id=str(run_id)) from None
     input_ids = select(run_input.c.file_id).where(run_input.c.run_id == run_id, run_input.c.file_id.is_not(None))
@@ -241,7 +241,7 @@ async def get_context(db: Connection, actor: Actor, *, run_id: uuid.UUID, attemp
         action=ActionRef(id=row.action_id, name=row.definition.name, version=row.version_number),
         parameters=row.parameters,
         cause=Cause(person=starter.ref, retry_of_id=row.retry_of_id),
-        mission=place,
+        mission=visible_mission,
         files=files.to_files((await db.execute(files.file_rows(seen))).all()),
         topics=files.to_topics(topics.all()),
         recordings=[recordings.to_recording(entry) for entry in await db.execute(named)],
@@ -405,8 +405,8 @@ async def _create_mission_files(
 async def _create_file(db: Connection, row: AssignedRun, selected: MissionFile, artifact: _Artifact) -> uuid.UUID:
     file_id = uuid.uuid4()
     values = {"mission_id": row.mission_id, "blob_id": artifact.blob_id, "uploaded_by_id": row.started_by_id}
-    place = {"path": selected.to, "path_key": name_key(selected.to), "origin": "run"}
-    await db.execute(insert(file).values(id=file_id, **values, **place))
+    path = {"path": selected.to, "path_key": name_key(selected.to), "origin": "run"}
+    await db.execute(insert(file).values(id=file_id, **values, **path))
     lineage = {"file_id": file_id, "derived_from": selected.derived_from}
     await db.execute(update(run_artifact).where(run_artifact.c.id == artifact.id).values(**lineage))
     # Artifacts are not examined; as a file it may be a recording.

@@ -25,7 +25,7 @@ from kleinkram.server.tables import blob, file, mission, person, project, share,
 
 _SHARE_ORDER = Order([share.c.created_at, share.c.id], descending=True)
 # The arguments of `mission_ref`.
-_PLACE = (
+_MISSION_COLUMNS = (
     mission.c.id.label("mission_id"),
     mission.c.name.label("mission_name"),
     project.c.id.label("project_id"),
@@ -99,7 +99,7 @@ async def get_shared(db: Connection, actor: Actor) -> SharedRead:
         share.c.name,
         share.c.is_whole_mission,
         share.c.expires_at,
-        *_PLACE,
+        *_MISSION_COLUMNS,
         *amounts,
         maintain_column_froms=True,
     )
@@ -138,7 +138,7 @@ def _known_shares(actor: Actor, right: Right) -> Select[Any]:
     own = [column for column in share.c if column.name not in {"secret_sha256", "mission_id"}]
     count = case((share.c.is_whole_mission, None), else_=files).label("file_count")
     joined = (
-        select(*own, *_PLACE, person.c.name.label("created_by_name"), count)
+        select(*own, *_MISSION_COLUMNS, person.c.name.label("created_by_name"), count)
         .join_from(share, mission, mission.c.id == share.c.mission_id)
         .join(project, project.c.id == mission.c.project_id)
         .join(person, person.c.id == share.c.created_by_id)
@@ -184,5 +184,5 @@ async def _require_valid_expiry(db: Connection, expires_at: datetime.datetime, *
 
 
 def _event(operation: str, shared: ShareRead, after: Metadata) -> Event:
-    place = shared.mission
-    return Event(operation, "share", shared.id, shared.name, place.project.id, after=after, mission_id=place.id)
+    ref = shared.mission
+    return Event(operation, "share", shared.id, shared.name, ref.project.id, after=after, mission_id=ref.id)

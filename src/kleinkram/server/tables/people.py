@@ -95,7 +95,7 @@ token_limit = sa.Table(
     sa.Column("token_id", sa.Uuid, sa.ForeignKey("token.id", ondelete="CASCADE"), nullable=False),
     sa.Column("project_id", sa.Uuid, sa.ForeignKey("project.id", ondelete="CASCADE")),
     sa.Column("mission_id", sa.Uuid, sa.ForeignKey("mission.id", ondelete="CASCADE")),
-    sa.CheckConstraint("num_nonnulls(project_id, mission_id) = 1", name="place"),
+    sa.CheckConstraint("num_nonnulls(project_id, mission_id) = 1", name="resource"),
     sa.Index("ix_token_limit_token_id", "token_id"),
 )
 
@@ -165,7 +165,7 @@ access_grant = sa.Table(
     sa.Column("expires_at", sa.DateTime(timezone=True)),
     created_at_column(),
     sa.Column("granted_by_id", sa.Uuid, sa.ForeignKey("person.id")),
-    sa.CheckConstraint("num_nonnulls(project_id, mission_id) = 1", name="place"),
+    sa.CheckConstraint("num_nonnulls(project_id, mission_id) = 1", name="resource"),
     sa.CheckConstraint("level BETWEEN 1 AND 4", name="level"),
     # Every list checks rights: with all columns that decide, index-only scans suffice.
     sa.Index("uq_access_grant_project", "project_id", "group_id", unique=True, postgresql_include=_DECIDING),

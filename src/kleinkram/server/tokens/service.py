@@ -13,7 +13,7 @@ from kleinkram.contract.access import Scope, TokenKind
 from kleinkram.contract.base import Page
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.tokens import SecretKind, TokenCreate, TokenMade, TokenPlace, TokenRead, TokenRunner
+from kleinkram.contract.tokens import SecretKind, TokenCreate, TokenLimit, TokenMade, TokenRead, TokenRunner
 from kleinkram.server.access.actor import Actor, NewSecret, new_secret
 from kleinkram.server.access.rights import ensure_active_person, lock_person, require_fresh_sign_in
 from kleinkram.server.access.visible import visible_missions, visible_projects
@@ -42,7 +42,7 @@ async def create_token(db: Connection, actor: Actor, *, request: TokenCreate, se
         require_fresh_sign_in(actor, "create_token_with_the_scope_admin", within_s=settings.fresh_sign_in_s)
     if request.kind is TokenKind.runner and not actor.is_admin:
         raise errors.Forbidden(resource_type="server", operation="create a token for a runner", needs="admin rights")
-    await _require_visible_places(db, actor, request)
+    await _require_visible_limits(db, actor, request)
     expires_at = await _find_expiry(db, actor, request, settings)
     # Its scopes cannot be wider: creating tokens requires the scope that contains all.
     if actor.limits is not None and not request.is_limited:
@@ -92,8 +92,8 @@ async def issue_token(
             runner_labels=request.runner_labels,
         )
     )
-    limits = [{"project_id": place_id, "mission_id": None} for place_id in dict.fromkeys(request.project_ids)]
-    limits += [{"project_id": None, "mission_id": place_id} for place_id in dict.fromkeys(request.mission_ids)]
+    limits = [{"project_id": limit_id, "mission_id": None} for limit_id in dict.fromkeys(request.project_ids)]
+    limits += [{"project_id": None, "mission_id": limit_id} for limit_id in dict.fromkeys(request.mission_ids)]
     if limits:
         await db.execute(insert(token_limit), [{"id": uuid.uuid4(), "token_id": token_id, **limit} for limit in limits])
     return token_id, secret
@@ -187,7 +187,7 @@ async def _get_row(db: Connection, actor: Actor, token_id: uuid.UUID) -> Row[Any
 
 
 async def _read_tokens(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -> list[TokenRead]:
-    limits: dict[uuid.UUID, list[TokenPlace]] = {row.id: [] for row in rows if row.is_limited}
+    limits: dict[uuid.UUID, list[TokenLimit]] = {row.id: [] for row in rows if row.is_limited}
     if limits:
         projects = visible_projects(actor).subquery("seen_project")
         missions = visible_missions(actor).with_only_columns(mission.c.id, mission.c.name).subquery("seen_mission")
@@ -200,8 +200,8 @@ async def _read_tokens(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -
         )
         for row in await db.execute(stmt.order_by(token_limit.c.token_id, token_limit.c.id)):
             resource_type = "project" if row.project_id else "mission"
-            place = TokenPlace(resource_type=resource_type, id=row.project_id or row.mission_id, name=row.name)
-            limits[row.token_id].append(place)
+            limit = TokenLimit(resource_type=resource_type, id=row.project_id or row.mission_id, name=row.name)
+            limits[row.token_id].append(limit)
     return [
         TokenRead(
             id=row.id,
@@ -222,7 +222,7 @@ async def _read_tokens(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -
     ]
 
 
-async def _require_visible_places(db: Connection, actor: Actor, request: TokenCreate) -> None:
+async def _require_visible_limits(db: Connection, actor: Actor, request: TokenCreate) -> None:
     if not request.is_limited:
         return
     projects = visible_projects(actor).with_only_columns(literal("project").label("resource_type"), project.c.id)
@@ -235,9 +235,9 @@ async def _require_visible_places(db: Connection, actor: Actor, request: TokenCr
     )
     visible = {(row.resource_type, row.id) for row in await db.execute(stmt)}
     for resource_type, ids in (("project", request.project_ids), ("mission", request.mission_ids)):
-        for place_id in ids:
-            if (resource_type, place_id) not in visible:
-                raise errors.NotFound(resource_type=resource_type, ref=str(place_id))
+        for limit_id in ids:
+            if (resource_type, limit_id) not in visible:
+                raise errors.NotFound(resource_type=resource_type, ref=str(limit_id))
 
 
 async def _find_expiry(

@@ -59,7 +59,7 @@ async def list_trash(
             resource_type=row.resource_type,
             id=row.id,
             name=row.name,
-            place=row.place,
+            location=row.location,
             size_bytes=int(row.size_bytes),
             file_count=row.file_count,
             deleted_at=row.deleted_at,
@@ -167,19 +167,19 @@ def _select_trashed(
 def _select_projects(actor: Actor, trash_days: int) -> Select[Any]:
     inside = _SIZES.join(mission, mission.c.id == file.c.mission_id)
     sizes = inside.where(mission.c.project_id == project.c.id, mission.c.deleted_at.is_(None))
-    columns = (project.c.name.label("name"), literal("").label("place"))
+    columns = (project.c.name.label("name"), literal("").label("location"))
     return _select_trashed(trashed_projects(actor), project, trash_days, *columns, sizes=sizes)
 
 
 def _select_missions(actor: Actor, trash_days: int) -> Select[Any]:
     sizes = _SIZES.where(file.c.mission_id == mission.c.id)
-    columns = (mission.c.name.label("name"), project.c.name.label("place"))
+    columns = (mission.c.name.label("name"), project.c.name.label("location"))
     return _select_trashed(trashed_missions(actor), mission, trash_days, *columns, sizes=sizes)
 
 
 def _select_files(actor: Actor, trash_days: int) -> Select[Any]:
-    place = project.c.name.concat("/").concat(mission.c.name).label("place")
-    columns = (file.c.path.label("name"), place, blob.c.size_bytes, literal(1).label("file_count"))
+    location = project.c.name.concat("/").concat(mission.c.name).label("location")
+    columns = (file.c.path.label("name"), location, blob.c.size_bytes, literal(1).label("file_count"))
     return _select_trashed(trashed_files(actor), file, trash_days, *columns)
 
 

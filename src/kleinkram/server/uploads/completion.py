@@ -50,7 +50,7 @@ from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.artifacts import make_artifacts
 from kleinkram.server.uploads.parts import Failures, join_parts
 from kleinkram.server.uploads.queries import UploadRow
-from kleinkram.server.uploads.rules import Placement, blob_columns, conflicts_among, place, visible_conflicts
+from kleinkram.server.uploads.rules import Placement, blob_columns, conflicts_among, placement_of, visible_conflicts
 
 _log = logging.getLogger("kleinkram.uploads")
 _STALE_AFTER_S = 30
@@ -170,7 +170,7 @@ async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, uploa
     except (NotFound, Forbidden):
         return {row.id: UploadGone(upload_id=str(row.id)) for row in uploads}
     unfinished = await queries.lock_unfinished(db, uploads)
-    placements = await _place(db, actor, mission_id, unfinished)
+    placements = await _placements(db, actor, mission_id, unfinished)
     used = [placement for placement in placements if placement.error is None and placement.needs_blob]
     file_ids = await _create_or_repair(db, actor, mission_id, used)
     file_ids |= {p.upload.id: p.file_id for p in placements if p.file_id and not p.needs_blob}
@@ -178,13 +178,17 @@ async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, uploa
     return {placement.upload.id: placement.error for placement in placements if placement.error is not None}
 
 
-async def _place(db: Connection, actor: Actor, mission_id: uuid.UUID, uploads: Sequence[UploadRow]) -> list[Placement]:
+async def _placements(
+    db: Connection, actor: Actor, mission_id: uuid.UUID, uploads: Sequence[UploadRow]
+) -> list[Placement]:
     may_read = Scope.read in actor.scopes
     paths = [row.path for row in uploads]
     existing = await queries.existing_files(db, mission_id, [row.path_key for row in uploads])
     conflicts = visible_conflicts(await path_conflicts(db, mission_id, paths), may_read=may_read)
     conflicts |= {paths[position]: other for position, other in conflicts_among(paths).items()}
-    return [place(row, existing.get(row.path_key), conflicts.get(row.path), may_read=may_read) for row in uploads]
+    return [
+        placement_of(row, existing.get(row.path_key), conflicts.get(row.path), may_read=may_read) for row in uploads
+    ]
 
 
 async def _create_or_repair(

@@ -132,7 +132,9 @@ class Placement:
     error: KleinkramError | None = None
 
 
-def place(upload: UploadRow, existing: ExistingFile | None, conflict: str | None, *, may_read: bool) -> Placement:
+def placement_of(
+    upload: UploadRow, existing: ExistingFile | None, conflict: str | None, *, may_read: bool
+) -> Placement:
     """Decide what becomes of an upload whose bytes the store has: a new file, a repaired one, or a refusal."""
     if conflict is not None:
         return Placement(upload, error=PathConflict(path=upload.path, other=conflict))

@@ -32,9 +32,9 @@ async def view(request: Request, settings: CurrentSettings) -> Response:
 
 
 router.add_api_route("/", view)
-for _place in WEB_PATHS:
-    router.add_api_route(f"/{_place}", view)
-    router.add_api_route(f"/{_place}/{{rest:path}}", view)
+for _path in WEB_PATHS:
+    router.add_api_route(f"/{_path}", view)
+    router.add_api_route(f"/{_path}/{{rest:path}}", view)
 
 
 @router.get("/assets/{name}")

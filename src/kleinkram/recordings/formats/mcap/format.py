@@ -60,7 +60,7 @@ def read_index(source: Source, times: tuple[Timeline, DamageReport] | None = Non
         summary_start = _read_summary_section(known, facts)
         _read_header(known, facts)
         _check_definitions(facts)
-        _check_places(facts, summary_start)
+        _check_offsets(facts, summary_start)
         _check_compressions(source, facts)
         if times is not None:
             for start, size in _index_ranges(facts):
@@ -164,7 +164,7 @@ def _check_definitions(facts: McapFacts) -> None:
         raise NotIndexed("no-chunk-index", "the file has no chunk index", is_problem=False)
 
 
-def _check_places(facts: McapFacts, summary_start: int) -> None:
+def _check_offsets(facts: McapFacts, summary_start: int) -> None:
     facts.table.rows.sort()
     end = len(records.MAGIC)
     for row in facts.table.rows:

@@ -20,7 +20,7 @@ from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_DAMAGE, MAX_DEFINITIONS, MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
 from kleinkram.recordings.messages import Channel, Schema
 from kleinkram.recordings.model import Fact
-from kleinkram.recordings.scanned_messages import PlaceKind
+from kleinkram.recordings.scanned_messages import LocationKind
 from kleinkram.recordings.streams import ByteStream
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -86,7 +86,7 @@ NO_SCHEMA = Schema("", "", b"")
 class McapFacts(ChunkedFacts[ChannelRecord]):
     """Definitions and counts of the records of a file.
 
-    `unknown_compression`: by the start of a chunk. `outside_chunks`: indexed places of attachments and metadata.
+    `unknown_compression`: by the start of a chunk. `outside_chunks`: indexed offsets of attachments and metadata.
     """
 
     library: str = ""
@@ -279,7 +279,9 @@ def read_chunk_index(facts: McapFacts, body: bytes, where: str) -> None:
         facts.unknown_compression[start] = compression
     stored, uncompressed = reader.fields(_PAIR_U64)
     end = start + length + index_length
-    facts.table.rows.append(Row(start, length, end, first_ns, last_ns, PlaceKind.chunk, channels, uncompressed, stored))
+    facts.table.rows.append(
+        Row(start, length, end, first_ns, last_ns, LocationKind.chunk, channels, uncompressed, stored)
+    )
 
 
 def read_message_index(body: bytes, where: str) -> tuple[int, array[int], array[int]]:

@@ -131,7 +131,7 @@ def _is_unknown_kind(data: Buffer, at: int, length: int, left: int) -> bool:
 
 
 def find_record(data: Buffer, start: int, end: int, left: int, channels: Container[int]) -> int | None:
-    """Return the first place in [start, end) where a record begins; `left`: bytes from `start` to the end of the file.
+    """Return the first offset in [start, end) where a record begins; `left`: bytes from `start` to the end of the file.
 
     The lengths in a record verify it. Those of a message are too few: another record must follow, and several if it is
     of none of the `channels`.
@@ -155,8 +155,8 @@ def find_record(data: Buffer, start: int, end: int, left: int, channels: Contain
 
 def holds_chunk(data: Buffer, start: int, end: int, left: int) -> bool:
     """Return whether a chunk begins in [start, end); `left`: bytes from `start` to the end of the file."""
-    places = (match.start() for match in _CHUNK.finditer(data, start, end))
-    return any(record_end(data, at, left - (at - start)) is not None for at in places)
+    offsets = (match.start() for match in _CHUNK.finditer(data, start, end))
+    return any(record_end(data, at, left - (at - start)) is not None for at in offsets)
 
 
 class _LengthPrefixed(NamedTuple):
@@ -235,7 +235,7 @@ def pass_damage(stream: LookaheadStream, channels: Container[int], losses: Damag
 
 
 def find_inner(data: Buffer, start: int, end: int, left: int) -> int | None:
-    """Return the first place in [start, end) where another MCAP begins; `left`: bytes from `start` to the end."""
+    """Return the first offset in [start, end) where another MCAP begins; `left`: bytes from `start` to the end."""
     for match in _MARK.finditer(data, start, min(len(data), end + FOOTER_BYTES)):
         if match.start() >= end:
             return None

@@ -16,7 +16,7 @@ from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, ChannelRecord
 from kleinkram.recordings.index_check import ChunkClaim, compare_with_scan, wrong_compression
 from kleinkram.recordings.limits import MAX_TAKE, WINDOW
 from kleinkram.recordings.model import counted
-from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessagePlace, PlaceKind
+from kleinkram.recordings.scanned_messages import Batch, LocationKind, MessageCounter, MessageLocation
 from kleinkram.recordings.sources import SequentialReader
 from kleinkram.recordings.streams import LookaheadStream, open_bytes
 
@@ -261,8 +261,8 @@ class _McapScanner(ChunkScanner[McapFacts]):
     def _note_unchunked(self, length: int) -> None:
         """Add the messages in the next `length` bytes to the chunk table."""
         if self._builder is not None and length:
-            place = MessagePlace(PlaceKind.records, self._stream.position, length, length)
-            self._builder.add(place, self._unchunked)
+            location = MessageLocation(LocationKind.records, self._stream.position, length, length)
+            self._builder.add(location, self._unchunked)
             self._flush()  # what the batch holds next is somewhere else
 
     def _pass_unchunked(self, length: int) -> None:

@@ -40,18 +40,18 @@ class MessageLayout:
 
     def __init__(self, order: tuple[bytes, ...], data: Buffer, at: int) -> None:
         self.layout = struct.Struct("<I" + "".join(_FIELDS[name] for name in order) + "I")
-        constants, place = [0], 1
+        constants, offset = [0], 1
         for name in order:
-            constants.append(place)
+            constants.append(offset)
             if name == b"conn":
-                connection = place + 1
+                connection = offset + 1
             elif name == b"time":
-                time = place + 1
-            place += _VALUES[name]
+                time = offset + 1
+            offset += _VALUES[name]
         self.constants: Callable[[tuple[object, ...]], object] = itemgetter(*constants)
         self.expected = self.constants(self.layout.unpack_from(data, at))
         self.values: Callable[[tuple[int, ...]], tuple[int, int, int, int]] = itemgetter(
-            connection, time, time + 1, place
+            connection, time, time + 1, offset
         )
 
     def read(self, data: Buffer, at: int) -> tuple[int, int, int, int] | None:
@@ -66,11 +66,11 @@ def learn_layout(data: Buffer, at: int) -> MessageLayout | None:
     """Return the layout of the message record at `at`; None if it is unusual."""
     if _U32.unpack_from(data, at)[0] != _HEADER_BYTES:
         return None
-    order, place, end = [], at + _U32.size, at + _U32.size + _HEADER_BYTES
-    while place < end:
-        length = int(_U32.unpack_from(data, place)[0])
-        order.append(bytes(data[place + _U32.size : place + _U32.size + length]).partition(b"=")[0])
-        place += _U32.size + length
+    order, offset, end = [], at + _U32.size, at + _U32.size + _HEADER_BYTES
+    while offset < end:
+        length = int(_U32.unpack_from(data, offset)[0])
+        order.append(bytes(data[offset + _U32.size : offset + _U32.size + length]).partition(b"=")[0])
+        offset += _U32.size + length
     return MessageLayout(tuple(order), data, at) if sorted(order) == sorted(_FIELDS) else None
 
 
@@ -175,7 +175,7 @@ def parse_record(data: Buffer, at: int, where: str) -> BagRecord:
 
 
 def find_record(data: Buffer, start: int, end: int, *, outside: bool = False) -> int | None:
-    """Return the first place in [start, end) where a record header begins; `outside`: of a kind outside of chunks."""
+    """Return the first offset in [start, end) where a record header begins; `outside`: of a kind outside of chunks."""
     untried = start
     for match in (_OP_OUTSIDE if outside else _OP).finditer(data, start, end):
         field_at = match.start()
@@ -183,7 +183,7 @@ def find_record(data: Buffer, start: int, end: int, *, outside: bool = False) ->
             header_bytes = int(_U32.unpack_from(data, at)[0])
             if field_at + 8 - at - _U32.size <= header_bytes <= _LONGEST_SEARCHED_HEADER and opcode_at(data, at):
                 return at
-        # A place that is no record, or whose header ends before this field, is none for a later field either.
+        # An offset that is no record, or whose header ends before this field, is none for a later field either.
         untried = max(untried, field_at - _U32.size + 1)
     return None
 
@@ -191,22 +191,22 @@ def find_record(data: Buffer, start: int, end: int, *, outside: bool = False) ->
 def points_at_messages(content: Buffer, number: int, entries: array[int], layout: MessageLayout | None) -> bool:
     """Return whether messages of a connection are where index data say; checks the first, the last and a sample.
 
-    `entries`: seconds, nanoseconds and place in the chunk of each message.
+    `entries`: seconds, nanoseconds and offset in the chunk of each message.
     """
     count = len(entries) // 3
     for at in {*range(0, count, max(1, count // _MAX_CHECKED)), max(0, count - 1)} if count else ():
-        seconds, nanoseconds, place = entries[3 * at : 3 * at + 3]
-        actual = _message_at(content, place, layout)
+        seconds, nanoseconds, offset = entries[3 * at : 3 * at + 3]
+        actual = _message_at(content, offset, layout)
         if actual != (number, seconds, nanoseconds):
             return False
     return True
 
 
-def _message_at(content: Buffer, place: int, layout: MessageLayout | None) -> tuple[int, int, int] | None:
+def _message_at(content: Buffer, offset: int, layout: MessageLayout | None) -> tuple[int, int, int] | None:
     """Return connection, seconds and nanoseconds of a message; None for another record."""
-    if layout is not None and (known := layout.read(content, place)):
+    if layout is not None and (known := layout.read(content, offset)):
         return known[:3]
-    record = parse_record(content, place, "")
+    record = parse_record(content, offset, "")
     if record.opcode != Op.MESSAGE_DATA:
         return None
     seconds, nanoseconds = divmod(record.fields.time_ns("time"), _S)

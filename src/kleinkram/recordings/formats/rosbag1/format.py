@@ -26,7 +26,7 @@ from kleinkram.recordings.formats.rosbag1.scan import BagScan, scan_bag_records
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_TAKE, WINDOW
 from kleinkram.recordings.messages import Channel
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary, counted
-from kleinkram.recordings.scanned_messages import PlaceKind
+from kleinkram.recordings.scanned_messages import LocationKind
 from kleinkram.recordings.sources import SequentialReader, Source, SourceReader, read_short_ranges
 from kleinkram.recordings.streams import ByteStream, open_bytes, open_range
 from kleinkram.recordings.timeline import Timeline
@@ -56,7 +56,7 @@ def read_index(source: Source, times: tuple[Timeline, DamageReport] | None = Non
     facts = BagFacts()
     stream = open_range(source, index_start, source.size_bytes)
     _read_index_section(stream, facts, fields.u32("conn_count") + fields.u32("chunk_count"))
-    _place_chunks(facts, index_start)
+    _locate_chunks(facts, index_start)
     if times is not None:
         count_by_index(facts, _chunk_indexes(source, facts, index_start), *times)
     return facts
@@ -76,9 +76,9 @@ def _read_index_section(stream: ByteStream, facts: BagFacts, left: int) -> None:
             info = records.read_chunk_info(fields, data, where)
             for number, count in info.counts.items():
                 facts.counts[number] += count
-            place = info.position, 0, info.position, info.first_ns, info.last_ns
+            location = info.position, 0, info.position, info.first_ns, info.last_ns
             members, messages = facts.table.sets.number(info.counts), sum(info.counts.values())
-            facts.table.rows.append(Row(*place, PlaceKind.chunk, members, 0, messages=messages))
+            facts.table.rows.append(Row(*location, LocationKind.chunk, members, 0, messages=messages))
         else:
             raise Malformed(where, f"a record of type {opcode} in the index")
         left -= 1
@@ -89,7 +89,7 @@ def _read_index_section(stream: ByteStream, facts: BagFacts, left: int) -> None:
         raise Malformed(f"byte {stream.position}", "the index continues after the records that the bag header counts")
 
 
-def _place_chunks(facts: BagFacts, index_start: int) -> None:
+def _locate_chunks(facts: BagFacts, index_start: int) -> None:
     """Sort the chunks and set their ends."""
     rows = facts.table.rows
     rows.sort()
@@ -108,7 +108,7 @@ def _chunk_indexes(source: Source, facts: BagFacts, index_start: int) -> Iterato
     """Yield the index data of each chunk.
 
     The size of the index data of a chunk follows from its chunk info. So one read fetches them together with the next
-    chunk's header; where a writer does otherwise, the place of the index data follows from the header.
+    chunk's header; where a writer does otherwise, the offset of the index data follows from the header.
     """
     rows = facts.table.rows
     if not len(rows):

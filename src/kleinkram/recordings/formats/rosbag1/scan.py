@@ -17,7 +17,7 @@ from kleinkram.recordings.formats.rosbag1.records import Op
 from kleinkram.recordings.index_check import ChunkClaim, compare_with_scan
 from kleinkram.recordings.limits import LOOK_AHEAD, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
 from kleinkram.recordings.model import counted
-from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessagePlace, PlaceKind
+from kleinkram.recordings.scanned_messages import Batch, LocationKind, MessageCounter, MessageLocation
 from kleinkram.recordings.sources import SequentialReader
 from kleinkram.recordings.streams import LookaheadStream
 
@@ -135,7 +135,7 @@ class _BagScanner(ChunkScanner[BagFacts]):
         elif record.opcode == Op.MESSAGE_DATA:
             batch = Batch(scan.facts.channels)
             chunks.add_message(record, batch)
-            self._count(batch, MessagePlace(PlaceKind.records, stream.position, total, total), stored=total)
+            self._count(batch, MessageLocation(LocationKind.records, stream.position, total, total), stored=total)
         elif record.opcode in (Op.CONNECTION, Op.CHUNK_INFO):
             self._note_index_section(record, where)
         after = stream.at + total

@@ -215,13 +215,13 @@ def _read_cell(page: bytes, at: int, usable_bytes: int) -> Cell | None:
 def read_columns(data: bytes, at: int, end: int, payload_bytes: int) -> list[Column] | None:
     """Return the columns of the record that begins at `data[at]`; None if invalid, or if its header passes `end`."""
     try:
-        header_bytes, place = read_varint(data, at)
+        header_bytes, offset = read_varint(data, at)
         if not 1 <= header_bytes <= end - at:
             return None
         columns: list[Column] = []
         value_at = header_bytes
-        while place < at + header_bytes:
-            serial, place = read_varint(data, place)
+        while offset < at + header_bytes:
+            serial, offset = read_varint(data, offset)
             length = (serial - 12) // 2 if serial >= 12 else _FIXED_BYTES.get(serial, -1)
             if length < 0:
                 return None
@@ -229,7 +229,7 @@ def read_columns(data: bytes, at: int, end: int, payload_bytes: int) -> list[Col
             value_at += length
     except IndexError:
         return None
-    return columns if place == at + header_bytes and value_at == payload_bytes else None
+    return columns if offset == at + header_bytes and value_at == payload_bytes else None
 
 
 def read_integer(column: Column, data: bytes, at: int) -> int:

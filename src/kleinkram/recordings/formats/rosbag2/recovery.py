@@ -29,7 +29,7 @@ from kleinkram.recordings.formats.rosbag2.pages import Cell, Column, PageFile
 from kleinkram.recordings.limits import MAX_NAME, MAX_TOPICS
 from kleinkram.recordings.messages import Channel, Schema
 from kleinkram.recordings.model import counted
-from kleinkram.recordings.scanned_messages import Batch, MessagePlace, PlaceKind
+from kleinkram.recordings.scanned_messages import Batch, LocationKind, MessageLocation
 from kleinkram.recordings.sources import FileSource
 from kleinkram.recordings.temporary_files import TooLarge, temporary_copy
 
@@ -91,9 +91,9 @@ class Recovery:
 
     def messages_with_data(self, max_bytes: int) -> Iterator[tuple[MessageRow, bytes]]:
         """Yield what `messages` yields, with the data; messages above `max_bytes` are left out."""
-        for row, page, place in self._whole_rows():
+        for row, page, location in self._whole_rows():
             if row.data_bytes <= max_bytes:
-                cell, column = place
+                cell, column = location
                 yield row, self._payload(page, cell)[column.at : column.at + column.length]
 
     def _whole_rows(self) -> Iterator[tuple[MessageRow, bytes, tuple[Cell, Column]]]:
@@ -101,13 +101,13 @@ class Recovery:
         previous, count = 0, 0
         mask = (1 << _PAGE_BITS) - 1
         for key in self._leaves:
-            for row, page, place in self._rows_of_page(key & mask):
-                row_id = place[0].row_id
+            for row, page, location in self._rows_of_page(key & mask):
+                row_id = location[0].row_id
                 if in_order and row_id <= previous:
                     continue  # a copy of a page that the file no longer means
                 previous = max(previous, row_id)
                 count += 1
-                yield row, page, place
+                yield row, page, location
         self._measure(previous, count)
 
     def _survey(self) -> None:
@@ -279,7 +279,7 @@ def open_recovered(
 
 
 def _records(recovery: Recovery, channels: dict[int, Channel], builder: ChunkTableBuilder) -> Iterator[bytes]:
-    """Yield each message as an MCAP record, without those of undefined topics, and note its place."""
+    """Yield each message as an MCAP record, without those of undefined topics, and note its location."""
     numbers = {topic.topic_id: number for number, topic in enumerate(recovery.result.topics)}
     start = 0
     for row, data in recovery.messages_with_data(MAX_MESSAGE):
@@ -289,6 +289,6 @@ def _records(recovery: Recovery, channels: dict[int, Channel], builder: ChunkTab
         length = MESSAGE_HEAD.size + len(data)
         batch = Batch(channels)
         batch[number].extend((time, time, length))
-        builder.add(MessagePlace(PlaceKind.records, start, length, length), batch)
+        builder.add(MessageLocation(LocationKind.records, start, length, length), batch)
         start += length
         yield MESSAGE_HEAD.pack(Opcode.MESSAGE, MESSAGE_FIXED + len(data), number, 0, time, time) + data

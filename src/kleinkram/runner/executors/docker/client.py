@@ -78,7 +78,7 @@ class OutputPiece(NamedTuple):
 
 
 def find_socket() -> Path | None:
-    """Return the socket of the engine of this machine: `DOCKER_HOST`, or one of the usual places."""
+    """Return the socket of the engine of this machine: `DOCKER_HOST`, or one of the usual paths."""
     host = os.environ.get("DOCKER_HOST")
     if host is not None:
         return Path(host.removeprefix("unix://")) if host.startswith("unix://") else None

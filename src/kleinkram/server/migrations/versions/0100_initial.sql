@@ -401,7 +401,7 @@ CREATE TABLE access_grant (
     created_at timestamptz NOT NULL DEFAULT now(),
     granted_by_id uuid CONSTRAINT fk_access_grant_granted_by_id_person REFERENCES person (id),
     CONSTRAINT ck_access_grant_level CHECK (level BETWEEN 1 AND 4),
-    CONSTRAINT ck_access_grant_place CHECK (num_nonnulls(project_id, mission_id) = 1)
+    CONSTRAINT ck_access_grant_resource CHECK (num_nonnulls(project_id, mission_id) = 1)
 ) WITH (autovacuum_analyze_threshold = 0);
 CREATE INDEX ix_access_grant_group_id ON access_grant (group_id) INCLUDE (project_id, mission_id, level, expires_at);
 CREATE INDEX ix_access_grant_missions ON access_grant (group_id) INCLUDE (mission_id, level, expires_at) WHERE mission_id IS NOT NULL;
@@ -753,7 +753,7 @@ CREATE TABLE token_limit (
     token_id uuid NOT NULL CONSTRAINT fk_token_limit_token_id_token REFERENCES token (id) ON DELETE CASCADE,
     project_id uuid CONSTRAINT fk_token_limit_project_id_project REFERENCES project (id) ON DELETE CASCADE,
     mission_id uuid CONSTRAINT fk_token_limit_mission_id_mission REFERENCES mission (id) ON DELETE CASCADE,
-    CONSTRAINT ck_token_limit_place CHECK (num_nonnulls(project_id, mission_id) = 1)
+    CONSTRAINT ck_token_limit_resource CHECK (num_nonnulls(project_id, mission_id) = 1)
 );
 CREATE INDEX ix_token_limit_token_id ON token_limit (token_id);
 
