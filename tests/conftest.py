@@ -22,6 +22,18 @@ RECORDINGS = Path(os.environ.get("KLEINKRAM_RECORDINGS") or Path(__file__).paren
 # Scripts that make small inputs which once failed, one folder each.
 CASES = RECORDINGS.parent / "cases"
 
+# The longest files, which start first.
+_LONGEST = (
+    "system/web/test_every_page.py",
+    "integration/access/test_matrix.py",
+    "system/test_bad_link.py",
+    "system/test_kills.py",
+    "system/test_store_trouble.py",
+    "system/web/test_runs.py",
+    "integration/access/test_api_description.py",
+    "system/test_lying_store.py",
+)
+
 # A shell that runs the tests in the background ignores these signals, and child processes would inherit that.
 for _sign in (signal.SIGINT, signal.SIGHUP):
     if signal.getsignal(_sign) is signal.SIG_IGN:
@@ -42,10 +54,17 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long rounds have no timeout: a history that is cut off in the middle looks like a flaky test."""
     # Workers take files in this order; the long ones come first, so that no worker has one left at the end.
-    items.sort(key=lambda item: not item.path.is_relative_to(Path(__file__).parent / "system"))
+    items.sort(key=_start_order)
     for item in items:
         if item.get_closest_marker("soak") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(0))
+
+
+def _start_order(item: pytest.Item) -> int:
+    name = item.nodeid.partition("::")[0].removeprefix("tests/")
+    if name in _LONGEST:
+        return _LONGEST.index(name)
+    return len(_LONGEST) + (not name.startswith("system/"))
 
 
 def pytest_collection_finish() -> None:

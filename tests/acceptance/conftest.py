@@ -107,16 +107,16 @@ def end(process: "subprocess.Popen[str]") -> Ran:
     return Ran(process.returncode, out, err)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def instance(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instance]:
-    """One instance for all stories."""
+    """One instance for all stories; even an idle one takes CPU time, so it ends with them."""
     with running_instance(tmp_path_factory.mktemp("up")) as running:
         yield running
 
 
 @contextmanager
 def running_instance(home: Path, **settings: str) -> Iterator[Instance]:
-    """Run `klein up` in an empty folder; `told` are further variables of its environment."""
+    """Run `klein up` in an empty folder; `settings` are further variables of its environment."""
     short = {"KLEINKRAM_PART_URL_S": "4", "KLEINKRAM_DOWNLOAD_URL_S": "4"}  # so that slow transfers outlive them
     often = {"KLEINKRAM_SIGN_INS_PER_MINUTE": "1000"}  # all stories come from one address
     environment = {**_environment(home, home / "data"), **short, **often, **settings}

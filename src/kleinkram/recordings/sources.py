@@ -11,7 +11,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import BinaryIO, Generic, NamedTuple, Protocol, TypeVar
 
@@ -181,10 +181,12 @@ def read_ahead(tasks: Iterator[ReadAheadTask[T]], *, workers: int, max_bytes: in
 _LARGE_ALLOCATION = 24 * 2**20
 
 
+@cache
 def keep_freed_memory() -> None:
     """Make malloc keep up to 48 MB of freed memory for reuse, because fresh pages cost as much as decompression.
 
-    glibc raises its threshold when a large allocation is freed, even an untouched one; other libraries ignore it.
+    glibc raises its threshold when a large allocation is freed, even an untouched one; other libraries ignore it. Once
+    per process: a second such allocation would reuse memory and first fill it with zeros, which takes 1 ms.
 
     Source: mallopt(3), M_MMAP_THRESHOLD, "dynamic mmap threshold".
     """
