@@ -41,7 +41,7 @@ def _filled(terminal: Terminal, tmp_path: Path) -> dict[str, bytes]:
         (folder / "notes.txt").write_text(f"{mission}\n")
         (folder / "cut.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
         terminal.run("project", "create", project, code=None)
-        terminal.run("upload", "-p", project, "-m", mission, "--create", f"{folder}/")
+        terminal.run("upload", "-p", project, "-m", mission, "--create", "--wait", f"{folder}/")
     terminal.run("project", "update", "Lakes", "--public")
 
     def contents() -> list[str]:

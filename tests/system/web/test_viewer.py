@@ -36,7 +36,7 @@ def test_previews(cluster: Cluster, act: Act, tmp_path: Path) -> None:
         (day / "cut.mcap").write_bytes(whole.read(_BAG_BYTES))
     terminal = cluster.terminal
     terminal.run("project", "create", "Alps")
-    terminal.run("upload", "-p", "Alps", "-m", "day", "--create", f"{day}/")
+    terminal.run("upload", "-p", "Alps", "-m", "day", "--create", "--wait", f"{day}/")
 
     def files() -> dict[str, dict[str, Any]]:
         return {file["path"]: file for file in terminal.run("file", "list", "-p", "Alps", "--json").json()["items"]}
