@@ -11,6 +11,7 @@ import pytest
 
 from kleinkram.contract.access import Right
 from kleinkram.server.missions import service as missions_service
+from kleinkram.server.search import planner
 from tests.integration import people
 from tests.integration.api_server import Api, Query
 from tests.integration.sample import Sample
@@ -234,9 +235,10 @@ def test_a_list_of_files_takes_the_same_number_of_queries_however_long(api: Api,
 
 
 def test_a_person_with_several_missions_finds_what_an_admin_finds_in_them(
-    api: Api, sample: Sample, project: Any
+    api: Api, sample: Sample, project: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The statements on files name those missions; those of someone who sees many do not."""
+    monkeypatch.setattr(planner, "MAX_VISIBLE_MISSIONS", missions_service.MAX_VISIBLE_IDS)
     reader, many = people.person(api), people.person(api)
     missions = [item["id"] for item in api.all("/missions", {"project_id": project["id"]})]
     for mission_id in missions:

@@ -6,7 +6,7 @@ import { openBrowser } from "./browsing.mjs";
 
 const [web, executablePath, link, address, email, password, project, pictures] = process.argv.slice(2);
 const NEW_PASSWORD = "another that is long enough";
-const { seen, somebody, look, tell } = await openBrowser(web, executablePath, pictures);
+const { results, somebody, checkPage, printResults } = await openBrowser(web, executablePath, pictures);
 let mayRefuse = false;
 
 /** What stands beside a field as wrong with it. */
@@ -33,30 +33,30 @@ await signIn(other, password);
 const asOther = async () => (await elsewhere.request.get(`${address}/api/v1/me`)).status();
 await signIn(ada, password);
 await ada.getByText("https://gone.example").waitFor();
-await look(ada, "account");
-seen.account = await ada.getByRole("main").innerText();
-seen.before = await asOther();
+await checkPage(ada, "account");
+results.account = await ada.getByRole("main").innerText();
+results.before = await asOther();
 await other.close();
 await ada.getByRole("button", { name: "Change password" }).click();
 const dialog = ada.getByRole("dialog");
 await dialog.getByLabel("Current password").fill("not that one");
 await dialog.getByLabel("New password").fill("short");
 await dialog.getByRole("button", { name: "Change password" }).click();
-seen.tooShort = await wrongWith(ada, "New password");
+results.tooShort = await wrongWith(ada, "New password");
 await dialog.getByLabel("New password").fill(NEW_PASSWORD);
 mayRefuse = true;
 await dialog.getByRole("button", { name: "Change password" }).click();
-seen.wrongPassword = await wrongWith(ada, "Current password");
+results.wrongPassword = await wrongWith(ada, "Current password");
 mayRefuse = false;
-await look(ada, "account-password");
+await checkPage(ada, "account-password");
 await dialog.getByLabel("Current password").fill(password);
 await dialog.getByRole("button", { name: "Change password" }).click();
 await ada.getByText("Password changed").first().waitFor();
-seen.after = await asOther();
+results.after = await asOther();
 
 // A provider is unlinked; the account stays open to the new password.
 await ada.getByRole("button", { name: "Unlink https://gone.example" }).click();
-await look(ada, "account-unlink");
+await checkPage(ada, "account-unlink");
 await dialog.getByRole("button", { name: "Unlink" }).click();
 await ada.getByText("https://gone.example unlinked.").first().waitFor();
 await ada.locator("[data-methods] li").nth(1).waitFor({ state: "detached" });
@@ -78,35 +78,35 @@ await owner.getByRole("button", { name: "New mission" }).click();
 const form = owner.getByRole("dialog");
 const make = form.getByRole("button", { name: "Create mission" });
 await form.getByText("Some values were copied from the mission taken.").waitFor();
-seen.prefilled = await Promise.all([/^robot/, /^operator/, /^day/].map((name) => form.getByLabel(name).inputValue()));
+results.prefilled = await Promise.all([/^robot/, /^operator/, /^day/].map((name) => form.getByLabel(name).inputValue()));
 await make.click();
-seen.unconfirmed = await wrongWith(owner, /^robot/);
-await look(owner, "mission-new-unconfirmed");
+results.unconfirmed = await wrongWith(owner, /^robot/);
+await checkPage(owner, "mission-new-unconfirmed");
 await form.getByLabel(/^robot/).selectOption("");
 await make.click();
-seen.nameMissing = await wrongWith(owner, /^Name · required/);
-seen.robotMissing = await wrongWith(owner, /^robot/);
+results.nameMissing = await wrongWith(owner, /^Name · required/);
+results.robotMissing = await wrongWith(owner, /^robot/);
 await form.getByLabel(/^Name · required/).fill("TAKEN");
 await form.getByLabel(/^robot/).selectOption("spot");
 await form.getByLabel(/^operator/).fill("1815");
 mayRefuse = true;
 await make.click();
-seen.operatorWrong = await wrongWith(owner, /^operator/);
-await look(owner, "mission-new");
+results.operatorWrong = await wrongWith(owner, /^operator/);
+await checkPage(owner, "mission-new");
 await form.getByLabel(/^operator/).fill("Ada");
 await make.click();
-seen.nameTaken = await wrongWith(owner, /^Name · required/);
+results.nameTaken = await wrongWith(owner, /^Name · required/);
 mayRefuse = false;
 await form.getByLabel(/^Name · required/).fill("ridge");
 await make.click();
 await owner.waitForURL((url) => url.pathname.startsWith("/missions/"));
 await owner.getByRole("heading", { name: "ridge" }).waitFor();
-seen.mission = await owner.locator("[data-metadata]").innerText();
+results.mission = await owner.locator("[data-metadata]").innerText();
 
 // Why a job failed.
 await owner.goto(`${address}/admin?tab=jobs`);
 await owner.getByText("ValueError: badly formed").waitFor();
-await look(owner, "admin-jobs-failed");
+await checkPage(owner, "admin-jobs-failed");
 
 // Whether the store still has all. The owner of this machine signed in too long ago for it, and does so again by a link.
 await owner.goto(`${address}/admin?tab=scrub`);
@@ -114,15 +114,15 @@ await owner.route("**/admin/scrub", (route) => route.request().method() === "POS
   ? route.fulfill({ status: 403, json: { type: "about:blank", title: "Too long ago", status: 403, code: "sign_in_too_old" } })
   : route.fallback());
 const scrub = owner.locator("[data-scrub]");
-const told = (method, holds) => owner.waitForResponse(async (answer) =>
+const responseTo = (method, holds) => owner.waitForResponse(async (answer) =>
   answer.url().endsWith("/admin/scrub") && answer.ok() && answer.request().method() === method && holds(await answer.json()));
 let asked = "";
-const begun = told("POST", ({ id }) => (asked = id) !== "");
-const ended = told("GET", ({ last }) => last?.id === asked && last.ended_at !== null);
+const begun = responseTo("POST", ({ id }) => (asked = id) !== "");
+const ended = responseTo("GET", ({ last }) => last?.id === asked && last.ended_at !== null);
 mayRefuse = true;
 await scrub.getByRole("button", { name: "Scrub now" }).click();
 await owner.getByRole("dialog").getByText("Sign in again").waitFor();
-await look(owner, "sign-in-again");
+await checkPage(owner, "sign-in-again");
 mayRefuse = false;
 await owner.unroute("**/admin/scrub");
 const { url: another } = await owner.evaluate(async () => (await fetch("/api/v1/auth/owner-link", { method: "POST" })).json());
@@ -133,6 +133,6 @@ await Promise.all([begun, ended]);
 await owner.getByRole("dialog").waitFor({ state: "detached" });
 await window.close();
 await scrub.getByText("Done", { exact: true }).waitFor();
-seen.scrub = await scrub.innerText();
-await look(owner, "admin-scrub");
-await tell();
+results.scrub = await scrub.innerText();
+await checkPage(owner, "admin-scrub");
+await printResults();

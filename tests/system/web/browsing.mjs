@@ -16,7 +16,7 @@ export async function openBrowser(web, executablePath, pictures) {
   const { chromium } = require("playwright-core");
   const axe = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
   const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
-  const seen = { complaints: [], axe: [], wide: [], ran: [] };
+  const results = { complaints: [], axe: [], wide: [], ran: [] };
 
   /** Somebody with a browser of their own. The server may refuse what they ask where `mayBeRefused` says so. */
   async function somebody(mayBeRefused = () => false) {
@@ -25,13 +25,13 @@ export async function openBrowser(web, executablePath, pictures) {
     page.setDefaultTimeout(PATIENCE_MS);
     page.on("console", (message) => {
       const isMeant = isOfTheMachine(message.text()) || (message.text().startsWith("Failed to load resource") && mayBeRefused());
-      if (["error", "warning"].includes(message.type()) && !isMeant) seen.complaints.push(`${message.text()} ${message.location().url}`);
+      if (["error", "warning"].includes(message.type()) && !isMeant) results.complaints.push(`${message.text()} ${message.location().url}`);
     });
     page.on("pageerror", (error) => {
-      if (!isOfTheMachine(error.message)) seen.complaints.push(error.message);
+      if (!isOfTheMachine(error.message)) results.complaints.push(error.message);
     });
     page.on("dialog", (dialog) => {
-      seen.ran.push(dialog.message());
+      results.ran.push(dialog.message());
       void dialog.dismiss();
     });
     return { context, page };
@@ -52,14 +52,14 @@ export async function openBrowser(web, executablePath, pictures) {
   }
 
   /** Looks at what somebody has before them, wide and light, narrow and dark. */
-  async function look(page, name) {
+  async function checkPage(page, name) {
     await page.evaluate(axe);
     for (const [kind, colorScheme, viewport] of LOOKS) {
       await page.emulateMedia({ colorScheme });
       await page.setViewportSize(viewport);
       await page.waitForFunction((theme) => document.documentElement.dataset.theme === theme, colorScheme);
-      seen.axe.push(...(await settledAxe(page)).map((found) => `${name} ${kind}: ${found}`));
-      if (await page.evaluate(() => document.documentElement.scrollWidth > document.documentElement.clientWidth)) seen.wide.push(`${name} ${kind}`);
+      results.axe.push(...(await settledAxe(page)).map((found) => `${name} ${kind}: ${found}`));
+      if (await page.evaluate(() => document.documentElement.scrollWidth > document.documentElement.clientWidth)) results.wide.push(`${name} ${kind}`);
       await page.screenshot({ path: `${pictures}/${name}-${kind}.png` });
     }
     await page.emulateMedia({ colorScheme: "light" });
@@ -67,10 +67,10 @@ export async function openBrowser(web, executablePath, pictures) {
   }
 
   /** Ends the browser, and prints as JSON what was seen. */
-  async function tell() {
+  async function printResults() {
     await browser.close();
-    process.stdout.write(JSON.stringify(seen));
+    process.stdout.write(JSON.stringify(results));
   }
 
-  return { seen, somebody, look, tell };
+  return { results, somebody, checkPage, printResults };
 }

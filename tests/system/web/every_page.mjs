@@ -5,8 +5,8 @@ import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { isOfTheMachine } from "./complaints.mjs";
 
-const [web, executablePath, link, address, pictures, told] = process.argv.slice(2);
-const { invitation, unused, share, ids, texts, store, every } = JSON.parse(told);
+const [web, executablePath, link, address, pictures, input] = process.argv.slice(2);
+const { invitation, unused, share, ids, texts, store, every } = JSON.parse(input);
 const require = createRequire(`${web}/package.json`);
 const { chromium } = require("playwright-core");
 const axe = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
@@ -27,7 +27,7 @@ const OPEN = /^Scripts may close only the windows/;
 const TALLEST = 2400;
 
 const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
-const seen = { complaints: [], violations: [], ran: [], elsewhere: [], axe: [], wide: [], unseen: [], policies: {}, looked: [] };
+const results = { complaints: [], violations: [], ran: [], elsewhere: [], axe: [], wide: [], unseen: [], policies: {}, looked: [] };
 let at = "";
 let meant = NOTHING;
 
@@ -40,18 +40,18 @@ async function somebody() {
   const page = await context.newPage();
   page.setDefaultTimeout(PATIENCE_MS);
   page.on("console", (message) => {
-    if (["error", "warning"].includes(message.type()) && !meant.test(message.text()) && !isOfTheMachine(message.text())) seen.complaints.push(`${at}: ${message.text()}`);
+    if (["error", "warning"].includes(message.type()) && !meant.test(message.text()) && !isOfTheMachine(message.text())) results.complaints.push(`${at}: ${message.text()}`);
   });
   page.on("pageerror", (error) => {
-    if (!isOfTheMachine(error.message)) seen.complaints.push(`${at}: ${error.message}`);
+    if (!isOfTheMachine(error.message)) results.complaints.push(`${at}: ${error.message}`);
   });
   page.on("dialog", (dialog) => {
-    seen.ran.push(`${at}: dialog ${dialog.message()}`);
+    results.ran.push(`${at}: dialog ${dialog.message()}`);
     void dialog.dismiss();
   });
   page.on("request", (request) => {
     const { protocol, origin } = new URL(request.url());
-    if (protocol.startsWith("http") && ![address, store].includes(origin)) seen.elsewhere.push(`${at}: ${request.url()}`);
+    if (protocol.startsWith("http") && ![address, store].includes(origin)) results.elsewhere.push(`${at}: ${request.url()}`);
   });
   return { context, page };
 }
@@ -102,12 +102,12 @@ function saidBy(page) {
   });
 }
 
-async function look(page, name, { path = null, ready = null, shows = [], allows = NOTHING, whole = true } = {}) {
+async function checkPage(page, name, { path = null, ready = null, shows = [], allows = NOTHING, whole = true } = {}) {
   at = name;
   meant = allows;
   if (path !== null) {
     const answer = await page.goto(`${address}${path}`);
-    if (answer !== null) seen.policies[name] = answer.headers()["content-security-policy"] ?? "";
+    if (answer !== null) results.policies[name] = answer.headers()["content-security-policy"] ?? "";
   }
   await page.evaluate(axe);
   if (ready !== null) await page.locator(ready).first().waitFor();
@@ -115,10 +115,10 @@ async function look(page, name, { path = null, ready = null, shows = [], allows 
     await page.emulateMedia({ colorScheme });
     await page.setViewportSize(size);
     await settled(page, colorScheme);
-    for (const each of await ask(page)) seen.axe.push(`${name} ${kind}: ${each}`);
+    for (const each of await ask(page)) results.axe.push(`${name} ${kind}: ${each}`);
     const over = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
-    if (over > 0) seen.wide.push(`${name} ${kind}: ${over} px`);
-    if (await page.evaluate(isTabOut)) seen.wide.push(`${name} ${kind}: the chosen tab is out of sight`);
+    if (over > 0) results.wide.push(`${name} ${kind}: ${over} px`);
+    if (await page.evaluate(isTabOut)) results.wide.push(`${name} ${kind}: the chosen tab is out of sight`);
     if (whole) {
       const height = await page.evaluate(() => document.documentElement.scrollHeight);
       await page.setViewportSize({ width: size.width, height: Math.min(TALLEST, Math.max(size.height, height)) });
@@ -127,15 +127,15 @@ async function look(page, name, { path = null, ready = null, shows = [], allows 
     await page.screenshot({ path: `${pictures}/page-${name}-${kind}.png` });
     if (kind === "desktop") {
       const said = await saidBy(page);
-      seen.unseen.push(...shows.filter((text) => !said.includes(text.replaceAll(/\s+/g, " "))).map((text) => `${name}: ${text}`));
+      results.unseen.push(...shows.filter((text) => !said.includes(text.replaceAll(/\s+/g, " "))).map((text) => `${name}: ${text}`));
     }
   }
   await page.emulateMedia({ colorScheme: "light" });
   await page.setViewportSize(WIDE);
   const found = await page.evaluate(() => ({ violations: globalThis.violations, wasRun: "wasRun" in globalThis }));
-  seen.violations.push(...found.violations.map((each) => `${name}: ${each}`));
-  if (found.wasRun) seen.ran.push(name);
-  seen.looked.push(name);
+  results.violations.push(...found.violations.map((each) => `${name}: ${each}`));
+  if (found.wasRun) results.ran.push(name);
+  results.looked.push(name);
 }
 
 /** Whether a page runs what somebody could slip in: a script in it, a handler of an element, an address of a script. */
@@ -164,19 +164,19 @@ async function runs(context, path) {
 const { page: eve, context: evesBrowser } = await somebody();
 const code = new URL(invitation).hash.slice(1);
 const account = { data: { code, name: texts.person, password: "a long enough password" }, headers: { Origin: address } };
-seen.accepted = (await evesBrowser.request.post(`${address}/api/v1/auth/invitation`, account)).status();
+results.accepted = (await evesBrowser.request.post(`${address}/api/v1/auth/invitation`, account)).status();
 const person = (await (await evesBrowser.request.get(`${address}/api/v1/me`)).json()).person.id;
-await look(eve, "new-home", { path: "/", shows: [texts.person] });
-await look(eve, "new-projects", { path: "/projects" });
-await look(eve, "new-search", { path: "/search" });
-await look(eve, "new-upload", { path: "/upload" });
-await look(eve, "new-trash", { path: "/trash" });
-await look(eve, "new-tokens", { path: "/tokens" });
-await look(eve, "new-people", { path: "/people" });
-await look(eve, "new-groups", { path: "/groups" });
-await look(eve, "new-audit", { path: "/audit", allows: REFUSED });
-await look(eve, "new-admin", { path: "/admin", allows: REFUSED });
-await look(eve, "refused-mission", { path: `/missions/${ids.mission}`, allows: REFUSED });
+await checkPage(eve, "new-home", { path: "/", shows: [texts.person] });
+await checkPage(eve, "new-projects", { path: "/projects" });
+await checkPage(eve, "new-search", { path: "/search" });
+await checkPage(eve, "new-upload", { path: "/upload" });
+await checkPage(eve, "new-trash", { path: "/trash" });
+await checkPage(eve, "new-tokens", { path: "/tokens" });
+await checkPage(eve, "new-people", { path: "/people" });
+await checkPage(eve, "new-groups", { path: "/groups" });
+await checkPage(eve, "new-audit", { path: "/audit", allows: REFUSED });
+await checkPage(eve, "new-admin", { path: "/admin", allows: REFUSED });
+await checkPage(eve, "refused-mission", { path: `/missions/${ids.mission}`, allows: REFUSED });
 
 // The owner, on every page.
 const { page, context } = await somebody();
@@ -184,116 +184,116 @@ at = "link";
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
 const asOwner = (method, path, data) => context.request[method](`${address}/api/v1${path}`, { data, headers: { Origin: address } });
-seen.member = (await asOwner("put", `/groups/${ids.group}/members/${person}`, {})).status();
-seen.granted = (await asOwner("post", `/projects/${ids.project}/grants`, { group_id: ids.group, right: "READ" })).status();
+results.member = (await asOwner("put", `/groups/${ids.group}/members/${person}`, {})).status();
+results.granted = (await asOwner("post", `/projects/${ids.project}/grants`, { group_id: ids.group, right: "READ" })).status();
 const { project, mission } = texts;
-await look(page, "home", { path: "/", shows: [mission] });
-await look(page, "projects", { path: "/projects", shows: [project] });
+await checkPage(page, "home", { path: "/", shows: [mission] });
+await checkPage(page, "projects", { path: "/projects", shows: [project] });
 const ofProject = (query) => `/projects/${ids.project}?${query}`;
-await look(page, "project", { path: ofProject(""), shows: [project, mission, texts.description] });
-await look(page, "project-timeline", { path: ofProject("view=timeline"), shows: [mission] });
-await look(page, "project-stats", { path: ofProject("tab=stats") });
-await look(page, "project-stats-field", { path: ofProject("tab=stats&by=metadata.robot") });
-await look(page, "project-fields", { path: ofProject("tab=fields"), shows: [texts.description] });
-await look(page, "project-access", { path: ofProject("tab=access"), shows: [texts.group] });
-await look(page, "project-activity", { path: ofProject("tab=activity"), shows: [mission] });
-await look(page, "project-settings", { path: ofProject("tab=settings"), shows: [project, texts.description] });
-await look(page, "project-empty", { path: `/projects/${ids.empty}` });
+await checkPage(page, "project", { path: ofProject(""), shows: [project, mission, texts.description] });
+await checkPage(page, "project-timeline", { path: ofProject("view=timeline"), shows: [mission] });
+await checkPage(page, "project-stats", { path: ofProject("tab=stats") });
+await checkPage(page, "project-stats-field", { path: ofProject("tab=stats&by=metadata.robot") });
+await checkPage(page, "project-fields", { path: ofProject("tab=fields"), shows: [texts.description] });
+await checkPage(page, "project-access", { path: ofProject("tab=access"), shows: [texts.group] });
+await checkPage(page, "project-activity", { path: ofProject("tab=activity"), shows: [mission] });
+await checkPage(page, "project-settings", { path: ofProject("tab=settings"), shows: [project, texts.description] });
+await checkPage(page, "project-empty", { path: `/projects/${ids.empty}` });
 const ofMission = (query) => `/missions/${ids.mission}?${query}`;
 const facts = [texts.value, texts.address, texts.notes];
-await look(page, "mission", { path: ofMission(""), ready: "[data-lanes]", shows: [project, mission, texts.recording, texts.text, texts.label, ...facts] });
-seen.links = await page.evaluate(() => [...document.links].map((each) => each.protocol).filter((each) => !/^https?:$/.test(each)));
+await checkPage(page, "mission", { path: ofMission(""), ready: "[data-lanes]", shows: [project, mission, texts.recording, texts.text, texts.label, ...facts] });
+results.links = await page.evaluate(() => [...document.links].map((each) => each.protocol).filter((each) => !/^https?:$/.test(each)));
 await page.locator("[data-metadata]").getByRole("button", { name: "<b onclick" }).click();
-await look(page, "mission-editing", { shows: [texts.description] });
-await look(page, "mission-topics", { path: ofMission("tab=topics"), shows: [texts.topic, texts.type] });
-await look(page, "mission-problems", { path: ofMission("tab=problems"), shows: [texts.broken] });
-await look(page, "mission-access", { path: ofMission("tab=access"), shows: [texts.share, texts.group] });
-await look(page, "file-recording", { path: `/files/${ids.recording}`, shows: [texts.recording, texts.topic, texts.type, texts.label] });
-await look(page, "file-drive", { path: `/files/${ids.drive}`, ready: "[data-log-time]" });
-await look(page, "file-plot", { path: `/files/${ids.drive}?topic=/imu/data`, ready: "[data-plot-viewer][data-messages]" });
-await look(page, "file-broken", { path: `/files/${ids.broken}`, shows: [texts.broken] });
-await look(page, "file-text", { path: `/files/${ids.text}`, shows: [texts.text] });
-await look(page, "mission-runs", { path: ofMission("tab=runs"), shows: [texts.action] });
-await look(page, "actions", { path: "/actions", shows: [texts.action, texts.description] });
-await look(page, "action", { path: `/actions/${ids.action}`, shows: [texts.action, texts.description, texts.value] });
-await look(page, "launch", { path: `/runs/new?action=${ids.action}&mission=${ids.mission}`, ready: "form:has(.chosen):has(fieldset.parameters)", shows: [mission, texts.description] });
-await look(page, "runs", { path: "/runs", shows: [texts.action, mission] });
+await checkPage(page, "mission-editing", { shows: [texts.description] });
+await checkPage(page, "mission-topics", { path: ofMission("tab=topics"), shows: [texts.topic, texts.type] });
+await checkPage(page, "mission-problems", { path: ofMission("tab=problems"), shows: [texts.broken] });
+await checkPage(page, "mission-access", { path: ofMission("tab=access"), shows: [texts.share, texts.group] });
+await checkPage(page, "file-recording", { path: `/files/${ids.recording}`, shows: [texts.recording, texts.topic, texts.type, texts.label] });
+await checkPage(page, "file-drive", { path: `/files/${ids.drive}`, ready: "[data-log-time]" });
+await checkPage(page, "file-plot", { path: `/files/${ids.drive}?topic=/imu/data`, ready: "[data-plot-viewer][data-messages]" });
+await checkPage(page, "file-broken", { path: `/files/${ids.broken}`, shows: [texts.broken] });
+await checkPage(page, "file-text", { path: `/files/${ids.text}`, shows: [texts.text] });
+await checkPage(page, "mission-runs", { path: ofMission("tab=runs"), shows: [texts.action] });
+await checkPage(page, "actions", { path: "/actions", shows: [texts.action, texts.description] });
+await checkPage(page, "action", { path: `/actions/${ids.action}`, shows: [texts.action, texts.description, texts.value] });
+await checkPage(page, "launch", { path: `/runs/new?action=${ids.action}&mission=${ids.mission}`, ready: "form:has(.chosen):has(fieldset.parameters)", shows: [mission, texts.description] });
+await checkPage(page, "runs", { path: "/runs", shows: [texts.action, mission] });
 const ofRun = (query) => `/runs/${ids.run}?${query}`;
-await look(page, "run", { path: ofRun(""), ready: "[data-log][data-over] .line", shows: [texts.action, mission, texts.notes, texts.value, texts.label] });
-for (const part of ["metrics", "artifacts", "inputs", "definition"]) await look(page, `run-${part}`, { path: ofRun(`tab=${part}`) });
-await look(page, "run-findings", { path: ofRun("tab=findings"), shows: [texts.value, texts.topic] });
-await look(page, "upload", { path: "/upload" });
+await checkPage(page, "run", { path: ofRun(""), ready: "[data-log][data-over] .line", shows: [texts.action, mission, texts.notes, texts.value, texts.label] });
+for (const part of ["metrics", "artifacts", "inputs", "definition"]) await checkPage(page, `run-${part}`, { path: ofRun(`tab=${part}`) });
+await checkPage(page, "run-findings", { path: ofRun("tab=findings"), shows: [texts.value, texts.topic] });
+await checkPage(page, "upload", { path: "/upload" });
 const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Choose files" }).click()]);
 await chooser.setFiles({ name: texts.recording, mimeType: "", buffer: Buffer.from("x") });
 await page.getByText("Destination").waitFor();
 await page.getByLabel("Project").selectOption({ label: project });
 await page.getByLabel("Mission").selectOption({ label: "New mission" });
 await page.getByLabel(/^robot/).waitFor();
-await look(page, "upload-form", { shows: [texts.recording, texts.description] });
+await checkPage(page, "upload-form", { shows: [texts.recording, texts.description] });
 const searched = { ready: "[data-results]" };
-await look(page, "search", { path: "/search", ...searched, shows: [texts.recording, texts.label] });
-await look(page, "search-missions", { path: "/search?tab=missions", ...searched, shows: [mission] });
-await look(page, "search-topics", { path: "/search?tab=topics", ...searched, shows: [texts.topic, texts.type] });
-await look(page, "search-nothing", { path: `/search?q=${encodeURIComponent(`"${texts.label}" nothing`)}`, ...searched });
-await look(page, "search-wrong", { path: `/search?q=${encodeURIComponent(`size:${texts.label}`)}`, allows: REFUSED });
-await look(page, "people", { path: "/people", shows: [texts.person] });
-await look(page, "person", { path: `/people/${person}`, shows: [texts.person, texts.group] });
-await look(page, "access", { path: `/people/access?project=${ids.project}`, shows: [texts.person, texts.group, project] });
-await look(page, "groups", { path: "/groups", shows: [texts.group] });
-await look(page, "group", { path: `/groups/${ids.group}`, shows: [texts.group, texts.person] });
-await look(page, "account", { path: "/account" });
-await look(page, "tokens", { path: "/tokens", shows: [texts.token] });
-await look(page, "sessions", { path: "/sessions" });
-await look(page, "audit", { path: "/audit", shows: [project] });
-await look(page, "audit-groups", { path: "/audit?operation=group.*", shows: [texts.group] });
-await look(page, "trash", { path: "/trash", shows: [texts.gone, project] });
-for (const tab of ["storage", "scrub", "jobs", "health", "settings"]) await look(page, `admin-${tab}`, { path: `/admin?tab=${tab}` });
-await look(page, "not-found", { path: `/nowhere/${encodeURIComponent(texts.label)}`, allows: REFUSED });
-await look(page, "signed-in", { path: "/signed-in", allows: OPEN });
+await checkPage(page, "search", { path: "/search", ...searched, shows: [texts.recording, texts.label] });
+await checkPage(page, "search-missions", { path: "/search?tab=missions", ...searched, shows: [mission] });
+await checkPage(page, "search-topics", { path: "/search?tab=topics", ...searched, shows: [texts.topic, texts.type] });
+await checkPage(page, "search-nothing", { path: `/search?q=${encodeURIComponent(`"${texts.label}" nothing`)}`, ...searched });
+await checkPage(page, "search-wrong", { path: `/search?q=${encodeURIComponent(`size:${texts.label}`)}`, allows: REFUSED });
+await checkPage(page, "people", { path: "/people", shows: [texts.person] });
+await checkPage(page, "person", { path: `/people/${person}`, shows: [texts.person, texts.group] });
+await checkPage(page, "access", { path: `/people/access?project=${ids.project}`, shows: [texts.person, texts.group, project] });
+await checkPage(page, "groups", { path: "/groups", shows: [texts.group] });
+await checkPage(page, "group", { path: `/groups/${ids.group}`, shows: [texts.group, texts.person] });
+await checkPage(page, "account", { path: "/account" });
+await checkPage(page, "tokens", { path: "/tokens", shows: [texts.token] });
+await checkPage(page, "sessions", { path: "/sessions" });
+await checkPage(page, "audit", { path: "/audit", shows: [project] });
+await checkPage(page, "audit-groups", { path: "/audit?operation=group.*", shows: [texts.group] });
+await checkPage(page, "trash", { path: "/trash", shows: [texts.gone, project] });
+for (const tab of ["storage", "scrub", "jobs", "health", "settings"]) await checkPage(page, `admin-${tab}`, { path: `/admin?tab=${tab}` });
+await checkPage(page, "not-found", { path: `/nowhere/${encodeURIComponent(texts.label)}`, allows: REFUSED });
+await checkPage(page, "signed-in", { path: "/signed-in", allows: OPEN });
 
 // What opens on pages.
 const opened = { whole: false };
 await page.goto(`${address}/projects`);
 await page.getByRole("button", { name: "New project" }).first().click();
-await look(page, "dialog-project", { ...opened, ready: "dialog[open]" });
+await checkPage(page, "dialog-project", { ...opened, ready: "dialog[open]" });
 await page.goto(`${address}${ofMission("")}`);
 await page.locator("[data-lanes]").waitFor();
 await page.getByRole("button", { name: /^Share/ }).first().click();
-await look(page, "dialog-share", { ...opened, ready: "dialog[open]", shows: [mission] });
+await checkPage(page, "dialog-share", { ...opened, ready: "dialog[open]", shows: [mission] });
 await page.goto(`${address}/`);
 await page.locator("h1").waitFor();
 await page.keyboard.press("Control+k");
-await look(page, "dialog-palette", { ...opened, ready: "dialog[open]" });
+await checkPage(page, "dialog-palette", { ...opened, ready: "dialog[open]" });
 await page.goto(`${address}/`);
 await page.locator("h1").waitFor();
 await page.keyboard.press("Shift+?");
-await look(page, "dialog-keys", { ...opened, ready: "dialog[open]" });
+await checkPage(page, "dialog-keys", { ...opened, ready: "dialog[open]" });
 
 // The server's own pages for somebody who is signed in.
-await look(page, "account", { path: "/account" });
-await look(page, "device", { path: `/sign-in/device?user_code=${encodeURIComponent(texts.value)}`, shows: [texts.value] });
+await checkPage(page, "account", { path: "/account" });
+await checkPage(page, "device", { path: `/sign-in/device?user_code=${encodeURIComponent(texts.value)}`, shows: [texts.value] });
 const asks = new URLSearchParams({ port: "4444", state: texts.value, code_challenge: "x", client: texts.value });
-await look(page, "cli", { path: `/sign-in/cli?${asks}`, ready: "#decision:not([hidden])", shows: [texts.value] });
+await checkPage(page, "cli", { path: `/sign-in/cli?${asks}`, ready: "#decision:not([hidden])", shows: [texts.value] });
 
 // Somebody without an account.
 const nobody = { allows: NOBODY };
 const { page: stranger, context: strangers } = await somebody();
-await look(stranger, "public", { ...nobody, path: "/public", shows: ["Lakes"] });
-await look(stranger, "public-project", { ...nobody, path: `/projects/${ids.public}` });
-await look(stranger, "public-mission", { ...nobody, path: `/missions/${ids.publicMission}`, ready: "[data-lanes]" });
-await look(stranger, "public-file", { ...nobody, path: `/files/${ids.publicFile}`, ready: "[data-log-time]" });
-await look(stranger, "public-search", { ...nobody, ...searched, path: "/search" });
-await look(stranger, "sign-in", { path: `/sign-in?return_to=${encodeURIComponent(texts.address)}` });
-await look(stranger, "invitation", { path: new URL(unused).pathname + new URL(unused).hash, shows: [texts.person] });
-await look(stranger, "reset", { path: "/sign-in/reset#not-a-code", allows: REFUSED });
-await look(stranger, "claim", { path: "/sign-in/bootstrap" });
-await look(stranger, "link", { path: "/sign-in/link#not-a-code", allows: REFUSED });
-await look(stranger, "callback", { path: `/sign-in/callback/${encodeURIComponent("<img src=x>")}?error=${encodeURIComponent(texts.label)}`, allows: REFUSED });
-await look(stranger, "share", { path: new URL(share).pathname + new URL(share).hash, ready: "#files tr", shows: [project, mission, texts.recording] });
+await checkPage(stranger, "public", { ...nobody, path: "/public", shows: ["Lakes"] });
+await checkPage(stranger, "public-project", { ...nobody, path: `/projects/${ids.public}` });
+await checkPage(stranger, "public-mission", { ...nobody, path: `/missions/${ids.publicMission}`, ready: "[data-lanes]" });
+await checkPage(stranger, "public-file", { ...nobody, path: `/files/${ids.publicFile}`, ready: "[data-log-time]" });
+await checkPage(stranger, "public-search", { ...nobody, ...searched, path: "/search" });
+await checkPage(stranger, "sign-in", { path: `/sign-in?return_to=${encodeURIComponent(texts.address)}` });
+await checkPage(stranger, "invitation", { path: new URL(unused).pathname + new URL(unused).hash, shows: [texts.person] });
+await checkPage(stranger, "reset", { path: "/sign-in/reset#not-a-code", allows: REFUSED });
+await checkPage(stranger, "claim", { path: "/sign-in/bootstrap" });
+await checkPage(stranger, "link", { path: "/sign-in/link#not-a-code", allows: REFUSED });
+await checkPage(stranger, "callback", { path: `/sign-in/callback/${encodeURIComponent("<img src=x>")}?error=${encodeURIComponent(texts.label)}`, allows: REFUSED });
+await checkPage(stranger, "share", { path: new URL(share).pathname + new URL(share).hash, ready: "#files tr", shows: [project, mission, texts.recording] });
 await stranger.goto("about:blank");
-await look(stranger, "share-ended", { path: "/s#not-a-secret", ready: "#message:not([hidden])", allows: REFUSED });
+await checkPage(stranger, "share-ended", { path: "/s#not-a-secret", ready: "#message:not([hidden])", allows: REFUSED });
 
-seen.inline = {};
-for (const path of ["/", "/public", "/sign-in", "/s"]) seen.inline[path] = await runs(strangers, path === "/" ? "/search" : path);
+results.inline = {};
+for (const path of ["/", "/public", "/sign-in", "/s"]) results.inline[path] = await runs(strangers, path === "/" ? "/search" : path);
 await browser.close();
-process.stdout.write(JSON.stringify(seen));
+process.stdout.write(JSON.stringify(results));

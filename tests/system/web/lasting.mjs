@@ -14,9 +14,9 @@ const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] }
 const context = await browser.newContext({ viewport: { width: 1280, height: 900 }, reducedMotion: "reduce" });
 const page = await context.newPage();
 page.setDefaultTimeout(PATIENCE_MS);
-const seen = { errors: [], loads: 0 };
-page.on("pageerror", (error) => seen.errors.push(error.message));
-page.on("load", () => (seen.loads += 1));
+const results = { errors: [], loads: 0 };
+page.on("pageerror", (error) => results.errors.push(error.message));
+page.on("load", () => (results.loads += 1));
 const headers = { Origin: address };
 await context.request.post(`${address}/api/v1/auth/invitation`, {
   data: { code: new URL(invitation).hash.slice(1), name: "Ada", password: PASSWORD }, headers,
@@ -37,7 +37,7 @@ const dialog = page.getByRole("dialog", { name: "Your session has ended" });
 /** Signs in anew in the window that opens, after what the page says was noted. */
 async function signInAgain(name) {
   await dialog.waitFor();
-  seen[`${name}Told`] = await dialog.innerText();
+  results[`${name}Told`] = await dialog.innerText();
   await page.screenshot({ path: `${pictures}/lasting-${name}.png` });
   const [popup] = await Promise.all([page.waitForEvent("popup"), dialog.getByRole("button", { name: "Sign in" }).click()]);
   await popup.getByLabel("E-mail address").fill(EMAIL);
@@ -54,18 +54,18 @@ await metadata.getByLabel("operator").fill("grace");
 const notes = page.locator("[data-notes]");
 await notes.getByRole("button").click();
 await notes.getByRole("textbox").fill("Snow on the ridge.");
-seen.ended = await endSessions();
+results.ended = await endSessions();
 await metadata.getByRole("button", { name: "Save" }).click();
 await dialog.waitFor();
-seen.kept = [await metadata.getByLabel("operator").inputValue(), await notes.getByRole("textbox").inputValue()];
+results.kept = [await metadata.getByLabel("operator").inputValue(), await notes.getByRole("textbox").inputValue()];
 await signInAgain("metadata");
 await metadata.getByRole("button", { name: "grace" }).waitFor();
 const save = notes.getByRole("button", { name: "Save" });
 await endSessions();
 await save.evaluate((button) => button.click()); // whether or not the page knows by now, and asks in front of it
-const told = page.waitForResponse((answer) => answer.url().includes("/api/v1/events") && answer.ok());
+const eventsResponse = page.waitForResponse((answer) => answer.url().includes("/api/v1/events") && answer.ok());
 await signInAgain("notes");
-await told;
+await eventsResponse;
 await notes.locator("p", { hasText: "Snow on the ridge." }).waitFor();
 
 // The API dies while a form is half filled, and comes back by its supervisor.
@@ -74,19 +74,19 @@ await metadata.getByLabel("operator").fill("edith");
 process.kill(Number(api), "SIGKILL");
 const away = page.getByText("The server does not respond.");
 await away.waitFor();
-seen.away = await away.innerText();
-seen.alerts = await page.getByRole("alert").count();
+results.away = await away.innerText();
+results.alerts = await page.getByRole("alert").count();
 await page.screenshot({ path: `${pictures}/lasting-away.png` });
 await away.waitFor({ state: "detached" });
-seen.keptWhileAway = await metadata.getByLabel("operator").inputValue();
+results.keptWhileAway = await metadata.getByLabel("operator").inputValue();
 await metadata.getByRole("button", { name: "Save" }).click();
 await metadata.getByRole("button", { name: "edith" }).waitFor();
 
 // What changes elsewhere shows by itself again.
 const changed = { data: { notes: "Changed elsewhere." }, headers };
-seen.changed = await elsewhere((request) => request.patch(`${address}/api/v1/missions/${mission}`, changed));
+results.changed = await elsewhere((request) => request.patch(`${address}/api/v1/missions/${mission}`, changed));
 await notes.locator("p", { hasText: "Changed elsewhere." }).waitFor();
-seen.loadsOfMission = seen.loads;
+results.loadsOfMission = results.loads;
 
 // The form of an upload.
 await page.goto(`${address}/upload`);
@@ -99,9 +99,9 @@ await page.getByLabel("operator").fill("beatrice");
 await endSessions();
 await page.getByRole("button", { name: /^Upload 1 file/ }).click();
 await dialog.waitFor();
-seen.keptOfUpload = [await page.getByLabel("Mission name").inputValue(), await page.getByLabel("operator").inputValue()];
+results.keptOfUpload = [await page.getByLabel("Mission name").inputValue(), await page.getByLabel("operator").inputValue()];
 await signInAgain("upload");
 await page.locator("[data-phase=over]").waitFor();
-seen.over = await page.locator("[data-phase]").first().innerText();
+results.over = await page.locator("[data-phase]").first().innerText();
 await browser.close();
-process.stdout.write(JSON.stringify(seen));
+process.stdout.write(JSON.stringify(results));

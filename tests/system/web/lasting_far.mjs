@@ -12,11 +12,11 @@ const PATIENCE_MS = 60_000;
 const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
 const page = await (await browser.newContext({ viewport: { width: 1280, height: 900 }, acceptDownloads: true })).newPage();
 page.setDefaultTimeout(PATIENCE_MS);
-const seen = { complaints: [] };
-page.on("pageerror", (error) => seen.complaints.push(error.message));
+const results = { complaints: [] };
+page.on("pageerror", (error) => results.complaints.push(error.message));
 // Over plain HTTP from another machine a browser says of each page that it ignores this header; all else counts.
 const PLAIN = /^The Cross-Origin-Opener-Policy header has been ignored/;
-page.on("console", (message) => message.type() === "error" && !PLAIN.test(message.text()) && seen.complaints.push(message.text()));
+page.on("console", (message) => message.type() === "error" && !PLAIN.test(message.text()) && results.complaints.push(message.text()));
 const hosts = new Set();
 page.on("request", (request) => {
   const { origin, protocol } = new URL(request.url());
@@ -34,7 +34,7 @@ await page.getByRole("button", { name: /^Upload 1 file/ }).click();
 await page.locator("[data-phase=over]").waitFor().catch(async (error) => {
   throw new Error(await page.locator("main").innerText(), { cause: error });
 });
-seen.over = await page.locator("[data-phase]").first().innerText();
+results.over = await page.locator("[data-phase]").first().innerText();
 await page.locator("[data-phase]").getByRole("link", { name: "far" }).click();
 await page.getByRole("link", { name: "drive.mcap" }).first().click();
 await page.locator("[data-log-time]").waitFor().catch(async (error) => {
@@ -42,7 +42,7 @@ await page.locator("[data-log-time]").waitFor().catch(async (error) => {
 });
 await page.screenshot({ path: `${pictures}/lasting-far.png` });
 const [download] = await Promise.all([page.waitForEvent("download"), page.getByRole("button", { name: "Download" }).or(page.getByRole("link", { name: "Download" })).first().click()]);
-seen.sha256 = createHash("sha256").update(await readFile(await download.path())).digest("hex");
-seen.hosts = [...hosts];
+results.sha256 = createHash("sha256").update(await readFile(await download.path())).digest("hex");
+results.hosts = [...hosts];
 await browser.close();
-process.stdout.write(JSON.stringify(seen));
+process.stdout.write(JSON.stringify(results));

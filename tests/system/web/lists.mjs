@@ -5,7 +5,7 @@
 import { openBrowser } from "./browsing.mjs";
 
 const [web, executablePath, link, address, invitation, share, project, pictures] = process.argv.slice(2);
-const { seen, somebody, look, tell } = await openBrowser(web, executablePath, pictures);
+const { results, somebody, checkPage, printResults } = await openBrowser(web, executablePath, pictures);
 const { context, page } = await somebody();
 // A real folder of the browser's own, in place of the one that a person chooses in a window that no program can click in.
 await context.addInitScript(() => (window.showDirectoryPicker = () => navigator.storage.getDirectory()));
@@ -19,13 +19,13 @@ for (const order of ["ascending", "descending"]) {
   await page.getByRole("button", { name: "temperature" }).click();
   await page.locator(`[aria-sort=${order}]`, { hasText: "temperature" }).waitFor();
   await page.waitForFunction(() => document.querySelector("main [aria-busy=true], .progress.busy") === null);
-  seen[order] = await names();
+  results[order] = await names();
 }
 await page.getByRole("button", { name: "Filter by metadata" }).click();
 await page.getByLabel("Value").selectOption("spot");
 await page.getByRole("button", { name: "Apply" }).click();
 await page.getByRole("row", { name: /cold/ }).waitFor({ state: "detached" });
-seen.spots = await names();
+results.spots = await names();
 await page.getByRole("button", { name: "Clear filters" }).click();
 
 // Two at once: the same value for both, their files into a folder, then both into the trash.
@@ -34,20 +34,20 @@ await page.getByRole("button", { name: "Set metadata" }).click();
 const dialog = page.getByRole("dialog");
 await dialog.getByLabel("Field").selectOption("operator");
 await dialog.getByLabel("Value").fill("grace");
-await look(page, "lists-metadata");
+await checkPage(page, "lists-metadata");
 await dialog.getByRole("button", { name: "Save" }).click();
 await dialog.waitFor({ state: "detached" });
 await page.getByRole("button", { name: "Download", exact: true }).click();
 const choose = dialog.getByRole("button", { name: "Choose a folder" });
 await choose.click();
 await dialog.locator("[data-saved]").waitFor();
-seen.saved = [await dialog.locator("[data-saved]").innerText()];
+results.saved = [await dialog.locator("[data-saved]").innerText()];
 await choose.click();
 await dialog.getByText("already present").waitFor();
-seen.saved.push(await dialog.locator("[data-saved]").innerText());
-seen.command = await dialog.locator("pre").innerText();
-await look(page, "lists-download");
-seen.folder = await page.evaluate(async () => {
+results.saved.push(await dialog.locator("[data-saved]").innerText());
+results.command = await dialog.locator("pre").innerText();
+await checkPage(page, "lists-download");
+results.folder = await page.evaluate(async () => {
   const found = {};
   async function walk(folder, path) {
     for await (const [name, handle] of folder.entries()) {
@@ -62,12 +62,12 @@ await page.keyboard.press("Escape");
 await page.getByRole("button", { name: "Delete", exact: true }).click();
 await dialog.getByRole("button", { name: "Delete", exact: true }).click();
 await page.getByRole("row", { name: /mild/ }).waitFor({ state: "detached" });
-seen.left = await names();
+results.left = await names();
 
 await page.setViewportSize({ width: 390, height: 844 });
 await page.getByRole("button", { name: "Details of hot" }).click();
-seen.details = await page.locator(".details").innerText();
-await look(page, "lists-phone");
+results.details = await page.locator(".details").innerText();
+await checkPage(page, "lists-phone");
 
 await page.goto(share);
 for (let times = 0; times < 2; times += 1) {
@@ -75,8 +75,8 @@ for (let times = 0; times < 2; times += 1) {
   await page.getByRole("button", { name: /^Download all/ }).click();
   await page.locator("#progress", { hasText: "downloaded" }).waitFor();
 }
-seen.shared = await page.locator("#progress").innerText();
-await look(page, "lists-share");
+results.shared = await page.locator("#progress").innerText();
+await checkPage(page, "lists-share");
 
 const { page: other } = await somebody(() => true);
 await other.goto(invitation);
@@ -84,8 +84,8 @@ await other.getByLabel(/password/i).fill("a long enough password");
 await other.getByRole("button", { name: "Create my account" }).click();
 await other.waitForURL((url) => url.pathname === "/");
 await other.locator("[data-no-access]").waitFor();
-seen.noAccess = [await other.locator("[data-no-access]").innerText()];
+results.noAccess = [await other.locator("[data-no-access]").innerText()];
 await other.goto(`${address}/projects`);
 await other.locator("[data-no-access]").waitFor();
-await look(other, "lists-no-access");
-await tell();
+await checkPage(other, "lists-no-access");
+await printResults();

@@ -25,7 +25,7 @@ const picture = page.locator("[data-image-viewer]");
 const logTime = () => picture.getAttribute("data-log-time");
 
 /** The grey values of the picture in sight, in base64, with its size. */
-async function seen() {
+async function grayPicture() {
   return page.locator("[data-image-viewer] canvas").evaluate((canvas) => {
     const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
     copy.drawImage(canvas, 0, 0);
@@ -42,7 +42,7 @@ async function firstPicture(fileId) {
   await page.goto(`${address}/files/${fileId}`);
   await page.locator("[data-log-time]").waitFor();
   const milliseconds = performance.now() - began;
-  return { ...(await seen()), milliseconds, logTime: await logTime(), bytesRead: await bytesRead() };
+  return { ...(await grayPicture()), milliseconds, logTime: await logTime(), bytesRead: await bytesRead() };
 }
 
 async function bytesRead() {
@@ -53,7 +53,7 @@ async function press(key) {
   const before = await logTime();
   await page.locator("[data-image-viewer] input[type=range]").press(key);
   await page.waitForFunction((time) => document.querySelector("[data-log-time]")?.getAttribute("data-log-time") !== time, before);
-  return { ...(await seen()), logTime: await logTime() };
+  return { ...(await grayPicture()), logTime: await logTime() };
 }
 
 async function curve(fileId, query) {

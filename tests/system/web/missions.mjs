@@ -6,7 +6,7 @@
 import { openBrowser } from "./browsing.mjs";
 
 const [web, executablePath, link, address, invitation, guest, project, mission, large, pictures] = process.argv.slice(2);
-const { seen, somebody, look, tell } = await openBrowser(web, executablePath, pictures);
+const { results, somebody, checkPage, printResults } = await openBrowser(web, executablePath, pictures);
 const { page } = await somebody();
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
@@ -15,34 +15,34 @@ await page.waitForURL((url) => url.pathname === "/");
 await page.goto(`${address}/missions/${mission}`);
 await page.locator("[data-lanes]").waitFor();
 await page.locator("[data-metadata]").waitFor();
-seen.title = await page.locator("h1").innerText();
+results.title = await page.locator("h1").innerText();
 const metadata = page.locator("[data-metadata]");
 await metadata.getByRole("button", { name: "ada" }).click();
 await metadata.getByLabel("operator").fill("ADA 1");
 await metadata.getByRole("button", { name: "Save" }).click();
 await metadata.getByText("Must match").first().waitFor();
-seen.refused = await metadata.innerText();
-await look(page, "mission-refused");
+results.refused = await metadata.innerText();
+await checkPage(page, "mission-refused");
 await metadata.getByLabel("operator").fill("grace");
 await metadata.getByRole("button", { name: "Save" }).click();
 await metadata.getByRole("button", { name: "grace" }).waitFor();
-seen.accepted = await metadata.innerText();
+results.accepted = await metadata.innerText();
 // Topics and what is odd.
 await page.goto(`${address}/missions/${mission}?tab=topics`);
 await page.getByRole("table").locator("svg[role=img]").first().waitFor();
-seen.topics = await page.getByRole("table").innerText();
+results.topics = await page.getByRole("table").innerText();
 
 
 // Ten thousand files.
 await page.goto(`${address}/missions/${large}`);
 await page.getByRole("button", { name: "Expand all" }).click();
 await page.locator("[role=table][aria-rowcount]").waitFor();
-seen.rows = Number(await page.getByRole("table").getAttribute("aria-rowcount"));
-seen.drawn = await page.getByRole("row").count();
+results.rows = Number(await page.getByRole("table").getAttribute("aria-rowcount"));
+results.drawn = await page.getByRole("row").count();
 for (let at = 0; at < 40; at += 1) await page.mouse.wheel(0, 700);
 await page.evaluate(() => window.scrollTo(0, document.documentElement.scrollHeight));
 await page.getByText("frame_9999.txt").waitFor();
-seen.drawnAtEnd = await page.getByRole("row").count();
+results.drawnAtEnd = await page.getByRole("row").count();
 
 // Somebody else looks on while a right is given and taken away.
 const { page: other } = await somebody(() => true);
@@ -51,31 +51,31 @@ await other.getByLabel(/password/i).fill("a long enough password");
 await other.getByRole("button", { name: "Create my account" }).click();
 await other.waitForURL((url) => url.pathname === "/");
 await other.goto(`${address}/missions/${mission}`);
-seen.before = await other.getByRole("alert").first().innerText();
+results.before = await other.getByRole("alert").first().innerText();
 await page.goto(`${address}/projects/${project}?tab=access`);
 const form = page.locator("[data-grant-form]");
 await form.getByLabel("Person, group, or email address").fill(guest);
 await form.getByRole("button", { name: guest }).first().click();
 await form.getByRole("button", { name: "Grant", exact: true }).click();
 await page.locator(`[data-grant="${guest}"]`).waitFor();
-await look(page, "mission-granted");
+await checkPage(page, "mission-granted");
 await other.goto(`${address}/missions/${mission}`);
 await other.locator("[data-metadata]").waitFor();
-seen.granted = await other.locator("h1").innerText();
+results.granted = await other.locator("h1").innerText();
 await page.getByRole("button", { name: `Revoke the right of ${guest}` }).click();
 await page.getByRole("button", { name: "Revoke", exact: true }).click();
 await page.locator(`[data-grant="${guest}"]`).waitFor({ state: "detached" });
 await other.getByRole("alert").first().waitFor(); // by itself: what changed is told
-seen.revoked = await other.getByRole("alert").first().innerText();
+results.revoked = await other.getByRole("alert").first().innerText();
 
 // What people named and said is text, whichever view of the project shows it.
 const made = () => page.evaluate(() => document.querySelectorAll("main img, main script, main b, main i, main u, main a[href=x]").length);
-seen.elements = [await made()];
+results.elements = [await made()];
 for (const name of ["Missions", "Statistics", "Metadata fields", "Activity", "Settings"]) {
   const tab = page.getByRole("navigation", { name: "Views of the project" }).getByRole("link", { name });
   await tab.click();
   await tab.and(page.locator("[aria-current=page]")).waitFor();
   await page.waitForFunction(() => document.querySelector("main .skeleton, main [aria-busy=true]") === null);
-  seen.elements.push(await made());
+  results.elements.push(await made());
 }
-await tell();
+await printResults();

@@ -5,9 +5,9 @@
 // JSON the ids of missions and files, where pictures go.
 import { openBrowser } from "./browsing.mjs";
 
-const [web, executablePath, link, address, invitation, half, told, pictures] = process.argv.slice(2);
-const { ridge, night, drive } = JSON.parse(told);
-const { seen, somebody, look, tell } = await openBrowser(web, executablePath, pictures);
+const [web, executablePath, link, address, invitation, half, input, pictures] = process.argv.slice(2);
+const { ridge, night, drive } = JSON.parse(input);
+const { results, somebody, checkPage, printResults } = await openBrowser(web, executablePath, pictures);
 let isMeantToFail = false;
 const { page } = await somebody(() => isMeantToFail);
 await page.goto(link);
@@ -18,18 +18,18 @@ const dialog = (name) => page.getByRole("dialog", { name });
 // An upload from another machine that has not ended: home names it, and leads to where it goes on.
 const unfinished = page.locator("[data-unfinished]");
 await unfinished.waitFor();
-seen.unfinished = await unfinished.innerText();
-await look(page, "home-unfinished");
+results.unfinished = await unfinished.innerText();
+await checkPage(page, "home-unfinished");
 await unfinished.getByRole("link", { name: "Resume" }).click();
 await page.waitForURL((url) => url.pathname === "/upload" && url.searchParams.get("mission") === night);
 const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Choose a folder" }).click()]);
 await chooser.setFiles(half);
 await page.getByRole("radio", { checked: true }).and(page.locator("[value=contents]")).waitFor();
 await page.getByLabel("Mission").and(page.locator(`:has(option:checked[value="${night}"])`)).waitFor();
-seen.chosen = await page.locator("form").getByRole("combobox").evaluateAll((boxes) => boxes.map((box) => box.selectedOptions[0].label));
+results.chosen = await page.locator("form").getByRole("combobox").evaluateAll((boxes) => boxes.map((box) => box.selectedOptions[0].label));
 await page.getByRole("button", { name: /^Upload \d+ file/ }).click();
 await page.locator("[data-phase=over]").waitFor();
-seen.over = await page.locator("[data-phase=over]").innerText();
+results.over = await page.locator("[data-phase=over]").innerText();
 await page.getByRole("link", { name: "Home" }).first().click();
 await page.locator("[data-recent] [data-row-link]").first().waitFor();
 await unfinished.waitFor({ state: "detached" });
@@ -43,8 +43,8 @@ isMeantToFail = true;
 await dialog("Rename mission").getByRole("button", { name: "Save" }).click();
 const takenName = dialog("Rename mission").getByText("There is already");
 await takenName.waitFor();
-seen.taken = await takenName.innerText();
-await look(page, "mission-rename-refused");
+results.taken = await takenName.innerText();
+await checkPage(page, "mission-rename-refused");
 isMeantToFail = false;
 await dialog("Rename mission").getByLabel("New name").fill("north ridge");
 await dialog("Rename mission").getByRole("button", { name: "Save" }).click();
@@ -68,7 +68,7 @@ await notes.getByRole("button", { name: "Add notes" }).click();
 await notes.getByRole("textbox").fill("<img src=x onerror=alert(1)> **kept**\nsecond line");
 await notes.getByRole("textbox").press("Control+Enter");
 await notes.getByText("<img src=x onerror=alert(1)> **kept**").waitFor();
-seen.notesElements = await notes.locator("img, strong").count();
+results.notesElements = await notes.locator("img, strong").count();
 
 // A link to one file, followed by somebody without an account, and ended.
 await page.getByRole("checkbox", { name: "Select drive.mcap" }).check();
@@ -76,25 +76,25 @@ await page.getByRole("button", { name: "Share selected files" }).click();
 await dialog("Share with a link").getByLabel("Purpose or recipient").fill("reviewers");
 await dialog("Share with a link").getByRole("button", { name: "Create link" }).click();
 await dialog("Share with a link").locator("[data-secret]").waitFor();
-await look(page, "mission-shared");
+await checkPage(page, "mission-shared");
 const shared = (await page.locator("[data-secret] pre").innerText()).trim();
 await page.getByRole("button", { name: "I saved it" }).click();
 const { page: stranger } = await somebody(() => isMeantToFail);
 await stranger.goto(shared);
 await stranger.locator("#files tr").first().waitFor();
-seen.shared = await stranger.locator("#files tr").allInnerTexts();
+results.shared = await stranger.locator("#files tr").allInnerTexts();
 await page.getByRole("navigation", { name: "Views of the mission" }).getByRole("link", { name: "Access and links" }).click();
 const shares = page.locator("[data-shares]");
 await shares.getByText("reviewers").waitFor();
-seen.link = await shares.getByRole("listitem").innerText();
+results.link = await shares.getByRole("listitem").innerText();
 await shares.getByRole("button", { name: "Revoke" }).click();
 await dialog("Revoke this link?").getByRole("button", { name: "Revoke" }).click();
 await shares.getByText("revoked", { exact: true }).waitFor();
-await look(page, "mission-link-ended");
+await checkPage(page, "mission-link-ended");
 isMeantToFail = true;
 await stranger.reload();
 await stranger.locator("#message:not([hidden])").waitFor();
-seen.ended = await stranger.locator("#message").innerText();
+results.ended = await stranger.locator("#message").innerText();
 isMeantToFail = false;
 await stranger.close();
 
@@ -108,12 +108,12 @@ await verifiedAt.waitFor();
 const before = await verifiedAt.getAttribute("datetime");
 await verify.click();
 await page.waitForFunction((old) => [...document.querySelectorAll("aside time")].every((time) => time.dateTime !== old), before);
-seen.verified = { before, after: await verifiedAt.getAttribute("datetime") };
+results.verified = { before, after: await verifiedAt.getAttribute("datetime") };
 
 await page.getByRole("button", { name: "Move" }).click();
 await dialog("Move to another mission").getByLabel("Search missions by name").fill("nig");
 await dialog("Move to another mission").getByLabel("Mission", { exact: true }).selectOption({ label: "Alps / night" });
-await look(page, "file-move");
+await checkPage(page, "file-move");
 await dialog("Move to another mission").getByRole("button", { name: "Move" }).click();
 await toast("Moved to night.").waitFor();
 await page.getByRole("navigation", { name: "Breadcrumbs" }).getByRole("link", { name: "night" }).click();
@@ -146,7 +146,7 @@ await page.getByRole("navigation", { name: "Main" }).getByRole("link", { name: "
 await page.getByRole("row").filter({ hasText: "north ridge" }).getByRole("button", { name: /^Restore/ }).click();
 await toast("north ridge restored.").getByRole("button", { name: "Open" }).click();
 await page.getByRole("heading", { level: 1, name: "north ridge" }).waitFor();
-seen.back = await notes.innerText();
+results.back = await notes.innerText();
 
 // A project: one may think better of deleting it; deleted and brought back at once; deleted again, and put back from the
 // trash with its missions.
@@ -156,7 +156,7 @@ const removal = dialog("Delete this project?");
 async function removeAlps() {
   await page.goto(`${address}${project}?tab=settings`);
   await page.getByRole("button", { name: "Delete project" }).click();
-  seen.goesWithIt = await removal.innerText();
+  results.goesWithIt = await removal.innerText();
   await removal.getByLabel("Type Alps to confirm").fill("Alps");
   await removal.getByRole("button", { name: "Delete" }).click();
   await page.waitForURL((url) => url.pathname === "/projects");
@@ -165,7 +165,7 @@ async function removeAlps() {
 await page.goto(`${address}${project}?tab=settings`);
 await page.getByRole("button", { name: "Delete project" }).click();
 await removal.waitFor();
-await look(page, "project-delete");
+await checkPage(page, "project-delete");
 await removal.getByRole("button", { name: "Cancel" }).click();
 await removal.waitFor({ state: "detached" });
 await removeAlps();
@@ -187,6 +187,6 @@ await guest.getByLabel(/password/i).fill("a long enough password");
 await guest.getByRole("button", { name: "Create my account" }).click();
 await guest.waitForURL((url) => url.pathname === "/");
 await guest.locator("[data-no-access]").waitFor();
-seen.empty = await guest.locator("main").innerText();
-await look(guest, "home-empty");
-await tell();
+results.empty = await guest.locator("main").innerText();
+await checkPage(guest, "home-empty");
+await printResults();

@@ -9,13 +9,13 @@ const [web, executablePath, link, address, project, job, pictures] = process.arg
 const HOSTILE = '<img src=x onerror="globalThis.wasRun = true">';
 // A name may not hold what paths and wildcards need.
 const HOSTILE_GROUP = "<img src=x onerror=globalThis.wasRun=true>";
-const { seen, somebody, look: lookAt, tell } = await openBrowser(web, executablePath, pictures);
+const { results, somebody, checkPage: checkReadyPage, printResults } = await openBrowser(web, executablePath, pictures);
 
 /** Looks at what was opened, once it is there. */
-async function look(page, name, ready) {
+async function checkPage(page, name, ready) {
   await ready.first().waitFor();
-  await lookAt(page, name);
-  if (await page.evaluate(() => globalThis.wasRun === true)) seen.ran.push(name);
+  await checkReadyPage(page, name);
+  if (await page.evaluate(() => globalThis.wasRun === true)) results.ran.push(name);
 }
 
 const secretOf = async (page) => (await page.locator("[data-secret] pre").first().innerText()).trim();
@@ -30,7 +30,7 @@ await owner.goto(`${address}/people`);
 await owner.getByRole("button", { name: "Invite a person" }).click();
 await owner.getByRole("textbox", { name: /^Email address/ }).fill("ben@lab.example");
 await owner.getByLabel("Name (optional)").fill(HOSTILE);
-await look(owner, "people-invite", owner.getByRole("button", { name: "Create link" }));
+await checkPage(owner, "people-invite", owner.getByRole("button", { name: "Create link" }));
 await owner.getByRole("button", { name: "Create link" }).click();
 await owner.locator("[data-secret]").waitFor();
 const { page: ben, context: bensBrowser } = await somebody();
@@ -44,9 +44,9 @@ const asBen = async (path) => (await bensBrowser.request.get(`${address}/api/v1$
 
 // What is not theirs is not shown, and says so at its address.
 await ben.goto(`${address}/admin`);
-seen.refused = await ben.getByRole("heading", { name: "Admins only" }).innerText();
-seen.adminLinks = await ben.getByRole("navigation", { name: "Main" }).getByRole("link", { name: "Admin" }).count();
-await look(ben, "admin-refused", ben.getByRole("heading", { name: "Admins only" }));
+results.refused = await ben.getByRole("heading", { name: "Admins only" }).innerText();
+results.adminLinks = await ben.getByRole("navigation", { name: "Main" }).getByRole("link", { name: "Admin" }).count();
+await checkPage(ben, "admin-refused", ben.getByRole("heading", { name: "Admins only" }));
 
 // A group with an end for its member; a right for the group is a right for them.
 await owner.goto(`${address}/groups`);
@@ -58,57 +58,57 @@ const group = new URL(owner.url()).pathname.split("/").at(-1);
 await owner.getByRole("button", { name: "Add member" }).click();
 await owner.getByRole("radio", { name: /ben@lab/ }).check();
 await owner.getByLabel("Expiry").selectOption({ label: "For 90 days" });
-await look(owner, "group-add", owner.getByRole("radio", { name: /ben@lab/ }));
+await checkPage(owner, "group-add", owner.getByRole("radio", { name: /ben@lab/ }));
 await owner.getByRole("button", { name: "Add", exact: true }).click();
 await row(owner, "ben@lab.example").waitFor();
-seen.member = await row(owner, "ben@lab.example").innerText();
-seen.before = await asBen(`/projects/${project}`);
+results.member = await row(owner, "ben@lab.example").innerText();
+results.before = await asBen(`/projects/${project}`);
 const given = { data: { group_id: group, right: "READ" } };
 const headers = { Origin: address };
-seen.given = (await ownersBrowser.request.post(`${address}/api/v1/projects/${project}/grants`, { ...given, headers })).status();
-seen.during = await asBen(`/projects/${project}`);
+results.given = (await ownersBrowser.request.post(`${address}/api/v1/projects/${project}/grants`, { ...given, headers })).status();
+results.during = await asBen(`/projects/${project}`);
 await owner.goto(`${address}/people/access`);
 await owner.getByLabel("Project").selectOption({ label: "Alps" });
 await row(owner, "as a member of").first().waitFor();
-seen.access = await row(owner, "as a member of").first().innerText();
+results.access = await row(owner, "as a member of").first().innerText();
 await row(owner, "as a member of").getByRole("link").first().click();
 await row(owner, "Alps").waitFor();
-seen.reach = await row(owner, "Alps").innerText();
+results.reach = await row(owner, "Alps").innerText();
 const person = new URL(owner.url()).pathname;
 await owner.goto(`${address}/groups/${group}`);
 await row(owner, "ben@lab.example").first().waitFor();
 await row(owner, "ben@lab.example").getByRole("button", { name: /^Remove/ }).click();
 await owner.getByRole("dialog").getByRole("button", { name: "Remove" }).click();
 await row(owner, "ben@lab.example").waitFor({ state: "detached" });
-seen.after = await asBen(`/projects/${project}`);
+results.after = await asBen(`/projects/${project}`);
 
 // A robot's token: made, used, revoked.
 await owner.goto(`${address}/tokens`);
 await owner.getByRole("button", { name: "New token" }).click();
 await owner.getByRole("textbox", { name: /^Name/ }).fill(`anymal ${HOSTILE}`.slice(0, 100));
 await owner.getByRole("radio", { name: /^Robot/ }).check();
-seen.limited = await owner.getByRole("button", { name: "Create token" }).isDisabled();
+results.limited = await owner.getByRole("button", { name: "Create token" }).isDisabled();
 await owner.getByRole("button", { name: "Add Alps", exact: true }).click();
 await owner.getByLabel("Expiry").selectOption({ label: "For 30 days" });
-await look(owner, "token-new", owner.getByRole("button", { name: "Create token" }));
+await checkPage(owner, "token-new", owner.getByRole("button", { name: "Create token" }));
 await owner.getByRole("button", { name: "Create token" }).click();
 await owner.locator("[data-secret]").waitFor();
 const token = await secretOf(owner);
-seen.loginLine = await owner.locator("[data-secret] pre").last().innerText();
+results.loginLine = await owner.locator("[data-secret] pre").last().innerText();
 const asRobot = async () => (await fetch(`${address}/api/v1/me`, { headers: { Authorization: `Bearer ${token}` } })).status;
 await owner.getByRole("button", { name: "I saved it" }).click();
-seen.robot = await asRobot();
+results.robot = await asRobot();
 await owner.goto(`${address}/tokens`);
 await row(owner, "anymal").first().waitFor();
 await row(owner, "anymal").getByRole("button", { name: /^Revoke/ }).click();
 await owner.getByRole("dialog").getByRole("button", { name: "Revoke" }).click();
 await row(owner, "anymal").waitFor({ state: "detached" });
-seen.revoked = await asRobot();
+results.revoked = await asRobot();
 
 // Back from the trash.
 await owner.goto(`${address}/trash`);
 await row(owner, "ridge").first().waitFor();
-seen.trashed = await row(owner, "ridge").innerText();
+results.trashed = await row(owner, "ridge").innerText();
 await row(owner, "ridge").getByRole("button", { name: /^Restore/ }).click();
 await owner.getByText("ridge restored.").first().waitFor();
 await row(owner, "ridge").waitFor({ state: "detached" });
@@ -119,32 +119,32 @@ await row(owner, "restored").first().waitFor();
 await owner.getByLabel("Event type").selectOption("token.*");
 await owner.waitForURL((url) => url.searchParams.get("operation") === "token.*");
 await row(owner, "restored").waitFor({ state: "detached" });
-seen.recorded = await row(owner, "revoked the token").first().innerText();
+results.recorded = await row(owner, "revoked the token").first().innerText();
 const exported = await owner.getByRole("link", { name: "Export as JSON Lines" }).getAttribute("href");
-seen.lines = (await (await ownersBrowser.request.get(`${address}${exported}`)).text()).trim().split("\n").map((line) => JSON.parse(line).operation);
+results.lines = (await (await ownersBrowser.request.get(`${address}${exported}`)).text()).trim().split("\n").map((line) => JSON.parse(line).operation);
 await row(owner, "created the token").first().getByRole("button").click();
-await look(owner, "audit-event", owner.getByRole("dialog").getByRole("table"));
-seen.changes = await owner.getByRole("dialog").getByRole("table").innerText();
+await checkPage(owner, "audit-event", owner.getByRole("dialog").getByRole("table"));
+results.changes = await owner.getByRole("dialog").getByRole("table").innerText();
 
 // The power of an admin, given and taken away again. Neither goes by one click.
 await owner.goto(`${address}${person}`);
 await owner.getByRole("button", { name: "Make admin" }).click();
-await look(owner, "person-make-admin", owner.getByRole("dialog"));
+await checkPage(owner, "person-make-admin", owner.getByRole("dialog"));
 await owner.getByRole("dialog").getByRole("button", { name: "Make admin" }).click();
 await owner.getByRole("button", { name: "Revoke admin rights" }).waitFor();
-seen.power = [await asBen("/admin/jobs")];
+results.power = [await asBen("/admin/jobs")];
 await ben.goto(`${address}/admin`);
 await ben.getByRole("heading", { name: "Stored data" }).waitFor();
 await ben.goto("about:blank"); // from here on, their pages would hear that they may not
 await owner.getByRole("button", { name: "Revoke admin rights" }).click();
 await owner.getByRole("dialog").getByRole("button", { name: "Revoke admin rights" }).click();
 await owner.getByRole("button", { name: "Make admin" }).waitFor();
-seen.power.push(await asBen("/admin/jobs"));
+results.power.push(await asBen("/admin/jobs"));
 
 // A new password by a link: the old sessions end, and only the new password is taken.
 await owner.getByRole("button", { name: "Reset password" }).click();
 await owner.getByRole("dialog").getByRole("button", { name: "Create link" }).click();
-await look(owner, "person-reset", owner.locator("[data-secret]"));
+await checkPage(owner, "person-reset", owner.locator("[data-secret]"));
 const { page: again, context: bensOther } = await somebody(() => true);
 await again.goto(await secretOf(owner));
 await owner.getByRole("button", { name: "I saved it" }).click();
@@ -159,28 +159,28 @@ const signIn = async (password) => {
 };
 const asBenAgain = async () => (await bensOther.request.get(`${address}/api/v1/me`)).status();
 await again.waitForURL((url) => url.pathname === "/");
-seen.reset = [await asBen("/me"), await asBenAgain()];
+results.reset = [await asBen("/me"), await asBenAgain()];
 
 // Somebody leaves, with what is theirs, and is let back in.
 await owner.getByRole("button", { name: "Deactivate" }).click();
-await look(owner, "person-deactivate", owner.getByRole("dialog").getByRole("button", { name: "Deactivate" }));
+await checkPage(owner, "person-deactivate", owner.getByRole("dialog").getByRole("button", { name: "Deactivate" }));
 await owner.getByRole("dialog").getByRole("button", { name: "Deactivate" }).click();
 await owner.getByRole("button", { name: "Reactivate" }).waitFor();
-seen.left = await owner.getByText("is deactivated. Revoked:").innerText();
+results.left = await owner.getByText("is deactivated. Revoked:").innerText();
 await signIn("another long password");
 await again.locator("#message:not([hidden])").waitFor();
-seen.gone = [await asBenAgain(), await again.locator("#message").innerText()];
+results.gone = [await asBenAgain(), await again.locator("#message").innerText()];
 await owner.getByRole("button", { name: "Reactivate" }).click();
 await owner.getByRole("dialog").getByRole("button", { name: "Reactivate" }).click();
 await owner.getByRole("button", { name: "Deactivate" }).waitFor();
 await signIn("another long password");
 await again.waitForURL((url) => url.pathname === "/");
-seen.returned = await asBenAgain();
+results.returned = await asBenAgain();
 
 // A job that was given up is tried again.
 await owner.goto(`${address}/admin?tab=jobs`);
 await owner.getByRole("button", { name: `Retry #${job}` }).click();
 await owner.getByText(`Job ${job} is queued again.`).waitFor();
 await owner.getByRole("button", { name: `Retry #${job}` }).waitFor({ state: "detached" });
-seen.failed = await owner.getByText("No failed jobs.").count();
-await tell();
+results.failed = await owner.getByText("No failed jobs.").count();
+await printResults();

@@ -5,7 +5,7 @@
 import { openBrowser } from "./browsing.mjs";
 
 const [web, executablePath, link, address, pictures] = process.argv.slice(2);
-const { seen, somebody, look, tell } = await openBrowser(web, executablePath, pictures);
+const { results, somebody, checkPage, printResults } = await openBrowser(web, executablePath, pictures);
 const { page } = await somebody();
 const tab = (name) => page.getByRole("navigation", { name: "Parts of this run" }).getByRole("link", { name });
 const rows = async () => {
@@ -19,10 +19,10 @@ await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
 await page.goto(`${address}/actions`);
 await page.locator("main [data-row-link]").first().waitFor();
-await look(page, "actions");
+await checkPage(page, "actions");
 await page.locator("main [data-row-link]").first().click();
 await page.getByText("Show script").click();
-await look(page, "action");
+await checkPage(page, "action");
 
 // From the mission to the form, which says what is wrong where it is wrong.
 await page.goto(`${address}/projects`);
@@ -32,10 +32,10 @@ await page.getByRole("link", { name: "Run…" }).click();
 await page.getByLabel("Action").selectOption({ index: 1 });
 await page.getByLabel("speed").fill("11");
 await runNow.click();
-seen.wrong = await page.locator("form [id$='-error']").allInnerTexts();
+results.wrong = await page.locator("form [id$='-error']").allInnerTexts();
 await page.waitForFunction(() => document.querySelectorAll("datalist option").length > 0);
-seen.topics = await page.locator("datalist option").evaluateAll((all) => all.map(({ value }) => value));
-await look(page, "launch");
+results.topics = await page.locator("datalist option").evaluateAll((all) => all.map(({ value }) => value));
+await checkPage(page, "launch");
 await page.getByLabel("top", { exact: false }).first().fill("/imu/data");
 await page.getByLabel("speed").fill("3");
 await page.getByLabel("slow").selectOption("true");
@@ -45,41 +45,41 @@ await runNow.click();
 await page.waitForURL((url) => /^\/runs\/[0-9a-f-]{36}$/.test(url.pathname));
 const run = page.url();
 await page.locator("progress").waitFor();
-seen.live = { progress: await page.getByText("half of it").first().innerText() };
-await look(page, "run-live");
+results.live = { progress: await page.getByText("half of it").first().innerText() };
+await checkPage(page, "run-live");
 await ended("done");
 await page.locator("[data-log][data-over]").waitFor();
 await page.getByText("the very end").waitFor();
 const lines = page.locator("[data-log] .line");
-seen.log = { last: (await lines.allInnerTexts()).at(-1), drawn: await lines.count() };
+results.log = { last: (await lines.allInnerTexts()).at(-1), drawn: await lines.count() };
 await page.getByPlaceholder("Search the log").fill("LINE 1234");
 await page.locator("[data-log] .found").waitFor();
-seen.log.found = await page.locator("[data-log] [role=status]").innerText();
-seen.log.inSight = await lines.allInnerTexts();
-await look(page, "run-log");
+results.log.found = await page.locator("[data-log] [role=status]").innerText();
+results.log.inSight = await lines.allInnerTexts();
+await checkPage(page, "run-log");
 
 // What it said and left.
 await page.locator("main figure svg").first().waitFor();
 await page.locator("main td").first().waitFor();
 await page.waitForFunction(() => [...document.querySelectorAll("main img")].some((each) => each.naturalWidth > 0));
-seen.previews = {
+results.previews = {
   pictures: await page.locator("main img").count(),
   inline: await page.locator("main svg script, main svg[onload]").count(),
   track: await page.locator("main figure svg").getAttribute("aria-label"),
   cells: await page.locator("main td").allInnerTexts(),
 };
 await tab(/^Findings/).click();
-seen.findings = await rows();
-seen.findingLeadsTo = await page.locator("main [data-index] a").first().getAttribute("href");
-await look(page, "run-findings");
+results.findings = await rows();
+results.findingLeadsTo = await page.locator("main [data-index] a").first().getAttribute("href");
+await checkPage(page, "run-findings");
 await tab(/^Metrics/).click();
 await page.getByText("ate_rmse").waitFor();
-seen.metrics = await rows();
+results.metrics = await rows();
 await tab(/^Artifacts/).click();
 await page.getByText("table.csv").first().waitFor();
-seen.artifacts = (await rows()).map((text) => text.split("\n")[0]);
+results.artifacts = (await rows()).map((text) => text.split("\n")[0]);
 const [download] = await Promise.all([page.waitForEvent("download"), page.getByRole("button", { name: "Download table.csv" }).click()]);
-seen.downloaded = download.suggestedFilename();
+results.downloaded = download.suggestedFilename();
 await tab(/^Inputs/).click();
 await rows();
 await tab(/^Action/).click();
@@ -88,20 +88,20 @@ await page.locator("[data-proposed]").getByRole("button", { name: "Apply all" })
 await page.getByText("The mission already has these values.").waitFor();
 await page.getByRole("link", { name: /^Wet/ }).first().click();
 await page.locator("[data-metadata]").getByText("anymal").waitFor();
-seen.taken = Object.fromEntries(await page.locator("[data-metadata] .value").evaluateAll((all) => all.map((each) => [each.querySelector("dt")?.textContent, each.querySelector("dd")?.textContent?.trim()])));
+results.taken = Object.fromEntries(await page.locator("[data-metadata] .value").evaluateAll((all) => all.map((each) => [each.querySelector("dt")?.textContent, each.querySelector("dd")?.textContent?.trim()])));
 await page.getByRole("navigation", { name: "Views of the mission" }).getByRole("link", { name: "Runs" }).click();
 await rows();
-await look(page, "mission-runs");
+await checkPage(page, "mission-runs");
 
 // The file says who read it.
-await page.goto(`${address}${seen.findingLeadsTo}`);
+await page.goto(`${address}${results.findingLeadsTo}`);
 await page.locator("[data-lineage]").waitFor();
-seen.lineage = await page.locator("[data-lineage]").innerText();
-await look(page, "file-lineage");
+results.lineage = await page.locator("[data-lineage]").innerText();
+await checkPage(page, "file-lineage");
 await page.getByRole("button", { name: "Delete" }).click();
 await page.getByRole("dialog").getByText("These results of runs on this file are kept").waitFor();
-seen.deletion = await page.getByRole("dialog").innerText();
-await look(page, "file-deletion");
+results.deletion = await page.getByRole("dialog").innerText();
+await checkPage(page, "file-deletion");
 await page.getByRole("button", { name: "Cancel" }).click();
 
 // Again; on many; and one that is ended.
@@ -109,7 +109,7 @@ await page.goto(run);
 await page.getByRole("button", { name: "Run again" }).click();
 await page.waitForURL((url) => url.href !== run && /^\/runs\/[0-9a-f-]{36}$/.test(url.pathname));
 await ended("done");
-seen.again = { state: await page.locator("[data-state]").getAttribute("data-state") };
+results.again = { state: await page.locator("[data-state]").getAttribute("data-state") };
 await page.goto(`${address}/runs/new`);
 await page.getByLabel("Action").selectOption({ index: 1 });
 for (const name of ["Add Alps / night", /^Add Alps . Wet/]) await page.getByRole("button", { name }).click();
@@ -118,16 +118,16 @@ await page.getByLabel("slow").selectOption("true");
 await page.getByRole("checkbox", { name: /^Run even if/ }).check();
 await runNow.click();
 await page.locator("[data-outcome]").waitFor();
-seen.many = { made: await page.locator("[data-outcome] .line").first().innerText() };
-await look(page, "launched");
+results.many = { made: await page.locator("[data-outcome] .line").first().innerText() };
+await checkPage(page, "launched");
 await page.getByRole("link", { name: "Show runs" }).click();
 await page.waitForFunction(() => document.querySelectorAll("main [data-index] [data-row-link]").length >= 4);
-seen.many.runs = await rows();
-await look(page, "runs");
+results.many.runs = await rows();
+await checkPage(page, "runs");
 await page.locator("main [data-row-link]").first().click();
 await page.getByRole("button", { name: "Cancel" }).click();
 await page.getByRole("dialog").getByRole("button", { name: "Cancel" }).last().click();
 await ended("cancelled");
-seen.cancelled = await page.locator("[data-state]").getAttribute("data-state");
-await look(page, "run-cancelled");
-await tell();
+results.cancelled = await page.locator("[data-state]").getAttribute("data-state");
+await checkPage(page, "run-cancelled");
+await printResults();

@@ -6,7 +6,7 @@ import { readFile } from "node:fs/promises";
 import { openBrowser } from "./browsing.mjs";
 
 const [web, executablePath, link, address, pictures] = process.argv.slice(2);
-const { seen, somebody, look, tell } = await openBrowser(web, executablePath, pictures);
+const { results, somebody, checkPage, printResults } = await openBrowser(web, executablePath, pictures);
 let isMeantToFail = false;
 const { page } = await somebody(() => isMeantToFail);
 await page.goto(link);
@@ -25,17 +25,17 @@ async function searched(wanted) {
 
 await page.locator("[data-recent] [data-row-link]").first().waitFor();
 await page.locator("[data-attention] li").first().waitFor();
-seen.home = await page.locator("main").innerText();
+results.home = await page.locator("main").innerText();
 
 await page.keyboard.press("/"); // no box here: to the search
 await page.waitForURL((url) => url.pathname === "/search");
 await searched("");
-seen.all = await tabs();
+results.all = await tabs();
 await page.keyboard.press("/");
 await page.keyboard.type("alps topic:/imu/* format:mcap");
 await searched("alps topic:/imu/* format:mcap");
-seen.typed = { asked: asked(), tabs: await tabs(), rows: await rows(), command: await page.locator("[data-command] pre").innerText() };
-await look(page, "search-typed");
+results.typed = { asked: asked(), tabs: await tabs(), rows: await rows(), command: await page.locator("[data-command] pre").innerText() };
+await checkPage(page, "search-typed");
 
 // While the next search is on its way, what the last one found is greyed, and can still be read.
 const held = [];
@@ -43,7 +43,7 @@ const searches = /\/api\/v1\/search\?/;
 await page.route(searches, (route) => held.push(route));
 await box.fill("alps");
 await page.locator("[data-results].stale").waitFor();
-await look(page, "search-stale");
+await checkPage(page, "search-stale");
 for (const route of held) await route.continue();
 await page.unroute(searches);
 await searched("alps");
@@ -60,11 +60,11 @@ await page.waitForURL((url) => url.pathname.startsWith("/files/"));
 await page.getByRole("heading", { level: 1 }).filter({ hasText: second }).waitFor();
 await page.goBack();
 await searched("alps topic:/imu/* format:mcap");
-seen.back = { asked: asked(), box: await box.inputValue() };
+results.back = { asked: asked(), box: await box.inputValue() };
 
 await page.getByRole("region", { name: "Month" }).getByRole("link").first().click();
 await page.waitForFunction(() => document.querySelector("[data-results]")?.getAttribute("data-query").includes("month:"));
-seen.faceted = { query: await query(), box: await box.inputValue() };
+results.faceted = { query: await query(), box: await box.inputValue() };
 await page.getByRole("region", { name: "Month" }).getByRole("link", { name: /^selected/ }).click();
 await searched("alps topic:/imu/* format:mcap");
 
@@ -72,8 +72,8 @@ isMeantToFail = true;
 await box.fill("alps size:big");
 await box.press("Enter");
 await page.locator("[data-wrong]").waitFor();
-seen.wrong = { told: await page.locator("[data-wrong]").innerText(), mark: await page.locator("[data-wrong] mark").innerText(), rows: (await rows()).length };
-await look(page, "search-wrong");
+results.wrong = { told: await page.locator("[data-wrong]").innerText(), mark: await page.locator("[data-wrong] mark").innerText(), rows: (await rows()).length };
+await checkPage(page, "search-wrong");
 isMeantToFail = false;
 
 await box.fill('mission:"Wet *"');
@@ -82,14 +82,14 @@ await searched('mission:"Wet *"');
 await page.getByRole("link", { name: /^Missions/ }).click();
 await page.waitForURL((url) => url.searchParams.get("tab") === "missions");
 await page.locator("[data-results] [data-row-link]").first().waitFor();
-seen.markup = { rows: await rows(), elements: await page.locator("[data-results] img, [data-results] b").count() };
+results.markup = { rows: await rows(), elements: await page.locator("[data-results] img, [data-results] b").count() };
 await page.getByRole("link", { name: /^Topics/ }).click();
 await page.waitForURL((url) => url.searchParams.get("tab") === "topics");
 await page.getByRole("link", { name: "/imu/data" }).first().waitFor();
 await page.locator("[data-results] [data-row-link]", { hasText: "/imu/data" }).click();
 await page.waitForURL((url) => url.searchParams.get("tab") === "files");
 await page.waitForFunction(() => document.querySelector("[data-results]")?.getAttribute("data-query").includes("topic:/imu/data"));
-seen.topic = await query();
+results.topic = await query();
 
 await box.fill("alps format:mcap");
 await box.press("Enter");
@@ -97,11 +97,11 @@ await searched("alps format:mcap");
 await page.getByRole("checkbox", { name: "Select all" }).click();
 await page.getByRole("button", { name: "Label" }).click();
 await page.getByRole("textbox", { name: "Add" }).fill("paper, icra 27");
-await look(page, "search-labels");
+await checkPage(page, "search-labels");
 await page.getByRole("button", { name: "Change labels" }).click();
 await page.getByText(/^Labels of .* changed/).waitFor();
 await page.getByRole("dialog").waitFor({ state: "detached" });
-seen.shareOfTwo = await page.getByRole("button", { name: "Share" }).isDisabled();
+results.shareOfTwo = await page.getByRole("button", { name: "Share" }).isDisabled();
 await page.getByRole("button", { name: "Clear selection" }).click();
 
 // A link to what is selected, for somebody without an account.
@@ -110,8 +110,8 @@ await page.getByRole("checkbox", { name: "Select drive.mcap" }).first().click();
 await page.getByRole("button", { name: "Share" }).click();
 const sharing = page.getByRole("dialog", { name: "Share with a link" });
 await sharing.getByRole("radio", { name: "1 selected file" }).waitFor();
-seen.shared = { place, chosen: await sharing.getByRole("radio", { name: "1 selected file" }).isChecked() };
-await look(page, "search-share");
+results.shared = { place, chosen: await sharing.getByRole("radio", { name: "1 selected file" }).isChecked() };
+await checkPage(page, "search-share");
 await sharing.getByRole("button", { name: "Create link" }).click();
 const secret = (await sharing.locator("[data-secret] pre").innerText()).trim();
 await sharing.getByRole("button", { name: "I saved it" }).click();
@@ -120,24 +120,24 @@ await sharing.waitFor({ state: "detached" });
 await page.getByRole("button", { name: "Download" }).first().click();
 const dialog = page.getByRole("dialog", { name: "Download results" });
 await dialog.locator("strong").waitFor();
-seen.amount = await dialog.locator("strong").innerText();
-await look(page, "search-download");
+results.amount = await dialog.locator("strong").innerText();
+await checkPage(page, "search-download");
 const [script] = await Promise.all([page.waitForEvent("download"), dialog.getByRole("button", { name: "Save as a script" }).click()]);
-seen.script = await readFile(await script.path(), "utf8");
+results.script = await readFile(await script.path(), "utf8");
 
 // Somebody without an account sees what is public, and nothing else.
 const { page: stranger } = await somebody(() => true); // that they are nobody, they are told at once
 await stranger.goto(`${address}/public`);
 await stranger.getByRole("link", { name: "Lakes" }).waitFor();
-seen.public = await stranger.locator("[data-row-link]").allInnerTexts();
+results.public = await stranger.locator("[data-row-link]").allInnerTexts();
 await stranger.getByRole("link", { name: "Search public projects" }).click();
 await stranger.locator("[data-results] [data-row-link]").first().waitFor();
-seen.publicRows = await stranger.locator("[data-results] [data-row-link]").allInnerTexts();
-seen.publicBoxes = await stranger.getByRole("checkbox").count();
+results.publicRows = await stranger.locator("[data-results] [data-row-link]").allInnerTexts();
+results.publicBoxes = await stranger.getByRole("checkbox").count();
 
 // With the link they see the one file that was selected.
 await stranger.goto(secret);
 await stranger.locator("#files tr").first().waitFor();
-seen.shared.told = await stranger.locator("main").innerText();
-seen.shared.rows = await stranger.locator("#files tr").allInnerTexts();
-await tell();
+results.shared.told = await stranger.locator("main").innerText();
+results.shared.rows = await stranger.locator("#files tr").allInnerTexts();
+await printResults();

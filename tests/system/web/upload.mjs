@@ -20,14 +20,14 @@ page.setDefaultTimeout(PATIENCE_MS);
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
 
-const seen = { complaints: [], axe: [], dialogs: [] };
+const results = { complaints: [], axe: [], dialogs: [] };
 let isMeantToFail = false;
 page.on("console", (message) => {
-  if (["error", "warning"].includes(message.type()) && !isMeantToFail && !isOfTheMachine(message.text())) seen.complaints.push(message.text());
+  if (["error", "warning"].includes(message.type()) && !isMeantToFail && !isOfTheMachine(message.text())) results.complaints.push(message.text());
 });
-page.on("pageerror", (error) => seen.complaints.push(error.message));
+page.on("pageerror", (error) => results.complaints.push(error.message));
 page.on("dialog", (dialog) => {
-  seen.dialogs.push(dialog.type());
+  results.dialogs.push(dialog.type());
   void dialog.accept();
 });
 let puts = 0;
@@ -46,10 +46,10 @@ const SLOW = 16e6;
 
 const panel = page.locator("[data-phase]").first();
 
-async function look(name) {
+async function checkPage(name) {
   await page.evaluate(axe);
   const found = await page.evaluate(() => globalThis.axe.run(document, { runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"] }));
-  seen.axe.push(...found.violations.map(({ id, nodes }) => `${name}: ${id} ${nodes[0]?.html}`));
+  results.axe.push(...found.violations.map(({ id, nodes }) => `${name}: ${id} ${nodes[0]?.html}`));
   await page.screenshot({ path: `${pictures}/upload-${name}.png`, fullPage: true });
 }
 
@@ -84,27 +84,27 @@ async function over() {
 // The empty page, then a folder dropped while one of its files is being written to.
 await page.goto(`${address}/upload`);
 await page.getByRole("button", { name: "Choose a folder" }).waitFor();
-await look("empty");
+await checkPage("empty");
 const writing = setInterval(() => void appendFile(`${folder}/growing.bag`, "more of it"), 20);
 await drop(folder);
 await page.getByText("Files to upload").waitFor();
 clearInterval(writing);
-seen.plan = await page.locator("[aria-label='Files to upload']").innerText();
+results.plan = await page.locator("[aria-label='Files to upload']").innerText();
 
 // Metadata that is not said is asked for; then it is said.
 await page.getByLabel("Project").selectOption({ label: "Alps" });
 await page.getByLabel("Mission").selectOption({ label: "New mission" });
 await page.getByLabel("robot").waitFor();
 await page.getByRole("button", { name: /^Upload \d+ files/ }).click();
-seen.asked = await page.locator("form").innerText();
-await look("form");
+results.asked = await page.locator("form").innerText();
+await checkPage("form");
 await page.getByLabel("Mission name").fill("ascent");
 await page.getByLabel("robot").selectOption("spot");
 await page.getByLabel("operator").fill("ada.lovelace");
 isMeantToFail = true;
 await page.getByRole("button", { name: /^Upload \d+ files/ }).click();
 await page.getByRole("alert").waitFor();
-seen.refused = await page.locator("form").innerText();
+results.refused = await page.locator("form").innerText();
 await page.getByLabel("operator").fill("ada");
 await network(SLOW);
 await page.getByRole("button", { name: /^Upload \d+ files/ }).click();
@@ -113,8 +113,8 @@ await page.getByRole("button", { name: /^Upload \d+ files/ }).click();
 await reaches(5);
 await network(SLOW, true);
 await panel.getByText("continues automatically").first().waitFor();
-seen.offline = await panel.innerText();
-await look("offline");
+results.offline = await panel.innerText();
+await checkPage("offline");
 await network(SLOW);
 await reaches(20);
 isMeantToFail = false;
@@ -122,39 +122,39 @@ await page.getByRole("link", { name: "Projects" }).first().click();
 await page.getByRole("link", { name: /^Uploading, / }).click();
 await panel.getByRole("button", { name: "Pause" }).click();
 await panel.getByText("paused").waitFor();
-await look("paused");
+await checkPage("paused");
 await panel.getByRole("button", { name: "Continue" }).click();
 await reaches(70); // four parts are on their way at once: six are there for certain
 
 // The page is loaded anew in the middle.
-seen.putsBefore = puts;
+results.putsBefore = puts;
 await page.reload();
 await page.locator("[data-unfinished]").waitFor();
-seen.unfinished = await page.locator("[data-unfinished]").innerText();
-await look("unfinished");
+results.unfinished = await page.locator("[data-unfinished]").innerText();
+await checkPage("unfinished");
 puts = 0;
 await network();
 await choose(page.locator("[data-unfinished]"), folder);
 await page.getByRole("button", { name: "Resume" }).waitFor();
-seen.fit = await page.locator("[data-unfinished]").innerText();
+results.fit = await page.locator("[data-unfinished]").innerText();
 await page.getByRole("button", { name: "Resume" }).click();
-seen.over = await over();
-seen.putsAfter = puts;
-await look("over");
-seen.mission = (await panel.getByRole("link", { name: "ascent" }).getAttribute("href")).split("/").at(-1);
+results.over = await over();
+results.putsAfter = puts;
+await checkPage("over");
+results.mission = (await panel.getByRole("link", { name: "ascent" }).getAttribute("href")).split("/").at(-1);
 
 // The same folder again sends nothing; other content under the same names is refused, with both hashes.
 puts = 0;
-await page.goto(`${address}/upload?mission=${seen.mission}`);
+await page.goto(`${address}/upload?mission=${results.mission}`);
 await choose(page, folder);
 await page.getByRole("button", { name: /^Upload \d+ files/ }).click();
-seen.again = await over();
-seen.putsAgain = puts;
+results.again = await over();
+results.putsAgain = puts;
 await page.reload();
 await choose(page, other);
 await page.getByRole("button", { name: /^Upload \d+ file/ }).click();
-seen.conflict = await over();
-await look("conflict");
+results.conflict = await over();
+await checkPage("conflict");
 
 // Dark, and on a phone.
 for (const [name, colorScheme, width] of [["dark", "dark", 1280], ["phone", "light", 360], ["phone-dark", "dark", 360]]) {
@@ -164,13 +164,13 @@ for (const [name, colorScheme, width] of [["dark", "dark", 1280], ["phone", "lig
   await page.getByRole("button", { name: "Choose files" }).waitFor();
   await choose(page, other);
   await page.getByText("Destination").waitFor();
-  seen[`${name}Wide`] = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
-  await look(name);
+  results[`${name}Wide`] = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
+  await checkPage(name);
 }
 await page.emulateMedia({ colorScheme: "light" });
 await page.setViewportSize({ width: 360, height: 780 });
 await page.getByRole("button", { name: /^Upload \d+ file/ }).click();
 await over();
-await look("phone-conflict");
+await checkPage("phone-conflict");
 await browser.close();
-process.stdout.write(JSON.stringify(seen));
+process.stdout.write(JSON.stringify(results));

@@ -14,8 +14,8 @@ const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] }
 const context = await browser.newContext({ viewport: { width: 1280, height: 900 } });
 const page = await context.newPage();
 page.setDefaultTimeout(PATIENCE_MS);
-const seen = { errors: [] };
-page.on("pageerror", (error) => seen.errors.push(error.message));
+const results = { errors: [] };
+page.on("pageerror", (error) => results.errors.push(error.message));
 page.on("dialog", (dialog) => void dialog.accept());
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
@@ -56,7 +56,7 @@ await begin(page);
 await reaches(5);
 process.kill(Number(api), "SIGKILL");
 await panel.getByText("The server does not respond").waitFor();
-seen.away = await panel.innerText();
+results.away = await panel.innerText();
 await reaches(25);
 
 // The browser has no session any more; once it has one again, as by signing in in another window, it goes on.
@@ -64,7 +64,7 @@ const session = await context.cookies();
 await context.clearCookies();
 await page.getByRole("dialog").getByRole("button", { name: "Sign in" }).waitFor();
 await page.locator("[data-phase=signed_out]").waitFor(); // the page may have been told before the upload was
-seen.signedOut = await panel.innerText();
+results.signedOut = await panel.innerText();
 await page.screenshot({ path: `${pictures}/upload-signed-out.png` });
 await context.addCookies(session);
 await page.evaluate(() => globalThis.dispatchEvent(new Event("focus")));
@@ -78,15 +78,15 @@ const elsewhere = await context.newPage();
 elsewhere.setDefaultTimeout(PATIENCE_MS);
 await elsewhere.goto(`${address}/upload?mission=${mission}`);
 await elsewhere.locator("[data-unfinished]").waitFor();
-seen.other = await elsewhere.locator("[data-unfinished]").innerText();
+results.other = await elsewhere.locator("[data-unfinished]").innerText();
 await choose(elsewhere, changing, "Choose files");
 await begin(elsewhere);
 await elsewhere.locator("[data-phase=elsewhere]").waitFor();
-seen.elsewhere = await elsewhere.locator("[data-phase]").innerText();
+results.elsewhere = await elsewhere.locator("[data-phase]").innerText();
 await elsewhere.close();
 await slow(page, -1);
 await page.locator("[data-phase=over]").waitFor();
-seen.over = await panel.innerText();
+results.over = await panel.innerText();
 
 // A file is written to while it is on its way.
 await page.goto(`${address}/upload?mission=${mission}`);
@@ -96,7 +96,7 @@ await begin(page);
 await reaches(10);
 await appendFile(changing, "one more message");
 await page.locator("[data-phase=over]").waitFor();
-seen.changed = await panel.innerText();
+results.changed = await panel.innerText();
 
 // It is chosen anew, and given up.
 await panel.getByRole("button", { name: "Close" }).click();
@@ -106,9 +106,9 @@ await reaches(10);
 await panel.getByRole("button", { name: "Cancel" }).click();
 await page.getByRole("button", { name: "Cancel upload" }).click();
 await page.locator("[data-phase=cancelled]").waitFor();
-seen.cancelled = await panel.getByRole("status").first().innerText();
+results.cancelled = await panel.getByRole("status").first().innerText();
 await page.goto(`${address}/upload`);
 await page.getByRole("button", { name: "Choose files" }).waitFor();
-seen.left = await page.locator("[data-unfinished]").count();
+results.left = await page.locator("[data-unfinished]").count();
 await browser.close();
-process.stdout.write(JSON.stringify(seen));
+process.stdout.write(JSON.stringify(results));

@@ -79,7 +79,7 @@ def plans(*words: str) -> Iterator[SearchPlan]:
         word: SearchWord(word, at, [uuid.uuid4()], [f"/{word}"], [] if at else [f"msg/{word}"], at)
         for at, word in enumerate(words)
     }
-    mission_ids = [uuid.uuid4(), uuid.uuid4()]
+    mission_ids = f"{{{uuid.uuid4()},{uuid.uuid4()}}}"
     yield SearchPlan(unknown)
     yield SearchPlan(known)
     yield SearchPlan(known, is_common=True)

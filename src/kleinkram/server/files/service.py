@@ -114,8 +114,8 @@ async def _list_first_missions(
         descending=order.descending,
         limit=_FIRST_MISSIONS,
     )
-    mission_ids = [row.id for row in await execute_after(db, first, after, values)]
-    plan = replace(NO_PLAN, mission_ids=mission_ids)
+    mission_ids = [str(row.id) for row in await execute_after(db, first, after, values)]
+    plan = replace(NO_PLAN, mission_ids=f"{{{','.join(mission_ids)}}}")
     listing, values = prepare(queries.file_listing, actor, matching, plan=plan, sort=sort)
     listed = await read_listing(db, listing, page, values)
     return listed if listed.next is not None or len(mission_ids) < _FIRST_MISSIONS else None

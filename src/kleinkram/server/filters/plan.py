@@ -114,7 +114,7 @@ class SearchPlan:
         leading_word: the rarest word, by whose indexes files are looked up.
         is_common: so many files match that a list is read in its order until the page is full.
         matched: the files themselves, once they are known.
-        mission_ids: all missions that the actor sees, where these are at most some dozens.
+        mission_ids: all missions that the actor sees, as PostgreSQL writes arrays, where these are few.
         finds_nothing: a word occurs nowhere.
         has_time: only files with a recording time are to be found, or only those without.
     """
@@ -125,7 +125,7 @@ class SearchPlan:
     finds_nothing: bool = False
     matched: MatchedFiles | None = None
     has_time: bool | None = None
-    mission_ids: Sequence[uuid.UUID] | None = None
+    mission_ids: str | None = None
 
     @property
     def is_selective(self) -> bool:
@@ -140,7 +140,7 @@ class SearchPlan:
         """Return the values of the bind parameters of statements of this plan."""
         values = {name: value for word in self.words.values() for name, value in word.values().items()}
         if self.mission_ids is not None:
-            values["visible_mission_ids"] = [*self.mission_ids]
+            values["visible_mission_ids"] = self.mission_ids
         if self.matched is not None:
             for name in ("file_ids", "mission_ids", "blob_ids", "first_ids"):
                 values[f"matched_{name}"] = getattr(self.matched, name)

@@ -33,7 +33,7 @@ from sqlalchemy.dialects.postgresql import ARRAY, JSONPATH
 
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
-from kleinkram.server.db import ESCAPE, Connection, among_parameter
+from kleinkram.server.db import ESCAPE, ArrayText, Connection, among_parameter
 from kleinkram.server.filters.plan import SearchPlan, SearchWord
 from kleinkram.server.tables import (
     MAX_STORED_TOPICS,
@@ -116,7 +116,7 @@ def plan_conditions(plan: SearchPlan) -> Conditions:
     """Return the conditions on `file` and its `mission` that a plan adds to its filter."""
     # On both sides of the join: PostgreSQL does not conclude one from the other, and would read all missions.
     ids = () if plan.mission_ids is None else (file.c.mission_id, mission.c.id)
-    conditions = [among_parameter(column, "visible_mission_ids") for column in ids]
+    conditions = [column == any_(bindparam("visible_mission_ids", type_=ArrayText("UUID"))) for column in ids]
     if plan.has_time is None:
         return conditions
     if plan.has_time:

@@ -12,10 +12,12 @@ from sqlalchemy import (
     ColumnElement,
     Row,
     Select,
+    Text,
     Update,
     and_,
     bindparam,
     case,
+    cast,
     func,
     literal,
     null,
@@ -269,9 +271,10 @@ def _order_by_metadata(sort: str, *, is_seen: bool) -> Order:
     return Order(columns, descending, name="meta." + json.dumps(path))
 
 
-def visible_ids(actor: Actor, *, plan: SearchPlan, limit: int) -> Select[Any]:
-    """Return the ids of the first visible missions, in no order."""
-    return visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True).limit(limit)
+def visible_ids(actor: Actor, *, plan: SearchPlan, limit: int) -> Select[tuple[str, int]]:
+    """Return the ids of the first visible missions, in no order, as PostgreSQL writes arrays, and their number."""
+    ids = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True).limit(limit).subquery()
+    return select(cast(func.array_agg(ids.c.id), Text), func.count()).select_from(ids)
 
 
 def last_mission(actor: Actor, project_id: uuid.UUID) -> Select[Any]:

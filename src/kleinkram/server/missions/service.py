@@ -6,7 +6,7 @@ the content of a mission begins with `lock_mission`, and then reads what it depe
 
 import asyncio
 import uuid
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import replace
 
 from sqlalchemy import Insert, Update, func, insert
@@ -48,7 +48,7 @@ from kleinkram.server.tables import mission
 from kleinkram.server.untrusted_yaml import Document
 
 _VALIDATED_AT_ONCE = 500
-# With more missions, reading their files one mission after the other is no faster.
+# Missions of somebody whose files are listed mission by mission.
 MAX_VISIBLE_IDS = 32
 
 
@@ -110,16 +110,19 @@ async def list_missions(
     return await read_listing(db, listing, page, values)
 
 
-async def find_visible_mission_ids(db: Connection, actor: Actor) -> Sequence[uuid.UUID] | None:
-    """Return the ids of all missions that an actor sees, or None where these are more than `MAX_VISIBLE_IDS`.
+async def find_visible_mission_ids(db: Connection, actor: Actor, *, limit: int | None = None) -> str | None:
+    """Return the ids of all missions that an actor sees, as PostgreSQL writes arrays.
+
+    None where these are more than `limit`, which is `MAX_VISIBLE_IDS` if it is None.
 
     PostgreSQL expects that everybody sees most missions: for somebody who sees few of two million files, it would read
     an index of all files in order for seconds. The ids grant nothing: every statement still checks the rights.
     """
     if actor.is_admin:
         return None
-    mission_ids = (await db.execute(*prepare(queries.visible_ids, actor, limit=MAX_VISIBLE_IDS + 1))).scalars().all()
-    return None if len(mission_ids) > MAX_VISIBLE_IDS else mission_ids
+    limit = MAX_VISIBLE_IDS if limit is None else limit
+    ids, count = (await db.execute(*prepare(queries.visible_ids, actor, limit=limit + 1))).one()
+    return None if count > limit else ids or "{}"
 
 
 async def create_mission(

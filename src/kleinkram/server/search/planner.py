@@ -30,6 +30,8 @@ SAMPLED_MISSIONS = 100
 _COMMON_WITHOUT_INDEX = 3
 # A word is common in paths if so many of the sampled paths contain it.
 _COMMON_PATHS = 15
+# The most missions of somebody whose files are looked up mission by mission.
+MAX_VISIBLE_MISSIONS = 2_000
 # The most files of a rare filter that are looked up.
 _MAX_MATCHED = 50_000
 # Until the transaction ends. PostgreSQL overestimates the cost of checking rights row by row, and would read all
@@ -91,7 +93,7 @@ async def plan_search(
     sampled = prepare(_sampled, actor, *filters, plan=plan)
     if not await occur_somewhere(db, plan.words.values()):
         return replace(plan, finds_nothing=True), no_sample
-    visible_ids = await find_visible_mission_ids(db, actor)
+    visible_ids = await find_visible_mission_ids(db, actor, limit=MAX_VISIBLE_MISSIONS)
     if visible_ids is not None:
         return replace(plan, mission_ids=visible_ids), no_sample
     if not actor.is_admin:
