@@ -39,9 +39,6 @@ for _sign in (signal.SIGINT, signal.SIGHUP):
     if signal.getsignal(_sign) is signal.SIG_IGN:
         signal.signal(_sign, signal.default_int_handler if _sign is signal.SIGINT else signal.SIG_DFL)
 
-# As the server does: modules are imported without garbage collection, and what they allocate is never looked through.
-gc.disable()
-
 # The width of the terminal must not change what commands print.
 os.environ.pop("COLUMNS", None)
 
@@ -65,6 +62,12 @@ def _start_order(item: pytest.Item) -> int:
     if name in _LONGEST:
         return _LONGEST.index(name)
     return len(_LONGEST) + (not name.startswith("system/"))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection() -> None:
+    """Import the tests without garbage collection, as the server does with its modules."""
+    gc.disable()
 
 
 def pytest_collection_finish() -> None:
