@@ -14,8 +14,7 @@ import pytest
 
 from kleinkram.client.errors import FileChanged, FileUnreadable
 from kleinkram.client.transfer import store
-from kleinkram.client.transfer.local_file import SLICE_BYTES, OpenFile
-from kleinkram.client.transfer.plan import LocalFile, identity_of
+from kleinkram.client.transfer.plan import SLICE_BYTES, LocalFile, OpenFile, identity_of
 from kleinkram.client.transfer.store import PutResult, StoreAnswer, StoreClient
 from tests.certificate import make_certificate
 

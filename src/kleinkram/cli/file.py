@@ -1,5 +1,6 @@
 """`klein file …`, `klein move` and `klein rename`"""
 
+from collections.abc import Iterable
 from typing import Annotated
 
 from pydantic import BaseModel
@@ -8,15 +9,14 @@ from kleinkram.cli import options
 from kleinkram.cli.commands import Many, Subcommands, Text, argument, flag, option
 from kleinkram.cli.errors import exit_code_of
 from kleinkram.cli.filters import Choice, file_filter, select_files, with_choice
-from kleinkram.cli.mission import show_files, show_topics
-from kleinkram.cli.render import Output, as_list, as_total, details, line, note
+from kleinkram.cli.render import Output, as_list, as_total, details, line, note, table
 from kleinkram.cli.transfer import upload
 from kleinkram.cli.units import count as count_of
-from kleinkram.cli.units import instant, size, span
+from kleinkram.cli.units import duration, instant, rate, size, span
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.files import file_label
-from kleinkram.contract.files import FileRead, FileSort, ReadDepth
+from kleinkram.contract.files import FileRead, FileSort, ReadDepth, TopicRead
 from kleinkram.contract.problems import from_problem
 
 _DEPTHS = {ReadDepth.summary: "its index", ReadDepth.scan: "every byte"}
@@ -56,7 +56,7 @@ def info(
         _show(chosen)
         if topics:
             line("")
-            show_topics(topics)
+            _show_topics(topics)
 
     return Output({"file": chosen, "topics": topics}, show)
 
@@ -144,6 +144,27 @@ def delete(
     note(f"{verb} to the trash: {count_of(len(chosen), 'file')}, {size(size_bytes)}")
     document = {"files": len(chosen), "size_bytes": size_bytes, "dry_run": dry_run, "items": chosen}
     return Output(document, (lambda: show_files(chosen)) if dry_run else ())
+
+
+def show_files(files: Iterable[FileRead], *, to_stderr: bool = False) -> None:
+    """Print files of any missions as a table."""
+    cells = []
+    for row in files:
+        location = (row.mission.project.name, row.mission.name, row.path)
+        content = (row.content.value, row.message_count)
+        times = (instant(row.start_ns), span(row.start_ns, row.end_ns))
+        cells.append((*location, size(row.size_bytes), row.state.value, *content, *times, row.id))
+    headers = ["project", "mission", "path", "size", "bytes", "content", "messages", "start", "span", "id"]
+    table(headers, cells, to_stderr=to_stderr)
+
+
+def _show_topics(topics: Iterable[TopicRead]) -> None:
+    """Print the topics of one file as a table."""
+    cells = []
+    for row in topics:
+        gaps = (duration(gap_ns) for gap_ns in (row.longest_gap_ns, row.head_gap_ns, row.tail_gap_ns))
+        cells.append((row.name, row.message_type, row.count, rate(row.rate_hz), *gaps))
+    table(["topic", "type", "count", "rate", "longest gap", "head gap", "tail gap"], cells)
 
 
 def _show(file: FileRead) -> None:

@@ -12,7 +12,7 @@ from kleinkram.cli.units import count as count_of
 from kleinkram.cli.units import duration, instant, rate, size, span
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
-from kleinkram.contract.files import BlobState, FileFilter, FileRead, RecordingRead, TopicRead
+from kleinkram.contract.files import BlobState, FileFilter, FileRead, RecordingRead
 from kleinkram.contract.missions import MissionFilter, MissionRead, MissionSort
 from kleinkram.contract.names import is_id
 
@@ -275,26 +275,6 @@ def _show_mission_files(files: Iterable[FileRead]) -> None:
         content = (row.content.value, row.format, row.message_count)
         cells.append((row.path, size(row.size_bytes), row.state.value, *content, *_times(row), row.id))
     table(["path", "size", "bytes", "content", "format", "messages", "start", "span", "id"], cells)
-
-
-def show_files(files: Iterable[FileRead], *, to_stderr: bool = False) -> None:
-    """Print files of any missions as a table."""
-    cells = []
-    for row in files:
-        location = (row.mission.project.name, row.mission.name, row.path)
-        content = (row.content.value, row.message_count)
-        cells.append((*location, size(row.size_bytes), row.state.value, *content, *_times(row), row.id))
-    headers = ["project", "mission", "path", "size", "bytes", "content", "messages", "start", "span", "id"]
-    table(headers, cells, to_stderr=to_stderr)
-
-
-def show_topics(topics: Iterable[TopicRead]) -> None:
-    """Print the topics of one file as a table."""
-    cells = []
-    for row in topics:
-        gaps = (duration(gap_ns) for gap_ns in (row.longest_gap_ns, row.head_gap_ns, row.tail_gap_ns))
-        cells.append((row.name, row.message_type, row.count, rate(row.rate_hz), *gaps))
-    table(["topic", "type", "count", "rate", "longest gap", "head gap", "tail gap"], cells)
 
 
 def _value(value: object) -> object:

@@ -8,7 +8,7 @@ import pytest
 
 from kleinkram.client.errors import DestinationDiffers, DestinationRefused, VerifyFailed
 from kleinkram.client.transfer.download_target import RANGE_BYTES, PartialFile
-from kleinkram.client.transfer.local_file import Crc64Hash
+from kleinkram.client.transfer.plan import Crc64Hash
 from tests.api_objects import file_read, link_to
 
 CONTENT = os.urandom(3 * RANGE_BYTES + 77)

@@ -8,8 +8,16 @@ from pathlib import Path
 import pytest
 
 from kleinkram.client.errors import FileChanged
-from kleinkram.client.transfer.local_file import SLICE_BYTES, Crc64Hash, FileHashes, OpenFile, new_checksum
-from kleinkram.client.transfer.plan import FileIdentity, LocalFile, identity_of
+from kleinkram.client.transfer.plan import (
+    SLICE_BYTES,
+    Crc64Hash,
+    FileHashes,
+    FileIdentity,
+    LocalFile,
+    OpenFile,
+    identity_of,
+    new_checksum,
+)
 from kleinkram.client.transfer.upload import batches
 from kleinkram.contract.uploads import ChecksumKind
 

@@ -27,7 +27,7 @@ from kleinkram.client.transfer.download_target import (
     partial_path,
     regular_size,
 )
-from kleinkram.client.transfer.local_file import SLICE_BYTES
+from kleinkram.client.transfer.plan import SLICE_BYTES
 from kleinkram.client.transfer.pool import Part, TransferPool
 from kleinkram.client.transfer.report import CONNECTIONS, Outcome, TransferReport, TransferResult, Watcher
 from kleinkram.client.transfer.store import GetResult, StoreResult

@@ -14,8 +14,7 @@ from pathlib import Path, PurePosixPath
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from kleinkram.client.errors import DestinationDiffers, DestinationRefused, DiskFull, PathsCollide, VerifyFailed
-from kleinkram.client.transfer.local_file import SLICE_BYTES, Checksum, Crc64Hash, read_slice
-from kleinkram.client.transfer.plan import distinct_text
+from kleinkram.client.transfer.plan import SLICE_BYTES, Checksum, Crc64Hash, distinct_text, read_slice
 from kleinkram.client.transfer.pool import FileTransfer
 from kleinkram.contract.files import DownloadLink, FileRead
 from kleinkram.contract.names import MAX_PATH_PART_BYTES, check_file_path

@@ -30,7 +30,7 @@ from urllib3.util.wait import wait_for_write
 import kleinkram
 from kleinkram.client._http import reason_of
 from kleinkram.client._network import WatchedPools
-from kleinkram.client.transfer.local_file import FileSlice
+from kleinkram.client.transfer.plan import FileSlice
 
 CONNECT_TIMEOUT_S = 10.0
 READ_TIMEOUT_S = 120.0

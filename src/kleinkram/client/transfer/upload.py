@@ -15,8 +15,7 @@ from kleinkram.client._client import Client
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed, UploadElsewhere
 from kleinkram.client.files import Uploads
 from kleinkram.client.transfer.journal import Journal, JournalHead, Journals
-from kleinkram.client.transfer.local_file import FileHashes, OpenFile
-from kleinkram.client.transfer.plan import LocalFile, UploadPlan
+from kleinkram.client.transfer.plan import FileHashes, LocalFile, OpenFile, UploadPlan
 from kleinkram.client.transfer.report import CONNECTIONS, LinkReport, Outcome, TransferReport, TransferResult, Watcher
 from kleinkram.client.transfer.upload_pipeline import FileUpload, UploadPipeline
 from kleinkram.contract.errors import KleinkramError, NameLeased, QuotaExceeded, UploadGone

@@ -14,8 +14,7 @@ from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed
 from kleinkram.client.files import Uploads
 from kleinkram.client.transfer import store
 from kleinkram.client.transfer.journal import Journal, JournalPart
-from kleinkram.client.transfer.local_file import FileHashes, FileSlice, OpenFile, new_checksum
-from kleinkram.client.transfer.plan import LocalFile
+from kleinkram.client.transfer.plan import FileHashes, FileSlice, LocalFile, OpenFile, new_checksum
 from kleinkram.client.transfer.pool import FileTransfer, Part, TransferPool, WorkQueue
 from kleinkram.client.transfer.report import Outcome, TransferResult, Watcher
 from kleinkram.client.transfer.store import PutResult, StoreAnswer

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from kleinkram.client.errors import FileUnreadable, TimedOut
 from kleinkram.client.files import Files
-from kleinkram.client.transfer.local_file import SLICE_BYTES, FileHashes, read_slice
-from kleinkram.client.transfer.plan import UploadPlan
+from kleinkram.client.transfer.plan import SLICE_BYTES, FileHashes, UploadPlan, read_slice
 from kleinkram.contract.files import BlobState, FileFilter, FileRead
 from kleinkram.contract.names import name_key
 from kleinkram.contract.runs import ArtifactRead
