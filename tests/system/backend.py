@@ -12,7 +12,7 @@ from kleinkram.server.db import open_database
 from kleinkram.server.maintenance import collect_garbage, maintain_runs
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings
-from kleinkram.server.uploads.completion import maintain_uploads
+from kleinkram.server.uploads.jobs import maintain_uploads
 from kleinkram.standalone.data_dir import DataDir, load_secrets
 from kleinkram.standalone.postgres import DATABASE, SERVE
 from tests.system.cluster import Cluster

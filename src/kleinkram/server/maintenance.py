@@ -14,7 +14,7 @@ from kleinkram.server.runs.lifecycle import cancel_orphans, requeue_lost_runs
 from kleinkram.server.tables import log_chunk, run
 from kleinkram.server.tables.runs import ACTIVE
 from kleinkram.server.trash.service import empty_trash
-from kleinkram.server.uploads.completion import delete_cleaned_uploads
+from kleinkram.server.uploads.jobs import delete_cleaned_uploads
 
 _BATCH = 1000
 _LOG_CHUNKS = 500

@@ -31,7 +31,7 @@ from kleinkram.server.overviews import jobs as _derivation_jobs
 from kleinkram.server.overviews.jobs import MetadataCache, RegroupDebounce
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
-from kleinkram.server.uploads import completion as _upload_jobs
+from kleinkram.server.uploads import jobs as _upload_jobs
 
 _log = logging.getLogger("kleinkram.worker")
 _AT_ONCE = 3

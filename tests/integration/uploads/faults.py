@@ -13,7 +13,7 @@ from typing import Any, cast
 from kleinkram.server.blobs import queries, scrub, service
 from kleinkram.server.blobs.verification import ObjectChecksums
 from kleinkram.server.maintenance import collect_garbage
-from kleinkram.server.uploads import completion, parts, rules
+from kleinkram.server.uploads import completion, jobs, parts
 from kleinkram.server.uploads import queries as upload_queries
 from kleinkram.server.uploads import service as upload_service
 from tests.integration.uploads.state_machine import Machine, Upload
@@ -105,7 +105,7 @@ FAULTS = [
     ),
     Fault(
         "expiry leaves the reservation",
-        completion.maintain_uploads,
+        jobs.maintain_uploads,
         ".values(state=UploadState.expired.value)",
         ".values(state=UploadState.open.value)",
         "expire",
@@ -113,7 +113,7 @@ FAULTS = [
     ),
     Fault(
         "expiry leaves the object",
-        completion._clean_up,
+        jobs._clean_up,
         _THE_OBJECT_GOES,
         "pass\n",
         "every_object_is_known",
@@ -129,7 +129,7 @@ FAULTS = [
     ),
     Fault(
         "an expired lease still reserves the name",
-        rules._decide_with_upload,
+        upload_service._decide_with_upload,
         "other.has_lease or",
         "True or",
         "_begin",
@@ -177,7 +177,7 @@ FAULTS = [
     ),
     Fault(
         "what is lost counts as being there",
-        rules._decide_with_existing,
+        upload_service._decide_with_existing,
         "existing.is_damaged",
         "False",
         "_see_that_it_can_be_read",

@@ -12,7 +12,7 @@ from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, rule
 from kleinkram.server.blobs.scrub import scrub_store
 from kleinkram.server.context import AppContext
 from kleinkram.server.maintenance import collect_garbage
-from kleinkram.server.uploads.completion import maintain_uploads
+from kleinkram.server.uploads.jobs import maintain_uploads
 from tests.integration.api_server import Api
 from tests.integration.upload_client import begin, complete, send, sha256
 from tests.integration.uploads.server_access import SiteThread, verify_all

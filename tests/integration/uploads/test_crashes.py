@@ -11,7 +11,7 @@ from kleinkram.contract.uploads import UploadFinish
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.context import AppContext
 from kleinkram.server.uploads import completion
-from kleinkram.server.uploads.completion import maintain_uploads
+from kleinkram.server.uploads.jobs import maintain_uploads
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.jobs import on_site

@@ -6,8 +6,10 @@ import pytest
 
 from kleinkram.contract.errors import FileExists, NameLeased, PathConflict
 from kleinkram.contract.uploads import UploadFile
+from kleinkram.server.files.paths import conflicts_among
+from kleinkram.server.uploads.completion import placement_of
 from kleinkram.server.uploads.queries import ExistingFile, FileContent, UploadRow
-from kleinkram.server.uploads.rules import Action, RequestFacts, conflicts_among, decide, placement_of
+from kleinkram.server.uploads.service import Action, RequestFacts, decide
 
 _SHA = "ab" * 32
 _OTHER = "cd" * 32

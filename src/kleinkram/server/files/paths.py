@@ -1,12 +1,15 @@
 """Conflicts of paths in a mission: no path twice, and no file where another path needs a folder."""
 
 import uuid
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 from kleinkram.contract.errors import NameTaken, PathConflict
 from kleinkram.contract.names import name_key
 from kleinkram.server.db import Connection
 from kleinkram.server.files import queries
+
+HIDDEN_FILE = "a file that you may not see"
+"""The text of a conflict for an actor who may not read the mission."""
 
 
 async def path_conflicts(
@@ -26,6 +29,31 @@ async def path_conflicts(
     keys = sorted({name_key(path) for path in paths})
     below = {row.key: row.path for row in await db.execute(queries.files_below(mission_id, keys, except_id=except_id))}
     return blocked | {path: below[name_key(path)] for path in paths if name_key(path) in below}
+
+
+def visible_conflicts(conflicts: dict[str, str], *, may_read: bool) -> dict[str, str]:
+    """Return conflicts with existing files as the actor may see them."""
+    return conflicts if may_read else dict.fromkeys(conflicts, HIDDEN_FILE)
+
+
+def conflicts_among(paths: Sequence[str]) -> dict[int, str]:
+    """Return the positions of paths that conflict with an earlier path of the list, with that path.
+
+    Two paths conflict if they are the same name (in any case or Unicode form), or one is a folder of the other.
+    """
+    files: dict[str, str] = {}
+    folders: dict[str, str] = {}
+    conflicts: dict[int, str] = {}
+    for position, path in enumerate(paths):
+        key, parents = name_key(path), folder_keys(path)
+        parent_file = next((files[parent] for parent in parents if parent in files), None)
+        other = files.get(key) or folders.get(key) or parent_file
+        if other is not None:
+            conflicts[position] = other
+            continue
+        files[key] = path
+        folders |= dict.fromkeys(parents, path)
+    return conflicts
 
 
 def folder_keys(path: str) -> list[str]:

@@ -28,10 +28,16 @@ from kleinkram.server.tables import blob, run, run_artifact, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
 from kleinkram.server.tables.runs import ASSIGNED
 from kleinkram.server.uploads import queries
-from kleinkram.server.uploads.parts import Failures, lease_columns, list_multiparts
+from kleinkram.server.uploads.parts import (
+    Failures,
+    blob_columns,
+    free_names,
+    lease_columns,
+    open_multiparts,
+    to_upload_read,
+    upload_columns,
+)
 from kleinkram.server.uploads.queries import UploadRow
-from kleinkram.server.uploads.rules import blob_columns
-from kleinkram.server.uploads.service import free_names, new_upload, to_upload_read
 
 
 @dataclass(frozen=True)
@@ -64,7 +70,7 @@ async def begin_artifacts(
         uploads = await queries.read_rows(db, queries.select_uploads().where(among(upload.c.id, ids)))
     multipart = [row for row in uploads if row.is_multipart]
     try:
-        parts = await list_multiparts(context, multipart, resumed=set(continued.values())) if multipart else {}
+        parts = await open_multiparts(context, multipart, resumed=set(continued.values())) if multipart else {}
     except StoreUnavailable:
         await free_names(context, new)
         raise
@@ -112,7 +118,7 @@ async def _insert_uploads(
     now = (await db.execute(select(func.now()))).scalar_one()
     batch_id = uuid.uuid4()
     rows = [
-        {**new_upload(context, owner.started_by_id, owner.mission_id, batch_id, file, now), "run_id": owner.run_id}
+        {**upload_columns(context, owner.started_by_id, owner.mission_id, batch_id, file, now), "run_id": owner.run_id}
         for file in requested
     ]
     return list((await db.execute(upsert(upload).returning(upload.c.id), rows)).scalars())

@@ -1,16 +1,14 @@
 """The end of an upload, in three steps: mark the rows, let the store join the parts, make the files.
 
-Every step can be repeated: by a client that lost the response, or after a crash by the periodic job, which also expires
-abandoned uploads and deletes their bytes.
+Every step can be repeated: by a client that lost the response, by one that begins again after a crash, or by the
+periodic job (`jobs.py`).
 """
 
-import datetime
-import logging
 import uuid
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
-from procrastinate import JobContext
-from sqlalchemy import ColumnElement, case, delete, func, select, update
+from sqlalchemy import ColumnElement, case, func, select, update
 
 from kleinkram.contract.access import Scope
 from kleinkram.contract.audit import ChangeKind
@@ -19,6 +17,7 @@ from kleinkram.contract.errors import (
     Forbidden,
     KleinkramError,
     NotFound,
+    PathConflict,
     UploadGone,
     UploadIncomplete,
 )
@@ -32,31 +31,22 @@ from kleinkram.contract.uploads import (
     UploadOutcome,
     UploadState,
 )
-from kleinkram.server.access.actor import Actor, find_person
+from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.blobs.service import examine_blobs
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among, insert_rows, unnest_rows
 from kleinkram.server.files import service as files
-from kleinkram.server.files.paths import path_conflicts
-from kleinkram.server.jobs.execution import app_context
-from kleinkram.server.jobs.queue import Job, queue
+from kleinkram.server.files.paths import conflicts_among, path_conflicts, visible_conflicts
 from kleinkram.server.missions import service as missions
 from kleinkram.server.quotas import project_of
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.artifacts import make_artifacts
-from kleinkram.server.uploads.parts import Failures, join_parts
-from kleinkram.server.uploads.queries import UploadRow
-from kleinkram.server.uploads.rules import Placement, blob_columns, conflicts_among, placement_of, visible_conflicts
-
-_log = logging.getLogger("kleinkram.uploads")
-_STALE_AFTER_S = 30
-_BATCH = 500
-_RETENTION = datetime.timedelta(days=30)
-_ENDED_STATES = (UploadState.aborted.value, UploadState.expired.value, UploadState.done.value)
+from kleinkram.server.uploads.parts import Failures, blob_columns, join_parts
+from kleinkram.server.uploads.queries import ExistingFile, UploadRow
 
 
 async def complete_uploads(
@@ -129,8 +119,8 @@ async def _mark_completing(
         if error is not None:
             failures[finish.upload_id] = error
         elif row is not None and row.state != UploadState.done.value:
-            stated = {"sha256": bytes.fromhex(finish.sha256), "crc64nvme": bytes.fromhex(finish.crc64nvme)}
-            hashes[row.id] = {"id": row.id, **stated}
+            checksums = {"sha256": bytes.fromhex(finish.sha256), "crc64nvme": bytes.fromhex(finish.crc64nvme)}
+            hashes[row.id] = {"id": row.id, **checksums}
     if hashes:
         values = unnest_rows([upload.c.id, upload.c.sha256, upload.c.crc64nvme], [*hashes.values()])
         marked = {"state": UploadState.completing.value, "completing_since": func.now()}
@@ -154,8 +144,8 @@ def _reason_against(row: UploadRow | None, finish: UploadFinish) -> KleinkramErr
         return None
     if row.signed_checksum is None:
         return UploadIncomplete(path=row.path, reason="nothing was sent yet")
-    stated = {ChecksumKind.crc64nvme.value: finish.crc64nvme, ChecksumKind.sha256.value: finish.sha256}
-    if stated.get(row.checksum) not in {None, row.signed_checksum}:
+    announced = {ChecksumKind.crc64nvme.value: finish.crc64nvme, ChecksumKind.sha256.value: finish.sha256}
+    if announced.get(row.checksum) not in {None, row.signed_checksum}:
         return ChecksumMismatch(path=row.path, reason="its checksum was announced differently when it was sent")
     return None
 
@@ -176,6 +166,33 @@ async def _make_files(db: Connection, actor: Actor, mission_id: uuid.UUID, uploa
     file_ids |= {p.upload.id: p.file_id for p in placements if p.file_id and not p.needs_blob}
     await _mark_done(db, mission_id, file_ids)
     return {placement.upload.id: placement.error for placement in placements if placement.error is not None}
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a completed upload goes: into a new file, or into the existing file `file_id`; or why nowhere.
+
+    `needs_blob`: the uploaded bytes are used. Otherwise, the file has the same bytes already.
+    """
+
+    upload: UploadRow
+    file_id: uuid.UUID | None = None
+    needs_blob: bool = True
+    error: KleinkramError | None = None
+
+
+def placement_of(
+    upload: UploadRow, existing: ExistingFile | None, conflict: str | None, *, may_read: bool
+) -> Placement:
+    """Decide what becomes of an upload whose bytes the store has: a new file, a repaired one, or a refusal."""
+    if conflict is not None:
+        return Placement(upload, error=PathConflict(path=upload.path, other=conflict))
+    if existing is None:
+        return Placement(upload)
+    if existing.content != upload.content:
+        return Placement(upload, error=existing.exists_error(upload.path, upload.content, may_read=may_read))
+    # The same bytes repair a damaged file; an undamaged one was linked or moved here since.
+    return Placement(upload, file_id=existing.id, needs_blob=existing.is_damaged)
 
 
 async def _placements(
@@ -248,7 +265,7 @@ async def _mark_done(db: Connection, mission_id: uuid.UUID, file_ids: Mapping[uu
     cleaned_at = case((is_used, func.now()), else_=upload.c.cleaned_at)
     columns = {"state": UploadState.done.value, "file_id": values.c.file_id, "cleaned_at": cleaned_at}
     await db.execute(update(upload).where(upload.c.id == values.c.id).values(**columns))
-    await publish(db, [_removed(upload_id, mission_id) for upload_id in file_ids])
+    await publish(db, [removed_event(upload_id, mission_id) for upload_id in file_ids])
 
 
 async def _record_failures(db: Connection, actor: Actor, failures: Failures) -> None:
@@ -264,10 +281,11 @@ async def _record_failures(db: Connection, actor: Actor, failures: Failures) -> 
         values = {"state": UploadState.aborted.value, "failure": to_problem(error, actor.request_id).model_dump_json()}
         end = update(upload).where(upload.c.id == upload_id, is_completing).values(**values)
         for row in await db.execute(end.returning(upload.c.id, upload.c.mission_id)):
-            await publish(db, [_removed(row.id, row.mission_id)])
+            await publish(db, [removed_event(row.id, row.mission_id)])
 
 
-def _removed(upload_id: uuid.UUID, mission_id: uuid.UUID) -> ChangeEvent:
+def removed_event(upload_id: uuid.UUID, mission_id: uuid.UUID) -> ChangeEvent:
+    """Return the event that an upload has ended."""
     return ChangeEvent("upload", ChangeKind.removed, upload_id, mission_id=mission_id)
 
 
@@ -305,64 +323,3 @@ async def _finish_own(context: AppContext, actor: Actor, condition: ColumnElemen
             return
         uploads = await queries.read_rows(db, queries.own_uploads(actor).where(among(upload.c.id, ids)))
     await finish_uploads(context, actor, uploads)
-
-
-@queue.periodic(cron="* * * * *")
-@queue.task(name=Job.finish_uploads.value, pass_context=True, queueing_lock="finish_uploads", lock="finish_uploads")
-async def run_upload_maintenance(job_context: JobContext, timestamp: int = 0) -> None:
-    """Finish, expire and clean up uploads."""
-    await maintain_uploads(app_context(job_context), stale_after_s=_STALE_AFTER_S)
-
-
-async def maintain_uploads(context: AppContext, *, stale_after_s: float) -> None:
-    """Do one round: finish what a crash left, expire abandoned uploads, delete the bytes of ended ones."""
-    before = func.now() - datetime.timedelta(seconds=stale_after_s)
-    is_stale = (upload.c.state == UploadState.completing.value) & (upload.c.completing_since < before)
-    statement = queries.select_uploads().where(is_stale).order_by(upload.c.completing_since).limit(_BATCH)
-    async with context.database.begin() as db:
-        stale = await queries.read_rows(db, statement)
-    for row in stale:
-        await _finish_stale(context, row)
-    async with context.database.begin() as db:
-        is_abandoned = (upload.c.state == UploadState.open.value) & (upload.c.expires_at < func.now())
-        expire = update(upload).where(is_abandoned).values(state=UploadState.expired.value)
-        expired = await db.execute(expire.returning(upload.c.id, upload.c.mission_id))
-        await publish(db, [_removed(row.id, row.mission_id) for row in expired])
-    is_used = select(blob.c.id).where(blob.c.store_id == upload.c.store_id, blob.c.key == upload.c.key).exists()
-    is_unclean = upload.c.cleaned_at.is_(None) & upload.c.state.in_(_ENDED_STATES) & ~is_used
-    async with context.database.begin() as db:
-        unclean = queries.select_uploads().where(is_unclean).order_by(upload.c.created_at).limit(_BATCH)
-        ended = await queries.read_rows(db, unclean)
-    for row in ended:
-        await _clean_up(context, row)
-
-
-async def _finish_stale(context: AppContext, row: UploadRow) -> None:
-    """Finish an upload on behalf of the person who began it, with their current rights."""
-    async with context.database.begin() as db:
-        actor = await find_person(db, row.person_id)
-        if actor is None:
-            end = update(upload).where(upload.c.id == row.id).values(state=UploadState.aborted.value)
-            await db.execute(end)
-            await publish(db, [_removed(row.id, row.mission_id)])
-            return
-    try:
-        await finish_uploads(context, actor.for_request("complete_uploads", request_id=None, address=None), [row])
-    except KleinkramError as error:  # the other uploads must not wait for it
-        _log.warning("upload not finished", extra={"fields": {"upload_id": str(row.id), "reason": str(error)}})
-
-
-async def _clean_up(context: AppContext, row: UploadRow) -> None:
-    # Also multipart uploads whose id was never recorded: the process died between the store's answer and the row.
-    for multipart in await context.storage.list_multiparts(row.key):
-        await context.storage.abort_multipart(multipart.key, multipart.multipart_id)
-    await context.storage.delete(row.key)
-    async with context.database.begin() as db:
-        # A part that was being sent when the upload ended can still arrive until its URL expires.
-        urls_expired = upload.c.lease_ends_at < func.now() - datetime.timedelta(seconds=context.settings.part_url_s)
-        await db.execute(update(upload).where(upload.c.id == row.id, urls_expired).values(cleaned_at=func.now()))
-
-
-async def delete_cleaned_uploads(db: Connection) -> None:
-    """Delete ended uploads a month after their objects."""
-    await db.execute(delete(upload).where(upload.c.cleaned_at < func.now() - _RETENTION))

@@ -1,4 +1,4 @@
-"""The parts of an upload: signs their URLs, lists those that the store has, and joins them.
+"""Rows and parts of uploads: makes the rows, signs the URLs of parts, lists those that the store has, joins them.
 
 A URL is signed for one checksum, so the store accepts only the bytes that were announced.
 """
@@ -14,11 +14,12 @@ from sqlalchemy import ColumnElement, Update, func, update
 from kleinkram.contract import errors
 from kleinkram.contract import uploads as protocol
 from kleinkram.contract.audit import ChangeKind
+from kleinkram.contract.names import name_key
 from kleinkram.contract.uploads import ChecksumKind, UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
-from kleinkram.server.db import unnest_rows
+from kleinkram.server.db import among, unnest_rows
 from kleinkram.server.s3.storage import PartTarget, Storage, StoreMissing, StoreRefused
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import upload
@@ -29,9 +30,14 @@ _CONCURRENT_REQUESTS = 16
 # From this number of objects with one prefix, one listing is cheaper than a request for each.
 _MIN_FOR_LISTING = 4
 _PROGRESS_EVERY_S = 2
+# Viewers choose a reader by the suffix of a URL.
+_VIEWER_SUFFIXES = (".mcap", ".bag")
 
 Failures = dict[uuid.UUID, errors.KleinkramError]
 """Uploads that could not be finished, by id. After `UploadIncomplete` an upload may go on; any other error ends it."""
+
+
+# -- the rows of uploads ----------------------------------------------------------------------------------------------
 
 
 def lease_columns(settings: Settings, now: datetime.datetime | ColumnElement[datetime.datetime]) -> dict[str, object]:
@@ -41,6 +47,74 @@ def lease_columns(settings: Settings, now: datetime.datetime | ColumnElement[dat
         "lease_ends_at": now + datetime.timedelta(seconds=settings.upload_lease_s),
         "expires_at": now + datetime.timedelta(seconds=settings.upload_expires_s),
     }
+
+
+def upload_columns(
+    context: AppContext,
+    person_id: uuid.UUID | None,
+    mission_id: uuid.UUID,
+    batch_id: uuid.UUID,
+    requested: protocol.UploadFile,
+    now: datetime.datetime,
+    *,
+    id_: uuid.UUID | None = None,
+) -> dict[str, object]:
+    """Return the columns of a new upload, for an insert."""
+    upload_id = id_ or uuid.uuid4()
+    suffix = next((suffix for suffix in _VIEWER_SUFFIXES if requested.path.lower().endswith(suffix)), "")
+    return {
+        "id": upload_id,
+        "mission_id": mission_id,
+        "person_id": person_id,
+        "path": requested.path,
+        "path_key": name_key(requested.path),
+        "size_bytes": requested.size_bytes,
+        "part_size_bytes": protocol.part_size_bytes(requested.size_bytes),
+        "checksum": context.storage.checksum.value,
+        "signed_checksum": announced_checksum(context.storage, requested),
+        "store_id": context.settings.store_id,
+        # One prefix per request, so that one listing finds its small files.
+        "key": f"{batch_id}/{upload_id}{suffix}",
+        **lease_columns(context.settings, now),
+    }
+
+
+def blob_columns(row: UploadRow, blob_id: uuid.UUID) -> dict[str, object]:
+    """Return the columns of the blob that an upload becomes, for an insert."""
+    # The client's value, so it is stored only if the store compared it.
+    has_store_compared = row.checksum == ChecksumKind.crc64nvme.value
+    return {
+        "id": blob_id,
+        "store_id": row.store_id,
+        "key": row.key,
+        "size_bytes": row.size_bytes,
+        "crc64nvme": row.crc64nvme if has_store_compared else None,
+        "sha256": row.sha256,
+        "uploaded_by_id": row.person_id,
+    }
+
+
+def to_upload_read(row: UploadRow, parts: Sequence[protocol.StoredPart]) -> protocol.UploadRead:
+    """Return an upload as its client sees it."""
+    return protocol.UploadRead(
+        id=row.id,
+        mission_id=row.mission_id,
+        path=row.path,
+        size_bytes=row.size_bytes,
+        part_size_bytes=row.part_size_bytes,
+        checksum=ChecksumKind(row.checksum),
+        state=UploadState(row.state),
+        lease_ends_at=row.lease_ends_at,
+        expires_at=row.expires_at,
+        parts=list(parts),
+    )
+
+
+async def free_names(context: AppContext, upload_ids: Sequence[uuid.UUID]) -> None:
+    """End new uploads whose client received no response about them."""
+    async with context.database.begin() as db:
+        is_open = among(upload.c.id, upload_ids) & (upload.c.state == UploadState.open.value)
+        await db.execute(update(upload).where(is_open).values(state=UploadState.aborted.value))
 
 
 # -- signing ----------------------------------------------------------------------------------------------------------
@@ -134,7 +208,7 @@ def _sign(
 # -- what the store has -----------------------------------------------------------------------------------------------
 
 
-async def list_multiparts(
+async def open_multiparts(
     context: AppContext, uploads: Sequence[UploadRow], *, resumed: Collection[uuid.UUID] = ()
 ) -> dict[uuid.UUID, list[protocol.StoredPart]]:
     """Open the multipart uploads that the store does not have yet, and return the parts that it has of each.

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import ColumnElement, Select, false, func, select
 
 from kleinkram.contract.access import Right, Scope
+from kleinkram.contract.errors import FileExists
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.access.actor import Actor, ActorKind
@@ -100,6 +101,15 @@ class ExistingFile(NamedTuple):
     def is_damaged(self) -> bool:
         """Whether the store lost its bytes or changed them."""
         return self.state in DAMAGED_STATES
+
+    def exists_error(self, path: str, sent: FileContent, *, may_read: bool) -> FileExists:
+        """Return the error for other bytes under its name; without `may_read`, it says nothing else about the file."""
+        return FileExists(
+            path=path,
+            existing_sha256=self.sha256.hex() if may_read else None,
+            sent_sha256=sent.sha256.hex(),
+            existing_file_id=str(self.id) if may_read else None,
+        )
 
 
 DAMAGED_STATES = {BlobState.lost.value, BlobState.corrupt.value}

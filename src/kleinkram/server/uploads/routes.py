@@ -27,7 +27,6 @@ async def begin(
     mission_id: uuid.UUID, body: UploadBegin, actor: CurrentActor, context: CurrentContext
 ) -> UploadDecisions:
     """Announce files to upload and learn what to send."""
-    await completion.finish_interrupted(context, actor, mission_id=mission_id, requested=body.files)
     decisions = await service.begin_uploads(context, actor, mission_id=mission_id, requested=body.files)
     return UploadDecisions(items=decisions)
 

@@ -4,6 +4,7 @@ Never calls the store inside a transaction. A row with a lease reserves each nam
 """
 
 import datetime
+import enum
 import uuid
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,11 +15,11 @@ from kleinkram.contract import uploads as protocol
 from kleinkram.contract.access import Scope
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.base import Page
-from kleinkram.contract.errors import NameLeased, NotFound, PathConflict, StoreUnavailable
+from kleinkram.contract.errors import KleinkramError, NameLeased, NotFound, PathConflict, StoreUnavailable
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import name_key
 from kleinkram.contract.problems import to_problem
-from kleinkram.contract.uploads import ChecksumKind, UploadRead, UploadState
+from kleinkram.contract.uploads import UploadRead, UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.log import Event, audit
@@ -26,7 +27,7 @@ from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among, upsert_rows
 from kleinkram.server.files import service as files
-from kleinkram.server.files.paths import path_conflicts
+from kleinkram.server.files.paths import HIDDEN_FILE, conflicts_among, path_conflicts, visible_conflicts
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pagination import Order, PageRequest, fetch_page
 from kleinkram.server.quotas import Amount, project_of, require_room
@@ -34,25 +35,17 @@ from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
 from kleinkram.server.uploads import queries
+from kleinkram.server.uploads.completion import finish_interrupted
 from kleinkram.server.uploads.parts import (
-    announced_checksum,
+    free_names,
     lease_columns,
-    list_multiparts,
+    open_multiparts,
     sign_only_part,
     stored_small_files,
+    to_upload_read,
+    upload_columns,
 )
-from kleinkram.server.uploads.queries import UploadRow
-from kleinkram.server.uploads.rules import (
-    Action,
-    Decision,
-    RequestFacts,
-    conflicts_among,
-    content_of,
-    decide,
-    visible_conflicts,
-)
-
-_VIEWER_SUFFIXES = (".mcap", ".bag")
+from kleinkram.server.uploads.queries import ExistingFile, FileContent, UploadRow
 
 
 async def begin_uploads(
@@ -60,13 +53,16 @@ async def begin_uploads(
 ) -> list[protocol.UploadDecision]:
     """Decide about each file, reserve the names of those to be sent, and open them at the store.
 
-    Idempotent: with the id of an upload, the upload continues where it was.
+    Idempotent: with the id of an upload, the upload continues where it was. One that was being completed when its
+    client died is finished first.
 
     Raises:
         NotFound: the actor may not see such a mission.
         Forbidden: the actor may see it, but not upload into it.
         QuotaExceeded: the project has no room for the new files; none of them was begun.
+        StoreUnavailable: the store does not answer.
     """
+    await finish_interrupted(context, actor, mission_id=mission_id, requested=requested)
     async with context.database.begin() as db:
         await missions.lock_mission_to_fill(db, actor, mission_id)
         facts = await _collect_facts(db, actor, mission_id, requested)
@@ -88,7 +84,116 @@ async def begin_uploads(
     return [_to_wire(context, actor, decision, begun) for decision in decisions]
 
 
-# -- deciding ---------------------------------------------------------------------------------------------------------
+# -- deciding: functions of the facts, without database and store -----------------------------------------------------
+
+
+class Action(enum.Enum):
+    """Decision about an announced file."""
+
+    present = enum.auto()
+    """Send nothing: the mission has this file."""
+    link = enum.auto()
+    """Make the file from a stored blob."""
+    hash_required = enum.auto()
+    """Ask the client for the hash, then decide."""
+    begin = enum.auto()
+    resume = enum.auto()
+    refuse = enum.auto()
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One announced file and what happens with it. Of the ids, those that the action needs are set.
+
+    `stolen_upload_id`: another upload of this name whose lease ran out, and which ends now.
+    """
+
+    requested: protocol.UploadFile
+    action: Action
+    file_id: uuid.UUID | None = None
+    blob_id: uuid.UUID | None = None
+    upload_id: uuid.UUID | None = None
+    stolen_upload_id: uuid.UUID | None = None
+    error: KleinkramError | None = None
+
+
+@dataclass(frozen=True)
+class RequestFacts:
+    """Rows about the names and contents of one request. Keys are path keys; those of conflicts are paths.
+
+    `may_read`: whether the actor may read the mission; otherwise they learn only that a name is taken.
+    """
+
+    person_id: uuid.UUID | None
+    may_read: bool
+    files: Mapping[str, ExistingFile]
+    uploads: Mapping[str, UploadRow]
+    duplicate_sizes: frozenset[int]
+    duplicates: Mapping[FileContent, uuid.UUID]
+    conflicts: Mapping[str, str]
+
+
+def decide(requested: protocol.UploadFile, facts: RequestFacts) -> Decision:
+    """Decide about one announced file."""
+    key = name_key(requested.path)
+    if other := facts.conflicts.get(requested.path):
+        return _refuse(requested, PathConflict(path=requested.path, other=other))
+    if (existing := facts.files.get(key)) and (decision := _decide_with_existing(requested, existing, facts)):
+        return decision
+    if other_upload := facts.uploads.get(key):
+        return _decide_with_upload(requested, other_upload, facts.person_id)
+    return _decide_new(requested, facts)
+
+
+def _refuse(requested: protocol.UploadFile, error: KleinkramError) -> Decision:
+    return Decision(requested, Action.refuse, error=error)
+
+
+def _decide_with_existing(
+    requested: protocol.UploadFile, existing: ExistingFile, facts: RequestFacts
+) -> Decision | None:
+    """Decide about a file whose name is taken; None to repair the damaged file there."""
+    if existing.path != requested.path:
+        other = existing.path if facts.may_read else HIDDEN_FILE
+        return _refuse(requested, PathConflict(path=requested.path, other=other))
+    content = content_of(requested)
+    if content is None:
+        return Decision(requested, Action.hash_required)
+    if content != existing.content:
+        return _refuse(requested, existing.exists_error(requested.path, content, may_read=facts.may_read))
+    if existing.is_damaged:
+        return None
+    return Decision(requested, Action.present, file_id=existing.id)
+
+
+def _decide_with_upload(requested: protocol.UploadFile, other: UploadRow, person_id: uuid.UUID | None) -> Decision:
+    """Decide about a file whose name another upload reserves: resume it, wait for it, or steal its lease."""
+    is_same_file = (other.person_id, other.path, other.size_bytes) == (person_id, requested.path, requested.size_bytes)
+    is_completing = other.state == UploadState.completing.value
+    if is_same_file and other.id == requested.upload_id and not is_completing:
+        return Decision(requested, Action.resume, upload_id=other.id)
+    if other.has_lease or is_completing:
+        lease_ends_at = other.lease_ends_at.isoformat(timespec="seconds")
+        return _refuse(requested, NameLeased(path=requested.path, lease_ends_at=lease_ends_at))
+    return Decision(requested, Action.begin, stolen_upload_id=other.id)
+
+
+def _decide_new(requested: protocol.UploadFile, facts: RequestFacts) -> Decision:
+    content = content_of(requested)
+    if content is None:
+        is_worth_hashing = requested.size_bytes in facts.duplicate_sizes
+        return Decision(requested, Action.hash_required if is_worth_hashing else Action.begin)
+    if blob_id := facts.duplicates.get(content):
+        return Decision(requested, Action.link, blob_id=blob_id)
+    return Decision(requested, Action.begin)
+
+
+def content_of(requested: protocol.UploadFile) -> FileContent | None:
+    """Return the content of an announced file, if its hash is known."""
+    return FileContent(requested.size_bytes, bytes.fromhex(requested.sha256)) if requested.sha256 else None
+
+
+# -- the facts, and the amount of new data ----------------------------------------------------------------------------
 
 
 async def _collect_facts(
@@ -157,7 +262,8 @@ async def _reserve_names(
     used = await queries.used_ids(db, proposed) if proposed else frozenset()
     batch_id = uuid.uuid4()
     rows = [
-        new_upload(context, actor.person_id, mission_id, batch_id, file, now, id_=_free_id(file, used)) for file in new
+        upload_columns(context, actor.person_id, mission_id, batch_id, file, now, id_=_free_id(file, used))
+        for file in new
     ]
     statement = upsert_rows(upload, rows).on_conflict_do_nothing().returning(upload.c.id, upload.c.path)
     ids = {row.path: row.id for row in await db.execute(statement)}
@@ -179,37 +285,6 @@ def _with_upload(decision: Decision, ids: Mapping[str, uuid.UUID]) -> Decision:
         return replace(decision, upload_id=upload_id)
     now = datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds")
     return replace(decision, action=Action.refuse, error=NameLeased(path=path, lease_ends_at=now))
-
-
-def new_upload(
-    context: AppContext,
-    person_id: uuid.UUID | None,
-    mission_id: uuid.UUID,
-    batch_id: uuid.UUID,
-    requested: protocol.UploadFile,
-    now: datetime.datetime,
-    *,
-    id_: uuid.UUID | None = None,
-) -> dict[str, object]:
-    """Return the columns of a new upload, for an insert."""
-    upload_id = id_ or uuid.uuid4()
-    # Viewers choose a reader by the suffix of a URL.
-    suffix = next((suffix for suffix in _VIEWER_SUFFIXES if requested.path.lower().endswith(suffix)), "")
-    return {
-        "id": upload_id,
-        "mission_id": mission_id,
-        "person_id": person_id,
-        "path": requested.path,
-        "path_key": name_key(requested.path),
-        "size_bytes": requested.size_bytes,
-        "part_size_bytes": protocol.part_size_bytes(requested.size_bytes),
-        "checksum": context.storage.checksum.value,
-        "signed_checksum": announced_checksum(context.storage, requested),
-        "store_id": context.settings.store_id,
-        # One prefix per request, so that one listing finds its small files.
-        "key": f"{batch_id}/{upload_id}{suffix}",
-        **lease_columns(context.settings, now),
-    }
 
 
 # -- linking duplicates -----------------------------------------------------------------------------------------------
@@ -265,9 +340,7 @@ async def _link_duplicates(
     return [_with_file(d, file_ids, existing) if d.action is Action.link else d for d in decisions]
 
 
-def _with_file(
-    decision: Decision, file_ids: Mapping[str, uuid.UUID], existing: Mapping[str, queries.ExistingFile]
-) -> Decision:
+def _with_file(decision: Decision, file_ids: Mapping[str, uuid.UUID], existing: Mapping[str, ExistingFile]) -> Decision:
     path = decision.requested.path
     if file_id := file_ids.get(path):
         return replace(decision, file_id=file_id)
@@ -293,19 +366,12 @@ async def _open_at_store(
     resumed = {d.upload_id for d in decisions if d.action is Action.resume and d.upload_id}
     multipart = [row for row in uploads.values() if row.is_multipart]
     try:
-        parts = await list_multiparts(context, multipart, resumed=resumed) if multipart else {}
+        parts = await open_multiparts(context, multipart, resumed=resumed) if multipart else {}
         # A resumed upload may have many small files at the store; sending them again would take long.
         return parts | await stored_small_files(context.storage, [uploads[id_] for id_ in resumed])
     except StoreUnavailable:
         await free_names(context, [d.upload_id for d in decisions if d.action is Action.begin and d.upload_id])
         raise
-
-
-async def free_names(context: AppContext, upload_ids: Sequence[uuid.UUID]) -> None:
-    """End new uploads whose client received no response about them."""
-    async with context.database.begin() as db:
-        is_open = among(upload.c.id, upload_ids) & (upload.c.state == UploadState.open.value)
-        await db.execute(update(upload).where(is_open).values(state=UploadState.aborted.value))
 
 
 def _to_wire(context: AppContext, actor: Actor, decision: Decision, begun: _BegunUploads) -> protocol.UploadDecision:
@@ -322,22 +388,6 @@ def _to_wire(context: AppContext, actor: Actor, decision: Decision, begun: _Begu
     if read is None:  # also if the file was deleted since: the next request gets another decision
         return protocol.HashRequired(path=requested.path)
     return protocol.AlreadyPresent(file=read) if decision.action is Action.present else protocol.Deduplicated(file=read)
-
-
-def to_upload_read(row: UploadRow, parts: Sequence[protocol.StoredPart]) -> UploadRead:
-    """Return an upload as its client sees it."""
-    return UploadRead(
-        id=row.id,
-        mission_id=row.mission_id,
-        path=row.path,
-        size_bytes=row.size_bytes,
-        part_size_bytes=row.part_size_bytes,
-        checksum=ChecksumKind(row.checksum),
-        state=UploadState(row.state),
-        lease_ends_at=row.lease_ends_at,
-        expires_at=row.expires_at,
-        parts=list(parts),
-    )
 
 
 # -- one upload, and all of a mission ---------------------------------------------------------------------------------
