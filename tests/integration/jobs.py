@@ -14,7 +14,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.execution import BackPressure, record_failure
 from kleinkram.server.jobs.queue import queue
-from kleinkram.server.overviews.jobs import MetadataCache, RegroupDebounce
+from kleinkram.server.overviews.jobs import DerivationDebounce, MetadataCache
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.api_server import Api
@@ -41,14 +41,14 @@ async def _hurry(context: AppContext) -> list[str]:
     return await drain(context, back_pressure)
 
 
-class _NoRests(RegroupDebounce):
+class _NoRests(DerivationDebounce):
     """However slow a machine is: what is asked for is done before a test goes on."""
 
     def took(self, mission_id: uuid.UUID, seconds: float) -> None:
         """Note nothing."""
 
 
-async def drain(context: AppContext, back_pressure: BackPressure, rests: RegroupDebounce | None = None) -> list[str]:
+async def drain(context: AppContext, back_pressure: BackPressure, rests: DerivationDebounce | None = None) -> list[str]:
     """Run what waits, as courteous as it is given; returns the name of each job."""
     ran: list[str] = []
 
@@ -70,7 +70,7 @@ async def drain(context: AppContext, back_pressure: BackPressure, rests: Regroup
                     "readers": readers,
                     "back_pressure": back_pressure,
                     "metadata_cache": MetadataCache(readers),
-                    "regroup_debounce": rests or _NoRests(),
+                    "derivation_debounce": rests or _NoRests(),
                 },
             )
     return ran

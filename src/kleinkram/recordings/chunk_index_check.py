@@ -124,9 +124,9 @@ def wrong_times(claimed: tuple[int, int], actual: tuple[int, int]) -> str | None
     if claimed == actual:
         return None
     parts = [
-        f"{what} {abs(stated - true) / 1e9:.9g} s {'later' if stated > true else 'earlier'}"
-        for what, stated, true in zip(("begin", "end"), claimed, actual, strict=True)
-        if stated != true
+        f"{what} {abs(claim - true) / 1e9:.9g} s {'later' if claim > true else 'earlier'}"
+        for what, claim, true in zip(("begin", "end"), claimed, actual, strict=True)
+        if claim != true
     ]
     return f"{' and '.join(parts)} than they do"
 

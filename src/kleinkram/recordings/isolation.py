@@ -205,8 +205,8 @@ def metadata_from_dict(plain: Mapping[str, Any]) -> Rosbag2Metadata:
     """Return what `dataclasses.asdict` was given, after JSON; `KeyError` or `TypeError` if it is invalid."""
     values = dict(plain)
     values["files"] = tuple(values["files"])
-    values["topics"] = tuple(rosbag2.StatedTopic(**topic) for topic in values["topics"])
-    values["file_entries"] = tuple(rosbag2.StatedFile(**entry) for entry in values["file_entries"])
+    values["topics"] = tuple(rosbag2.MetadataTopic(**topic) for topic in values["topics"])
+    values["file_entries"] = tuple(rosbag2.MetadataFile(**entry) for entry in values["file_entries"])
     return Rosbag2Metadata(**values)
 
 

@@ -83,10 +83,10 @@ def is_recording_name(path: str) -> bool:
     return _RECORDING.fullmatch(path) is not None
 
 
-def group(paths: Iterable[str], stated: Mapping[str, Rosbag2Metadata] | None = None) -> list[RecordingGroup]:
+def group(paths: Iterable[str], metadata_files: Mapping[str, Rosbag2Metadata] | None = None) -> list[RecordingGroup]:
     """Group relative POSIX paths into recordings, sorted by name. Other paths belong to no group.
 
-    `stated`: the content of each metadata.yaml among `paths`, where it could be read.
+    `metadata_files`: the content of each metadata.yaml among `paths`, where it could be read.
     """
     folders: dict[str, list[str]] = defaultdict(list)
     metadata: dict[str, str] = {}
@@ -99,7 +99,7 @@ def group(paths: Iterable[str], stated: Mapping[str, Rosbag2Metadata] | None = N
     groups: list[RecordingGroup] = []
     for folder in folders.keys() | metadata.keys():
         members, metadata_path = folders[folder], metadata.get(folder)
-        folder_metadata = (stated or {}).get(metadata_path or "")
+        folder_metadata = (metadata_files or {}).get(metadata_path or "")
         if metadata_path is not None and not (folder_metadata is not None and folder_metadata.is_other):
             own = _members(folder, members, folder_metadata)
             if own or (folder_metadata is not None and folder_metadata.files):
@@ -285,11 +285,11 @@ def _group_names(folder: Path, names: list[str]) -> FolderRecordings:
         path = folder / name
         try:
             with path.open(encoding="utf-8", errors="replace") as file:
-                stated = parse_rosbag2_metadata(file.read(MAX_TEXT + 1))
+                parsed = parse_rosbag2_metadata(file.read(MAX_TEXT + 1))
         except OSError as error:
             unreadable[name] = SourceError(f"{path}: cannot be read: {error.strerror}")
             continue
-        if stated is not None:
-            metadata[name] = stated
+        if parsed is not None:
+            metadata[name] = parsed
     groups = group((name for name in names if name not in unreadable), metadata)
     return FolderRecordings(tuple(groups), metadata, unreadable, ())

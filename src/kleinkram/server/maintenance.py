@@ -9,7 +9,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.http.rate_limit import delete_expired_counts
 from kleinkram.server.jobs.execution import app_context
 from kleinkram.server.jobs.queue import Job, delete_failed_jobs, queue
-from kleinkram.server.recordings.service import regroup_forgotten
+from kleinkram.server.recordings.derive import derive_forgotten
 from kleinkram.server.runs.lifecycle import cancel_orphans, requeue_lost_runs
 from kleinkram.server.tables import log_chunk, run
 from kleinkram.server.tables.runs import ACTIVE
@@ -68,7 +68,7 @@ async def collect_garbage(context: AppContext) -> None:
     store_id, settings = context.settings.store_id, context.settings
     async with context.database.begin() as db:
         await service.requeue_unfinished(db, store_id=store_id, limit=_BATCH)
-        await regroup_forgotten(db, limit=_BATCH)
+        await derive_forgotten(db, limit=_BATCH)
     async with context.database.begin() as db:
         days = settings.reverify_days
         await service.examine_old(db, store_id=store_id, older_than_days=days, limit=_MAX_REVERIFIED)

@@ -26,9 +26,9 @@ from kleinkram.server.db import Database, open_database
 from kleinkram.server.health.metrics_server import serve_metrics
 from kleinkram.server.health.readiness import heartbeat
 from kleinkram.server.jobs.execution import Attempts, BackPressure, record_failure
-from kleinkram.server.jobs.queue import DEFAULT, EXAMINING, GROUPING, VERIFICATION, queue
+from kleinkram.server.jobs.queue import DEFAULT, DERIVATION, EXAMINING, VERIFICATION, queue
 from kleinkram.server.overviews import jobs as _derivation_jobs
-from kleinkram.server.overviews.jobs import MetadataCache, RegroupDebounce
+from kleinkram.server.overviews.jobs import DerivationDebounce, MetadataCache
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.uploads import jobs as _upload_jobs
@@ -121,10 +121,10 @@ async def _run_queues(app: App, settings: Settings, database: Database) -> None:
             "readers": readers,
             "back_pressure": back_pressure,
             "metadata_cache": MetadataCache(readers),
-            "regroup_debounce": RegroupDebounce(),
+            "derivation_debounce": DerivationDebounce(),
             "attempts": attempts,
         }
-        queues = ((DEFAULT, _AT_ONCE), (VERIFICATION, 1), (EXAMINING, 1), (GROUPING, 1))
+        queues = ((DEFAULT, _AT_ONCE), (VERIFICATION, 1), (EXAMINING, 1), (DERIVATION, 1))
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
         tasks = [
             *(

@@ -10,7 +10,7 @@ import pytest
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.execution import BackPressure
 from kleinkram.server.overviews import jobs as derivation_jobs
-from kleinkram.server.recordings.service import regroup
+from kleinkram.server.recordings.derive import derive_again
 from tests.integration.api_server import Api
 from tests.integration.jobs import drain, on_site
 from tests.integration.upload_client import begin
@@ -102,7 +102,7 @@ def test_grouping_is_delayed_from_the_time_of_its_request(
 
     async def ask(context: AppContext) -> None:
         async with context.database.begin() as db:
-            await regroup(db, mission_id)
+            await derive_again(db, mission_id)
 
     async def work(context: AppContext) -> None:
         await asyncio.wait_for(drain(context, BackPressure(context.database)), 20)

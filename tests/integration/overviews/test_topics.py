@@ -13,7 +13,7 @@ from kleinkram import connect
 from kleinkram.recordings.message_density import count_stamps, pack
 from kleinkram.recordings.sample import generate_mcap
 from kleinkram.server.context import AppContext
-from kleinkram.server.recordings.service import regroup_forgotten
+from kleinkram.server.recordings.derive import derive_forgotten
 from tests.integration.api_server import Api
 from tests.integration.jobs import on_site, run_jobs
 from tests.integration.sample import Sample
@@ -184,7 +184,7 @@ def test_topics_that_were_never_derived_are_caught_up_with(api: Api, sample: Sam
 
     async def look_after(context: AppContext) -> None:
         async with context.database.begin() as db:
-            await regroup_forgotten(db, limit=1000)
+            await derive_forgotten(db, limit=1000)
 
     on_site(api, look_after)
     run_jobs(api)

@@ -14,7 +14,7 @@ from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_pat
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.execution import BackPressure
 from kleinkram.server.overviews import jobs as derivation_jobs
-from kleinkram.server.overviews.jobs import RegroupDebounce
+from kleinkram.server.overviews.jobs import DerivationDebounce
 from kleinkram.server.recordings import derive as derivation
 from kleinkram.server.recordings.derive import Derived
 from tests.integration.api_server import Api
@@ -119,7 +119,7 @@ def test_a_mission_that_took_long_rests_and_is_not_forgotten(api: Api, mission_i
     upload_all(api, mission_id, {"a.mcap": _BROKEN + b"1"})
     run_jobs(api)
     upload_all(api, mission_id, {"b.mcap": _BROKEN + b"2"})
-    rests = RegroupDebounce()
+    rests = DerivationDebounce()
     rests.took(uuid.UUID(mission_id), 5.0)
     on_site(api, lambda context: _drain_courteously(context, rests))
     waiting = (
@@ -137,14 +137,14 @@ def test_a_mission_that_took_long_rests_and_is_not_forgotten(api: Api, mission_i
     assert len(api.all(f"/missions/{mission_id}/recordings")) == 3
 
 
-async def _drain_courteously(context: AppContext, rests: RegroupDebounce) -> None:
+async def _drain_courteously(context: AppContext, rests: DerivationDebounce) -> None:
     back_pressure = BackPressure(context.database)
     back_pressure.end()
     await drain(context, back_pressure, rests)
 
 
 def test_a_mission_rests_as_long_as_it_took_some_times_over() -> None:
-    rests, (quick, slow, other) = RegroupDebounce(), (uuid.uuid4() for _ in range(3))
+    rests, (quick, slow, other) = DerivationDebounce(), (uuid.uuid4() for _ in range(3))
     rests.took(quick, 0.05)
     rests.took(slow, 2.0)
     assert rests.left(quick).total_seconds() == 0

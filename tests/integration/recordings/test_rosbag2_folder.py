@@ -12,9 +12,9 @@ import pytest
 from kleinkram.recordings import Content, Lost, Problem, Recording, RecordingFormat, RecordingSummary, TopicSummary
 from kleinkram.recordings.formats.rosbag2.metadata import (
     Member,
+    MetadataFile,
+    MetadataTopic,
     Rosbag2Metadata,
-    StatedFile,
-    StatedTopic,
     compare_metadata,
     parse_rosbag2_metadata,
 )
@@ -29,8 +29,8 @@ STATED = Rosbag2Metadata(
     start_ns=T0,
     storage="sqlite3",
     version=5,
-    topics=(StatedTopic("/imu", "sensor_msgs/msg/Imu", "cdr", 30), StatedTopic("/never", "a/msg/B", "cdr", 0)),
-    file_entries=(StatedFile("run/a_0.db3", 20, T0, 1_000_000_000), StatedFile("run/a_1.db3", 10, T0, 1)),
+    topics=(MetadataTopic("/imu", "sensor_msgs/msg/Imu", "cdr", 30), MetadataTopic("/never", "a/msg/B", "cdr", 0)),
+    file_entries=(MetadataFile("run/a_0.db3", 20, T0, 1_000_000_000), MetadataFile("run/a_1.db3", 10, T0, 1)),
 )
 
 
@@ -66,24 +66,24 @@ def test_matching_metadata_causes_no_problem() -> None:
         (replace(STATED, start_ns=T0 + 2_000_000), [("metadata-span", "metadata.yaml")]),
         (replace(STATED, duration_ns=5), [("metadata-span", "metadata.yaml")]),
         (replace(STATED, storage="mcap"), [("metadata-storage", "a_0.db3"), ("metadata-storage", "a_1.db3")]),
-        (replace(STATED, topics=(StatedTopic("/imu", "a/msg/Imu", "cdr", 30),)), [("metadata-type", "/imu")]),
+        (replace(STATED, topics=(MetadataTopic("/imu", "a/msg/Imu", "cdr", 30),)), [("metadata-type", "/imu")]),
         (
-            replace(STATED, topics=(StatedTopic("/imu", "sensor_msgs/msg/Imu", "xyz", 30),)),
+            replace(STATED, topics=(MetadataTopic("/imu", "sensor_msgs/msg/Imu", "xyz", 30),)),
             [("metadata-encoding", "/imu")],
         ),
         (
-            replace(STATED, topics=(StatedTopic("/imu", "sensor_msgs/msg/Imu", "ros1", 30),)),
+            replace(STATED, topics=(MetadataTopic("/imu", "sensor_msgs/msg/Imu", "ros1", 30),)),
             [("metadata-encoding", "/imu")],
         ),
         (
-            replace(STATED, topics=(StatedTopic("/imu", "sensor_msgs/msg/Imu", "cdr", 29),)),
+            replace(STATED, topics=(MetadataTopic("/imu", "sensor_msgs/msg/Imu", "cdr", 29),)),
             [("metadata-topic-count", "/imu")],
         ),
         (
-            replace(STATED, topics=(*STATED.topics, StatedTopic("/gps", "a/msg/B", "cdr", 3))),
+            replace(STATED, topics=(*STATED.topics, MetadataTopic("/gps", "a/msg/B", "cdr", 3))),
             [("metadata-topic-count", "/gps")],
         ),
-        (replace(STATED, file_entries=(StatedFile("a_1.db3", 9, None, None),)), [("metadata-count", "a_1.db3")]),
+        (replace(STATED, file_entries=(MetadataFile("a_1.db3", 9, None, None),)), [("metadata-count", "a_1.db3")]),
         (replace(STATED, files=("a_0.db3",)), [("member-unlisted", "a_1.db3")]),
         (
             replace(STATED, files=("a_0.db3", "a_2.db3")),
@@ -290,8 +290,8 @@ def test_metadata_of_every_version(version: int) -> None:
         start_ns=7,
         storage="sqlite3",
         version=version,
-        topics=(StatedTopic("/a", "std_msgs/msg/String", "cdr", 2),),
-        file_entries=(StatedFile("a_0.db3", 2, 7, 5),) if version >= 5 else (),
+        topics=(MetadataTopic("/a", "std_msgs/msg/String", "cdr", 2),),
+        file_entries=(MetadataFile("a_0.db3", 2, 7, 5),) if version >= 5 else (),
         ros_distro="jazzy" if version >= 8 else "",
     )
 

@@ -162,11 +162,11 @@ class Repository:
             raise BackupNotFound(f"{self.name} contains no complete backup yet.")
         chosen = ids[-1]
         try:
-            stated, _, body = self.rclone.read(f"{self.snapshots}/{chosen}.json").partition(b"\n")
+            sha256, _, body = self.rclone.read(f"{self.snapshots}/{chosen}.json").partition(b"\n")
         except FileNotFoundError:
             raise BackupNotFound(f"{self.name} contains no backup {chosen}: `klein backup list` shows all.") from None
         try:
-            if hashlib.sha256(body).hexdigest().encode() == stated:
+            if hashlib.sha256(body).hexdigest().encode() == sha256:
                 return Snapshot.model_validate_json(body)
         except ValidationError as error:
             raise BackupDamaged(

@@ -14,7 +14,7 @@ from kleinkram.recordings.message_density import pack
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection, among, fit_text
 from kleinkram.server.missions.service import lock_missions
-from kleinkram.server.recordings.service import regroup
+from kleinkram.server.recordings.derive import derive_again
 from kleinkram.server.tables import blob, file, topic
 
 _MAX_BIGINT = 2**63 - 1
@@ -40,7 +40,7 @@ async def record_summaries(db: Connection, summaries: Mapping[uuid.UUID, Recordi
         await db.execute(insert(topic), topics)
     statement = update(blob).where(blob.c.id == bindparam("blob_id")).values(summarised_at=func.now())
     await db.execute(statement, [{"blob_id": blob_id, **_columns(summary)} for blob_id, summary in better.items()])
-    await regroup_missions_of(db, better)
+    await derive_missions_of(db, better)
 
 
 async def record_read_failure(db: Connection, blob_id: uuid.UUID, reason: str) -> None:
@@ -49,7 +49,7 @@ async def record_read_failure(db: Connection, blob_id: uuid.UUID, reason: str) -
     await lock_missions_of(db, [blob_id])
     has_no_summary = blob.c.content.in_((ContentState.pending.value, ContentState.error.value))
     await db.execute(update(blob).where(blob.c.id == blob_id, has_no_summary).values(**values))
-    await regroup_missions_of(db, [blob_id])
+    await derive_missions_of(db, [blob_id])
 
 
 async def lock_missions_of(db: Connection, blob_ids: Iterable[uuid.UUID]) -> None:
@@ -57,10 +57,10 @@ async def lock_missions_of(db: Connection, blob_ids: Iterable[uuid.UUID]) -> Non
     await lock_missions(db, await _missions_of(db, blob_ids))
 
 
-async def regroup_missions_of(db: Connection, blob_ids: Iterable[uuid.UUID]) -> None:
+async def derive_missions_of(db: Connection, blob_ids: Iterable[uuid.UUID]) -> None:
     """Queue the recordings of these blobs' missions to be derived again, and publish that their files changed."""
     for mission_id in await _missions_of(db, blob_ids):
-        await regroup(db, mission_id)
+        await derive_again(db, mission_id)
     await publish_file_changes(db, blob_ids)
 
 

@@ -39,7 +39,7 @@ from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, prepare
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pagination import PageRequest, execute_after, read_listing, values_after
 from kleinkram.server.quotas import Amount, project_of, require_room
-from kleinkram.server.recordings.service import regroup
+from kleinkram.server.recordings.derive import derive_again
 from kleinkram.server.shares.service import count_downloads
 
 _UNREADABLE = {BlobState.lost, BlobState.corrupt}
@@ -161,7 +161,7 @@ async def update_file(
             await require_room(db, actor, project_id=project_id, requested=Amount(1, old.size_bytes))
         await check_path_free(db, mission_id, path, except_id=old.id)
         for affected_id in sorted({old.mission.id, mission_id}):
-            await regroup(db, affected_id)
+            await derive_again(db, affected_id)
     await db.execute(queries.change_file(file_id, **values))
     new = await get_file(db, actor, file_id)
     await audit(db, actor, *_change_events(old, new))
@@ -182,7 +182,7 @@ async def delete_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, dry_r
     takes = "begin_uploads" if is_own else "delete_file"
     await require_mission(db, actor, takes, old.mission.id)
     if not dry_run:
-        await regroup(db, old.mission.id)
+        await derive_again(db, old.mission.id)
         await db.execute(queries.change_file(file_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
         before: Metadata = {"path": old.path, "mission": old.mission.name}
         await audit(db, actor, _event("file.delete", old, before, takes=takes))

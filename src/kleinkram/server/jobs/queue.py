@@ -12,12 +12,12 @@ from kleinkram.server.db import Connection
 
 
 class Job(str, enum.Enum):
-    """All jobs."""
+    """All jobs. A value is stored with each job that waits, so it stays when the member gets a better name."""
 
     summarise_blob = "summarise_blob"
     verify_blob = "verify_blob"
     examine_blob = "examine_blob"
-    group_recordings = "group_recordings"
+    derive_recordings = "group_recordings"
     finish_uploads = "finish_uploads"
     maintain_runs = "maintain_runs"
     collect_garbage = "collect_garbage"
@@ -32,13 +32,14 @@ class Priority(enum.IntEnum):
     high = 10
 
 
-# Verification reads everything once, small files come by the thousand, and grouping waits for uploads: each has its own
-# queue, so that summaries do not wait for them. (With a lock for grouping, one retried mission would block all others.)
+# Verification reads everything once, small files come by the thousand, and derivation waits for uploads: each has its
+# own queue, so that summaries do not wait for them. (With a lock for derivation, one retried mission would block all
+# others.) The names of queues are stored, too.
 VERIFICATION = "verification"
 EXAMINING = "examining"
-GROUPING = "grouping"
+DERIVATION = "grouping"
 DEFAULT = "default"
-_QUEUES = {Job.verify_blob: VERIFICATION, Job.examine_blob: EXAMINING, Job.group_recordings: GROUPING}
+_QUEUES = {Job.verify_blob: VERIFICATION, Job.examine_blob: EXAMINING, Job.derive_recordings: DERIVATION}
 
 _DELETE_FAILED = text(
     "DELETE FROM procrastinate_jobs j WHERE j.status IN ('failed', 'cancelled', 'aborted') AND NOT EXISTS"

@@ -1,7 +1,8 @@
 """The job that derives the recordings and topics of a mission from its files.
 
-A mission of ten thousand files changes with each that is read, and deriving it takes half a second: `RegroupDebounce`
-delays it. `MetadataCache` reads each metadata.yaml of a mission in a child process, and caches it by the object's key.
+A mission of ten thousand files changes with each that is read, and deriving it takes half a second:
+`DerivationDebounce` delays it. `MetadataCache` reads each metadata.yaml of a mission in a child process, and caches it
+by the object's key.
 """
 
 import datetime
@@ -29,8 +30,7 @@ from kleinkram.server.jobs.queue import Job, enqueued_at, queue
 from kleinkram.server.missions import service as missions
 from kleinkram.server.overviews.topics import store_topics
 from kleinkram.server.recordings import derive
-from kleinkram.server.recordings.derive import LiveFile
-from kleinkram.server.recordings.service import awaits_regrouping, regroup_later
+from kleinkram.server.recordings.derive import LiveFile, MetadataFiles, awaits_derivation, derive_again_later
 
 # A mission that takes less is derived at once, because people look at what they upload.
 _LONG_S = 0.1
@@ -38,7 +38,7 @@ _LONG_S = 0.1
 _DELAY_FACTOR, _MAX_DELAY_S = 4.0, 30.0
 
 
-class RegroupDebounce:
+class DerivationDebounce:
     """Delays of the missions that took long to derive. One per worker."""
 
     def __init__(self) -> None:
@@ -73,12 +73,12 @@ class MetadataCache:
         self._known: dict[str, Rosbag2Metadata | SummaryFailed | None] = {}
         self._size_bytes = 0
 
-    async def of(self, context: AppContext, files: Sequence[LiveFile]) -> dict[str, Rosbag2Metadata | None]:
+    async def of(self, context: AppContext, files: Sequence[LiveFile]) -> MetadataFiles:
         """Return the content of the metadata.yaml files among these, by path; None for an invalid one.
 
         Those that are too large, too expensive to read, or missing from the store are left out.
         """
-        stated: dict[str, Rosbag2Metadata | None] = {}
+        metadata_files: dict[str, Rosbag2Metadata | None] = {}
         for one in files:
             if file_name(one.path) != METADATA_NAME or one.size_bytes > _LIMIT_BYTES:
                 continue
@@ -89,8 +89,8 @@ class MetadataCache:
                     continue
             metadata = self._known[one.key]
             if not isinstance(metadata, SummaryFailed):
-                stated[one.path] = metadata
-        return stated
+                metadata_files[one.path] = metadata
+        return metadata_files
 
     async def _parse(self, context: AppContext, one: LiveFile) -> None:
         body = b"".join([piece async for piece in context.storage.read(one.key)])
@@ -115,14 +115,14 @@ class MetadataCache:
 _MAX_FILES_TO_STORE_OUTDATED = 50
 
 
-@queue.task(name=Job.group_recordings.value, pass_context=True, retry=RETRY_STRATEGY)
-async def group_recordings(job_context: JobContext, ref: str) -> None:
+@queue.task(name=Job.derive_recordings.value, pass_context=True, retry=RETRY_STRATEGY)
+async def derive_recordings(job_context: JobContext, ref: str) -> None:
     """Derive a mission's recordings; a change in the meantime enqueues another job."""
-    context, debounce = app_context(job_context), worker_resource(job_context, "regroup_debounce", RegroupDebounce)
-    mission_id = uuid.UUID(ref)
+    context, mission_id = app_context(job_context), uuid.UUID(ref)
+    debounce = worker_resource(job_context, "derivation_debounce", DerivationDebounce)
     if (left := debounce.left(mission_id)) > datetime.timedelta():
         async with context.database.begin() as db:
-            await regroup_later(db, mission_id, left)
+            await derive_again_later(db, mission_id, left)
         return
     async with context.database.begin() as db:
         since = await enqueued_at(db, job_context.job.id)
@@ -131,13 +131,13 @@ async def group_recordings(job_context: JobContext, ref: str) -> None:
     async with context.database.begin() as db:
         await missions.lock_mission(db, mission_id)
         files = await derive.live_files(db, mission_id, named=METADATA_NAME)
-    stated = await worker_resource(job_context, "metadata_cache", MetadataCache).of(context, files)
+    metadata_files = await worker_resource(job_context, "metadata_cache", MetadataCache).of(context, files)
     async with context.database.begin() as db:
         if not await missions.lock_mission(db, mission_id):
             return
         files = await derive.live_files(db, mission_id)
-        await derive.store(db, mission_id, await derive.derive(db, files, stated), files)
+        await derive.store(db, mission_id, await derive.derive(db, files, metadata_files), files)
     debounce.took(mission_id, time.monotonic() - began)
     async with context.database.begin() as db:
-        if len(files) <= _MAX_FILES_TO_STORE_OUTDATED or not await awaits_regrouping(db, mission_id):
+        if len(files) <= _MAX_FILES_TO_STORE_OUTDATED or not await awaits_derivation(db, mission_id):
             await store_topics(db, mission_id)

@@ -1,5 +1,10 @@
-"""Derives the recordings of a mission from its files, and the mission's span and totals from these."""
+"""How the files of a mission become recordings: the request, the derivation, and the rows.
 
+Every change of files requests that the mission's recordings are derived again, and its span and totals from these. The
+job (`overviews/jobs.py`) reads the files, derives, and stores what differs.
+"""
+
+import datetime
 import uuid
 from collections import defaultdict
 from collections.abc import AsyncIterator, Mapping, Sequence
@@ -7,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import PurePosixPath
 from typing import Any, NamedTuple
 
-from sqlalchemy import ARRAY, Integer, Uuid, bindparam, column, delete, func, literal, select, update
+from sqlalchemy import ARRAY, Integer, Text, Uuid, bindparam, cast, column, delete, func, literal, select, text, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.audit import ChangeKind
@@ -28,9 +33,13 @@ from kleinkram.recordings.combine_summaries import combine_folder
 from kleinkram.recordings.formats.rosbag2.metadata import Rosbag2Metadata
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection, fit_text
+from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job
 from kleinkram.server.missions.queries import store_totals
-from kleinkram.server.tables import blob, file, mission, recording, topic
+from kleinkram.server.tables import blob, file, mission, mission_topics, recording, topic
 
+_WAITING = text(
+    "SELECT 1 FROM procrastinate_jobs WHERE task_name = :task AND status = 'todo' AND args ->> 'ref' = :ref LIMIT 1"
+)
 _INSERT_BATCH = 1000
 _MAX_BIGINT = 2**63 - 1
 # 1990: earlier times, such as 1970, are of clocks that were never set.
@@ -51,7 +60,49 @@ _DERIVED = (
 
 Topics = Mapping[uuid.UUID, Sequence[TopicSummary]]
 # The content of each metadata.yaml by its path: None where it is invalid, no entry where it was not read.
-Stated = Mapping[str, Rosbag2Metadata | None]
+MetadataFiles = Mapping[str, Rosbag2Metadata | None]
+
+
+# -- requesting -------------------------------------------------------------------------------------------------------
+
+
+async def derive_again(db: Connection, mission_id: uuid.UUID) -> None:
+    """Have a mission's recordings derived again after this transaction.
+
+    A queued job suffices. It cannot miss this change, because it begins by acquiring the lock on the mission that this
+    transaction holds.
+    """
+    changed = update(mission).where(mission.c.id == mission_id).values(files_revision=mission.c.files_revision + 1)
+    await db.execute(changed)
+    if not await awaits_derivation(db, mission_id):
+        await enqueue(db, Job.derive_recordings, ids=[str(mission_id)], priority=Priority.high)
+
+
+async def derive_again_later(db: Connection, mission_id: uuid.UUID, later: datetime.timedelta) -> None:
+    """Have a mission's recordings derived after a delay, together with later changes."""
+    if not await awaits_derivation(db, mission_id):
+        await enqueue(db, Job.derive_recordings, ids=[str(mission_id)], priority=Priority.high, later=later)
+
+
+async def awaits_derivation(db: Connection, mission_id: uuid.UUID) -> bool:
+    """Return whether a job that derives a mission's recordings is queued."""
+    waiting = await db.execute(_WAITING, {"task": Job.derive_recordings.value, "ref": str(mission_id)})
+    return waiting.first() is not None
+
+
+async def derive_forgotten(db: Connection, *, limit: int) -> None:
+    """Enqueue jobs for missions whose recordings or topics are outdated, and that have no queued or running job."""
+    current = select(mission_topics.c.mission_id).where(mission_topics.c.revision == mission.c.files_revision)
+    stale = select(cast(mission.c.id, Text)).where(
+        (mission.c.derived_revision != mission.c.files_revision)
+        | ((mission.c.files_revision > 0) & ~current.where(mission_topics.c.mission_id == mission.c.id).exists()),
+        ~has_job(Job.derive_recordings, mission.c.id),
+    )
+    ids = (await db.execute(stale.limit(limit))).scalars().all()
+    await enqueue(db, Job.derive_recordings, ids=ids, priority=Priority.normal)
+
+
+# -- deriving ---------------------------------------------------------------------------------------------------------
 
 
 class LiveFile(NamedTuple):
@@ -101,24 +152,24 @@ async def live_files(db: Connection, mission_id: uuid.UUID, *, named: str = "") 
     return [LiveFile._make(row) for row in await db.execute(statement)]
 
 
-async def derive(db: Connection, files: Sequence[LiveFile], stated: Stated) -> list[Derived]:
+async def derive(db: Connection, files: Sequence[LiveFile], metadata_files: MetadataFiles) -> list[Derived]:
     """Group files into recordings, and combine their summaries as `klein inspect` does for the files of a folder.
 
     One query for any number of files; holds the topics of one recording at a time.
     """
     by_path = {one.path: one for one in files}
-    groups = group(by_path, {path: parsed for path, parsed in stated.items() if parsed is not None})
+    groups = group(by_path, {path: parsed for path, parsed in metadata_files.items() if parsed is not None})
     members = [[by_path[path] for path in grouped.members] for grouped in groups]
     # The topics of a single file need no comparison, unless there is a metadata.yaml.
     with_topics = [
-        own if len(own) > 1 or grouped.metadata_path in stated else []
+        own if len(own) > 1 or grouped.metadata_path in metadata_files else []
         for grouped, own in zip(groups, members, strict=True)
     ]
     derived: list[Derived] = []
     async for topics in _topics(db, [{one.blob_id for one in own} for own in with_topics]):
         grouped, own = groups[len(derived)], members[len(derived)]
-        parsed = stated.get(grouped.metadata_path or "")
-        derived.append(Derived(grouped, _values(grouped, parsed, _combined(grouped, own, stated, topics))))
+        parsed = metadata_files.get(grouped.metadata_path or "")
+        derived.append(Derived(grouped, _values(grouped, parsed, _combined(grouped, own, metadata_files, topics))))
     return derived
 
 
@@ -152,14 +203,16 @@ async def _topics(db: Connection, blob_sets: Sequence[set[uuid.UUID]]) -> AsyncI
     await result.close()
 
 
-def _combined(grouped: RecordingGroup, members: Sequence[LiveFile], stated: Stated, topics: Topics) -> RecordingSummary:
+def _combined(
+    grouped: RecordingGroup, members: Sequence[LiveFile], metadata_files: MetadataFiles, topics: Topics
+) -> RecordingSummary:
     names = [PurePosixPath(path).name for path in grouped.members]
     summaries = [_summary(one, topics.get(one.blob_id, ())) for one in members]
     if grouped.kind is not RecordingGroupKind.rosbag2:
         return combine(summaries, names)
     path = grouped.metadata_path or ""
-    if path in stated:
-        return combine_folder(stated[path], names, summaries)
+    if path in metadata_files:
+        return combine_folder(metadata_files[path], names, summaries)
     summary = combine(summaries, names)
     why = "it is larger than 256 KiB or takes too long to read, or the store has lost it"
     message = f"it was not compared with the files: {why}"
@@ -199,6 +252,9 @@ def _values(grouped: RecordingGroup, parsed: Rosbag2Metadata | None, summary: Re
         "content_reason": fit_text(summary.reason),
         "lost": summary.lost and asdict(summary.lost),
     }
+
+
+# -- storing ----------------------------------------------------------------------------------------------------------
 
 
 async def store(db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived], files: Sequence[LiveFile]) -> None:

@@ -21,7 +21,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.missions import service as missions
 from kleinkram.server.quotas import Amount, require_room
-from kleinkram.server.recordings.service import regroup
+from kleinkram.server.recordings.derive import derive_again
 from kleinkram.server.tables import blob, file, run_artifact
 
 
@@ -80,7 +80,7 @@ async def create_mission_files(
         )
     if events:
         await audit(db, actor, *events)
-        await regroup(db, ended.mission_id)
+        await derive_again(db, ended.mission_id)
     return problems
 
 

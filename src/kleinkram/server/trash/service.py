@@ -34,7 +34,7 @@ from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.missions.service import lock_mission
 from kleinkram.server.pagination import Order, PageRequest, read_page
 from kleinkram.server.quotas import Amount, project_of, require_room, require_room_for_mission
-from kleinkram.server.recordings.service import regroup
+from kleinkram.server.recordings.derive import derive_again
 from kleinkram.server.tables import blob, file, mission, person, project, upload
 
 _NAME_RULES = {"uq_project_name_key_live", "uq_mission_name_key_live", "uq_file_path_key_live"}
@@ -119,7 +119,7 @@ async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID, trash_
     _require_parent("project", project_name, project_deleted_at)
     _require_parent("mission", mission_name, mission_deleted_at)
     await check_path_free(db, mission_id, path)
-    await regroup(db, mission_id)
+    await derive_again(db, mission_id)
     await _undelete(db, file, file_id, path)
     await audit(db, actor, Event("file.restore", "file", file_id, path, project_id, mission_id=mission_id))
 

@@ -41,7 +41,7 @@ from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import conflicts_among, path_conflicts, visible_conflicts
 from kleinkram.server.missions import service as missions
 from kleinkram.server.quotas import project_of
-from kleinkram.server.recordings.service import regroup
+from kleinkram.server.recordings.derive import derive_again
 from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.artifacts import make_artifacts
@@ -251,7 +251,7 @@ async def _create_or_repair(
     ]
     await audit(db, actor, *events)
     await examine_blobs(db, list(blob_ids.values()))
-    await regroup(db, mission_id)
+    await derive_again(db, mission_id)
     return file_ids
 
 

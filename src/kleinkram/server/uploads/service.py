@@ -31,7 +31,7 @@ from kleinkram.server.files.paths import HIDDEN_FILE, conflicts_among, path_conf
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pagination import Order, PageRequest, fetch_page
 from kleinkram.server.quotas import Amount, project_of, require_room
-from kleinkram.server.recordings.service import regroup
+from kleinkram.server.recordings.derive import derive_again
 from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
 from kleinkram.server.uploads import queries
@@ -333,7 +333,7 @@ async def _link_duplicates(
         if decision.requested.path in file_ids
     ]
     await audit(db, actor, *events)
-    await regroup(db, mission_id)
+    await derive_again(db, mission_id)
     # A file that was damaged may have been verified since; then it has the same bytes as its duplicate.
     healed = [name_key(d.requested.path) for d in linked if d.requested.path not in file_ids]
     existing = await queries.existing_files(db, mission_id, healed) if healed else {}

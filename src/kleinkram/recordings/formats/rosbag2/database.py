@@ -46,7 +46,7 @@ _PREPARE = (
 )
 _TEXT_COLUMNS = ("name", "type", "serialization_format")
 _MAX_FAULTS = 10
-_MAX_STATED = 4 * 2**20
+_MAX_METADATA = 4 * 2**20
 
 
 class TopicRow(NamedTuple):
@@ -156,26 +156,26 @@ def read_origin(database: sqlite3.Connection) -> Origin:
     """Read the tables `schema`, `metadata` and `message_definitions`, which older databases lack."""
     distro: object = ""
     version: object = None
-    definitions, stated = 0, ""
+    definitions, metadata = 0, ""
     if {"schema_version", "ros_distro"} <= columns(database, "schema"):
         row = database.execute(f"SELECT schema_version, substr(ros_distro, 1, {MAX_NAME}) FROM schema").fetchone()  # noqa: S608  # ours
         version, distro = row or (None, "")
     if "metadata" in columns(database, "metadata"):
-        latest = f"SELECT substr(metadata, 1, {_MAX_STATED}) FROM metadata ORDER BY rowid DESC LIMIT 1"  # noqa: S608  # ours
+        latest = f"SELECT substr(metadata, 1, {_MAX_METADATA}) FROM metadata ORDER BY rowid DESC LIMIT 1"  # noqa: S608  # ours
         row = database.execute(latest).fetchone()
-        stated = row[0] if row and isinstance(row[0], str) else ""
+        metadata = row[0] if row and isinstance(row[0], str) else ""
     if columns(database, "message_definitions"):
         definitions = database.execute("SELECT count(*) FROM message_definitions").fetchone()[0]
-    is_message = _stated_value(stated, "compression_mode") == "message"
+    is_message = _metadata_value(metadata, "compression_mode") == "message"
     return Origin(
         distro if isinstance(distro, str) else "",
         version if isinstance(version, int) else None,
         definitions,
-        _stated_value(stated, "compression_format") or "zstd" if is_message else "",
+        _metadata_value(metadata, "compression_format") or "zstd" if is_message else "",
     )
 
 
-def _stated_value(text: str, key: str) -> str:
+def _metadata_value(text: str, key: str) -> str:
     """Return a top-level value of the metadata text: YAML, one key a line."""
     match = re.search(rf"^{key}:[ ]*[\"']?(\w*)", text, re.MULTILINE)
     return match[1].lower() if match else ""

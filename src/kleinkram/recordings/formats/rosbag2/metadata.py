@@ -18,8 +18,8 @@ _NULL = frozenset(("~", "null", "Null", "NULL"))
 
 
 @dataclass(frozen=True)
-class StatedTopic:
-    """A topic in metadata.yaml; empty or None where nothing is stated."""
+class MetadataTopic:
+    """A topic in metadata.yaml; empty or None where it says nothing."""
 
     name: str
     message_type: str
@@ -28,7 +28,7 @@ class StatedTopic:
 
 
 @dataclass(frozen=True)
-class StatedFile:
+class MetadataFile:
     """A data file in metadata.yaml, from version 5 on."""
 
     path: str
@@ -60,8 +60,8 @@ class Rosbag2Metadata:
     compression: str = ""
     compression_mode: str = ""
     version: int | None = None
-    topics: tuple[StatedTopic, ...] = ()
-    file_entries: tuple[StatedFile, ...] = ()
+    topics: tuple[MetadataTopic, ...] = ()
+    file_entries: tuple[MetadataFile, ...] = ()
     ros_distro: str = ""
     is_other: bool = False
 
@@ -92,9 +92,9 @@ def parse_rosbag2_metadata(text: str) -> Rosbag2Metadata | None:
         # The latter in version 1.
         topic = _mapping(entry.get("topic_metadata")) or _mapping(entry.get("topic_and_type"))
         name, message_type, encoding = (_text(topic.get(key)) for key in ("name", "type", "serialization_format"))
-        topics.append(StatedTopic(name, message_type, encoding, _number(entry.get("message_count"))))
+        topics.append(MetadataTopic(name, message_type, encoding, _number(entry.get("message_count"))))
     entries = tuple(
-        StatedFile(_path(entry.get("path")), _number(entry.get("message_count")), *_times(entry))
+        MetadataFile(_path(entry.get("path")), _number(entry.get("message_count")), *_times(entry))
         for entry in _entries(top, "files")
     )
     paths = top.get("relative_file_paths")
@@ -197,14 +197,14 @@ def compare_names(metadata: Rosbag2Metadata, names: Iterable[str]) -> list[Probl
 
 def _compare_files(metadata: Rosbag2Metadata, members: Sequence[Member]) -> list[Problem]:
     problems: list[Problem] = []
-    stated: dict[str, StatedFile] = {PurePosixPath(entry.path).name: entry for entry in metadata.file_entries}
+    entries: dict[str, MetadataFile] = {PurePosixPath(entry.path).name: entry for entry in metadata.file_entries}
     expected = STORAGE_FORMATS.get(metadata.storage or "")
     for name, summary in members:
         actual_format = summary.format if summary.format in STORAGE_FORMATS.values() else None
         if expected is not None and actual_format is not None and actual_format is not expected:
             message = f"metadata.yaml says its storage is {metadata.storage}, but it is {actual_format.value}"
             problems.append(Problem("metadata-storage", name, message))
-        claimed = stated[name].message_count if name in stated else None
+        claimed = entries[name].message_count if name in entries else None
         if len(members) > 1 and claimed is not None and summary.message_count not in (None, claimed):
             message = f"metadata.yaml says it holds {counted(claimed, 'message')}, it holds {summary.message_count}"
             problems.append(Problem("metadata-count", name, message))
@@ -218,9 +218,9 @@ def _compare_counts(metadata: Rosbag2Metadata, count: int, topics: Mapping[str, 
         problems.append(Problem("metadata-count", METADATA_NAME, message))
     if not topics or not metadata.topics:
         return problems
-    stated = {topic.name: topic.message_count for topic in metadata.topics}
-    for name in sorted(stated.keys() | topics.keys()):
-        claimed = stated.get(name, 0)
+    counts = {topic.name: topic.message_count for topic in metadata.topics}
+    for name in sorted(counts.keys() | topics.keys()):
+        claimed = counts.get(name, 0)
         actual = topics[name].count if name in topics else 0
         if claimed is not None and actual is not None and claimed != actual:
             message = f"metadata.yaml says {counted(claimed, 'message')}, the files hold {actual}"
@@ -228,9 +228,9 @@ def _compare_counts(metadata: Rosbag2Metadata, count: int, topics: Mapping[str, 
     return problems
 
 
-def _compare_types(stated: Iterable[StatedTopic], topics: Mapping[str, TopicSummary]) -> list[Problem]:
+def _compare_types(metadata_topics: Iterable[MetadataTopic], topics: Mapping[str, TopicSummary]) -> list[Problem]:
     problems: list[Problem] = []
-    for topic in stated:
+    for topic in metadata_topics:
         encoding = topic.serialization_format
         if encoding and encoding not in KNOWN_ENCODINGS:
             message = f"metadata.yaml says its messages are encoded as '{encoding}', which is no encoding that we know"
@@ -244,8 +244,8 @@ def _compare_types(stated: Iterable[StatedTopic], topics: Mapping[str, TopicSumm
             )
             problems.append(Problem("metadata-encoding", topic.name, message))
         # ROS 1 and the first rosbag2 write types without `/msg/`.
-        stated_type, actual_type = (one.message_type.replace("/msg/", "/") for one in (topic, actual))
-        if stated_type and actual_type and stated_type != actual_type:
+        metadata_type, actual_type = (one.message_type.replace("/msg/", "/") for one in (topic, actual))
+        if metadata_type and actual_type and metadata_type != actual_type:
             message = f"metadata.yaml says its type is {topic.message_type}, the files say {actual.message_type}"
             problems.append(Problem("metadata-type", topic.name, message))
     return problems
