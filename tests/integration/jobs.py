@@ -9,7 +9,7 @@ from procrastinate import JobContext, PsycopgConnector
 from procrastinate.worker import Worker
 
 from kleinkram.server import worker
-from kleinkram.server.blobs.reader_processes import ReaderProcesses
+from kleinkram.server.blobs.readers import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.execution import BackPressure, record_failure

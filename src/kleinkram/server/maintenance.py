@@ -71,7 +71,7 @@ async def collect_garbage(context: AppContext) -> None:
         await derive_forgotten(db, limit=_BATCH)
     async with context.database.begin() as db:
         days = settings.reverify_days
-        await service.examine_old(db, store_id=store_id, older_than_days=days, limit=_MAX_REVERIFIED)
+        await service.verify_old(db, store_id=store_id, older_than_days=days, limit=_MAX_REVERIFIED)
         await scrub.begin_due_scrub(db, settings)
     async with context.database.begin() as db:
         await delete_failed_jobs(db)

@@ -20,13 +20,13 @@ from procrastinate.jobs import Status
 import kleinkram
 from kleinkram.server import maintenance as _maintenance
 from kleinkram.server.blobs import jobs as _blob_jobs
-from kleinkram.server.blobs.reader_processes import ReaderProcesses
+from kleinkram.server.blobs.readers import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Database, open_database
 from kleinkram.server.health.metrics_server import serve_metrics
 from kleinkram.server.health.readiness import heartbeat
 from kleinkram.server.jobs.execution import Attempts, BackPressure, record_failure
-from kleinkram.server.jobs.queue import DEFAULT, DERIVATION, EXAMINING, VERIFICATION, queue
+from kleinkram.server.jobs.queue import DEFAULT, DERIVATION, SMALL_BLOBS, VERIFICATION, queue
 from kleinkram.server.overviews import jobs as _derivation_jobs
 from kleinkram.server.overviews.jobs import DerivationDebounce, MetadataCache
 from kleinkram.server.s3.storage import open_storage
@@ -124,7 +124,7 @@ async def _run_queues(app: App, settings: Settings, database: Database) -> None:
             "derivation_debounce": DerivationDebounce(),
             "attempts": attempts,
         }
-        queues = ((DEFAULT, _AT_ONCE), (VERIFICATION, 1), (EXAMINING, 1), (DERIVATION, 1))
+        queues = ((DEFAULT, _AT_ONCE), (VERIFICATION, 1), (SMALL_BLOBS, 1), (DERIVATION, 1))
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
         tasks = [
             *(

@@ -5,8 +5,8 @@ import asyncio
 from sqlalchemy import select
 
 from kleinkram.server.blobs import queries, scrub
+from kleinkram.server.blobs.readers import read_through
 from kleinkram.server.blobs.scrub import scrub_store
-from kleinkram.server.blobs.verification import read_through
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.s3.storage import open_storage

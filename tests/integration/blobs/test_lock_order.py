@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 
 from kleinkram.recordings import Content, RecordingFormat, RecordingSummary
-from kleinkram.server.blobs import summaries
+from kleinkram.server.blobs import service
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from tests.integration.api_server import Api
@@ -19,11 +19,11 @@ _Keep = Callable[[Connection, uuid.UUID], Awaitable[None]]
 
 
 async def _summary(db: Connection, blob_id: uuid.UUID) -> None:
-    await summaries.record_summaries(db, {blob_id: RecordingSummary(RecordingFormat.unknown, Content.opaque)})
+    await service.record_summaries(db, {blob_id: RecordingSummary(RecordingFormat.unknown, Content.opaque)})
 
 
 async def _failure(db: Connection, blob_id: uuid.UUID) -> None:
-    await summaries.record_read_failure(db, blob_id, "it could not be read")
+    await service.record_read_failure(db, blob_id, "it could not be read")
 
 
 @pytest.mark.parametrize("keep", [_summary, _failure])
@@ -64,7 +64,7 @@ def test_a_file_has_its_blobs_start_in_either_order_of_reading_and_linking(api: 
     def keep() -> None:
         async def work(context: AppContext) -> None:
             async with context.database.begin() as db:
-                await summaries.record_summaries(db, {blob_id: read})
+                await service.record_summaries(db, {blob_id: read})
 
         on_site(api, work)
 

@@ -10,8 +10,8 @@ import pytest
 from kleinkram.recordings import FailureKind, SummaryFailed
 from kleinkram.recordings.isolation import FileRequest, request_bytes
 from kleinkram.recordings.sample import generate_mcap
-from kleinkram.server.blobs import reader_processes
-from kleinkram.server.blobs.reader_processes import ReaderProcesses
+from kleinkram.server.blobs import readers as readers_module
+from kleinkram.server.blobs.readers import ReaderProcesses
 
 _ADA, _BOB = uuid.uuid4(), uuid.uuid4()
 
@@ -37,7 +37,7 @@ def _pids(readers: ReaderProcesses) -> set[int]:
 
 def test_files_of_one_person_share_a_child_and_others_do_not(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        reader_processes, "_IDLE_S", 60
+        readers_module, "_IDLE_S", 60
     )  # on a busy machine the next child may take longer to start than that
 
     async def work(readers: ReaderProcesses) -> None:
@@ -75,7 +75,7 @@ def test_a_child_that_takes_too_long_is_ended(recording: Path) -> None:
 
 
 def test_closing_waits_for_a_reader_that_is_ending(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reader_processes, "_IDLE_S", 0)
+    monkeypatch.setattr(readers_module, "_IDLE_S", 0)
 
     async def run() -> None:
         async with ReaderProcesses() as readers:

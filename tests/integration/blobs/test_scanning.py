@@ -14,7 +14,7 @@ from kleinkram.recordings.formats.mcap.format import read_index
 from kleinkram.recordings.sample import generate_mcap
 from kleinkram.recordings.sources import CountingSource, SourceReader
 from kleinkram.recordings.summary import scan
-from kleinkram.server.blobs import reader_processes
+from kleinkram.server.blobs import readers as readers_module
 from kleinkram.server.settings import Settings
 from tests.integration.api_server import Api
 from tests.integration.corpus import Corpus
@@ -93,7 +93,7 @@ def test_a_reader_that_dies_does_not_stop_the_verification(
     api: Api, mission_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dying = "import sys; sys.stdin.buffer.readline(); sys.exit('no luck today')"
-    monkeypatch.setattr(reader_processes, "CHILD_COMMAND", (sys.executable, "-c", dying))
+    monkeypatch.setattr(readers_module, "CHILD_COMMAND", (sys.executable, "-c", dying))
     generate_mcap(tmp_path / "run.mcap", size_bytes=2_000_000, seed=12)
     file = upload(api, mission_id, "run.mcap", (tmp_path / "run.mcap").read_bytes())
     run_jobs(api)
@@ -117,7 +117,7 @@ def test_an_answer_of_a_reader_before_all_bytes_were_sent_is_rejected(
     generate_mcap(tmp_path / "run.mcap", size_bytes=2_000_000, seed=14)
     file = upload(api, mission_id, "run.mcap", (tmp_path / "run.mcap").read_bytes())
     api.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'summarise_blob'")
-    monkeypatch.setattr(reader_processes, "CHILD_COMMAND", (sys.executable, "-c", _ANSWERS_EARLY))
+    monkeypatch.setattr(readers_module, "CHILD_COMMAND", (sys.executable, "-c", _ANSWERS_EARLY))
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
     assert (read["state"], read["content"], read["message_count"]) == ("verified", "error", None)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.server.blobs.verification import read_through
+from kleinkram.server.blobs.readers import read_through
 from kleinkram.server.context import AppContext
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi

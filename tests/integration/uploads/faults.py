@@ -11,7 +11,7 @@ from types import FunctionType
 from typing import Any, cast
 
 from kleinkram.server.blobs import queries, scrub, service
-from kleinkram.server.blobs.verification import ObjectChecksums
+from kleinkram.server.blobs.readers import ObjectChecksums
 from kleinkram.server.maintenance import collect_garbage
 from kleinkram.server.uploads import completion, jobs, parts
 from kleinkram.server.uploads import queries as upload_queries

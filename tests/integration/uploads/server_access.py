@@ -10,7 +10,7 @@ from procrastinate import JobContext
 from sqlalchemy import text
 
 from kleinkram.server.blobs import jobs
-from kleinkram.server.blobs.reader_processes import ReaderProcesses
+from kleinkram.server.blobs.readers import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.execution import BackPressure

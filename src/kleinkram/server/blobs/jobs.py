@@ -20,9 +20,7 @@ from kleinkram.recordings import Content, FailureKind, RecordingSummary, Summary
 from kleinkram.recordings.isolation import StreamRequest, UrlRequest, request_bytes
 from kleinkram.server.blobs import scrub, service
 from kleinkram.server.blobs.queries import BlobRow, SqliteLog
-from kleinkram.server.blobs.reader_processes import ReaderProcesses
-from kleinkram.server.blobs.summaries import record_read_failure, record_summaries
-from kleinkram.server.blobs.verification import ObjectChecksums, Unreadable, read_through
+from kleinkram.server.blobs.readers import ObjectChecksums, ReaderProcesses, Unreadable, read_through
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.execution import (
     ATTEMPTS,
@@ -69,7 +67,7 @@ async def summarise_blob(job_context: JobContext, ref: str) -> None:
         if failure.kind is FailureKind.source and job_context.job.attempts < ATTEMPTS - 1:
             raise  # the store failed, not the file: try again
         async with context.database.begin() as db:
-            await record_read_failure(db, blob_id, str(failure))
+            await service.record_read_failure(db, blob_id, str(failure))
         return
     await _record_summary(context, blob_id, summary)
     if summary.content is Content.pending:  # only the verification reads it, and a user may wait for that
@@ -87,11 +85,11 @@ async def _find_in_own_store(context: AppContext, blob_id: uuid.UUID) -> BlobRow
 async def _record_summary(context: AppContext, blob_id: uuid.UUID, summary: RecordingSummary) -> None:
     try:
         async with context.database.begin() as db:
-            await record_summaries(db, {blob_id: summary})
+            await service.record_summaries(db, {blob_id: summary})
     except (DataError, IntegrityError) as error:  # untrusted values may fit no column
         _log.error("summary not recorded", extra={"fields": {"blob_id": str(blob_id), "reason": str(error.orig)}})
         async with context.database.begin() as db:
-            await record_read_failure(db, blob_id, "its metadata does not fit into the database")
+            await service.record_read_failure(db, blob_id, "its metadata does not fit into the database")
 
 
 async def _sqlite_logs(context: AppContext, row: BlobRow) -> Mapping[str, SqliteLog]:
@@ -148,8 +146,8 @@ async def verify_blob(job_context: JobContext, ref: str) -> None:
         await service.record_verified(db, {blob_id: checksums.md5})
 
 
-@queue.task(name=Job.examine_blob.value, retry=RETRY_STRATEGY, pass_context=True)
-async def examine_blob(job_context: JobContext, ref: str) -> None:
+@queue.task(name=Job.summarise_and_verify_blob.value, retry=RETRY_STRATEGY, pass_context=True)
+async def summarise_and_verify_blob(job_context: JobContext, ref: str) -> None:
     """Read the summary of a small blob and verify it, and with it queued ones of the same person."""
     context, blob_id = app_context(job_context), uuid.UUID(ref)
     row = await _find_in_own_store(context, blob_id)
@@ -160,7 +158,7 @@ async def examine_blob(job_context: JobContext, ref: str) -> None:
     read = await _read_or_damaged(job_context, context, row)
     if read is None:
         async with context.database.begin() as db:
-            await record_read_failure(db, blob_id, "its bytes are damaged or missing")
+            await service.record_read_failure(db, blob_id, "its bytes are damaged or missing")
         return
     done = {blob_id: read}
     async with context.database.begin() as db:
@@ -176,24 +174,24 @@ async def examine_blob(job_context: JobContext, ref: str) -> None:
             break
         if read.checksums.differs_from(other) is None:
             done[other.id] = read
-    await _record_examined(context, done)
+    await _record_small_blobs(context, done)
 
 
-async def _record_examined(context: AppContext, done: Mapping[uuid.UUID, _ReadResult]) -> None:
+async def _record_small_blobs(context: AppContext, done: Mapping[uuid.UUID, _ReadResult]) -> None:
     summaries = {blob_id: scan for blob_id, (_, scan) in done.items() if isinstance(scan, RecordingSummary)}
     md5s = {
         blob_id: checksums.md5 for blob_id, (checksums, scan) in done.items() if not isinstance(scan, SummaryFailed)
     }
     try:
         async with context.database.begin() as db:
-            await service.record_examined(db, summaries, md5s)
+            await service.record_small_blobs(db, summaries, md5s)
     except (DataError, IntegrityError):  # values of one of them fit no column
         summaries, md5s = {}, {}
     for blob_id, (checksums, scan) in done.items():
         if blob_id not in md5s:
             await _record_scan(context, blob_id, scan)
             async with context.database.begin() as db:
-                await service.record_examined(db, {}, {blob_id: checksums.md5})
+                await service.record_small_blobs(db, {}, {blob_id: checksums.md5})
 
 
 async def _read_or_damaged(job_context: JobContext, context: AppContext, row: BlobRow) -> _ReadResult | None:
@@ -230,7 +228,7 @@ async def _record_scan(context: AppContext, blob_id: uuid.UUID, scan: RecordingS
     elif scan is not None:
         _log.warning("not scanned", extra={"fields": {"blob_id": str(blob_id), "reason": str(scan)}})
         async with context.database.begin() as db:
-            await record_read_failure(db, blob_id, str(scan))
+            await service.record_read_failure(db, blob_id, str(scan))
 
 
 async def _read(context: AppContext, readers: ReaderProcesses, row: BlobRow) -> _ReadResult:

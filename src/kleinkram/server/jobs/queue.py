@@ -16,7 +16,7 @@ class Job(str, enum.Enum):
 
     summarise_blob = "summarise_blob"
     verify_blob = "verify_blob"
-    examine_blob = "examine_blob"
+    summarise_and_verify_blob = "examine_blob"
     derive_recordings = "group_recordings"
     finish_uploads = "finish_uploads"
     maintain_runs = "maintain_runs"
@@ -36,10 +36,10 @@ class Priority(enum.IntEnum):
 # own queue, so that summaries do not wait for them. (With a lock for derivation, one retried mission would block all
 # others.) The names of queues are stored, too.
 VERIFICATION = "verification"
-EXAMINING = "examining"
+SMALL_BLOBS = "examining"
 DERIVATION = "grouping"
 DEFAULT = "default"
-_QUEUES = {Job.verify_blob: VERIFICATION, Job.examine_blob: EXAMINING, Job.derive_recordings: DERIVATION}
+_QUEUES = {Job.verify_blob: VERIFICATION, Job.summarise_and_verify_blob: SMALL_BLOBS, Job.derive_recordings: DERIVATION}
 
 _DELETE_FAILED = text(
     "DELETE FROM procrastinate_jobs j WHERE j.status IN ('failed', 'cancelled', 'aborted') AND NOT EXISTS"

@@ -17,7 +17,7 @@ from kleinkram.contract.names import file_name
 from kleinkram.recordings import SummaryFailed
 from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME, Rosbag2Metadata
 from kleinkram.recordings.isolation import MetadataRequest, request_bytes
-from kleinkram.server.blobs.reader_processes import ReaderProcesses
+from kleinkram.server.blobs.readers import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.execution import (
     RETRY_STRATEGY,

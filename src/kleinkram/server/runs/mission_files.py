@@ -16,7 +16,7 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.reports import MissionFile
 from kleinkram.server.access.actor import find_person
 from kleinkram.server.audit.log import Event, audit
-from kleinkram.server.blobs.service import examine_blobs
+from kleinkram.server.blobs.service import enqueue_reading
 from kleinkram.server.db import Connection
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.missions import service as missions
@@ -91,8 +91,8 @@ async def _create_file(db: Connection, ended: EndedRun, selected: MissionFile, a
     await db.execute(insert(file).values(id=file_id, **values, **path))
     lineage = {"file_id": file_id, "derived_from": selected.derived_from}
     await db.execute(update(run_artifact).where(run_artifact.c.id == artifact.id).values(**lineage))
-    # Artifacts are not examined; as a file it may be a recording.
+    # The content of artifacts is not read; as a file it may be a recording.
     unread = {"content": ContentState.pending.value, "summarised_at": None}
     await db.execute(update(blob).where(blob.c.id == artifact.blob_id).values(**unread))
-    await examine_blobs(db, [artifact.blob_id])
+    await enqueue_reading(db, [artifact.blob_id])
     return file_id

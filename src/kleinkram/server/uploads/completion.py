@@ -33,7 +33,7 @@ from kleinkram.contract.uploads import (
 )
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.log import Event, audit
-from kleinkram.server.blobs.service import examine_blobs
+from kleinkram.server.blobs.service import enqueue_reading
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among, insert_rows, unnest_rows
@@ -250,7 +250,7 @@ async def _create_or_repair(
         for row in (placement.upload for placement in placements)
     ]
     await audit(db, actor, *events)
-    await examine_blobs(db, list(blob_ids.values()))
+    await enqueue_reading(db, list(blob_ids.values()))
     await derive_again(db, mission_id)
     return file_ids
 
