@@ -11,7 +11,7 @@ from kleinkram.recordings.file_summary import bounded, find_quality_warnings, wi
 from kleinkram.recordings.formats.rosbag2 import metadata as rosbag2
 from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME, Rosbag2Metadata
 from kleinkram.recordings.model import Content, Problem, RecordingSummary, TopicSummary, counted
-from kleinkram.recordings.timeline import MIN_JUMP_NS, StampRun, join_runs, main_cluster, run_in_cluster
+from kleinkram.recordings.timeline import MIN_JUMP_NS, StampSpan, join_spans, main_cluster, span_in_cluster
 
 _WORST_FIRST = (
     Content.error,
@@ -42,7 +42,7 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
         raise ValueError("a recording has at least one member")
     if len(summaries) == 1:
         return summaries[0]
-    cluster = main_cluster(run for summary in summaries if (run := _span(summary)) is not None)
+    cluster = main_cluster(span for summary in summaries if (span := _span(summary)) is not None)
     by_name: dict[str, list[TopicSummary]] = defaultdict(list)
     for topic in (topic for summary in summaries for topic in summary.topics):
         by_name[topic.name].append(topic)
@@ -157,20 +157,20 @@ def _total(counts: Iterable[int | None]) -> int | None:
     return total
 
 
-def _span(summary: RecordingSummary) -> StampRun | None:
+def _span(summary: RecordingSummary) -> StampSpan | None:
     if summary.start_ns is None or summary.end_ns is None:
         return None
     counted = sum((topic.count or 0) - topic.suspect_count for topic in summary.topics)
-    return StampRun(summary.start_ns, summary.end_ns, counted, 0)
+    return StampSpan(summary.start_ns, summary.end_ns, counted, 0)
 
 
-def _combine_topic(parts: list[TopicSummary], cluster: StampRun | None) -> TopicSummary:
-    runs = [
-        StampRun(part.first_ns, part.last_ns, part.count - part.suspect_count, part.longest_gap_ns or 0, part.density)
+def _combine_topic(parts: list[TopicSummary], cluster: StampSpan | None) -> TopicSummary:
+    spans = [
+        StampSpan(part.first_ns, part.last_ns, part.count - part.suspect_count, part.longest_gap_ns or 0, part.density)
         for part in parts
         if part.first_ns is not None and part.last_ns is not None and part.count is not None
     ]
-    run = run_in_cluster(join_runs(runs), cluster)
+    span = span_in_cluster(join_spans(spans), cluster)
     count = _total(part.count for part in parts)
     first = parts[0]
     topic = TopicSummary(
@@ -182,10 +182,10 @@ def _combine_topic(parts: list[TopicSummary], cluster: StampRun | None) -> Topic
         count=count,
         out_of_order_count=_total(part.out_of_order_count for part in parts),
         stored_bytes=_total(part.stored_bytes for part in parts),
-        suspect_count=0 if count is None else count - (run.count if run else 0),
-        density=run.density if run else None,
+        suspect_count=0 if count is None else count - (span.count if span else 0),
+        density=span.density if span else None,
     )
-    return with_times(topic, run, cluster)
+    return with_times(topic, span, cluster)
 
 
 MESSAGE_ZSTD = "message-zstd"  # the `compression` of a recording whose messages are compressed separately

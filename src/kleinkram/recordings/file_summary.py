@@ -13,7 +13,7 @@ from kleinkram.recordings.limits import MAX_PROBLEMS
 from kleinkram.recordings.message_density import add_up, bins_per_topic
 from kleinkram.recordings.model import Content, Problem, RecordingFormat, RecordingSummary, TopicSummary, counted
 from kleinkram.recordings.scanned_messages import Lateness
-from kleinkram.recordings.timeline import Jump, StampRun, Timeline, TopicTimes, main_cluster, run_in_cluster
+from kleinkram.recordings.timeline import Jump, StampSpan, Timeline, TopicTimes, main_cluster, span_in_cluster
 
 _HOUR_NS = 3600 * 10**9
 
@@ -41,13 +41,13 @@ def build_summary(
     problems: Iterable[Problem] = (),
 ) -> RecordingSummary:
     """Return the summary of an undamaged file by a finished timeline; `types` as of `types_by_topic`."""
-    cluster = main_cluster(run for times in timeline.topics.values() for run in times.runs)
+    cluster = main_cluster(span for times in timeline.topics.values() for span in times.spans)
     bins = bins_per_topic(len(timeline.topics))
     topics: list[TopicSummary] = []
     warnings: list[Problem] = []
     for name in sorted(timeline.topics):
         times = timeline.topics[name]
-        run, first_type = run_in_cluster(times.runs, cluster), types[name][0]
+        span, first_type = span_in_cluster(times.spans, cluster), types[name][0]
         topic = TopicSummary(
             name=name,
             message_type=first_type.message_type,
@@ -57,10 +57,10 @@ def build_summary(
             count=times.count,
             out_of_order_count=times.out_of_order,
             stored_bytes=times.stored_bytes,
-            suspect_count=times.count - (run.count if run else 0),
-            density=add_up([run.density], max_bins=bins) if run and run.density else None,
+            suspect_count=times.count - (span.count if span else 0),
+            density=add_up([span.density], max_bins=bins) if span and span.density else None,
         )
-        topic = with_times(topic, run, cluster)
+        topic = with_times(topic, span, cluster)
         topics.append(topic)
         warnings += _problems_of_topic(topic, types[name], times)
     jumps = {name: times.jump for name, times in timeline.topics.items() if times.jump is not None}
@@ -80,19 +80,19 @@ def build_summary(
     )
 
 
-def with_times(topic: TopicSummary, run: StampRun | None, cluster: StampRun | None) -> TopicSummary:
-    """Return a topic with times, rate and gaps of its messages inside the cluster, which are a run."""
-    if run is None or cluster is None:
+def with_times(topic: TopicSummary, span: StampSpan | None, cluster: StampSpan | None) -> TopicSummary:
+    """Return a topic with times, rate and gaps of its messages inside the cluster, which are a span."""
+    if span is None or cluster is None:
         return topic
-    span_ns = run.last_ns - run.first_ns
+    span_ns = span.last_ns - span.first_ns
     return replace(
         topic,
-        first_ns=run.first_ns,
-        last_ns=run.last_ns,
-        rate_hz=(run.count - 1) * 1e9 / span_ns if run.count > 1 and span_ns > 0 else None,
-        longest_gap_ns=run.longest_gap_ns if run.count > 1 else None,
-        head_gap_ns=run.first_ns - cluster.first_ns,
-        tail_gap_ns=cluster.last_ns - run.last_ns,
+        first_ns=span.first_ns,
+        last_ns=span.last_ns,
+        rate_hz=(span.count - 1) * 1e9 / span_ns if span.count > 1 and span_ns > 0 else None,
+        longest_gap_ns=span.longest_gap_ns if span.count > 1 else None,
+        head_gap_ns=span.first_ns - cluster.first_ns,
+        tail_gap_ns=cluster.last_ns - span.last_ns,
     )
 
 

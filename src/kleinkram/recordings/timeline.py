@@ -37,7 +37,7 @@ _KEY_BITS = 20
 
 
 @dataclass(frozen=True)
-class StampRun:
+class StampSpan:
     """Messages of one topic without a year of silence between them; both ends inclusive. `density`: None if unknown."""
 
     first_ns: int
@@ -67,7 +67,7 @@ class TopicTimes:
     previous_ns: int = -1
     jump: Jump | None = None
     earliest_pending_ns: int = 0
-    runs: list[StampRun] = field(default_factory=list)
+    spans: list[StampSpan] = field(default_factory=list)
     gaps_are_upper_bounds: bool = False
     pending: array[int] = field(default_factory=lambda: array("Q"))
 
@@ -104,16 +104,16 @@ class TopicTimes:
             self.jump = replace(self.jump, return_ns=stamps[steps.index(forward_ns)])
 
     def finish(self, before_ns: int | None, max_bins: int) -> None:
-        """Turn pending stamps below `before_ns` (None: all) into runs, whose density has at most `max_bins`."""
+        """Turn pending stamps below `before_ns` (None: all) into spans, whose density has at most `max_bins`."""
         if not self.pending or (before_ns is not None and self.earliest_pending_ns >= before_ns):
             return
         stamps = sorted(self.pending)
         cut = len(stamps) if before_ns is None else bisect_left(stamps, before_ns)
         if cut:
-            # Whichever run these join, its bins are at least as wide, and theirs need not be narrower.
-            bin_ns = min((run.density.bin_ns for run in self.runs if run.density), default=1)
-            for run in _split(stamps[:cut], bin_ns, max_bins):
-                self._absorb(run, max_bins)
+            # Whichever span these join, its bins are at least as wide, and theirs need not be narrower.
+            bin_ns = min((span.density.bin_ns for span in self.spans if span.density), default=1)
+            for span in _split(stamps[:cut], bin_ns, max_bins):
+                self._absorb(span, max_bins)
             self.pending = array("Q", stamps[cut:])
             self.earliest_pending_ns = self.pending[0] if self.pending else 0
 
@@ -126,26 +126,26 @@ class TopicTimes:
         self.stored_bytes += later.stored_bytes
         self.latest_ns = max(self.latest_ns, later.latest_ns)
         self.gaps_are_upper_bounds = self.gaps_are_upper_bounds or later.gaps_are_upper_bounds
-        for run in later.runs:
-            self._absorb(run, MAX_BINS)
+        for span in later.spans:
+            self._absorb(span, MAX_BINS)
 
-    def _absorb(self, run: StampRun, max_bins: int) -> None:
-        if self.runs and run.first_ns < self.runs[-1].last_ns:
-            late = any(run.first_ns < known.last_ns and known.first_ns < run.last_ns for known in self.runs)
+    def _absorb(self, span: StampSpan, max_bins: int) -> None:
+        if self.spans and span.first_ns < self.spans[-1].last_ns:
+            late = any(span.first_ns < known.last_ns and known.first_ns < span.last_ns for known in self.spans)
             self.gaps_are_upper_bounds = self.gaps_are_upper_bounds or late
-        self.runs = join_runs([*self.runs, run], max_bins)
+        self.spans = join_spans([*self.spans, span], max_bins)
 
 
-def _split(stamps: Sequence[int], bin_ns: int, max_bins: int) -> list[StampRun]:
+def _split(stamps: Sequence[int], bin_ns: int, max_bins: int) -> list[StampSpan]:
     """Split sorted stamps at gaps of more than a year."""
     gaps = list(map(sub, stamps[1:], stamps))
     longest = max(gaps, default=0)
     if longest <= YEAR_NS:
         density = count_stamps(stamps, min_bin_ns=bin_ns, max_bins=max_bins)
-        return [StampRun(stamps[0], stamps[-1], len(stamps), longest, density)]
+        return [StampSpan(stamps[0], stamps[-1], len(stamps), longest, density)]
     cuts = [0, *(i + 1 for i, gap in enumerate(gaps) if gap > YEAR_NS), len(stamps)]
     return [
-        StampRun(
+        StampSpan(
             stamps[a],
             stamps[b - 1],
             b - a,
@@ -156,24 +156,24 @@ def _split(stamps: Sequence[int], bin_ns: int, max_bins: int) -> list[StampRun]:
     ]
 
 
-def join_runs(runs: Iterable[StampRun], max_bins: int = MAX_BINS) -> list[StampRun]:
-    """Join runs that overlap or are within a year of each other; sorted by time, each density with at most `max_bins`.
+def join_spans(spans: Iterable[StampSpan], max_bins: int = MAX_BINS) -> list[StampSpan]:
+    """Join spans that overlap or are within a year of each other; sorted by time, each density with at most `max_bins`.
 
-    The gap between two runs that do not overlap counts as a gap of the joined one.
+    The gap between two spans that do not overlap counts as a gap of the joined one.
     """
-    joined: list[StampRun] = []
-    for run in sorted(runs, key=lambda run: run.first_ns):
+    joined: list[StampSpan] = []
+    for span in sorted(spans, key=lambda span: span.first_ns):
         previous = joined[-1] if joined else None
-        if previous is None or run.first_ns - previous.last_ns > YEAR_NS:
-            joined.append(run)
+        if previous is None or span.first_ns - previous.last_ns > YEAR_NS:
+            joined.append(span)
             continue
-        between = max(0, run.first_ns - previous.last_ns)
-        joined[-1] = StampRun(
+        between = max(0, span.first_ns - previous.last_ns)
+        joined[-1] = StampSpan(
             previous.first_ns,
-            max(previous.last_ns, run.last_ns),
-            previous.count + run.count,
-            max(previous.longest_gap_ns, run.longest_gap_ns, between),
-            _both(previous.density, run.density, max_bins),
+            max(previous.last_ns, span.last_ns),
+            previous.count + span.count,
+            max(previous.longest_gap_ns, span.longest_gap_ns, between),
+            _both(previous.density, span.density, max_bins),
         )
     return joined
 
@@ -182,23 +182,23 @@ def _both(one: MessageDensity | None, other: MessageDensity | None, max_bins: in
     return add_up((one, other), max_bins=max_bins) if one is not None and other is not None else None
 
 
-def main_cluster(runs: Iterable[StampRun]) -> StampRun | None:
+def main_cluster(spans: Iterable[StampSpan]) -> StampSpan | None:
     """Return the cluster with the most messages over all topics, the latest of equals; None without messages."""
-    bare = [StampRun(run.first_ns, run.last_ns, run.count, run.longest_gap_ns) for run in runs]
-    return max(join_runs(bare), key=lambda run: (run.count, run.first_ns), default=None)
+    bare = [StampSpan(span.first_ns, span.last_ns, span.count, span.longest_gap_ns) for span in spans]
+    return max(join_spans(bare), key=lambda span: (span.count, span.first_ns), default=None)
 
 
-def run_in_cluster(runs: Iterable[StampRun], cluster: StampRun | None) -> StampRun | None:
-    """Return the runs of a topic inside the cluster as one run; None if there are none."""
+def span_in_cluster(spans: Iterable[StampSpan], cluster: StampSpan | None) -> StampSpan | None:
+    """Return the spans of a topic inside the cluster as one; None if there are none."""
     if cluster is None:
         return None
-    inside = [run for run in runs if cluster.first_ns <= run.first_ns <= cluster.last_ns]
+    inside = [span for span in spans if cluster.first_ns <= span.first_ns <= cluster.last_ns]
     if not inside:
         return None
-    gaps = [run.longest_gap_ns for run in inside]
+    gaps = [span.longest_gap_ns for span in inside]
     gaps += [after.first_ns - before.last_ns for before, after in pairwise(inside)]
-    density = reduce(_both, [run.density for run in inside])
-    return StampRun(inside[0].first_ns, inside[-1].last_ns, sum(run.count for run in inside), max(gaps), density)
+    density = reduce(_both, [span.density for span in inside])
+    return StampSpan(inside[0].first_ns, inside[-1].last_ns, sum(span.count for span in inside), max(gaps), density)
 
 
 @dataclass(frozen=True)

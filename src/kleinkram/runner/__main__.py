@@ -25,8 +25,7 @@ from kleinkram.contract.names import Label
 from kleinkram.contract.runners import Isolation
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.docker.client import DockerClient, EngineError, EngineUnavailable, find_socket
-from kleinkram.runner.executors.docker.executor import DockerExecutor
-from kleinkram.runner.executors.docker.images import Pull
+from kleinkram.runner.executors.docker.executor import DockerExecutor, Pull
 from kleinkram.runner.executors.local import Machine, MachineShare
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.loop import Runner, RunnerOptions

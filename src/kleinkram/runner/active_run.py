@@ -14,8 +14,8 @@ from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import Heartbeat, HeartbeatReply, LeaseStatus, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason, RunState, UsageSample
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end
-from kleinkram.runner.executors.limits import CANCELLED, boot_time_s
-from kleinkram.runner.inputs import job_of, prepare
+from kleinkram.runner.executors.supervision import CANCELLED, boot_time_s
+from kleinkram.runner.inputs import job_of, prepare_run
 from kleinkram.runner.logs import LogUpload, Redactor
 from kleinkram.runner.results import ProgressReader, ResultUpload
 from kleinkram.runner.state_directory import (
@@ -207,7 +207,7 @@ class ActiveRun:
         self._attempt.change(stage=RunState.preparing)
         self._executor.remove(self._job())
         self._attempt.clear()
-        prepared = prepare(self._context, self.assignment, self.stop, self._attempt.directory / "in")
+        prepared = prepare_run(self._context, self.assignment, self.stop, self._attempt.directory / "in")
         self._attempt.change(
             stage=RunState.running,
             starts=self._attempt.state.starts + 1,

@@ -40,14 +40,14 @@ _RETRY_S = 600.0
 _PERMANENT_ERRORS = (NotFound, FileUnavailable, InvalidRequest)
 
 
-class Prepared(NamedTuple):
-    """Prepared inputs of a run: its image, and the URL of the store if the run may connect to it."""
+class PreparedRun(NamedTuple):
+    """What a prepared run starts with: its image, and the URL of the store if the run may connect to it."""
 
     image: PinnedImage | None
     store_url: str
 
 
-def prepare(context: RunnerContext, assignment: RunAssignment, stop: StopSignal, directory: Path) -> Prepared:
+def prepare_run(context: RunnerContext, assignment: RunAssignment, stop: StopSignal, directory: Path) -> PreparedRun:
     """Pull the image while the inputs are placed in `directory`, which becomes `/in`. May be repeated.
 
     Raises:
@@ -76,7 +76,7 @@ def prepare(context: RunnerContext, assignment: RunAssignment, stop: StopSignal,
             path.chmod(0o444)
     while pulled and not pulled.done():
         stop.wait(_IMAGE_CHECK_EVERY_S)
-    return Prepared(pulled.result() if pulled else None, store_url)
+    return PreparedRun(pulled.result() if pulled else None, store_url)
 
 
 def _place(context: RunnerContext, assignment: RunAssignment, source: "InputDownload", directory: Path) -> None:
@@ -94,9 +94,9 @@ def _place(context: RunnerContext, assignment: RunAssignment, source: "InputDown
         raise _unavailable(str(error)) from error
     except OSError as error:
         raise _unavailable(f"Its inputs cannot be placed: {error.strerror}.") from error
-    described = context.runners.get_context(assignment.run_id, assignment.attempt)
+    run_context = context.runners.get_context(assignment.run_id, assignment.attempt)
     trusted = os.environ.get("SSL_CERT_FILE") if assignment.network is Network.api else None
-    write_context(directory, described, assignment.script, Path(trusted).read_text() if trusted else None)
+    write_context(directory, run_context, assignment.script, Path(trusted).read_text() if trusted else None)
 
 
 def _image_of(context: RunnerContext, assignment: RunAssignment) -> str | None:

@@ -17,8 +17,8 @@ from kleinkram.client.transfer.store import StoreAnswer
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import LogChunkConfirm, LogChunkCreate
 from kleinkram.contract.uploads import crc64nvme
-from kleinkram.runner.durable_files import write_atomically
 from kleinkram.runner.executors.base import Executor, RunJob
+from kleinkram.runner.executors.supervision import write_atomically
 from kleinkram.runner.state_directory import LOG_UPLOAD, Attempt, RunnerContext
 
 _CHUNK_BYTES = 4 * 2**20

@@ -32,7 +32,7 @@ from kleinkram.contract.runners import (
 from kleinkram.runner import state_directory as runner_state
 from kleinkram.runner.active_run import ActiveRun
 from kleinkram.runner.executors.base import CannotStart, Executor
-from kleinkram.runner.executors.limits import boot_time_s
+from kleinkram.runner.executors.supervision import boot_time_s
 from kleinkram.runner.state_directory import LEASE_MARGIN_S, Attempt, Lease, RunnerContext, StateDirectory, StopRequest
 
 _log = logging.getLogger("kleinkram.runner")

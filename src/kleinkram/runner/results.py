@@ -31,7 +31,7 @@ from kleinkram.contract.problems import first_message
 from kleinkram.contract.runners import LOG_PATH, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import Ending, RunJob
-from kleinkram.runner.executors.limits import DISK_FULL
+from kleinkram.runner.executors.supervision import DISK_FULL
 from kleinkram.runner.logs import Redactor, write_redacted_log
 from kleinkram.runner.state_directory import RunnerContext, StopSignal
 

@@ -29,9 +29,8 @@ from kleinkram.client.server import Service
 from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.runners import RunAssignment
 from kleinkram.contract.runs import RunState, Usage
-from kleinkram.runner.durable_files import write_atomically, write_in_place
 from kleinkram.runner.executors.base import Ending, Executor
-from kleinkram.runner.executors.limits import LOG, boot_time_s
+from kleinkram.runner.executors.supervision import LOG, boot_time_s, write_atomically, write_in_place
 
 LOG_UPLOAD = "log-upload.json"
 _STATE = "state.json"

@@ -90,27 +90,27 @@ class Rows:
 class PagedQuery(Generic[T]):
     """A select whose pages are read in an order, with the function that reads the rows. Its statements are built once.
 
-    With `described`, the select only finds the ids of the page (the last column of the order), and `described` selects
-    the rows for these ids.
+    With `select_by_id`, the select only finds the ids of the page (the last column of the order), and the rows are what
+    `select_by_id` selects for them.
     """
 
     statement: Select[Any]
     order: Order
     read: Callable[[Sequence[Row[Any]]], list[T]]
-    described: Callable[[ColumnElement[Any]], Select[Any]] | None = None
+    select_by_id: Callable[[ColumnElement[Any]], Select[Any]] | None = None
     _pages: dict[tuple[int, bool], Select[Any]] = field(default_factory=dict, init=False)
 
     def page(self, limit: int, *, is_first: bool) -> Select[Any]:
         """Return the rows of a page and the next one; after `after_0`, `after_1`, ... where it is not the first."""
         if (limit, is_first) not in self._pages:
             order, keys = self.order, [column.label(f"_key_{at}") for at, column in enumerate(self.order.columns)]
-            if self.described is None:
+            if self.select_by_id is None:
                 built = _page_of(self.statement.add_columns(*keys), order, limit, is_first=is_first)
             else:
                 ids = self.statement.with_only_columns(*keys, maintain_column_froms=True)
                 page = _page_of(ids, order, limit, is_first=is_first).subquery("page")
                 columns = [page.c[key.name] for key in keys]
-                built = in_order(self.described(columns[-1]).add_columns(*page.c), columns, order)
+                built = in_order(self.select_by_id(columns[-1]).add_columns(*page.c), columns, order)
             self._pages[limit, is_first] = built
         return self._pages[limit, is_first]
 

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import pytest
 
-from kleinkram.server.missions import service as missions_service
+from kleinkram.server.filters import plan as search_plan
 from tests.integration.access import visibility_model
 from tests.integration.access.visibility_model import Eye, File, Lab, Mission, Project
 from tests.integration.api_server import Api
@@ -108,7 +108,7 @@ def test_files_and_topics(lab: Lab) -> None:
 
 def test_files_in_the_order_of_time(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     """Someone who sees very many missions lists the same files by time."""
-    monkeypatch.setattr(missions_service, "MAX_VISIBLE_IDS", 0)
+    monkeypatch.setattr(search_plan, "MAX_VISIBLE_MISSIONS", 0)
     for eye, api in _looks(lab):
         if not eye.reads:
             continue

@@ -14,9 +14,9 @@ import pytest
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.runner.executors.base import RunJob
 from kleinkram.runner.executors.docker import container as docker_container
-from kleinkram.runner.executors.docker.client import ImageInfo
+from kleinkram.runner.executors.docker.client import ImageInfo, credentials_for, parse_image_name
 from kleinkram.runner.executors.docker.container import describe, execution_error, with_barrier
-from kleinkram.runner.executors.docker.images import credentials_for, is_allowed, parse_image_name
+from kleinkram.runner.executors.docker.executor import is_allowed
 from kleinkram.runner.executors.port_forward import PortForward
 
 

@@ -19,8 +19,8 @@ from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors import local
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end
 from kleinkram.runner.executors.docker import container as docker_container
-from kleinkram.runner.executors.limits import GRACE_S, boot_time_s
 from kleinkram.runner.executors.port_forward import PortForward
+from kleinkram.runner.executors.supervision import GRACE_S, boot_time_s
 from tests.integration.runner.conftest import EVERYWHERE, Bench, log_of
 from tests.requirements import missing
 

@@ -6,8 +6,8 @@ import pytest
 
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.runner.executors.base import RunJob
-from kleinkram.runner.executors.limits import LEASE
 from kleinkram.runner.executors.process import ProcessExecutor
+from kleinkram.runner.executors.supervision import LEASE
 
 
 def test_a_directory_that_is_being_removed_does_not_get_its_lease_back(tmp_path: Path) -> None:

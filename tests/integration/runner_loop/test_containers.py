@@ -9,8 +9,7 @@ from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner.__main__ import ExecutorChoice, ImagePolicy, choose_executor
-from kleinkram.runner.executors.docker.executor import DockerExecutor
-from kleinkram.runner.executors.docker.images import Pull
+from kleinkram.runner.executors.docker.executor import DockerExecutor, Pull
 from tests.integration.runner import engines
 from tests.integration.runner.conftest import docker, engine, podman  # noqa: F401  fixtures
 from tests.integration.runner.engines import Dockerd

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract.runs import EndReason, RunState
-from kleinkram.runner import active_run, durable_files
+from kleinkram.runner import active_run
+from kleinkram.runner.executors import supervision
 from kleinkram.runner.executors.base import RunJob
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.loop import Runner
@@ -104,12 +105,12 @@ def test_reserved_files_can_be_written_on_a_full_disk(tmp_path: Path) -> None:
     need_small_disks()
     with small_disk(tmp_path, MIB) as disk:
         ending, lease = disk.path("ending.json"), disk.path("lease")
-        durable_files.reserve(ending)
-        durable_files.write_in_place(lease, "1.5")
+        supervision.reserve(ending)
+        supervision.write_in_place(lease, "1.5")
         disk.fill()
         with pytest.raises(OSError, match="No space left"):
-            durable_files.write_atomically(disk.path("other.json"), '{"reason": "done"}')
-        durable_files.write_atomically(ending, '{"reason": "done"}')
-        durable_files.write_in_place(lease, "12.25")
+            supervision.write_atomically(disk.path("other.json"), '{"reason": "done"}')
+        supervision.write_atomically(ending, '{"reason": "done"}')
+        supervision.write_in_place(lease, "12.25")
         assert ending.read_text() == '{"reason": "done"}'
         assert float(lease.read_text()) == 12.25

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.access import Right
-from kleinkram.server.missions import service as missions_service
-from kleinkram.server.search import planner
+from kleinkram.server.files import service as files_service
+from kleinkram.server.filters import plan as search_plan
 from tests.integration import people
 from tests.integration.api_server import Api, Query
 from tests.integration.sample import Sample
@@ -19,6 +19,8 @@ from tests.integration.sample import Sample
 DAY_NS = 86_400 * 10**9
 IMU = {"message_type": "sensor_msgs/msg/Imu", "count": 200}
 IMAGE = {"message_type": "sensor_msgs/msg/Image", "count": 10}
+# Of so many visible missions, a list sorts all files.
+_FEW = files_service._MAX_SORTED_MISSIONS
 
 
 @pytest.fixture(scope="module")
@@ -238,7 +240,7 @@ def test_a_person_with_several_missions_finds_what_an_admin_finds_in_them(
     api: Api, sample: Sample, project: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The statements on files name those missions; those of someone who sees many do not."""
-    monkeypatch.setattr(planner, "MAX_VISIBLE_MISSIONS", missions_service.MAX_VISIBLE_IDS)
+    monkeypatch.setattr(search_plan, "MAX_VISIBLE_MISSIONS", _FEW)
     reader, many = people.person(api), people.person(api)
     missions = [item["id"] for item in api.all("/missions", {"project_id": project["id"]})]
     for mission_id in missions:
@@ -246,7 +248,7 @@ def test_a_person_with_several_missions_finds_what_an_admin_finds_in_them(
     people.grant(api, many, Right.read, project_id=project["id"])
     crowd = api.project()["id"]
     people.grant(api, many, Right.read, project_id=crowd)
-    for number in range(missions_service.MAX_VISIBLE_IDS):
+    for number in range(_FEW):
         sample.file(api.mission(crowd)["id"], f"{number}.txt")
     for person in (reader, many):
         theirs = api.as_(person.token)
@@ -264,6 +266,29 @@ def test_a_person_with_several_missions_finds_what_an_admin_finds_in_them(
     assert set(_statements_naming_missions(api, many.token)) == {False}
 
 
+def test_lists_by_label_name_the_missions_of_somebody_who_sees_up_to_two_thousand(api: Api, sample: Sample) -> None:
+    """Other lists of this person are read in the order of an index, since their conditions may hold for most files."""
+    reader, crowd = people.person(api), api.project()["id"]
+    people.grant(api, reader, Right.read, project_id=crowd)
+    ids = []
+    for number in range(_FEW + 1):
+        mission = api.mission(crowd)["id"]
+        ids += [sample.file(mission, f"{number}.txt", labels=("night",) if number % 2 else ())]
+    theirs = api.as_(reader.token)
+    for query, result, is_named in (
+        ({"label": "night"}, ids[1::2], True),
+        ({"label": "night", "sort": "path"}, ids[1::2], True),
+        ({"label": "night", "sort": "created", "limit": "3", "count": "true"}, ids[1::2], True),
+        ({"sort": "created"}, ids, False),
+        ({"path": "*.txt", "sort": "created"}, ids, False),
+    ):
+        with api.statements() as statements:
+            assert sorted(_ids(theirs.all("/files", {"project_id": crowd, **query}))) == sorted(result)
+        listed = [entry for entry in statements if "JOIN mission" in entry and "FROM file" in entry]
+        assert listed, query
+        assert {"file.mission_id = ANY" in entry for entry in listed} == {is_named}, query
+
+
 @pytest.mark.parametrize("sort", ["start", "-start", "-created", "size"])
 def test_a_list_continues_when_the_number_of_visible_missions_changes(
     api: Api, sample: Sample, monkeypatch: pytest.MonkeyPatch, sort: str
@@ -274,8 +299,8 @@ def test_a_list_continues_when_the_number_of_visible_missions_changes(
     reader = people.person(api)
     people.grant(api, reader, Right.read, mission_id=mission)
     theirs, result, query = api.as_(reader.token), list[str](), {"sort": sort, "limit": "1"}
-    for most in itertools.cycle((missions_service.MAX_VISIBLE_IDS, 0)):
-        monkeypatch.setattr(missions_service, "MAX_VISIBLE_IDS", most)
+    for most in itertools.cycle((_FEW, 0)):
+        monkeypatch.setattr(search_plan, "MAX_VISIBLE_MISSIONS", most)
         page = theirs.get("/files", query).ok()
         result += _ids(page["items"])
         if page["next"] is None:
@@ -291,8 +316,8 @@ def test_both_execution_plans_find_the_same_files(api: Api, sample: Sample, monk
     reader = people.person(api)
     for mission in missions:
         people.grant(api, reader, Right.read, mission_id=mission)
-    for most in (0, missions_service.MAX_VISIBLE_IDS):
-        monkeypatch.setattr(missions_service, "MAX_VISIBLE_IDS", most)
+    for most in (0, _FEW):
+        monkeypatch.setattr(search_plan, "MAX_VISIBLE_MISSIONS", most)
         assert sorted(_ids(api.as_(reader.token).all("/files", {"sort": "created"}))) == sorted(ids)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from kleinkram.contract.access import Right
-from kleinkram.server.missions import service as missions_service
+from kleinkram.server.filters import plan as search_plan
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -30,7 +30,7 @@ def _readers(start_api: StartApi, request: pytest.FixtureRequest) -> Iterator[li
         result.append((api.as_(people.token(api, reader).secret), mission, word))
     with pytest.MonkeyPatch.context() as patch:
         if request.param:
-            patch.setattr(missions_service, "MAX_VISIBLE_IDS", 0)
+            patch.setattr(search_plan, "MAX_VISIBLE_MISSIONS", 0)
         yield result
 
 

@@ -85,7 +85,7 @@ def test_memory_stays_small_for_a_long_recording() -> None:
     times = timeline.topics["/t"]
     assert times.count == 2_000_000
     assert len(times.pending) <= timeline_module.FINISH_AT
-    assert len(times.runs) == 1
+    assert len(times.spans) == 1
 
 
 def test_memory_stays_small_where_a_clock_stood_still(monkeypatch: pytest.MonkeyPatch) -> None:

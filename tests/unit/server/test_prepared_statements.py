@@ -19,7 +19,14 @@ from kleinkram.contract.missions import MissionFilter, MissionSort
 from kleinkram.server.access.actor import ALL_SCOPES, STRANGER, Actor, ActorKind, Limits
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.files import queries as files
-from kleinkram.server.filters.plan import NO_PLAN, MatchedFiles, SearchPlan, SearchWord, prepare
+from kleinkram.server.filters.plan import (
+    NO_PLAN,
+    MatchedFiles,
+    SearchPlan,
+    SearchWord,
+    prepare_statement,
+    visible_ids,
+)
 from kleinkram.server.missions import queries as missions
 from kleinkram.server.pagination import PagedQuery
 from kleinkram.server.search import facets, planner, service
@@ -151,7 +158,7 @@ _SHAPES = (
     Shape(files.count_all, _no_filter, with_plans=False),
     Shape(files.first_missions, _project_filter, {"is_first": False, "descending": True, "limit": 4}, with_plans=False),
     *(Shape(missions.mission_listing, _mission_filters, {"sort": sort}) for sort in (MissionSort.start, "meta.robot")),
-    Shape(missions.visible_ids, _no_filter, {"limit": 33}, with_plans=False),
+    Shape(visible_ids, _no_filter, {"limit": 33}, with_plans=False),
     Shape(planner._sampled, _two_file_filters),
     Shape(planner._one_match, _one_file_filter),
     Shape(planner._matched, _one_file_filter, {"sort": FileSort.start_desc, "limit": 21}),
@@ -192,8 +199,8 @@ def test_a_statement_prepared_for_another_actor_equals_the_one_built_directly(sh
             first_plans, second_plans = plans(), plans()
         tried = [*zip(first_plans, second_plans, strict=True)] if shape.with_plans else [(NO_PLAN, NO_PLAN)]
         first_plan, plan = tried[(at + turn) % len(tried)]
-        prepared, _ = prepare(shape.build, first, *first_filters, plan=first_plan, **shape.options)
-        reused, values = prepare(shape.build, second, *filters, plan=plan, **shape.options)
+        prepared, _ = prepare_statement(shape.build, first, *first_filters, plan=first_plan, **shape.options)
+        reused, values = prepare_statement(shape.build, second, *filters, plan=plan, **shape.options)
         assert reused is prepared
         direct = shape.build(second, *filters, plan=plan, **shape.options)
         assert compiled(reused, values) == compiled(direct, values)
@@ -206,7 +213,7 @@ def test_every_prepared_statement_is_compared() -> None:
         node.args[0]
         for path in server.rglob("*.py")
         for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "prepare"
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "prepare_statement"
     ]
     names = {builder.attr if isinstance(builder, ast.Attribute) else ast.unparse(builder) for builder in calls}
     assert names == {shape.build.__name__ for shape in _SHAPES}

@@ -18,10 +18,9 @@ from pathlib import Path
 
 from kleinkram.contract.runners import Capacity, Isolation
 from kleinkram.contract.runs import LOG_BYTES, EndReason
-from kleinkram.runner.durable_files import write_in_place
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, InputSource, RunJob
-from kleinkram.runner.executors.limits import LEASE, LOG, JobLimits
 from kleinkram.runner.executors.port_forward import loopback_addresses
+from kleinkram.runner.executors.supervision import LEASE, LOG, JobLimits, write_in_place
 from kleinkram.runner.input_cache import InputCache, InputFile
 
 _MEMORY_SHARE = 0.8

@@ -18,11 +18,10 @@ from kleinkram.action.run_files import IN_VARIABLE, OUT_VARIABLE
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import ExecutorAbilities, Isolation
 from kleinkram.contract.runs import EndReason, Usage
-from kleinkram.runner.durable_files import reserve, write_atomically
 from kleinkram.runner.executors import process_sandbox, process_supervisor
 from kleinkram.runner.executors.base import Ending, PinnedImage, RunJob
-from kleinkram.runner.executors.limits import ENDING, USAGE
 from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
+from kleinkram.runner.executors.supervision import ENDING, USAGE, reserve, write_atomically
 
 _LOCK_RETRIES = 50
 _POLL_EVERY_S = 0.02

@@ -18,9 +18,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from kleinkram.runner.durable_files import write_all, write_atomically
 from kleinkram.runner.executors import linux_syscalls, port_forward
-from kleinkram.runner.executors.limits import (
+from kleinkram.runner.executors.process_sandbox import (
+    SHARED_MEMORY,
+    SHARED_MEMORY_BYTES,
+    Sandbox,
+    apply_limits,
+    run_in_sandbox,
+)
+from kleinkram.runner.executors.supervision import (
     CANCELLED,
     DISK_FULL,
     ENDING,
@@ -31,13 +37,8 @@ from kleinkram.runner.executors.limits import (
     LimitMonitor,
     command_not_found,
     reason_of_exit_code,
-)
-from kleinkram.runner.executors.process_sandbox import (
-    SHARED_MEMORY,
-    SHARED_MEMORY_BYTES,
-    Sandbox,
-    apply_limits,
-    run_in_sandbox,
+    write_all,
+    write_atomically,
 )
 
 JOB, LOCK = "job.json", "supervisor"

@@ -176,13 +176,13 @@ def matching_files(actor: Actor, matching: FileFilter, plan: SearchPlan = NO_PLA
 def file_listing(actor: Actor, matching: FileFilter, *, plan: SearchPlan, sort: FileSort) -> PagedQuery[FileRead]:
     """Return the visible files that match, in an order."""
 
-    def described(file_id: ColumnElement[uuid.UUID]) -> Select[Any]:
+    def select_by_id(file_id: ColumnElement[uuid.UUID]) -> Select[Any]:
         return _rows_of_all().where(file.c.id == file_id)
 
     matched = matching_files(actor, matching, plan)
     if plan.matched is not None:
         matched = matched.where(among_parameter(file.c.id, "matched_first_ids"))
-    return PagedQuery(matched, file_order(sort, by_index=not plan.is_selective), to_files, described)
+    return PagedQuery(matched, file_order(sort, by_index=not plan.is_selective), to_files, select_by_id)
 
 
 @functools.cache

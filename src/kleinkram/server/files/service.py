@@ -35,7 +35,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.files import queries
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.files.queries import FileWithBlob
-from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, prepare
+from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, find_visible_mission_ids, prepare_statement
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pagination import PageRequest, execute_after, read_listing, values_after
 from kleinkram.server.quotas import Amount, project_of, require_room
@@ -46,6 +46,9 @@ _UNREADABLE = {BlobState.lost, BlobState.corrupt}
 _BY_PATH = {FileSort.path, FileSort.path_desc}
 # A page of a list by path is first looked for among the files of so many missions.
 _FIRST_MISSIONS = 64
+# The most visible missions whose files are all sorted for a list. Of more, pages are read in the order of an index,
+# since other conditions than a label may hold for most files.
+_MAX_SORTED_MISSIONS = 32
 _FETCHED = {FetchPurpose.download: "file.download", FetchPurpose.preview: "file.preview"}
 
 
@@ -84,16 +87,18 @@ async def list_files(
 ) -> Page[FileRead]:
     """Return a page of the files that match. Raises InvalidQuery for an invalid `where`, or InvalidCursor."""
     if page.count and matching == FileFilter():
-        total = int((await db.execute(*prepare(queries.count_all, actor))).scalar_one())
+        total = int((await db.execute(*prepare_statement(queries.count_all, actor))).scalar_one())
         listed = await list_files(db, actor, matching=matching, sort=sort, page=replace(page, count=False))
         return listed.model_copy(update={"total": total})
     if plan is NO_PLAN and matching.mission_id is None:
-        plan = replace(NO_PLAN, mission_ids=await missions.find_visible_mission_ids(db, actor))
+        # Few files have a label: those of all visible missions are sorted.
+        at_most = None if matching.label else _MAX_SORTED_MISSIONS
+        plan = replace(NO_PLAN, mission_ids=await find_visible_mission_ids(db, actor, at_most=at_most))
     if sort in _BY_PATH and not page.count and matching.mission_id is None and not plan.is_selective:
         from_first = await _list_first_missions(db, actor, matching, sort, page)
         if from_first is not None:
             return from_first
-    listing, values = prepare(queries.file_listing, actor, matching, plan=plan, sort=sort)
+    listing, values = prepare_statement(queries.file_listing, actor, matching, plan=plan, sort=sort)
     return await read_listing(db, listing, page, values)
 
 
@@ -106,7 +111,7 @@ async def _list_first_missions(
     """
     order = queries.file_order(sort)
     after = values_after(page, order)
-    first, values = prepare(
+    first, values = prepare_statement(
         queries.first_missions,
         actor,
         MissionFilter(project_id=matching.project_id),
@@ -116,7 +121,7 @@ async def _list_first_missions(
     )
     mission_ids = [str(row.id) for row in await execute_after(db, first, after, values)]
     plan = replace(NO_PLAN, mission_ids=f"{{{','.join(mission_ids)}}}")
-    listing, values = prepare(queries.file_listing, actor, matching, plan=plan, sort=sort)
+    listing, values = prepare_statement(queries.file_listing, actor, matching, plan=plan, sort=sort)
     listed = await read_listing(db, listing, page, values)
     return listed if listed.next is not None or len(mission_ids) < _FIRST_MISSIONS else None
 

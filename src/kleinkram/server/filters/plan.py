@@ -1,4 +1,4 @@
-"""The execution plan of a search, and statements that are built once for all requests of the same shape.
+"""The execution plan of a search, the missions it is limited to, and statements built once for each shape of requests.
 
 A plan is what is known of a filter before it runs. It decides how rows are read, never who sees them. What differs
 between two searches of the same shape (words, names, ids, the person) is bound by name.
@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
-from sqlalchemy import String, Uuid, bindparam
+from sqlalchemy import Select, String, Text, Uuid, bindparam, cast, func, select
 from sqlalchemy.sql.elements import BindParameter
 
 from kleinkram.contract.errors import InvalidQuery
@@ -21,10 +21,14 @@ from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.names import name_key
 from kleinkram.contract.query import phrases
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.db import containing
+from kleinkram.server.access.visible import visible_missions
+from kleinkram.server.db import Connection, containing
+from kleinkram.server.tables import mission
 
 # Ids are random: the rows with the lowest ids are a sample, and the last of these tells how many rows there are.
 ID_COUNT = 2**128
+# The most missions of somebody whose files are looked up mission by mission.
+MAX_VISIBLE_MISSIONS = 2_000
 # Each word is looked for in every column where one can occur.
 MAX_WORDS = 20
 # Characters that JSON writes differently.
@@ -177,7 +181,7 @@ class _BoundId(uuid.UUID):
         return bindparam(f"filter_id_{self.int}", type_=Uuid())
 
 
-def prepare(
+def prepare_statement(
     build: Callable[..., Built],
     actor: Actor,
     *filters: MissionFilter | FileFilter,
@@ -225,3 +229,24 @@ def prepare(
         _built[shape] = build(viewer, *bound, plan=plan, **options)
     values = {f"filter_id_{at}": value for at, value in enumerate(ids) if value is not None}
     return _built[shape], values | plan.values() | {"person_id": actor.person_id}
+
+
+async def find_visible_mission_ids(db: Connection, actor: Actor, *, at_most: int | None = None) -> str | None:
+    """Return the ids of all missions that an actor sees, as PostgreSQL writes arrays, for `SearchPlan.mission_ids`.
+
+    None for an admin, and where these are more than `MAX_VISIBLE_MISSIONS`, or `at_most` where that is fewer.
+
+    PostgreSQL expects that everybody sees most missions: for somebody who sees few of two million files, it would read
+    an index of all files in order for seconds. The ids grant nothing: every statement still checks the rights.
+    """
+    if actor.is_admin:
+        return None
+    limit = MAX_VISIBLE_MISSIONS if at_most is None else min(at_most, MAX_VISIBLE_MISSIONS)
+    ids, count = (await db.execute(*prepare_statement(visible_ids, actor, limit=limit + 1))).one()
+    return None if count > limit else ids or "{}"
+
+
+def visible_ids(actor: Actor, *, plan: SearchPlan, limit: int) -> Select[tuple[str, int]]:
+    """Return the ids of the first visible missions, in no order, as PostgreSQL writes arrays, and their number."""
+    ids = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True).limit(limit).subquery()
+    return select(cast(func.array_agg(ids.c.id), Text), func.count()).select_from(ids)

@@ -12,12 +12,10 @@ from sqlalchemy import (
     ColumnElement,
     Row,
     Select,
-    Text,
     Update,
     and_,
     bindparam,
     case,
-    cast,
     func,
     literal,
     null,
@@ -227,13 +225,13 @@ def mission_listing(
 ) -> PagedQuery[MissionRead]:
     """Return the visible missions that match, among those that a filter of files finds, where there is one."""
 
-    def described(mission_id: ColumnElement[uuid.UUID]) -> Select[Any]:
+    def select_by_id(mission_id: ColumnElement[uuid.UUID]) -> Select[Any]:
         return mission_rows(actor, joined_missions().where(mission.c.id == mission_id))
 
     matched = filter_missions(actor, visible_missions(actor), matching, plan)
     if by_files is not None:
         matched = filter_missions_by_files(actor, matched, by_files, plan)
-    return PagedQuery(matched, mission_order(actor, sort), to_missions, described)
+    return PagedQuery(matched, mission_order(actor, sort), to_missions, select_by_id)
 
 
 def mission_order(actor: Actor, sort: MissionOrder) -> Order:
@@ -269,12 +267,6 @@ def _order_by_metadata(sort: str, *, is_seen: bool) -> Order:
     has_none = value.is_(None) if not descending else value.is_not(None)
     columns = [case((has_none, 1), else_=0), func.coalesce(value, bindparam(None, "", JSONB)), mission.c.id]
     return Order(columns, descending, name="meta." + json.dumps(path))
-
-
-def visible_ids(actor: Actor, *, plan: SearchPlan, limit: int) -> Select[tuple[str, int]]:
-    """Return the ids of the first visible missions, in no order, as PostgreSQL writes arrays, and their number."""
-    ids = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True).limit(limit).subquery()
-    return select(cast(func.array_agg(ids.c.id), Text), func.count()).select_from(ids)
 
 
 def last_mission(actor: Actor, project_id: uuid.UUID) -> Select[Any]:

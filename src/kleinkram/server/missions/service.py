@@ -32,7 +32,7 @@ from kleinkram.server.access.rights import require_match, require_mission, requi
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, prepare
+from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, prepare_statement
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.metadata import (
     MetadataValidator,
@@ -48,8 +48,6 @@ from kleinkram.server.tables import mission
 from kleinkram.server.untrusted_yaml import Document
 
 _VALIDATED_AT_ONCE = 500
-# Missions of somebody whose files are listed mission by mission.
-MAX_VISIBLE_IDS = 32
 
 
 async def lock_mission(db: Connection, mission_id: uuid.UUID) -> bool:
@@ -106,23 +104,8 @@ async def list_missions(
         InvalidCursor: the cursor is not of this list.
     """
     filters = [matching] if by_files is None else [matching, by_files]
-    listing, values = prepare(queries.mission_listing, actor, *filters, plan=plan, sort=sort)
+    listing, values = prepare_statement(queries.mission_listing, actor, *filters, plan=plan, sort=sort)
     return await read_listing(db, listing, page, values)
-
-
-async def find_visible_mission_ids(db: Connection, actor: Actor, *, limit: int | None = None) -> str | None:
-    """Return the ids of all missions that an actor sees, as PostgreSQL writes arrays.
-
-    None where these are more than `limit`, which is `MAX_VISIBLE_IDS` if it is None.
-
-    PostgreSQL expects that everybody sees most missions: for somebody who sees few of two million files, it would read
-    an index of all files in order for seconds. The ids grant nothing: every statement still checks the rights.
-    """
-    if actor.is_admin:
-        return None
-    limit = MAX_VISIBLE_IDS if limit is None else limit
-    ids, count = (await db.execute(*prepare(queries.visible_ids, actor, limit=limit + 1))).one()
-    return None if count > limit else ids or "{}"
 
 
 async def create_mission(

@@ -15,7 +15,7 @@ from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import MissionTopic, MissionTopics, RecordingRef, TimeAxis
 from kleinkram.recordings.message_density import add_up, on_axis, pack, unpack
 from kleinkram.recordings.model import MessageDensity
-from kleinkram.recordings.timeline import StampRun, join_runs
+from kleinkram.recordings.timeline import StampSpan, join_spans
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
@@ -76,7 +76,7 @@ class _TopicMerger:
         self._stored_bytes: int | None = 0
         self._recordings: set[uuid.UUID] = set()
         self._recording_id: uuid.UUID | None = None
-        self._runs: list[StampRun] = []
+        self._runs: list[StampSpan] = []
         self._whole = _TopicTotals()
         self._densities: list[MessageDensity] = []
 
@@ -91,7 +91,7 @@ class _TopicMerger:
             self._recordings.add(row.recording_id)
         if row.is_placed:
             gap_ns = row.longest_gap_ns or 0
-            self._runs.append(StampRun(row.first_ns, row.last_ns, row.message_count or 0, gap_ns))
+            self._runs.append(StampSpan(row.first_ns, row.last_ns, row.message_count or 0, gap_ns))
             if row.density is not None:
                 self._densities.append(unpack(row.density))
         if len(self._densities) >= _ADDED_AT_ONCE:
@@ -117,7 +117,7 @@ class _TopicMerger:
 
     def _end_recording(self) -> None:
         # Files without a recording are not joined.
-        runs = join_runs(self._runs) if self._recording_id is not None else self._runs
+        runs = join_spans(self._runs) if self._recording_id is not None else self._runs
         for run in runs:
             self._whole.add(run)
         self._runs = []
@@ -133,7 +133,7 @@ class _TopicTotals:
     span_ns: int = 0
     longest_gap_ns: int = 0
 
-    def add(self, run: StampRun) -> None:
+    def add(self, run: StampSpan) -> None:
         self.first_ns = run.first_ns if self.first_ns is None else min(self.first_ns, run.first_ns)
         self.last_ns = run.last_ns if self.last_ns is None else max(self.last_ns, run.last_ns)
         self.steps += max(0, run.count - 1)
@@ -190,9 +190,9 @@ async def list_mission_topics(
     if state is None:
         raise NotFound(resource_type="mission", ref=str(mission_id))
     if sees_whole_missions(actor) and state.revision is not None:
-        topics = await _derived(db, state, mission_id, page)
+        topics = await _stored_topics(db, state, mission_id, page)
     else:
-        topics = await _added_up(db, actor, state, mission_id)
+        topics = await _summed_topics(db, actor, state, mission_id)
     axis = _axis(topics, bins)
     return MissionTopics(
         axis=axis,
@@ -246,7 +246,9 @@ async def _streamed(db: Connection, statement: Select[Any]) -> AsyncIterator[Row
         await result.close()
 
 
-async def _derived(db: Connection, state: Row[Any], mission_id: uuid.UUID, page: PageRequest) -> _MissionTopicData:
+async def _stored_topics(
+    db: Connection, state: Row[Any], mission_id: uuid.UUID, page: PageRequest
+) -> _MissionTopicData:
     rows = await fetch_page(db, queries.derived_topics(mission_id), queries.DERIVED_TOPIC_ORDER, page)
     recordings = (await db.execute(queries.recordings_by_id(mission_id))).all()
     return _MissionTopicData(
@@ -260,7 +262,7 @@ async def _derived(db: Connection, state: Row[Any], mission_id: uuid.UUID, page:
     )
 
 
-async def _added_up(db: Connection, actor: Actor, state: Row[Any], mission_id: uuid.UUID) -> _MissionTopicData:
+async def _summed_topics(db: Connection, actor: Actor, state: Row[Any], mission_id: uuid.UUID) -> _MissionTopicData:
     recordings = (await db.execute(queries.recordings_in_time(mission_id, actor))).all()
     statement = queries.topics_of_files(mission_id, state.start_ns, state.end_ns, actor)
     topics = await _merged(db, statement, [row.id for row in recordings])

@@ -1,4 +1,4 @@
-"""Requests of a runner about the runs assigned to it: heartbeats, inputs, log chunks, and the end."""
+"""Requests of a runner about the runs assigned to it: heartbeats, inputs, log chunks, artifacts, and the end."""
 
 import datetime
 import uuid
@@ -10,11 +10,12 @@ from sqlalchemy import ColumnElement, func, insert, select, update
 
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.audit import ChangeKind
-from kleinkram.contract.errors import NotFound, RunGone
+from kleinkram.contract.errors import Forbidden, NotFound, RunGone
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.reports import Severity
 from kleinkram.contract.runners import (
     LEASE_S,
+    ArtifactUploadsCreate,
     Heartbeat,
     HeartbeatReplies,
     HeartbeatReply,
@@ -38,7 +39,7 @@ from kleinkram.contract.runs import (
     RunState,
     UsageSample,
 )
-from kleinkram.contract.uploads import ChecksumKind
+from kleinkram.contract.uploads import ChecksumKind, UploadDecisions
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.access.visible import visible_files
 from kleinkram.server.audit.log import Event, audit
@@ -48,8 +49,7 @@ from kleinkram.server.db import Connection, among
 from kleinkram.server.files import queries as files
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings import queries as recordings
-from kleinkram.server.runs.lifecycle import end_run
-from kleinkram.server.runs.mission_files import EndedRun, RunArtifact, create_mission_files
+from kleinkram.server.runs.lifecycle import EndedRun, RunArtifact, create_mission_files, end_run
 from kleinkram.server.s3.storage import PartTarget
 from kleinkram.server.tables import (
     action,
@@ -64,14 +64,18 @@ from kleinkram.server.tables import (
     run_finding,
     run_input,
     run_metric,
+    runner,
 )
 from kleinkram.server.tables.runs import ASSIGNED
+from kleinkram.server.uploads.artifacts import ArtifactOwner, begin_artifacts
+from kleinkram.server.uploads.completion import finish_interrupted_artifacts
 
 _BATCH = 1000
 _ORDER = {RunState.preparing: 0, RunState.running: 1, RunState.collecting: 2}
 LEASE = datetime.timedelta(seconds=LEASE_S)
 # Results are being uploaded: an outage of minutes must not discard hours of work.
 _COLLECTING_LEASE = datetime.timedelta(minutes=15)
+OWN_TOKEN = "a token of its own: `klein token create NAME --kind runner`; to replace one, revoke it first"  # noqa: S105
 
 
 class AssignedRun(NamedTuple):
@@ -152,8 +156,31 @@ async def lock_assigned_run(db: Connection, actor: Actor, run_id: uuid.UUID, att
     return row
 
 
-async def record_heartbeats(db: Connection, actor: Actor, heartbeats: Heartbeats) -> HeartbeatReplies:
-    """Record the states of a runner's runs, renew their leases, and return their status."""
+async def record_seen(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
+    """Record that a runner was seen.
+
+    Raises:
+        NotFound: this person has no such runner.
+        Forbidden: the token is another runner's.
+    """
+    mine = (runner.c.id == runner_id) & (runner.c.person_id == actor.person_id)
+    stmt = update(runner).where(mine).values(last_seen_at=func.now(), token_id=actor.token_id)
+    if (await db.execute(stmt.returning(runner.c.id))).first() is None:
+        raise NotFound(resource_type="runner", ref=str(runner_id))
+    if actor.runner_id != runner_id:
+        raise Forbidden(resource_type="server", operation="be this runner", needs=OWN_TOKEN)
+
+
+async def record_heartbeats(
+    db: Connection, actor: Actor, *, runner_id: uuid.UUID, heartbeats: Heartbeats
+) -> HeartbeatReplies:
+    """Record that a runner was seen, and the states of its runs; renew their leases, and return their status.
+
+    Raises:
+        NotFound: this person has no such runner.
+        Forbidden: the token is another runner's.
+    """
+    await record_seen(db, actor, runner_id)
     ordered = sorted(heartbeats.runs, key=lambda heartbeat: heartbeat.run_id)
     return HeartbeatReplies(runs=[await _record_heartbeat(db, actor, entry) for entry in ordered], lease_s=LEASE_S)
 
@@ -302,6 +329,21 @@ async def confirm_log_chunk(db: Connection, actor: Actor, *, run_id: uuid.UUID, 
     stmt = update(log_chunk).where(log_chunk.c.key.in_(latest)).values(confirmed_at=func.now())
     await db.execute(stmt)
     await publish(db, [ChangeEvent("run_log", ChangeKind.changed, run_id, mission_id=row.mission_id)])
+
+
+async def create_artifact_uploads(
+    context: AppContext, actor: Actor, *, run_id: uuid.UUID, requested: ArtifactUploadsCreate
+) -> UploadDecisions:
+    """Begin uploads of artifacts, after finishing those of the same paths that were interrupted.
+
+    Raises:
+        RunGone: the runner does not have the run by this attempt.
+    """
+    async with context.database.begin() as db:
+        row = await lock_assigned_run(db, actor, run_id, requested.attempt)
+    owner = ArtifactOwner(run_id, row.mission_id, row.started_by_id)
+    await finish_interrupted_artifacts(context, actor, run_id=run_id, paths=[entry.path for entry in requested.files])
+    return UploadDecisions(items=await begin_artifacts(context, actor, owner=owner, requested=requested.files))
 
 
 async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish: RunFinish) -> RunFinished:

@@ -13,8 +13,6 @@ from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Tra
 from kleinkram.server.http.middleware import mark_as_stream
 from kleinkram.server.pagination import PageQuery
 from kleinkram.server.runners import assigned_runs, service
-from kleinkram.server.uploads.artifacts import ArtifactOwner, begin_artifacts
-from kleinkram.server.uploads.completion import finish_interrupted_artifacts
 
 router = APIRouter(prefix="/api/v1", tags=["runners"])
 AttemptQuery = Annotated[runners.Attempt, Query()]
@@ -54,8 +52,7 @@ async def send_heartbeats(
     runner_id: uuid.UUID, heartbeats: runners.Heartbeats, db: Transaction, actor: CurrentActor
 ) -> runners.HeartbeatReplies:
     """Report the states of all runs, and renew their leases."""
-    await service.record_seen(db, actor, runner_id)
-    return await assigned_runs.record_heartbeats(db, actor, heartbeats)
+    return await assigned_runs.record_heartbeats(db, actor, runner_id=runner_id, heartbeats=heartbeats)
 
 
 @router.get("/runner/runs/{run_id}/context", operation_id="get_run_context")
@@ -93,11 +90,7 @@ async def create_artifact_uploads(
     run_id: uuid.UUID, requested: runners.ArtifactUploadsCreate, context: CurrentContext, actor: CurrentActor
 ) -> UploadDecisions:
     """Start uploads of artifacts, by the same protocol as files of a mission."""
-    async with context.database.begin() as db:
-        row = await assigned_runs.lock_assigned_run(db, actor, run_id, requested.attempt)
-    owner = ArtifactOwner(run_id, row.mission_id, row.started_by_id)
-    await finish_interrupted_artifacts(context, actor, run_id=run_id, paths=[entry.path for entry in requested.files])
-    return UploadDecisions(items=await begin_artifacts(context, actor, owner=owner, requested=requested.files))
+    return await assigned_runs.create_artifact_uploads(context, actor, run_id=run_id, requested=requested)
 
 
 @router.post("/runner/runs/{run_id}/finish", operation_id="finish_run")

@@ -12,7 +12,7 @@ from kleinkram.contract.access import Right, Scope, TokenKind
 from kleinkram.contract.actions import Network
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.base import Page
-from kleinkram.contract.errors import Forbidden, NotFound
+from kleinkram.contract.errors import Forbidden
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.runners import (
@@ -36,7 +36,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.events.hub import EventFilter, Hub
 from kleinkram.server.pagination import Order, PageRequest, fetch_page
-from kleinkram.server.runners.assigned_runs import LEASE, AssignedRun, find_assigned_run
+from kleinkram.server.runners.assigned_runs import LEASE, OWN_TOKEN, AssignedRun, find_assigned_run, record_seen
 from kleinkram.server.runs.eligibility import (
     KnownRunner,
     find_runner,
@@ -62,7 +62,6 @@ _QUEUE = EventFilter(frozenset({"run"}))
 _TOKEN_MARGIN_S = 3600
 # Fractions of cores are summed as floats.
 _ROUNDING = 1e-6
-_OWN_TOKEN = "a token of its own: `klein token create NAME --kind runner`; to replace one, revoke it first"  # noqa: S105
 
 
 async def register_runner(db: Connection, actor: Actor, *, registration: RunnerRegistration) -> RunnerRead:
@@ -113,7 +112,7 @@ async def _bind(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
     stmt = update(token).where(unbound | ((token.c.id == actor.token_id) & (token.c.runner_id == runner_id)))
     bound = await db.execute(stmt.values(runner_id=runner_id).returning(token.c.id))
     if bound.first() is None:
-        raise Forbidden(resource_type="server", operation="be this runner", needs=_OWN_TOKEN)
+        raise Forbidden(resource_type="server", operation="be this runner", needs=OWN_TOKEN)
     name = (await db.execute(select(token.c.name).where(token.c.id == actor.token_id))).scalar_one()
     after: Metadata = {"runner_id": str(runner_id)}
     await audit(db, actor, Event("token.bind", "token", actor.token_id, name, None, after=after))
@@ -219,21 +218,6 @@ def _fits(claiming: KnownRunner, free: Capacity) -> ColumnElement[bool]:
     if claiming.only_labels is not None:
         fits &= run.c.labels.op("&&", is_comparison=True)(literal(claiming.only_labels, ARRAY(Text)))
     return fits
-
-
-async def record_seen(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
-    """Record that a runner was seen.
-
-    Raises:
-        NotFound: this person has no such runner.
-        Forbidden: the token is another runner's.
-    """
-    mine = (runner.c.id == runner_id) & (runner.c.person_id == actor.person_id)
-    stmt = update(runner).where(mine).values(last_seen_at=func.now(), token_id=actor.token_id)
-    if (await db.execute(stmt.returning(runner.c.id))).first() is None:
-        raise NotFound(resource_type="runner", ref=str(runner_id))
-    if actor.runner_id != runner_id:
-        raise Forbidden(resource_type="server", operation="be this runner", needs=_OWN_TOKEN)
 
 
 async def _may_still_run(db: Connection, candidate: AssignedRun) -> bool:

@@ -292,8 +292,8 @@ async def get_lineage(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> ru
     )
     read_by = await _find_runs(db, actor, run.c.id.in_(readers))
     made_by = [] if produced is None else await _find_runs(db, actor, run.c.id == produced.run_id)
-    described = await _with_files(db, actor, [*read_by[:_MAX_LINEAGE_RUNS], *made_by])
-    maker = described[made_by[0].id] if made_by else None
+    lineage_runs = await _with_files(db, actor, [*read_by[:_MAX_LINEAGE_RUNS], *made_by])
+    maker = lineage_runs[made_by[0].id] if made_by else None
     if maker is not None and produced is not None and produced.derived_from:
         # Only those inputs that it reported as sources.
         sources = [entry for entry in maker.inputs if entry.path in produced.derived_from]
@@ -301,7 +301,7 @@ async def get_lineage(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> ru
     return runs.LineageRead(
         file=runs.LineageFile(id=row.id, path=row.path, sha256=row.sha256.hex()),
         made_by=maker,
-        read_by=[described[entry.id] for entry in read_by[:_MAX_LINEAGE_RUNS]],
+        read_by=[lineage_runs[entry.id] for entry in read_by[:_MAX_LINEAGE_RUNS]],
         truncated=len(read_by) > _MAX_LINEAGE_RUNS,
     )
 
@@ -313,9 +313,9 @@ async def _find_runs(db: Connection, actor: Actor, condition: ColumnElement[bool
 
 
 async def _with_files(
-    db: Connection, actor: Actor, described: Sequence[runs.RunRead]
+    db: Connection, actor: Actor, shown_runs: Sequence[runs.RunRead]
 ) -> dict[uuid.UUID, runs.LineageRun]:
-    run_ids = {entry.id for entry in described}
+    run_ids = {entry.id for entry in shown_runs}
     stmt = queries.inputs_of(actor, [*run_ids]).order_by(run_input.c.path).limit(_MAX_LINEAGE_FILES)
     inputs = [_LineageRow(row.run_id, row.file_id, row.path, row.sha256) for row in await db.execute(stmt)]
     columns = (run_artifact.c.run_id, run_artifact.c.file_id, file.c.path, blob.c.sha256)
@@ -342,7 +342,7 @@ async def _with_files(
             files=files_of(made, entry.id),
             artifact_count=entry.artifact_count,
         )
-        for entry in described
+        for entry in shown_runs
     }
 
 

@@ -51,7 +51,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, visible_files
 from kleinkram.server.db import Connection, among
 from kleinkram.server.filters.files import filter_files, filter_topics
-from kleinkram.server.filters.plan import SearchPlan, prepare
+from kleinkram.server.filters.plan import SearchPlan, prepare_statement
 from kleinkram.server.search.planner import ENLARGE_WORK_MEMORY, plan_search, sampled_files
 from kleinkram.server.tables import blob, file, mission, project, topic
 
@@ -107,7 +107,7 @@ async def get_facets(db: Connection, actor: Actor, *, query: str) -> FacetsRead:
     fields = _selected_fields(matching)
     parameters = {"selected_fields": fields, **{f"field_{number}": name for number, name in enumerate(fields)}}
     for max_files, milliseconds in _ATTEMPTS:
-        stmt, values = prepare(facet_rows, actor, matching, plan=plan, max_files=max_files, common=common)
+        stmt, values = prepare_statement(facet_rows, actor, matching, plan=plan, max_files=max_files, common=common)
         rows = await _run_in_time(db, stmt, values | parameters, milliseconds=milliseconds)
         if rows is not None:
             file_count = next(row.file_count for row in rows if not row.facet)

@@ -17,9 +17,16 @@ from kleinkram.server.db import Connection
 from kleinkram.server.files.queries import file_order, matching_files
 from kleinkram.server.filters.files import file_conditions
 from kleinkram.server.filters.missions import filter_missions_by_files
-from kleinkram.server.filters.plan import ID_COUNT, MatchedFiles, SearchPlan, prepare, rounded, words_of
+from kleinkram.server.filters.plan import (
+    ID_COUNT,
+    MatchedFiles,
+    SearchPlan,
+    find_visible_mission_ids,
+    prepare_statement,
+    rounded,
+    words_of,
+)
 from kleinkram.server.filters.text import file_contains, has_index, look_up_words, occur_somewhere
-from kleinkram.server.missions.service import find_visible_mission_ids
 from kleinkram.server.pagination import in_order
 from kleinkram.server.tables import file, mission
 
@@ -30,8 +37,6 @@ SAMPLED_MISSIONS = 100
 _COMMON_WITHOUT_INDEX = 3
 # A word is common in paths if so many of the sampled paths contain it.
 _COMMON_PATHS = 15
-# The most missions of somebody whose files are looked up mission by mission.
-MAX_VISIBLE_MISSIONS = 2_000
 # The most files of a rare filter that are looked up.
 _MAX_MATCHED = 50_000
 # Until the transaction ends. PostgreSQL overestimates the cost of checking rights row by row, and would read all
@@ -90,10 +95,10 @@ async def plan_search(
     words = [*dict.fromkeys(words_of(filters[0].text))]
     plan = SearchPlan(await look_up_words(db, words))
     no_sample = Sample([0] * len(filters), 0, 0, "{}", COMMON)
-    sampled = prepare(_sampled, actor, *filters, plan=plan)
+    sampled = prepare_statement(_sampled, actor, *filters, plan=plan)
     if not await occur_somewhere(db, plan.words.values()):
         return replace(plan, finds_nothing=True), no_sample
-    visible_ids = await find_visible_mission_ids(db, actor, limit=MAX_VISIBLE_MISSIONS)
+    visible_ids = await find_visible_mission_ids(db, actor)
     if visible_ids is not None:
         return replace(plan, mission_ids=visible_ids), no_sample
     if not actor.is_admin:
@@ -112,7 +117,7 @@ async def plan_search(
         # Files without a time come last, so that reading in order would pass nearly all others first: only those
         # without are read where an index tells that no other matches (two words at two million files: 1.8 s otherwise).
         timed = replace(plan, leading_word=rarest, has_time=True)
-        one_match = prepare(_one_match, actor, filters[0], plan=timed)
+        one_match = prepare_statement(_one_match, actor, filters[0], plan=timed)
         if rarest is not None and (await db.execute(*one_match)).first() is None:
             plan = replace(plan, has_time=False)
         else:
@@ -167,7 +172,7 @@ async def find_matched(
     db: Connection, actor: Actor, matching: FileFilter, plan: SearchPlan, *, sort: FileSort, limit: int
 ) -> SearchPlan:
     """Return the plan with all files that a filter finds, unless these are too many, and the first ones in order."""
-    row = (await db.execute(*prepare(_matched, actor, matching, plan=plan, sort=sort, limit=limit + 1))).one()
+    row = (await db.execute(*prepare_statement(_matched, actor, matching, plan=plan, sort=sort, limit=limit + 1))).one()
     return plan if row.file_count > _MAX_MATCHED else replace(plan, matched=MatchedFiles(**row._mapping))
 
 
@@ -201,7 +206,7 @@ async def estimate_missions(db: Connection, actor: Actor, by_files: FileFilter, 
 
     None where no sampled mission matches, and others may.
     """
-    statement = prepare(_sampled_missions, actor, by_files, plan=plan, size=SAMPLED_MISSIONS)
+    statement = prepare_statement(_sampled_missions, actor, by_files, plan=plan, size=SAMPLED_MISSIONS)
     row = (await db.execute(*statement)).one()
     if row.sampled < SAMPLED_MISSIONS:
         return int(row.hits)

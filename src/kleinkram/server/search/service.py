@@ -16,7 +16,7 @@ from kleinkram.server.db import ArrayText, Connection
 from kleinkram.server.files import service as files
 from kleinkram.server.files.queries import topic_listing, topic_rows
 from kleinkram.server.filters.files import filter_files, filter_topics
-from kleinkram.server.filters.plan import SearchPlan, prepare, rounded, words_of
+from kleinkram.server.filters.plan import SearchPlan, prepare_statement, rounded, words_of
 from kleinkram.server.filters.text import contains
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pagination import PageRequest, read_listing
@@ -123,7 +123,9 @@ async def _topics(
     limit: int,
     files_per_row: float = 1,
 ) -> Page[TopicFound]:
-    stmt, values = prepare(topics_found, actor, matching, plan=plan, by_blobs=blob_ids is not None, limit=limit)
+    stmt, values = prepare_statement(
+        topics_found, actor, matching, plan=plan, by_blobs=blob_ids is not None, limit=limit
+    )
     result = await db.execute(stmt, values | {"topic_blob_ids": blob_ids})
     rows = [_TopicRow._make(row) for row in result]
 

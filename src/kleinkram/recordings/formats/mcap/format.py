@@ -304,12 +304,12 @@ def summarise_scan(scan: McapScan, name: str, problems: Sequence[Problem] = ()) 
 def _wrong_statistics(facts: McapFacts, timeline: Timeline) -> list[Problem]:
     """Report where the statistics differ from the messages of an undamaged file."""
     claimed = facts.statistics
-    runs = [run for times in timeline.topics.values() for run in times.runs]
-    if claimed is None or not runs:
+    spans = [span for times in timeline.topics.values() for span in times.spans]
+    if claimed is None or not spans:
         return []
     problems = []
-    span = min(run.first_ns for run in runs), max(run.last_ns for run in runs)
-    if wrong := wrong_times((claimed.start_ns, claimed.end_ns), span):
+    first_and_last = min(span.first_ns for span in spans), max(span.last_ns for span in spans)
+    if wrong := wrong_times((claimed.start_ns, claimed.end_ns), first_and_last):
         problems.append(Problem("index-damaged", "statistics", f"they say that the messages {wrong}"))
     counts: dict[str, int] = defaultdict(int)
     for number, count in claimed.counts:

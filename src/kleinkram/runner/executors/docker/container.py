@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runs import LOG_BYTES
-from kleinkram.runner.durable_files import write_all
 from kleinkram.runner.executors.base import RunJob
 from kleinkram.runner.executors.docker.client import (
     ContainerInfo,
@@ -24,8 +23,8 @@ from kleinkram.runner.executors.docker.client import (
     ImageInfo,
     OutputPiece,
 )
-from kleinkram.runner.executors.limits import LOG, LOG_IS_FULL
 from kleinkram.runner.executors.port_forward import host_entries
+from kleinkram.runner.executors.supervision import LOG, LOG_IS_FULL, write_all
 
 JOB_LABEL = "kleinkram.run"
 RUNNER_LABEL = "kleinkram.runner"

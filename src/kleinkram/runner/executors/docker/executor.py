@@ -4,6 +4,7 @@ A container outlives the runner. A later runner finds it by name, and continues 
 """
 
 import contextlib
+import enum
 import json
 import logging
 import os
@@ -18,7 +19,6 @@ from http import HTTPStatus
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import ExecutorAbilities, Isolation
 from kleinkram.contract.runs import EndReason, Usage
-from kleinkram.runner.durable_files import write_atomically
 from kleinkram.runner.executors import port_forward
 from kleinkram.runner.executors.base import CannotStart, Ending, PinnedImage, RunJob
 from kleinkram.runner.executors.docker import container as containers
@@ -29,9 +29,13 @@ from kleinkram.runner.executors.docker.client import (
     EngineError,
     EngineUnavailable,
     ImageInfo,
+    ImageName,
+    credentials_for,
+    digest_of,
+    parse_image_name,
 )
-from kleinkram.runner.executors.docker.images import Images, Pull
-from kleinkram.runner.executors.limits import (
+from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
+from kleinkram.runner.executors.supervision import (
     CANCELLED,
     DISK_FULL,
     LOG,
@@ -41,8 +45,8 @@ from kleinkram.runner.executors.limits import (
     out_of_memory,
     reason_of_exit_code,
     start_ticks,
+    write_atomically,
 )
-from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
 
 _log = logging.getLogger("kleinkram.runner")
 _STOP_REASON = "stop-reason.json"
@@ -57,6 +61,14 @@ _KILLED = 128 + signal.SIGKILL
 _LOST = Ending(
     EndReason.lost, "Its container was ended from outside: by a restart of the engine or machine, or by hand."
 )
+
+
+class Pull(str, enum.Enum):
+    """When images are pulled. For a name with a digest, `always` means `missing`."""
+
+    always = "always"
+    missing = "missing"
+    never = "never"
 
 
 class DockerExecutor(LocalExecutor):
@@ -197,6 +209,66 @@ class DockerExecutor(LocalExecutor):
             monitor = self._monitors.pop(job.key, None)
         if monitor is not None:
             monitor.close()
+
+
+class Images:
+    """The images that a runner may use. `allowed`: None for all."""
+
+    def __init__(self, client: DockerClient, architecture: str, *, pull: Pull, allowed: Sequence[str] | None) -> None:
+        self._client = client
+        self._architecture = architecture
+        self._pull = pull
+        self._allowed = allowed
+
+    def prepare(self, text: str) -> PinnedImage:
+        """Pull an image where that is needed and allowed.
+
+        Raises:
+            CannotStart: it is not allowed, not available, or for another architecture.
+        """
+        name = parse_image_name(text)
+        if self._allowed is not None and not is_allowed(name, self._allowed):
+            choices = ", ".join(self._allowed) or "none"
+            raise _image_unavailable(f"This runner may not use {name.repository}; it may use images of: {choices}.")
+        try:
+            image = self._find(text, name)
+            is_outdated = self._pull is Pull.always and not name.digest
+            if (image is None or is_outdated) and self._pull is not Pull.never:
+                self._fetch(text, name)
+                image = self._find(text, name)
+        except EngineUnavailable as error:
+            raise _image_unavailable(f"{error}.") from error
+        if image is None:
+            raise _image_unavailable(f"The image {text} is not on this runner, which does not pull images.")
+        if image.architecture != self._architecture:
+            message = f"The image {text} is for {image.architecture}; this runner is {self._architecture}."
+            raise cannot_start(message)
+        return PinnedImage(reference=image.id, digest=digest_of(image, name))
+
+    def _find(self, text: str, name: ImageName) -> ImageInfo | None:
+        image = self._client.find_image(text)
+        if image is None and name.digest:
+            # The digest of an image that was built here is its id.
+            return self._client.find_image(name.digest)
+        return image
+
+    def _fetch(self, text: str, name: ImageName) -> None:
+        registry = name.repository.partition("/")[0]
+        credentials = credentials_for(registry)
+        try:
+            tag = name.digest or name.tag
+            self._client.pull(name.repository, tag, architecture=self._architecture, credentials=credentials)
+        except EngineError as error:
+            raise _image_unavailable(f"The image {text} cannot be pulled from {registry}: {error}.") from error
+
+
+def is_allowed(name: ImageName, allowed: Sequence[str]) -> bool:
+    """Whether an image comes from one of the registries or namespaces, such as `ghcr.io` or `ghcr.io/lab`."""
+    return any(name.repository == prefix or name.repository.startswith(prefix.rstrip("/") + "/") for prefix in allowed)
+
+
+def _image_unavailable(message: str) -> CannotStart:
+    return cannot_start(message, EndReason.image_unavailable)
 
 
 class ContainerMonitor:
