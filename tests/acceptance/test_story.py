@@ -139,7 +139,7 @@ def test_move_and_rename_touch_rows_only(terminal: Terminal, project: str, tmp_p
     assert moved["mission"]["project"]["name"] == other
 
 
-def test_names_that_mean_several_list_the_candidates(terminal: Terminal, project: str) -> None:
+def test_ambiguous_names_list_the_candidates(terminal: Terminal, project: str) -> None:
     other = f"{project}-2"
     terminal.run("project", "create", other)
     terminal.run("mission", "create", "twin", "-p", project)
