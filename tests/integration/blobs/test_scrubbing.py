@@ -22,7 +22,7 @@ _AT_LEISURE = "SELECT args ->> 'ref' FROM procrastinate_jobs WHERE status = 'tod
 
 @pytest.fixture(name="api", scope="module")
 def _api(start_api: StartApi) -> Api:
-    """An API of its own: what others leave in the store is nobody's to compare."""
+    """An API of its own, because a scrub compares all objects of the store."""
     return start_api(garbage_grace_s=0)
 
 

@@ -123,6 +123,6 @@ def test_a_mission_is_restored_only_after_its_project(own: Api, tree: dict[str, 
     own.delete(f"/{resource_type}s/{tree[resource_type]}").ok()
     with racing(own, "SELECT 1 FROM project WHERE id = %s FOR UPDATE", tree["project"]) as send:
         restored = send(_restore, own, resource_type, tree[resource_type])
-        # Whoever holds the project may still take what is in it.
+        # While it waits for the lock of the project, it has not locked the object itself.
         own.sql(f"SELECT 1 FROM {resource_type} WHERE id = %s FOR UPDATE NOWAIT", tree[resource_type])
     restored.result().ok(204)
