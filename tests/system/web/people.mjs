@@ -180,7 +180,7 @@ results.reactivatedStatus = await newSessionStatus();
 // A failed job is retried.
 await owner.goto(`${address}/admin?tab=jobs`);
 await owner.getByRole("button", { name: `Retry #${job}` }).click();
-await owner.getByText(`Job ${job} is queued ben2.`).waitFor();
+await owner.getByText(`Job ${job} is queued again.`).waitFor();
 await owner.getByRole("button", { name: `Retry #${job}` }).waitFor({ state: "detached" });
 results.noFailedJobs = await owner.getByText("No failed jobs.").count();
 await printResults();
