@@ -6,7 +6,7 @@ from typing import Any
 
 
 class Server(ThreadingHTTPServer):
-    """One thread a connection, none of which anybody waits for."""
+    """One thread per connection. Closing the server does not wait for them."""
 
     daemon_threads = True
 

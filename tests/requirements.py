@@ -1,4 +1,4 @@
-"""System packages that tests need. Without them a test is skipped with a reason; if all are required, it fails.
+"""System packages that tests need. Tests without their packages are skipped; KLEINKRAM_REQUIRE_ALL=1 makes them fail.
 
 `python -m tests.requirements` lists what the slow tests need and this machine lacks. With KLEINKRAM_TEST_INSTALL=1 it
 installs them before any test runs, because two test processes cannot install at the same time.
@@ -17,7 +17,7 @@ from typing import NoReturn
 import platformdirs
 import pytest
 
-# What tests run, and the Debian package that has it.
+# Programs that tests run, and their Debian packages.
 PROGRAMS = {
     "dockerd": "docker.io",
     "containerd": "docker.io",
@@ -37,29 +37,29 @@ _NODE_SOURCES = Path(__file__).parent / "system" / "oidc"
 _NO_SERVICES = Path("/usr/sbin/policy-rc.d")
 
 
-def missing(what: str) -> NoReturn:
-    """Skip, or fail where all is required: this machine cannot do `what` a test needs."""
+def missing(reason: str) -> NoReturn:
+    """Skip the test with this reason, or fail it if all requirements are mandatory."""
     if os.environ.get("KLEINKRAM_REQUIRE_ALL") == "1":
-        pytest.fail(what)
-    pytest.skip(what)
+        pytest.fail(reason)
+    pytest.skip(reason)
 
 
 def path_of(program: str) -> str | None:
-    """Return where a program is, also one that is for root alone."""
+    """Return the path of a program, including those in the folders of root."""
     places = os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin"
     names = _BROWSERS if program == "chromium" else (program,)
     return next((path for name in names if (path := shutil.which(name, path=places))), None)
 
 
 def need(*programs: str) -> None:
-    """Skip, or fail where all is required, unless these programs are installed."""
+    """Skip or fail the test, as `missing` does, unless these programs are installed."""
     if lacking := [program for program in programs if path_of(program) is None]:
         packages = sorted({PROGRAMS[program] for program in lacking})
         missing(f"not installed: {', '.join(lacking)} (Debian: {' '.join(packages)}; {_HOW})")
 
 
 def need_node() -> Path:
-    """Return the folder with the Node programs of `tests/system/oidc` and what they stand on, or skip."""
+    """Return the folder with the Node programs of `tests/system/oidc` and their packages, or skip."""
     if not (_node_folder() / "ready").exists():
         missing(f"oidc-provider and playwright-core are not installed; {_HOW}")
     return _node_folder()
@@ -78,7 +78,7 @@ def _node_sources() -> list[Path]:
 
 
 def _install_packages(packages: list[str]) -> None:
-    """Install Debian packages. Nothing of them is started: tests run their own, with folders of their own."""
+    """Install Debian packages without starting their services: tests start their own."""
     command = ["apt-get", "-o", "DPkg::Lock::Timeout=300", "install", "-y", "--no-install-recommends", *packages]
     environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
     is_mine = not _NO_SERVICES.exists()
@@ -106,7 +106,7 @@ def _install_node_programs() -> None:
 
 
 def main() -> None:
-    """Tell what is not there, and install it where the caller asks for that."""
+    """Print the missing requirements, or install them if KLEINKRAM_TEST_INSTALL is set."""
     packages = sorted({word for program, name in PROGRAMS.items() if path_of(program) is None for word in name.split()})
     lacks_node = not (_node_folder() / "ready").exists()
     if not packages and not lacks_node:

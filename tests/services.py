@@ -42,7 +42,7 @@ class RunningPostgres:
         return self.cluster.url(postgres.SERVE, database)
 
     def create_database(self, *, template: str = "template0") -> str:
-        """A new database, a copy of `template` (which nobody may be connected to); about 30 ms. Returns its name."""
+        """A new database, a copy of `template` (which must have no connections); about 30 ms. Returns its name."""
         name = f"test_{os.getpid()}_{next(_numbers)}"
         self.sql(f"CREATE DATABASE {name} OWNER {postgres.MIGRATE} TEMPLATE {template} STRATEGY FILE_COPY")
         if template == "template0":
@@ -53,7 +53,7 @@ class RunningPostgres:
         return name
 
     def drop_database(self, name: str) -> None:
-        """Remove a database, ending whoever is connected."""
+        """Remove a database and end its connections."""
         self.sql(f"DROP DATABASE IF EXISTS {name} WITH (FORCE)")
 
     def sql(self, script: str, *, database: str = "postgres") -> str:

@@ -1,1 +1,1 @@
-"""The stories of the issue: `klein` as a subprocess against `klein up`."""
+"""User stories: `klein` as a subprocess against `klein up`."""

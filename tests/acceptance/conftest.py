@@ -1,4 +1,4 @@
-"""A whole `klein up` for the session, and people at terminals who use it."""
+"""One `klein up` for all acceptance tests, and terminals that use it."""
 
 import json
 import os
@@ -22,32 +22,32 @@ from tests.ports import choose_port
 from .browser import Browser
 
 KLEIN = Path(sys.executable).parent / "klein"
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 
 
 @dataclass(frozen=True)
 class Ran:
-    """What a command did."""
+    """The result of a command."""
 
     code: int
     out: str
     err: str
 
     def json(self) -> Any:
-        """The JSON on stdout, which is all there is on it."""
+        """Parse stdout, which contains nothing but JSON."""
         return json.loads(self.out)
 
 
 @dataclass(frozen=True)
 class Terminal:
-    """One person's terminal: their own configuration and journals, in front of one server."""
+    """A terminal of one person, with its own configuration and journals."""
 
     home: Path
     environment: dict[str, str]
-    prefix: tuple[str, ...] = ()  # what its commands run inside of
+    prefix: tuple[str, ...] = ()  # the beginning of each command line
 
     def run(self, *arguments: object, code: int | None = 0, stdin: str = "") -> Ran:
-        """Run a command to its end and check its exit code, unless that is None."""
+        """Run a command to its end, and check its exit code unless `code` is None."""
         done = subprocess.run(
             self.command(*arguments), env=self.environment, input=stdin, capture_output=True, text=True, timeout=100
         )
@@ -70,7 +70,7 @@ class Terminal:
         return [*(self.home / "state" / "kleinkram" / "uploads").glob("*.jsonl")]
 
     def parts_sent(self) -> int:
-        """How many parts the journals say the store has taken."""
+        """The number of uploaded parts in the journals."""
         return sum(max(0, len(journal.read_text().splitlines()) - 1) for journal in self.journals())
 
 
@@ -81,46 +81,46 @@ class Instance:
     data_dir: Path
 
     def runtime_info(self) -> dict[str, Any]:
-        """What it says of itself."""
+        """The contents of its `instance.json`."""
         runtime_info: dict[str, Any] = json.loads((self.data_dir / "instance.json").read_text())
         return runtime_info
 
-    def kill_part(self, name: str) -> int:
-        """Kill one of its parts, as a crash would, and return the pid it had."""
+    def kill_process(self, name: str) -> int:
+        """Kill one of its processes with SIGKILL, and return its pid."""
         pid: int = self.runtime_info()["services"][name]
         os.kill(pid, signal.SIGKILL)
         return pid
 
 
-def wait_until(holds: Callable[[], bool], what: str) -> None:
-    """Wait for something, and fail by its name when it does not come."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not holds():
+def wait_until(condition: Callable[[], bool], description: str) -> None:
+    """Wait until a condition holds; fail with its description after a timeout."""
+    deadline = time.monotonic() + TIMEOUT_S
+    while not condition():
         if time.monotonic() > deadline:
-            pytest.fail(f"waited in vain: {what}")
+            pytest.fail(f"timeout while waiting for: {description}")
         time.sleep(0.02)
 
 
 def end(process: "subprocess.Popen[str]") -> Ran:
-    """Wait for a command's end."""
+    """Wait for the end of a command."""
     out, err = process.communicate(timeout=100)
     return Ran(process.returncode, out, err)
 
 
 @pytest.fixture(scope="package")
 def instance(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instance]:
-    """One instance for all stories; even an idle one takes CPU time, so it ends with them."""
+    """One instance for all stories. It ends after them, because even an idle instance uses CPU time."""
     with running_instance(tmp_path_factory.mktemp("up")) as running:
         yield running
 
 
 @contextmanager
 def running_instance(home: Path, **settings: str) -> Iterator[Instance]:
-    """Run `klein up` in an empty folder; `settings` are further variables of its environment."""
+    """Run `klein up` in an empty folder; `settings` are additional environment variables."""
     short = {"KLEINKRAM_PART_URL_S": "4", "KLEINKRAM_DOWNLOAD_URL_S": "4"}  # so that slow transfers outlive them
     often = {"KLEINKRAM_SIGN_INS_PER_MINUTE": "1000"}  # all stories come from one address
     environment = {**_environment(home, home / "data"), **short, **often, **settings}
-    ports = ["--port", str(choose_port()), "--s3-port", str(choose_port())]  # the usual ones may be somebody's
+    ports = ["--port", str(choose_port()), "--s3-port", str(choose_port())]  # the default ports may be in use
     process = subprocess.Popen([str(KLEIN), "up", *ports], env=environment, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
@@ -139,13 +139,13 @@ def terminal(instance: Instance, tmp_path: Path) -> Terminal:
 
 @pytest.fixture
 def other_terminal(instance: Instance, tmp_path: Path) -> Terminal:
-    """The same person with other journals, as on another machine."""
+    """A terminal of the same person with other journals, as on another machine."""
     return _terminal(instance, tmp_path / "two")
 
 
 @pytest.fixture
 def project(terminal: Terminal) -> str:
-    """A project of the test's own."""
+    """A new project."""
     name = f"project-{uuid.uuid4().hex[:8]}"
     terminal.run("project", "create", name)
     return name
@@ -157,18 +157,18 @@ def browser(terminal: Terminal) -> Iterator[Browser]:
     link = urlsplit(terminal.run("session", "link").out.strip())
     url = f"{link.scheme}://{link.netloc}"
     with urllib3.PoolManager(retries=False, timeout=20) as pool:
-        stranger = Browser(url, "", pool)
-        yield replace(stranger, cookie=stranger.sign_in("/auth/link", {"code": link.fragment}))
+        signed_out = Browser(url, "", pool)
+        yield replace(signed_out, cookie=signed_out.sign_in("/auth/link", {"code": link.fragment}))
 
 
 @pytest.fixture
 def away(tmp_path: Path) -> Terminal:
-    """A terminal on another machine: it knows of no server."""
+    """A terminal on another machine, without a saved server."""
     return terminal_away(tmp_path / "away")
 
 
 def terminal_away(home: Path) -> Terminal:
-    """A terminal on another machine, of whoever signs in there: it knows of no server."""
+    """Return a terminal on another machine, without a saved server."""
     home.mkdir()
     return Terminal(home, {**_environment(home, home / "none"), "BROWSER": "true"})
 

@@ -1,4 +1,4 @@
-"""The example of docs/access.md runs command by command with the documented results."""
+"""The example of docs/access.md runs and has the documented results."""
 
 import datetime
 import re
@@ -17,7 +17,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "access.md"
 
 @pytest.fixture
 def people(terminal: Terminal, tmp_path: Path, browser: Browser) -> Iterator[dict[str, Terminal]]:
-    """The terminals of the example's people, once all of its commands were run."""
+    """Run the commands of the example, and return the terminals of its people."""
     people = {}
     for email in ("ben@lab.example", "chloe@partner.example"):
         name = email.partition("@")[0]
@@ -39,7 +39,7 @@ def people(terminal: Terminal, tmp_path: Path, browser: Browser) -> Iterator[dic
 
 
 def example() -> Iterator[list[str]]:
-    """Yield the commands of the page's example, with days that are still to come."""
+    """Yield the commands of the example, with dates in the future."""
     block = PAGE.read_text().partition("## An example")[2].partition("```bash")[2].partition("```")[0]
     later = (datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(days=60)).date()
     for line in re.sub(r"20\d\d-\d\d-\d\d", str(later), block).splitlines():
@@ -52,7 +52,7 @@ def names(terminal: Terminal, *command: str) -> set[str]:
 
 
 @pytest.mark.slow  # fifty commands
-def test_everybody_meets_what_the_page_says(people: dict[str, Terminal], tmp_path: Path) -> None:
+def test_the_people_of_the_example_have_the_documented_rights(people: dict[str, Terminal], tmp_path: Path) -> None:
     projects = {name: names(it, "project", "list") for name, it in people.items()}
     missions = {name: names(it, "mission", "list") for name, it in people.items()}
     assert "alpine" in projects.pop("ada")

@@ -22,13 +22,13 @@ STOCK = "kleinkram/action-python:latest"
 
 @pytest.fixture
 def containers(docker: Dockerd, terminal: Terminal, tmp_path: Path) -> Terminal:  # noqa: F811  the fixture
-    """A terminal beside an engine that has an image with open-kleinkram, under the name of the default image."""
+    """A terminal with an engine that has an image with open-kleinkram under the name of the default image."""
     add_stock(docker, tmp_path / "base")
     return replace(terminal, environment={**terminal.environment, "DOCKER_HOST": f"unix://{docker.socket}"})
 
 
 def add_stock(engine: Dockerd, context: Path) -> None:
-    """Build an image with open-kleinkram in a folder, and give it the default image's name."""
+    """Build an image with open-kleinkram in a folder, with the name of the default image."""
     copy_package(context / "site")
     for library in sorted({library for file in context.rglob("*.so*") for library in libraries_of(file)}):
         target = context / "libs" / library[1:]
@@ -39,7 +39,7 @@ def add_stock(engine: Dockerd, context: Path) -> None:
 
 
 def copy_package(site: Path) -> None:
-    """Copy open-kleinkram as it is here, with what a base installation needs."""
+    """Copy the installed open-kleinkram and the dependencies of a base installation."""
     ours = metadata.distribution("open-kleinkram")
     waiting, seen = [*(ours.requires or []), "numpy", "packaging"], set[str]()
     while waiting:
@@ -68,7 +68,7 @@ def libraries_of(file: Path) -> list[str]:
 
 
 @pytest.mark.slow
-def test_the_shipped_action_says_the_same_as_an_image(
+def test_the_shipped_action_has_equal_results_as_image_and_script(
     containers: Terminal, project: str, recordings_dir: Path, tmp_path: Path
 ) -> None:
     bag = recordings_dir / "ros1" / "robot_localization_test2_imu_odom_bz2.bag"
@@ -98,6 +98,6 @@ def test_the_action_made_by_init_runs_unchanged(containers: Terminal, project: s
     assert "drive.mcap,/imu/data," in (tmp_path / "found" / "topics.csv").read_text()
 
     manifest = tmp_path / "counting" / "action.yaml"
-    manifest.write_text(manifest.read_text().replace("counting:1", "127.0.0.1:1/nobody/has:it"))
+    manifest.write_text(manifest.read_text().replace("counting:1", "127.0.0.1:1/unknown/image:1"))
     refused = containers.run(*run, tmp_path / "none", "--no-build", code=14)
-    assert "127.0.0.1:1/nobody/has:it" in refused.err
+    assert "127.0.0.1:1/unknown/image:1" in refused.err

@@ -32,7 +32,7 @@ raise SystemExit(parameters()["code"])
 
 @pytest.fixture
 def mission(terminal: Terminal, project: str, tmp_path: Path) -> tuple[str, ...]:
-    """A mission with recordings; says how to name it."""
+    """A mission with recordings; returns the options that select it."""
     terminal.run("sample", tmp_path / "drive", "--size", "5MB", "--format", "mcap", "--format", "bag")
     terminal.run("upload", "-p", project, "-m", "drive", "--create", "--wait", tmp_path / "drive")
     return "-p", project, "-m", "drive"
@@ -63,11 +63,13 @@ def test_a_script_runs_on_a_mission(terminal: Terminal, mission: tuple[str, ...]
 
 
 @pytest.mark.slow
-def test_errors_name_what_cannot_be_run(terminal: Terminal, mission: tuple[str, ...], tmp_path: Path) -> None:
+def test_errors_name_the_reason_why_an_action_cannot_run(
+    terminal: Terminal, mission: tuple[str, ...], tmp_path: Path
+) -> None:
     script = tmp_path / "look.py"
     run = ["action", "run-local", script, *mission, "--out", tmp_path / "out"]
     for header, code, why in (
-        ('dependencies = ["nonsense-that-nobody-made>=2"]', 14, "are not installed here: nonsense-that-nobody-made"),
+        ('dependencies = ["unknown-package-of-tests>=2"]', 14, "are not installed here: unknown-package-of-tests"),
         ('[tool.kleinkram]\n# inputs = {paths = ["*.csv"]}', 3, "No file of the mission drive is an input of look"),
         ("[tool.kleinkram]\n# privileged = true", 2, "privileged: there is no such field"),
         ("dependencies = [", 2, "its header is not TOML"),

@@ -10,7 +10,7 @@ from tests.acceptance.conftest import Terminal
 
 
 def _day(folder: Path) -> Path:
-    """A whole recording, one that was cut, one with a start and nothing behind it, and a note."""
+    """Create an intact recording, a truncated one, one with only its first bytes, and a text file."""
     folder.mkdir()
     generate_mcap(folder / "whole.mcap", duration_s=2)
     shutil.copy(folder / "whole.mcap", folder / "cut.mcap")

@@ -19,7 +19,7 @@ DEMO = Path(__file__).parents[2] / "examples" / "demo.py"
 
 @pytest.fixture
 def socket(podman: Podman, tmp_path: Path) -> str:  # noqa: F811  the fixture
-    """Where a Podman listens that has the default image, as `DOCKER_HOST`."""
+    """The `DOCKER_HOST` of a Podman that has the default image."""
     add_stock(podman, tmp_path / "base")
     return f"unix://{podman.socket}"
 

@@ -25,7 +25,7 @@ report.metric("steps", {_STEPS})
 
 @pytest.fixture(scope="module")
 def instance(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instance]:
-    """An instance without an engine, and with nobody but its owner: for others, runs as processes are no choice."""
+    """An instance without an engine and with one account, because runs as processes require a single account."""
     home = tmp_path_factory.mktemp("up")
     with running_instance(home, DOCKER_HOST=f"unix://{home}/nothing") as running:
         yield running
@@ -36,7 +36,7 @@ def instance(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instance]:
     [["api"], ["postgres"], ["runner", "api"], pytest.param(["store"], marks=pytest.mark.soak)],
     ids="+".join,
 )
-def test_parts_are_killed(
+def test_a_run_survives_killed_processes(
     instance: Instance, terminal: Terminal, project: str, tmp_path: Path, parts: list[str]
 ) -> None:
     script = tmp_path / "lasting.py"
@@ -47,7 +47,7 @@ def test_parts_are_killed(
     run_id = launched["items"][0]["run"]["id"]
     wait_until(lambda: "step 3" in terminal.run("run", "logs", run_id).out, "the run to begin")
     assert (instance.data_dir / "runner-token").stat().st_mode & 0o777 == 0o600
-    killed = {part: instance.kill_part(part) for part in parts}
+    killed = {part: instance.kill_process(part) for part in parts}
 
     def is_over() -> bool:
         values = terminal.run("run", "info", run_id, "--json", code=None)

@@ -35,7 +35,7 @@ report.mission_file("counts.csv", "derived/counts.csv")
 
 @pytest.fixture(scope="module")
 def instance(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instance]:
-    """An instance without an engine, and with nobody but its owner: for others, runs as processes are no choice."""
+    """An instance without an engine and with one account, because runs as processes require a single account."""
     home = tmp_path_factory.mktemp("up")
     with running_instance(home, DOCKER_HOST=f"unix://{home}/nothing") as running:
         yield running
@@ -43,13 +43,13 @@ def instance(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instance]:
 
 @pytest.fixture
 def mission(terminal: Terminal, project: str, tmp_path: Path) -> tuple[str, ...]:
-    """A mission with recordings; says how to name it."""
+    """A mission with recordings; returns the options that select it."""
     terminal.run("sample", tmp_path / "drive", "--size", "5MB", "--format", "mcap", "--format", "bag")
     terminal.run("upload", "-p", project, "-m", "drive", "--create", "--wait", tmp_path / "drive")
     return "-p", project, "-m", "drive"
 
 
-def test_a_run_is_followed_fetched_reused_and_leaves_its_lineage(
+def test_a_run_is_followed_downloaded_reused_and_shown_in_the_lineage(
     terminal: Terminal, mission: tuple[str, ...], project: str, tmp_path: Path
 ) -> None:
     (tmp_path / "look.py").write_text(WHOLE)
@@ -93,7 +93,7 @@ def test_ending_the_log_view_does_not_stop_the_run(
     listed = ("run", "list", "-p", project, "--state", "running", "--json")
     wait_until(lambda: bool(terminal.run(*listed).json()["items"]), "a run that is running")
     (run,) = terminal.run(*listed).json()["items"]
-    wait_until(lambda: "looking at" in terminal.run("run", "logs", run["id"]).out, "its first words")
+    wait_until(lambda: "looking at" in terminal.run("run", "logs", run["id"]).out, "its first log line")
     following.send_signal(signal.SIGINT)
     left = end(following)
     assert left.code == 130
@@ -106,7 +106,7 @@ def test_ending_the_log_view_does_not_stop_the_run(
     assert terminal.run("run", "info", run["id"], "--json").json()["reason"] == "cancelled"
 
 
-def test_each_mission_of_a_search_is_run_on(
+def test_an_action_runs_on_each_mission_of_a_search(
     terminal: Terminal, mission: tuple[str, ...], project: str, tmp_path: Path
 ) -> None:
     terminal.run("mission", "create", "empty", "-p", project)

@@ -23,7 +23,7 @@ def endpoints_file(terminal: Terminal) -> Path:
     return Path(terminal.environment["XDG_CONFIG_HOME"]) / "kleinkram" / "endpoints.json"
 
 
-def test_in_by_the_browser_and_out_again(away: Terminal, browser: Browser) -> None:
+def test_login_by_browser_and_logout(away: Terminal, browser: Browser) -> None:
     login = log_in(away, browser, "--name", "lab")
     assert (login["name"], login["url"], login["person"]) == ("lab", browser.url, "owner")
     assert login["expires_at"] is not None
@@ -45,7 +45,7 @@ def test_in_by_the_browser_and_out_again(away: Terminal, browser: Browser) -> No
     assert "KLEINKRAM_TOKEN" in refused
 
 
-def test_signing_in_again_ends_the_token_before(away: Terminal, browser: Browser) -> None:
+def test_signing_in_again_revokes_the_previous_token(away: Terminal, browser: Browser) -> None:
     log_in(away, browser)
     before = saved(away)["endpoints"]
     log_in(away, browser)
@@ -57,7 +57,7 @@ def test_signing_in_again_ends_the_token_before(away: Terminal, browser: Browser
 
 
 @pytest.mark.slow
-def test_in_by_a_code_that_is_typed_elsewhere_unless_it_is_refused(away: Terminal, browser: Browser) -> None:
+def test_login_by_device_code_is_approved_or_denied_in_a_browser(away: Terminal, browser: Browser) -> None:
     environment = {**away.environment, "XDG_CONFIG_HOME": str(away.home / "refused")}
     other = replace(away, environment=environment)
     logins = [terminal.start("login", browser.url, "--device") for terminal in (away, other)]
@@ -72,7 +72,7 @@ def test_in_by_a_code_that_is_typed_elsewhere_unless_it_is_refused(away: Termina
     assert not endpoints_file(other).exists()
 
 
-def test_in_by_a_token(away: Terminal, browser: Browser) -> None:
+def test_login_by_token(away: Terminal, browser: Browser) -> None:
     log_in(away, browser, "--name", "lab")
     token = saved(away)["endpoints"]["lab"]["token"]
     away.run("endpoint", "remove", "lab")
@@ -93,7 +93,7 @@ def test_in_by_a_token(away: Terminal, browser: Browser) -> None:
     assert saved(away)["endpoints"] == {}
 
 
-def test_without_a_browser_it_says_how_else(away: Terminal, browser: Browser) -> None:
+def test_login_without_a_browser_suggests_a_device_code(away: Terminal, browser: Browser) -> None:
     hidden = {"BROWSER", "DISPLAY", "WAYLAND_DISPLAY"}
     bare = {name: value for name, value in away.environment.items() if name not in hidden}
     refused = replace(away, environment=bare).run("login", browser.url, code=2).err
@@ -111,17 +111,17 @@ def test_a_file_that_others_can_read_is_refused(away: Terminal, browser: Browser
 @pytest.mark.slow
 def test_logout_forgets_the_token_and_warns_when_the_server_is_unavailable(away: Terminal) -> None:
     away.run("endpoint", "add", "gone", "http://127.0.0.1:9", stdin="kk_secret\n")
-    logout, coming = away.start("logout"), away.start("login", "http://127.0.0.1:9")
-    left, came = end(logout), end(coming)
-    assert (left.code, came.code) == (7, 7), (left, came)
-    assert "could not be revoked" in left.err
-    assert "kk_secret" not in left.err
+    logout, login = away.start("logout"), away.start("login", "http://127.0.0.1:9")
+    ended, refused = end(logout), end(login)
+    assert (ended.code, refused.code) == (7, 7), (ended, refused)
+    assert "could not be revoked" in ended.err
+    assert "kk_secret" not in ended.err
     assert saved(away)["endpoints"] == {}
-    assert "http://127.0.0.1:9" in came.err
+    assert "http://127.0.0.1:9" in refused.err
     assert "klein login" in away.run("whoami", code=2).err
 
 
-def test_names_stay_with_their_server(away: Terminal, browser: Browser) -> None:
+def test_login_does_not_change_the_server_of_an_endpoint(away: Terminal, browser: Browser) -> None:
     away.run("endpoint", "add", "lab", "http://127.0.0.1:9", stdin="kk_secret\n")
     assert "http://127.0.0.1:9" in away.run("login", browser.url, "--name", "lab", code=5).err
 
@@ -133,7 +133,7 @@ def test_browsers_are_listed_and_signed_out(away: Terminal, browser: Browser) ->
     away.run("session", "revoke", first["id"])
     away.run("session", "revoke", first["id"], code=3)
     away.run("session", "revoke", "--all", "--yes")
-    assert away.run("session", "list", "--json").json()["items"] == []  # and the token stays
+    assert away.run("session", "list", "--json").json()["items"] == []  # the token stays valid
 
 
 def test_the_owner_of_this_machine_needs_no_sign_in(terminal: Terminal, instance: Instance) -> None:
@@ -143,7 +143,7 @@ def test_the_owner_of_this_machine_needs_no_sign_in(terminal: Terminal, instance
     assert "klein session link" in terminal.run("login", code=2).err
     login = instance.runtime_info()
     token = Path(login["token_file"]).read_text().strip()
-    shown = create_owner_link(login["local_url"], token)  # what a terminal is shown
+    shown = create_owner_link(login["local_url"], token)  # the link that `klein session link` prints
     assert shown is not None
     assert shown.startswith(f"{login['url']}/sign-in/link#")
     assert create_owner_link(login["local_url"], "another") is None
@@ -171,7 +171,7 @@ def test_an_invited_person_gets_an_account_and_the_invited_rights(
 
     again = urlsplit(terminal.run("person", "reset", email).out.strip())
     ben = replace(ben, cookie=ben.sign_in("/auth/reset", {**chosen, "code": again.fragment}))
-    assert browser.status_of(token()) == 401, "who had the old password has no token by it either"
+    assert browser.status_of(token()) == 401, "a new password revokes tokens"
     log_in(away, ben)
     assert browser.status_of(token()) == 200
     terminal.run("person", "deactivate", email, "--yes")

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.soak
 ROOT = Path(__file__).parents[2]
 _STOCK = "kleinkram/action-python"
 _BASE = "kleinkram.test/debian-python"
-# One of each of what the image promises, and all of it together makes a picture and a table.
+# Uses each library that the image provides, to make a picture and a table.
 _SCRIPT = """\
 # /// script
 # dependencies = ["open-kleinkram", "matplotlib", "mcap", "numpy", "pandas", "pyarrow", "rosbags", "scipy"]
@@ -45,9 +45,9 @@ report.metric("topics", len(rates), unit="1")
 
 @pytest.fixture(scope="module")
 def docker() -> Iterator[Dockerd]:
-    """An engine of the tests' own with the default image, which takes minutes."""
+    """An engine for this module with the default image, whose build takes minutes."""
     if os.geteuid() != 0:
-        missing("a Docker of the tests' own needs root")
+        missing("a Docker for tests needs root")
     need(*engines.PROGRAMS, "debootstrap")
     with engines.bridge() as (name, gateway), engines.dockerd(name, gateway) as made:
         _build(made)
@@ -69,11 +69,11 @@ def _build(docker: Dockerd) -> None:
 
 @pytest.fixture
 def beside(docker: Dockerd, terminal: Terminal) -> Terminal:
-    """A terminal beside that engine."""
+    """A terminal with that engine."""
     return replace(terminal, environment={**terminal.environment, "DOCKER_HOST": f"unix://{docker.socket}"})
 
 
-def test_a_script_finds_all_that_the_image_promises(beside: Terminal, project: str, tmp_path: Path) -> None:
+def test_the_default_image_has_the_documented_libraries(beside: Terminal, project: str, tmp_path: Path) -> None:
     beside.run("sample", tmp_path / "drive", "--size", "2MB", "--format", "mcap")
     beside.run("upload", "-p", project, "-m", "drive", "--create", "--wait", tmp_path / "drive")
     (tmp_path / "all.py").write_text(_SCRIPT)
@@ -85,7 +85,9 @@ def test_a_script_finds_all_that_the_image_promises(beside: Terminal, project: s
     assert (metric["name"], metric["value"] > 5) == ("topics", True)
 
 
-def test_the_shipped_action_runs_on_it(beside: Terminal, project: str, recordings_dir: Path, tmp_path: Path) -> None:
+def test_the_shipped_action_runs_on_the_default_image(
+    beside: Terminal, project: str, recordings_dir: Path, tmp_path: Path
+) -> None:
     bag = recordings_dir / "ros1" / "robot_localization_test2_imu_odom_bz2.bag"
     place = ("-p", project, "-m", "metadata")
     beside.run("upload", *place, "--create", "--wait", bag)

@@ -27,7 +27,7 @@ def day(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_field_day_goes_in_is_found_and_comes_back(terminal: Terminal, day: Path, tmp_path: Path) -> None:
+def test_a_day_of_recordings_is_uploaded_searched_and_downloaded(terminal: Terminal, day: Path, tmp_path: Path) -> None:
     fields, metadata = tmp_path / "fields.yaml", tmp_path / "mission.yaml"
     fields.write_text(FIELDS)
     terminal.run("project", "create", "Alps 2026", "--fields", fields)
@@ -36,7 +36,7 @@ def test_a_field_day_goes_in_is_found_and_comes_back(terminal: Terminal, day: Pa
     assert "robot" in form
     assert "temperature" in form
     metadata.write_text("robot: anymal\ntemperature: -4\n")
-    place = ["-p", "alps 2026", "-m", "Day 1"]  # names are the same in any case
+    place = ["-p", "alps 2026", "-m", "Day 1"]  # names ignore case
     uploaded = terminal.run("upload", *place, "--create", "--metadata", metadata, "--wait", f"{day}/", "--json")
     report = uploaded.json()
     assert {item["outcome"] for item in report["items"]} == {"uploaded"}
@@ -85,7 +85,7 @@ def test_inspect_and_sample_need_no_server(terminal: Terminal, tmp_path: Path) -
     assert "klein up" in alone.run("project", "list", code=2).err
 
 
-def test_bad_metadata_is_refused_before_any_byte(terminal: Terminal, tmp_path: Path) -> None:
+def test_invalid_metadata_is_refused_before_the_upload(terminal: Terminal, tmp_path: Path) -> None:
     fields, metadata, data = tmp_path / "fields.yaml", tmp_path / "mission.yaml", tmp_path / "a.bin"
     fields.write_text(FIELDS)
     data.write_bytes(b"x" * 1000)
@@ -94,9 +94,9 @@ def test_bad_metadata_is_refused_before_any_byte(terminal: Terminal, tmp_path: P
 
     metadata.write_text("temperature: warm\nweather: fine\n")
     refused = terminal.run(*upload, code=6).err
-    assert "robot" in refused, "missing"
-    assert "temperature" in refused, "of the wrong type"
-    assert "weather" in refused, "not declared"
+    assert "robot" in refused, "the required field is missing"
+    assert "temperature" in refused, "the value has the wrong type"
+    assert "weather" in refused, "the field is not declared"
     assert "line 1" in refused
 
     metadata.write_text("robot: anymal\ntemperature: [1, 2\n")
@@ -106,11 +106,11 @@ def test_bad_metadata_is_refused_before_any_byte(terminal: Terminal, tmp_path: P
     assert terminal.run("mission", "list", "-p", "strict", "--json").json() == {"items": []}
 
 
-def test_trash_gives_back_what_was_deleted(terminal: Terminal, project: str, tmp_path: Path) -> None:
+def test_deleted_objects_are_restored_from_the_trash(terminal: Terminal, project: str, tmp_path: Path) -> None:
     (tmp_path / "a.bin").write_bytes(b"content")
     terminal.run("upload", "-p", project, "-m", "m", "--create", tmp_path / "a.bin")
     assert "a.bin" in terminal.run("file", "delete", "-p", project, "-m", "m", "*", "--dry-run").out
-    terminal.run("file", "delete", "-p", project, "-m", "m", "a.bin", code=2)  # nobody there to confirm
+    terminal.run("file", "delete", "-p", project, "-m", "m", "a.bin", code=2)  # no terminal to confirm in
     assert terminal.run("file", "list", "-p", project, "--count").out == "1\n"
     terminal.run("file", "delete", "-p", project, "-m", "m", "a.bin", "--yes")
     assert terminal.run("file", "list", "-p", project, "--count").out == "0\n"
@@ -139,7 +139,7 @@ def test_move_and_rename_touch_rows_only(terminal: Terminal, project: str, tmp_p
     assert moved["mission"]["project"]["name"] == other
 
 
-def test_names_that_mean_several_list_the_candidates(terminal: Terminal, project: str) -> None:
+def test_ambiguous_names_list_the_candidates(terminal: Terminal, project: str) -> None:
     other = f"{project}-2"
     terminal.run("project", "create", other)
     terminal.run("mission", "create", "twin", "-p", project)
@@ -193,7 +193,7 @@ def test_json_stands_alone_on_stdout(terminal: Terminal, project: str, tmp_path:
 
 
 @pytest.mark.slow
-def test_endpoints_are_chosen_and_say_why(terminal: Terminal) -> None:
+def test_endpoint_shows_which_endpoint_is_used_and_why(terminal: Terminal) -> None:
     assert terminal.run("endpoint", "--json").json()["source"] == "local"
     terminal.run("endpoint", "add", "lab", "http://127.0.0.1:9/", stdin="secret\n")
     saved = terminal.home / "config" / "kleinkram" / "endpoints.json"

@@ -1,4 +1,4 @@
-"""Terminals of an upload-only robot, a partner with one mission, a guest with a share, and a stranger."""
+"""Terminals of an upload-only robot, a partner with one mission, a guest with a share, and an anonymous guest."""
 
 import filecmp
 import json
@@ -18,7 +18,7 @@ def url(terminal: Terminal) -> str:
 
 
 def _elsewhere(terminal: Terminal, tmp_path: Path, url: str, token: str | None = None) -> Terminal:
-    """A terminal on another machine, which knows nothing but this."""
+    """Return a terminal on another machine with only this configuration."""
     home = tmp_path / f"elsewhere-{len(list(tmp_path.iterdir()))}"
     home.mkdir()
     places = {name: str(home / name[4:-5].lower()) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME")}
@@ -28,7 +28,7 @@ def _elsewhere(terminal: Terminal, tmp_path: Path, url: str, token: str | None =
 
 @pytest.fixture
 def day(tmp_path: Path) -> Path:
-    """A folder of small files, and one of several parts."""
+    """A folder of small files and a file of several parts."""
     folder = tmp_path / "day"
     folder.mkdir()
     for number in range(3):
@@ -38,7 +38,7 @@ def day(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_robot_that_may_only_upload_to_one_project(
+def test_a_robot_may_only_upload_to_one_project(
     terminal: Terminal, project: str, day: Path, tmp_path: Path, url: str
 ) -> None:
     terminal.run("project", "create", f"{project}-other")
@@ -56,7 +56,7 @@ def test_a_robot_that_may_only_upload_to_one_project(
     end(cut)
     resumed = robot.run("upload", *place, "--create", "--wait", f"{day}/", "--json").json()["items"]
     assert {item["outcome"] for item in resumed} <= {"uploaded", "already_present"}
-    assert sum(item["moved_bytes"] for item in resumed) < 20_003_000, "what had arrived was not sent again"
+    assert sum(item["moved_bytes"] for item in resumed) < 20_003_000, "uploaded parts are not sent again"
     again = robot.run("upload", *place, f"{day}/", "--json").json()["items"]
     assert [item["outcome"] for item in again] == ["already_present"] * 4
 
@@ -91,7 +91,7 @@ def test_a_person_with_one_mission_may_name_it_by_its_project(
 
 
 @pytest.mark.slow
-def test_a_guest_with_a_link_and_a_stranger(
+def test_guests_use_a_share_link_and_public_projects(
     terminal: Terminal, project: str, day: Path, tmp_path: Path, url: str
 ) -> None:
     place = ["-p", project, "-m", "Day 1"]

@@ -9,7 +9,7 @@ import pytest
 from tests.acceptance.conftest import Instance, Terminal, end, wait_until
 
 MIB = 1024 * 1024
-PART, RANGE = 5 * MIB, 8 * MIB  # of uploads and of downloads
+PART, RANGE = 5 * MIB, 8 * MIB  # sizes of the parts of uploads and the ranges of downloads
 
 
 def random_file(path: Path, size: int) -> Path:
@@ -30,7 +30,7 @@ def test_an_upload_that_was_killed_sends_only_the_rest(terminal: Terminal, proje
     part_count = terminal.parts_sent()
     (journal,) = terminal.journals()
     with journal.open("a") as out:
-        out.write('{"number": 5, "chec')  # a line that the kill tore
+        out.write('{"number": 5, "chec')  # a line cut off by the kill
 
     (resumed,) = terminal.run(*upload, "--json").json()["items"]
     assert resumed["outcome"] == "uploaded"
@@ -75,7 +75,7 @@ def test_an_upload_survives_a_crash_of_the_server(
     file = random_file(tmp_path / "big.bin", 6 * PART)
     process = terminal.start("upload", "-p", project, "-m", "m", "--create", file, "--limit-rate", "10MiB")
     wait_until(lambda: terminal.parts_sent() >= 1, "a part sent")
-    dead = instance.kill_part(part)
+    dead = instance.kill_process(part)
     ended = end(process)
     assert ended.code == 0, ended.err
     wait_until(lambda: instance.runtime_info()["services"].get(part) not in {None, dead}, "the part was started again")
@@ -150,7 +150,7 @@ def test_many_sizes_and_unusual_names_are_downloaded_unchanged(
     assert not [*(tmp_path / "back").rglob("*.klein-*")]
 
 
-def test_a_folder_keeps_its_tree(terminal: Terminal, project: str, tmp_path: Path) -> None:
+def test_paths_of_uploaded_folders_depend_on_a_trailing_slash(terminal: Terminal, project: str, tmp_path: Path) -> None:
     random_file(tmp_path / "day1" / "sub" / "a.bin", 10)
 
     def planned(path: str) -> list[str]:
@@ -242,7 +242,7 @@ def test_deleting_a_project_ends_its_uploads(terminal: Terminal, project: str, t
 @pytest.mark.slow
 def test_expired_presigned_urls_are_requested_again(terminal: Terminal, project: str, tmp_path: Path) -> None:
     file = random_file(tmp_path / "big.bin", 4 * PART)
-    slowly = ["--limit-rate", "6MiB", "--connections", "1"]  # longer than the 4 s that an address is good for here
+    slowly = ["--limit-rate", "6MiB", "--connections", "1"]  # longer than URLs are valid in these tests, 4 s
     terminal.run("upload", "-p", project, "-m", "m", "--create", file, *slowly)
     terminal.run("download", "-p", project, "-m", "m", "--dest", tmp_path / "back", *slowly)
     assert (tmp_path / "back" / "big.bin").read_bytes() == file.read_bytes()

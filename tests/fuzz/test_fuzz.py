@@ -22,16 +22,16 @@ def run(*arguments: str) -> None:
     assert done.returncode == 0, done.stderr + done.stdout
 
 
-def test_two_hundred_cases() -> None:
+def test_random_files_never_crash_the_readers() -> None:
     run("--cases", "200")
 
 
 @pytest.mark.slow
-def test_a_thousand_cases() -> None:
+def test_a_thousand_random_files_never_crash_the_readers() -> None:
     run("--cases", "1000", "--start", "5000")
 
 
 @pytest.mark.soak
 @pytest.mark.usefixtures("recordings_dir")
-def test_twenty_minutes() -> None:
+def test_twenty_minutes_of_random_files_never_crash_the_readers() -> None:
     run("--minutes", "20", "--start", "1000000", "--real")

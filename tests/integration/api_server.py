@@ -29,19 +29,19 @@ Query = Sequence[tuple[str, str]] | Mapping[str, str]
 
 @dataclass(frozen=True)
 class Answer:
-    """What the API answered; `body` is the parsed JSON, or a text that is none, or None where there is nothing."""
+    """A response of the API; `body` is the parsed JSON, the text of another content type, or None if it is empty."""
 
     status: int
     headers: Mapping[str, str]
     body: Any
 
     def ok(self, status: int = 200) -> Any:
-        """Return the body of an answer that must have gone well."""
+        """Check the status of a successful response, and return its body."""
         assert self.status == status, f"{self.status}: {self.body}"
         return self.body
 
     def refused(self, status: int, code: str) -> Any:
-        """Return the problem document of an answer that must be this failure."""
+        """Check that the response is this error, and return its problem document."""
         assert (self.status, self.body.get("code")) == (status, code), f"{self.status}: {self.body}"
         assert self.headers["content-type"] == "application/problem+json"
         return self.body
@@ -49,7 +49,7 @@ class Answer:
 
 @dataclass
 class Api:
-    """A running API with a database of its own, the token of who asks (at first its owner), and a way in behind it."""
+    """A running API with its own database: requests with a token (initially of the owner), and direct SQL access."""
 
     url: str
     token: str | None
@@ -58,7 +58,7 @@ class Api:
     _pool: urllib3.PoolManager = field(default_factory=lambda: urllib3.PoolManager(retries=False, timeout=30))
 
     def as_(self, token: str | None) -> "Api":
-        """Return the same API asked by whoever carries this token or link, or by nobody in particular."""
+        """Return the same API with another token or link, or without a credential."""
         return replace(self, token=token)
 
     def call(
@@ -69,7 +69,7 @@ class Api:
         query: Query = (),
         headers: Mapping[str, str] | None = None,
     ) -> Answer:
-        """Make one request to `/api/v1{path}`, as the carrier of the token unless `headers` say otherwise."""
+        """Send one request to `/api/v1{path}` with the token; `headers` are added and may replace it."""
         sent = {} if self.token is None else {"Authorization": f"Bearer {self.token}"}
         sent |= headers or {}
         data = None
@@ -113,21 +113,21 @@ class Api:
             cursor = {"cursor": page["next"]}
 
     def project(self, **fields: Any) -> Any:
-        """Make a project, of any name unless one is given."""
+        """Create a project, with a random name by default."""
         return self.post("/projects", {"name": f"project {uuid.uuid4().hex[:12]}", **fields}).ok(201)
 
     def mission(self, project_id: str, **fields: Any) -> Any:
-        """Make a mission, of any name unless one is given."""
+        """Create a mission, with a random name by default."""
         body = {"name": f"mission {uuid.uuid4().hex[:12]}", **fields}
         return self.post(f"/projects/{project_id}/missions", body).ok(201)
 
     def sql(self, statement: str, *values: Any) -> list[tuple[Any, ...]]:
-        """Run one statement behind the API's back, and return its rows where it has any."""
+        """Run one statement directly in the database, and return its rows."""
         cursor = self.database.execute(statement, values)
         return cursor.fetchall() if cursor.description else []
 
     def metrics(self) -> str:
-        """Return what Prometheus would read."""
+        """Return the metrics in the format of Prometheus."""
         return self._pool.request("GET", f"http://127.0.0.1:{self.app.state.metrics_port}/metrics").data.decode()
 
     def events(self, resource_id: str) -> list[Any]:
@@ -136,23 +136,23 @@ class Api:
 
     @contextmanager
     def statements(self) -> Iterator[list[str]]:
-        """Collect the SQL statements that the API runs meanwhile."""
+        """Collect the SQL statements that the API runs inside the block."""
         engine = self.app.state.database.engine.sync_engine
-        seen: list[str] = []
+        statements: list[str] = []
 
-        def note(_connection: object, _cursor: object, statement: str, *_rest: object) -> None:
-            seen.append(statement)
+        def record(_connection: object, _cursor: object, statement: str, *_rest: object) -> None:
+            statements.append(statement)
 
-        event.listen(engine, "before_cursor_execute", note)
+        event.listen(engine, "before_cursor_execute", record)
         try:
-            yield seen
+            yield statements
         finally:
-            event.remove(engine, "before_cursor_execute", note)
+            event.remove(engine, "before_cursor_execute", record)
 
 
 @contextmanager
 def serving(settings: Mapping[str, Any], *, admin_url: str, folder: Path, port: int = 0) -> Iterator[Api]:
-    """Serve the API from a thread, on a free port of this machine unless one is given."""
+    """Serve the API from a thread, by default on a free port."""
     token = secrets.token_hex(32)
     token_file = folder / f"token-{uuid.uuid4()}"
     token_file.write_text(token)

@@ -80,7 +80,7 @@ def begun_apis() -> list[Api]:
 
 @pytest.fixture(scope="session")
 def api(starting: Starting, begun_apis: list[Api]) -> Iterator[Api]:
-    """The session's API. Tests share it, so each makes a project of its own and looks at nothing else."""
+    """The API of the session. Tests share it, so each creates its own project."""
     with starting() as start:
         begun_apis.append(start())
         yield begun_apis[0]
@@ -105,7 +105,7 @@ def mission_id(api: Api) -> str:
 
 @pytest.fixture(scope="session")
 def sample(api: Api) -> Sample:
-    """Files put into missions behind the API's back, as if they had been uploaded and summarised."""
+    """Inserts files into missions as if they had been uploaded and summarised."""
     return Sample(api)
 
 

@@ -1,4 +1,4 @@
-"""A client of the event stream that does not reconnect by itself."""
+"""A client of the event stream that does not reconnect."""
 
 import http.client
 import json
@@ -15,7 +15,7 @@ _PATIENCE_S = 20.0
 
 
 class Ears:
-    """What one stream has said so far."""
+    """The events that one stream has received so far."""
 
     def __init__(self, answer: http.client.HTTPResponse) -> None:
         self.events: list[tuple[str, Any]] = []
@@ -37,7 +37,7 @@ class Ears:
         return met()[0]
 
     def until(self, holds: Callable[[], bool], what: str = "") -> None:
-        """Wait until something holds of what was said."""
+        """Wait until a condition on the received events holds."""
         with self._changed:
             assert self._changed.wait_for(holds, _PATIENCE_S), f"{what} not heard; but {self.events}"
 

@@ -37,15 +37,15 @@ def run_jobs(api: Api, *, store: str | None = None) -> list[str]:
 
 async def _hurry(context: AppContext) -> list[str]:
     back_pressure = BackPressure(context.database)
-    back_pressure.end()  # what these tests leave half uploaded is nobody's to wait for
+    back_pressure.end()  # jobs need not wait for uploads that tests left unfinished
     return await drain(context, back_pressure)
 
 
 class _NoRests(DerivationDebounce):
-    """However slow a machine is: what is asked for is done before a test goes on."""
+    """No pauses after derivation, so that all jobs run before a test continues, on slow machines too."""
 
     def took(self, mission_id: uuid.UUID, seconds: float) -> None:
-        """Note nothing."""
+        """Do nothing."""
 
 
 async def drain(context: AppContext, back_pressure: BackPressure, rests: DerivationDebounce | None = None) -> list[str]:

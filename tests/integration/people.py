@@ -11,14 +11,14 @@ from kleinkram.contract.names import name_key
 from kleinkram.server.access.builtin_groups import ADMINS_ID, OWNER_ID
 from tests.integration.api_server import Api
 
-# Seconds from now by the database's clock; below zero for what has expired, None for what does not.
+# Seconds from now by the database's clock; negative: already expired, None: no expiry.
 Expiry = float | None
-_SOON = "now() + make_interval(secs => %s)"
+_EXPIRES_AT = "now() + make_interval(secs => %s)"
 
 
 @dataclass(frozen=True)
 class Person:
-    """Somebody with an account, a group of their own, and a token of all scopes that their rights allow."""
+    """A person with an account, a personal group, and a token with the scope admin."""
 
     id: str
     name: str
@@ -29,14 +29,14 @@ class Person:
 
 @dataclass(frozen=True)
 class Token:
-    """A token; `secret` is what a request carries."""
+    """A token or link; requests authenticate with `secret`."""
 
     id: str
     secret: str
 
 
 def person(api: Api, name: str | None = None, *, admin: bool = False, email: str | None = None) -> Person:
-    """Put a person, of any name unless one is given; `email` is verified, by nobody in particular."""
+    """Insert a person, with a random name by default; `email` is stored as verified."""
     person_id, group_id = str(uuid.uuid4()), str(uuid.uuid4())
     name = name or f"person {person_id[:8]}"
     api.sql("INSERT INTO person (id, name) VALUES (%s, %s)", person_id, name)
@@ -66,7 +66,7 @@ def group(
     members: Sequence[Person] = (),
     expires_s: Expiry = None,
 ) -> str:
-    """Put a group, of any name unless one is given, with members until then; returns its id."""
+    """Insert a group, with a random name by default; `expires_s` applies to its members. Return its id."""
     group_id = str(uuid.uuid4())
     name = name or f"group {group_id[:8]}"
     values = (group_id, kind.value, name, name_key(name))
@@ -77,7 +77,7 @@ def group(
 
 
 def email_group(api: Api, email: str) -> str:
-    """Put the group of an e-mail address where there is none; returns its id."""
+    """Insert the group of an email address unless it exists; return its id."""
     values = (str(uuid.uuid4()), email, name_key(email))
     api.sql(
         "INSERT INTO access_group (id, kind, name, name_key) VALUES (%s, 'email', %s, %s) ON CONFLICT DO NOTHING",
@@ -88,9 +88,9 @@ def email_group(api: Api, email: str) -> str:
 
 
 def join(api: Api, who: Person | str, group_id: str, *, is_editor: bool = False, expires_s: Expiry = None) -> None:
-    """Put somebody into a group until then, or change until when."""
+    """Add a person to a group, or change the membership."""
     api.sql(
-        f"INSERT INTO membership (group_id, person_id, is_editor, expires_at) VALUES (%s, %s, %s, {_SOON})"
+        f"INSERT INTO membership (group_id, person_id, is_editor, expires_at) VALUES (%s, %s, %s, {_EXPIRES_AT})"
         " ON CONFLICT (group_id, person_id)"
         " DO UPDATE SET expires_at = excluded.expires_at, is_editor = excluded.is_editor",
         *(group_id, who.id if isinstance(who, Person) else who, is_editor, expires_s),
@@ -106,11 +106,11 @@ def grant(
     mission_id: str | None = None,
     expires_s: Expiry = None,
 ) -> str:
-    """Grant a right to a person's own group, or to the group of an id, in place of the one there; returns its id."""
+    """Grant a right to a person or a group, replacing an existing grant; return its id."""
     group_id = who.group_id if isinstance(who, Person) else who
     place = "project_id" if project_id is not None else "mission_id"
     granted = api.sql(
-        f"INSERT INTO access_grant (id, group_id, {place}, level, expires_at) VALUES (%s, %s, %s, %s, {_SOON})"
+        f"INSERT INTO access_grant (id, group_id, {place}, level, expires_at) VALUES (%s, %s, %s, %s, {_EXPIRES_AT})"
         f" ON CONFLICT ({place}, group_id) DO UPDATE SET level = excluded.level, expires_at = excluded.expires_at"
         " RETURNING id::text",
         *(str(uuid.uuid4()), group_id, project_id or mission_id, right.level, expires_s),
@@ -127,13 +127,13 @@ def token(
     kind: TokenKind = TokenKind.personal,
     expires_s: Expiry = None,
 ) -> Token:
-    """Put a token; `limits` are the ids of the projects and missions that it reaches."""
+    """Insert a token; `limits` are the ids of the projects and missions that it is limited to."""
     made = Token(str(uuid.uuid4()), f"test_{secrets.token_hex(32)}")
     whose = who.id if isinstance(who, Person) else who
     digest = hashlib.sha256(made.secret.encode()).digest()
     api.sql(
         "INSERT INTO token (id, person_id, kind, name, prefix, secret_sha256, scopes, is_limited, expires_at)"
-        f" VALUES (%s, %s, %s, %s, %s, %s, %s, %s, {_SOON})",
+        f" VALUES (%s, %s, %s, %s, %s, %s, %s, %s, {_EXPIRES_AT})",
         *(made.id, whose, kind.value, f"token {made.id[:8]}", made.secret[:12], digest),
         *([scope.value for scope in scopes], limits is not None, expires_s),
     )
@@ -153,28 +153,28 @@ def revoke(api: Api, made: Token) -> None:
 
 
 def deactivate(api: Api, who: Person) -> None:
-    """Mark that somebody left, and nothing else."""
+    """Deactivate a person in the database, without the other effects of the operation."""
     api.sql("UPDATE person SET deactivated_at = now() WHERE id = %s", who.id)
 
 
 def session(api: Api, who: Person, *, expires_s: float = 3600) -> str:
-    """Put a browser's session; returns what its cookie carries."""
+    """Insert a session of a browser; return the value of its cookie."""
     secret = secrets.token_hex(32)
     api.sql(
         "INSERT INTO session (id, person_id, secret_sha256, method, expires_at)"
-        f" VALUES (%s, %s, %s, 'password', {_SOON})",
+        f" VALUES (%s, %s, %s, 'password', {_EXPIRES_AT})",
         *(str(uuid.uuid4()), who.id, hashlib.sha256(secret.encode()).digest(), expires_s),
     )
     return secret
 
 
 def share(api: Api, mission_id: str, *, file_ids: Sequence[str] | None = None, expires_s: float = 3600) -> Token:
-    """Put a link to a mission, or to some of its files; it expires then, below zero for one that has ended."""
+    """Insert a share of a mission, or of some of its files; a negative `expires_s` means already expired."""
     made = Token(str(uuid.uuid4()), f"test_{secrets.token_hex(32)}")
     digest = hashlib.sha256(made.secret.encode()).digest()
     api.sql(
         "INSERT INTO share (id, mission_id, name, is_whole_mission, prefix, secret_sha256, created_by_id, expires_at)"
-        f" VALUES (%s, %s, %s, %s, %s, %s, %s, {_SOON})",
+        f" VALUES (%s, %s, %s, %s, %s, %s, %s, {_EXPIRES_AT})",
         *(made.id, mission_id, f"link {made.id[:8]}", file_ids is None, made.secret[:12], digest, OWNER_ID, expires_s),
     )
     for file_id in file_ids or ():

@@ -56,7 +56,7 @@ class Sample:
         names = {"mission_id": mission_id, "path": path, "path_key": name_key(path), "blob_id": blob_id}
         who = {"origin": "upload", "uploaded_by_id": OWNER_ID, "labels": list(labels)}
         self._insert("file", {"id": file_id, **names, **who})
-        # As whoever changes files says it: the mission's numbers are to be added up.
+        # Marks the mission as changed, as services do, so that its totals are computed again.
         self.api.sql("UPDATE mission SET file_count = NULL, duration_ns = NULL WHERE id = %s", mission_id)
         return file_id
 

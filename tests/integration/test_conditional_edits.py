@@ -72,7 +72,7 @@ def test_the_second_of_two_edits_is_refused(
     api: Api, made: dict[str, Any], resource_type: str, first: Any, second: Any
 ) -> None:
     seen = api.get(f"/{resource_type}/{made[resource_type]['id']}").ok()
-    if "name" in first:  # so that nobody else has it
+    if "name" in first:  # unique
         first, second = ({"name": f"{pair['name']} {seen['id']}"} for pair in (first, second))
     with racing(api, _LOCK[resource_type], seen["id"]) as send:
         both = [send(_change, api, resource_type, seen, body) for body in (first, second)]

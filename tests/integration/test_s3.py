@@ -175,7 +175,7 @@ def _unavailable(settings: Settings, question: _Question) -> str:
 
 @pytest.mark.parametrize("question", _REQUESTS)
 @pytest.mark.parametrize("body", [b"", b"<html>sign in<br>", b"<html xmlns='http://www.w3.org/1999/xhtml'/>"])
-def test_a_proxys_page_is_neither_a_listing_nor_a_success(question: _Question, body: bytes) -> None:
+def test_a_page_of_a_proxy_is_an_unavailable_store(question: _Question, body: bytes) -> None:
     with _store([ScriptedReply(200, body)]) as (settings, _):
         assert "NotAStore" in _unavailable(settings, question)
 

@@ -71,7 +71,7 @@ def test_uploading_and_downloading_take_one_line_each(
         client.download()
 
 
-def test_names_are_taken_wherever_ids_are(client: Client, place: tuple[str, str]) -> None:
+def test_methods_of_the_sdk_accept_names_instead_of_ids(client: Client, place: tuple[str, str]) -> None:
     project, mission = place
     ref = f"{project}/{mission}"
     assert client.missions.update(ref, notes="seen").notes == "seen"

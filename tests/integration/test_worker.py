@@ -111,7 +111,7 @@ def _working(database: _Cluster, store: RunningStore, log: Path) -> Iterator[_Wo
 
 
 def _does_jobs(database: _Cluster) -> bool:
-    """Say whether somebody works: the queue is watched by all lanes."""
+    """Whether a worker runs, listening with all its lanes."""
     try:
         return database.sql(_IN_WORKER) >= "4"
     except Exception:

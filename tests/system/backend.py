@@ -18,7 +18,7 @@ from kleinkram.standalone.postgres import DATABASE, SERVE
 from tests.system.cluster import Cluster
 
 T = TypeVar("T")
-# What start-up probes write and delete: a kill between the two leaves one, of a few bytes.
+# Start-up probes write and delete small objects. A kill between the two leaves one behind.
 _PROBES = ("probe/", ".kleinkram-probe")
 
 
@@ -31,44 +31,44 @@ def sql(cluster: Cluster, statement: str, *values: object) -> list[tuple[Any, ..
 def tidy(cluster: Cluster) -> None:
     """Run the worker's periodic jobs now: uploads, runs, garbage collection."""
 
-    async def all_rounds(context: AppContext) -> None:
+    async def run_jobs(context: AppContext) -> None:
         await maintain_uploads(context, stale_after_s=0)
         await maintain_runs(context)
         for _ in range(2):
             await collect_garbage(context)
 
-    on_site(cluster, all_rounds)
+    run_in_context(cluster, run_jobs)
 
 
 def objects(cluster: Cluster) -> dict[str, int]:
     """Return the sizes of the objects in its store by key, without those of start-up probes."""
-    sizes = on_site(cluster, lambda context: context.storage.sizes(""))
+    sizes = run_in_context(cluster, lambda context: context.storage.sizes(""))
     return {key: size for key, size in sizes.items() if not key.startswith(_PROBES)}
 
 
 def list_multiparts(cluster: Cluster) -> list[tuple[str, str]]:
     """Return the multipart uploads in progress in its store."""
-    uploads = on_site(cluster, lambda context: context.storage.list_multiparts(""))
+    uploads = run_in_context(cluster, lambda context: context.storage.list_multiparts(""))
     return [(key, multipart_id) for key, multipart_id in uploads if not key.startswith(_PROBES)]
 
 
 def stored_bytes(cluster: Cluster) -> int:
     """Return the bytes in its store, including parts of unfinished uploads."""
 
-    async def weigh(context: AppContext) -> int:
+    async def count_bytes(context: AppContext) -> int:
         while True:
             objects = await context.storage.sizes("")
             parts = [
                 await context.storage.list_parts(*upload) or [] for upload in await context.storage.list_multiparts("")
             ]
-            # What was joined meanwhile would count twice, as parts and as an object.
+            # An upload that is joined during the count would be counted twice, as parts and as an object.
             if await context.storage.sizes("") == objects:
                 return sum(objects.values()) + sum(part.size_bytes for upload_parts in parts for part in upload_parts)
 
-    return on_site(cluster, weigh)
+    return run_in_context(cluster, count_bytes)
 
 
-def on_site(cluster: Cluster, work: Callable[[AppContext], Awaitable[T]]) -> T:
+def run_in_context(cluster: Cluster, work: Callable[[AppContext], Awaitable[T]]) -> T:
     """Run a function with its database and its store, as a job would."""
     secrets = load_secrets(DataDir(cluster.data_dir))
     settings = Settings(

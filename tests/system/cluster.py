@@ -1,4 +1,4 @@
-"""One `klein up` that tests may start, kill and start again, and terminals for it."""
+"""A `klein up` that tests may start, kill and restart, and terminals for it."""
 
 import json
 import os
@@ -18,7 +18,7 @@ START_TIMEOUT_S = 90
 
 
 def environment(home: Path, **more: str) -> dict[str, str]:
-    """Return the environment of a person's programs: their own folders, no `KLEINKRAM_` variables of this machine."""
+    """Return an environment with its own folders, and without the `KLEINKRAM_` variables of this machine."""
     ours = {name: str(home / name[4:-5].lower()) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME")}
     inherited = {key: value for key, value in os.environ.items() if not key.startswith("KLEINKRAM_")}
     return {**inherited, **ours, **more}
@@ -31,7 +31,7 @@ class Cluster:
     home: Path
     options: list[str] = field(default_factory=list)
     settings: dict[str, str] = field(default_factory=dict)
-    inside: tuple[str, ...] = ()  # what it runs inside of: the beginning of the command line
+    inside: tuple[str, ...] = ()  # the beginning of its command line
     process: "subprocess.Popen[bytes] | None" = None
     port: int = field(default_factory=choose_port)
     s3_port: int = field(default_factory=choose_port)

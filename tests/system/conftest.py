@@ -21,7 +21,7 @@ class OtherMachine:
     our_address: str
 
     def terminal(self, home: Path, **more: str) -> Terminal:
-        """A person at that machine, who has never used Kleinkram."""
+        """A terminal on that machine, without configuration."""
         return Terminal(home, environment(home, **more), tuple(self.command()))
 
     def command(self, *arguments: str) -> list[str]:
@@ -46,7 +46,7 @@ def other_machine() -> Iterator[OtherMachine]:
             _ip("-netns", machine.name, *words.split())
         yield machine
     finally:
-        subprocess.run(["ip", "netns", "delete", machine.name], check=False, capture_output=True)  # the cable goes too
+        subprocess.run(["ip", "netns", "delete", machine.name], check=False, capture_output=True)  # and its link
 
 
 @pytest.fixture

@@ -1,6 +1,6 @@
 """A real OpenID provider (npm `oidc-provider`) and a real browser (Chromium, by `playwright-core`), for tests.
 
-Both come from a folder outside of the repository, made once from the lock file in `tests/system/oidc`.
+Both are installed once into a folder outside of the repository, from the lock file in `tests/system/oidc`.
 """
 
 import json
@@ -23,14 +23,14 @@ CLIENT_ID, CLIENT_SECRET = "kleinkram", "a secret, with: + and % in it"
 
 @pytest.fixture(name="node", scope="session")
 def _node() -> Path:
-    """The folder with the programs of `tests/system/oidc` and what they need; skipped, or failed, without Node."""
+    """The folder with the programs of `tests/system/oidc` and their packages. Skips or fails without Node."""
     need("node")
     return need_node()
 
 
 @dataclass
 class RealProvider:
-    """The provider's process, at one address for as long as the test takes. It signs in anybody by name."""
+    """The process of the provider. Its address does not change. Any name can sign in."""
 
     node: Path
     redirect_uri: str
@@ -136,7 +136,7 @@ def _driver(node: Path) -> Iterator[Chromium]:
         chromium.answer()
         yield chromium
     finally:
-        # The browser's processes with it, whatever a test that failed has it wait for.
+        # Ends the browser too, even if a failed test left it waiting.
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         for pipe in (process.stdin, process.stdout):
@@ -146,6 +146,6 @@ def _driver(node: Path) -> Iterator[Chromium]:
 
 @pytest.fixture(name="chromium")
 def _chromium(driver: Chromium) -> Chromium:
-    """A browser that has never been anywhere."""
+    """A browser with an empty profile."""
     driver.do("fresh")
     return driver

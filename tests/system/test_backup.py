@@ -37,7 +37,7 @@ def test_a_lost_machine_is_restored(cluster: Cluster) -> None:
     send = ("upload", large, "-p", "p", "-m", "drive")
     sending = me.start(*send, "--limit-rate", _RATE)
     wait_until(lambda: me.parts_sent() >= 1, "a part of the large file to be sent")
-    sending.send_signal(signal.SIGSTOP)  # it is in progress for as long as the backup takes
+    sending.send_signal(signal.SIGSTOP)  # the upload takes longer than the backup
     runtime_info = me.run("backup", "create", backups, "--json").json()
     assert (runtime_info["objects"], runtime_info["problems"]) == (20, [])
     sending.kill()
@@ -59,7 +59,7 @@ def test_a_lost_machine_is_restored(cluster: Cluster) -> None:
     restored = {path.name: path.read_bytes() for path in out.rglob("*.bin")}
     assert restored == {path.name: path.read_bytes() for path in day.iterdir()}
     url = cluster.runtime_info()["url"]
-    assert me.run("whoami", "--json").json()  # the owner's token is a new one
+    assert me.run("whoami", "--json").json()  # the owner has a new token
     stranger = type(me)(cluster.home, environment(cluster.home, KLEINKRAM_URL=url, KLEINKRAM_TOKEN=robot))
     assert stranger.run("project", "list", "--json").json()["items"][0]["name"] == "p"
     me.run(*send)  # the uploaded parts are lost, and nothing conflicts
@@ -73,7 +73,7 @@ def _lose(cluster: Cluster) -> None:
     """Kill everything and remove the data directory."""
     cluster.kill("supervisor")
     for pid in marked_processes(cluster.data_dir):
-        with contextlib.suppress(ProcessLookupError):  # they end with the supervisor, by themselves
+        with contextlib.suppress(ProcessLookupError):  # the other processes end when the supervisor does
             os.kill(pid, signal.SIGKILL)
     wait_until(lambda: marked_processes(cluster.data_dir) == [], "all parts to be gone")
     shutil.rmtree(cluster.data_dir)

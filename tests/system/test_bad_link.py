@@ -1,4 +1,4 @@
-"""A robot on a slow link that breaks connections: its parts are kept, and `klein` reports what it waits for."""
+"""Transfers over a slow link that breaks connections: uploaded parts are kept, and `klein` reports why it waits."""
 
 import filecmp
 import json
@@ -22,18 +22,18 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 MB = 1_000_000
 _RATE_BYTES_PER_S = 500_000  # 4 Mbit/s
-_MOST_SENT = 1.25
-_LONGEST_SILENCE_S = 20.0
+_MAX_SENT = 1.25
+_MAX_SILENCE_S = 20.0
 _PERIOD_S = 25.0
-# What the link carries in that time. A machine that is too busy to carry it takes longer for it.
+# The bytes that the link carries in one period. A busy machine may need longer.
 _CARRIED_BYTES = int(0.9 * _PERIOD_S * _RATE_BYTES_PER_S)
-# Connections are given up after 15 s of silence; dark for longer, the link ends them.
+# Longer than the 15 s of silence after which the client closes a connection.
 _DARK_S = 20.0
 
 
 @dataclass(frozen=True)
-class AppContext:
-    """A lab at one end of a slow link, and a robot at the other."""
+class Network:
+    """An instance at one end of a slow link, and a robot at the other."""
 
     link: SlowLink
     cluster: Cluster
@@ -48,7 +48,7 @@ class AppContext:
 
 
 @pytest.fixture(scope="module")
-def context(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AppContext]:
+def network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Network]:
     home = tmp_path_factory.mktemp("bad-link")
     with slow_link(rate_bytes_per_s=_RATE_BYTES_PER_S) as link:
         cluster = Cluster(home)
@@ -61,14 +61,14 @@ def context(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AppContext]:
             token = (cluster.data_dir / "owner-token").read_text()
             robot.run("endpoint", "add", "lab", cluster.runtime_info()["url"], stdin=token)
             robot.run("project", "create", "p")
-            yield AppContext(link, cluster, robot)
+            yield Network(link, cluster, robot)
         finally:
             cluster.end()
 
 
 @dataclass
 class Transfer:
-    """A transfer that runs, and what it wrote when it has ended."""
+    """A running transfer, and its output after its end."""
 
     process: "subprocess.Popen[str]"
     out: str = ""
@@ -83,8 +83,8 @@ class Transfer:
 
 
 @contextmanager
-def _running(context: AppContext, *arguments: object) -> Iterator[Transfer]:
-    transfer = Transfer(context.robot.start(*arguments, "--json"))
+def _running(network: Network, *arguments: object) -> Iterator[Transfer]:
+    transfer = Transfer(network.robot.start(*arguments, "--json"))
     try:
         yield transfer
     finally:
@@ -93,92 +93,92 @@ def _running(context: AppContext, *arguments: object) -> Iterator[Transfer]:
             transfer.process.communicate()
 
 
-def test_an_upload_with_a_new_address_every_25_s_keeps_the_parts_sent(context: AppContext) -> None:
-    file = context.file("day.bin", 40 * MB)
-    sent_before = context.link.up.sent_bytes
+def test_an_upload_with_a_new_address_every_25_s_keeps_the_parts_sent(network: Network) -> None:
+    file = network.file("day.bin", 40 * MB)
+    sent_before = network.link.up.sent_bytes
     changes: list[float] = []
     parts_seen: list[int] = []
-    with _running(context, "upload", "-p", "p", "-m", "moving", "--create", file) as transfer:
-        wait_until(lambda: bool(context.robot.journals()), "the upload to begin")
-        since, carried_before = time.monotonic(), context.link.up.sent_bytes
+    with _running(network, "upload", "-p", "p", "-m", "moving", "--create", file) as transfer:
+        wait_until(lambda: bool(network.robot.journals()), "the upload to begin")
+        since, carried_before = time.monotonic(), network.link.up.sent_bytes
         while transfer.process.poll() is None:
-            carried = context.link.up.sent_bytes - carried_before
+            carried = network.link.up.sent_bytes - carried_before
             if time.monotonic() - since >= _PERIOD_S and carried >= _CARRIED_BYTES:
-                since, carried_before = time.monotonic(), context.link.up.sent_bytes
+                since, carried_before = time.monotonic(), network.link.up.sent_bytes
                 changes.append(since)
-                context.link.change_address()
-            if parts := context.robot.parts_sent():  # the journal goes at the end
+                network.link.change_address()
+            if parts := network.robot.parts_sent():  # the journal is deleted at the end
                 parts_seen.append(parts)
             threading.Event().wait(0.05)
         ended_at = time.monotonic()
         report = transfer.end()
     assert parts_seen == sorted(parts_seen), "parts in the journal are never lost"
     assert len(changes) >= 3
-    assert context.link.up.sent_bytes - sent_before <= _MOST_SENT * file.stat().st_size
+    assert network.link.up.sent_bytes - sent_before <= _MAX_SENT * file.stat().st_size
     for moment in changes:
-        silence_s = context.link.longest_silence_s(moment, min(moment + 2 * _LONGEST_SILENCE_S, ended_at))
-        assert silence_s <= _LONGEST_SILENCE_S
+        silence_s = network.link.longest_silence_s(moment, min(moment + 2 * _MAX_SILENCE_S, ended_at))
+        assert silence_s <= _MAX_SILENCE_S
     assert "this machine no longer has the address" in transfer.err
     assert f"network changed {len(changes)} times" in transfer.err
     assert report["link"]["network_changes"] == len(changes)
-    context.robot.run("verify", "-p", "p", "-m", "moving", file)
+    network.robot.run("verify", "-p", "p", "-m", "moving", file)
 
 
-def test_a_silent_link_is_detected_reported_and_used_again(context: AppContext) -> None:
-    file = context.file("dark.bin", 11 * MB)
-    sent_before = context.link.up.sent_bytes
-    with _running(context, "upload", "-p", "p", "-m", "dark", "--create", file) as transfer:
+def test_a_silent_link_is_detected_reported_and_used_again(network: Network) -> None:
+    file = network.file("dark.bin", 11 * MB)
+    sent_before = network.link.up.sent_bytes
+    with _running(network, "upload", "-p", "p", "-m", "dark", "--create", file) as transfer:
         assert transfer.process.stderr is not None
-        wait_until(lambda: context.robot.parts_sent() >= 1, "a part to arrive")
+        wait_until(lambda: network.robot.parts_sent() >= 1, "a part to arrive")
         went_dark_at = time.monotonic()
-        context.link.dark.set()
+        network.link.dark.set()
         lines: list[str] = []
         while not any("reconnecting" in line for line in lines):
             lines.append(transfer.process.stderr.readline())
         noticed_s = time.monotonic() - went_dark_at
         threading.Event().wait(max(0.0, _DARK_S - noticed_s))
-        context.link.dark.clear()
+        network.link.dark.clear()
         lit_at = time.monotonic()
         report = transfer.end()
         ended_at = time.monotonic()
     assert noticed_s <= 16
-    assert lines[-1].startswith(f"no answer for 15 s from {context.link.lab_address}:")
+    assert lines[-1].startswith(f"no answer for 15 s from {network.link.lab_address}:")
     assert "connected again after" in transfer.err
     assert report["link"]["connections_lost"] >= 1
     assert report["link"]["longest_outage_s"] >= 15
-    assert context.link.longest_silence_s(lit_at, ended_at) <= _LONGEST_SILENCE_S
-    assert context.link.up.sent_bytes - sent_before <= _MOST_SENT * file.stat().st_size
+    assert network.link.longest_silence_s(lit_at, ended_at) <= _MAX_SILENCE_S
+    assert network.link.up.sent_bytes - sent_before <= _MAX_SENT * file.stat().st_size
 
 
-def test_a_download_continues_at_the_byte_where_the_address_changed(context: AppContext, tmp_path: Path) -> None:
-    file = context.file("back.bin", 8 * MB)
+def test_a_download_continues_at_the_byte_where_the_address_changed(network: Network, tmp_path: Path) -> None:
+    file = network.file("back.bin", 8 * MB)
     lab = Terminal(
-        context.cluster.home,
-        environment(context.cluster.home, KLEINKRAM_DATA_DIR=str(context.cluster.data_dir)),
-        context.link.command(context.link.lab),
+        network.cluster.home,
+        environment(network.cluster.home, KLEINKRAM_DATA_DIR=str(network.cluster.data_dir)),
+        network.link.command(network.link.lab),
     )
     lab.run("upload", "-p", "p", "-m", "back", "--create", file)
-    sent_before = context.link.down.sent_bytes
-    with _running(context, "download", "-p", "p", "-m", "back", "--dest", tmp_path) as transfer:
-        wait_until(lambda: context.link.down.sent_bytes - sent_before > 4 * MB, "half of the file to come")
+    sent_before = network.link.down.sent_bytes
+    with _running(network, "download", "-p", "p", "-m", "back", "--dest", tmp_path) as transfer:
+        wait_until(lambda: network.link.down.sent_bytes - sent_before > 4 * MB, "half of the file to come")
         changed_at = time.monotonic()
-        context.link.change_address()
+        network.link.change_address()
         report = transfer.end()
         ended_at = time.monotonic()
     assert filecmp.cmp(file, tmp_path / "back.bin", shallow=False)
     assert report["link"]["network_changes"] == 1
-    assert context.link.longest_silence_down_s(changed_at, ended_at) <= _LONGEST_SILENCE_S
-    assert context.link.down.sent_bytes - sent_before <= _MOST_SENT * file.stat().st_size
+    assert network.link.longest_silence_down_s(changed_at, ended_at) <= _MAX_SILENCE_S
+    assert network.link.down.sent_bytes - sent_before <= _MAX_SENT * file.stat().st_size
 
 
-def test_a_router_that_drops_its_connections_is_detected_without_a_change_of_address(context: AppContext) -> None:
-    file = context.file("router.bin", 8 * MB)
-    with _running(context, "upload", "-p", "p", "-m", "router", "--create", file) as transfer:
-        wait_until(lambda: context.robot.parts_sent() >= 1, "a part to arrive")
+def test_a_router_that_drops_its_connections_is_detected_without_a_change_of_address(network: Network) -> None:
+    file = network.file("router.bin", 8 * MB)
+    with _running(network, "upload", "-p", "p", "-m", "router", "--create", file) as transfer:
+        wait_until(lambda: network.robot.parts_sent() >= 1, "a part to arrive")
         forgotten_at = time.monotonic()
-        context.link.forget_connections()
+        network.link.forget_connections()
         transfer.end()
         ended_at = time.monotonic()
     assert "old connections get no answer and new ones do" in transfer.err
-    assert context.link.longest_silence_s(forgotten_at, ended_at) <= 10
-    context.robot.run("verify", "-p", "p", "-m", "router", file)
+    assert network.link.longest_silence_s(forgotten_at, ended_at) <= 10
+    network.robot.run("verify", "-p", "p", "-m", "router", file)

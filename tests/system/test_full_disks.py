@@ -24,14 +24,14 @@ from tests.system.cluster import Cluster
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
-# An empty cluster takes 60 MB of it, with the two segments of WAL that it keeps.
+# An empty database uses 60 MB of it, including two WAL segments.
 _DATABASE_MB = 160
 _EXIT_UNREACHABLE, _EXIT_DESTINATION = 7, 11
 
 
 @pytest.fixture(scope="module")
 def disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Cluster, SmallDisk]]:
-    """A Kleinkram whose database has a small disk of its own."""
+    """An instance whose database is on a small disk."""
     need_small_disks()
     cluster = Cluster(tmp_path_factory.mktemp("house"))
     cluster.start()
@@ -89,13 +89,13 @@ def test_a_database_with_a_full_disk_reports_it_and_recovers_once_there_is_space
     with _administrator(cluster) as administrator:
         small.fill()
         _fill_a_table(cluster)
-        terminal.run("verify", "-p", "p", "-m", "m", stored)  # what is there can be read
+        terminal.run("verify", "-p", "p", "-m", "m", stored)  # reading still works
         with pytest.raises(psycopg.OperationalError):
             _fill_the_log(administrator)
     wait_until(lambda: _postgres_complains(cluster), "the supervisor to say why PostgreSQL does not start")
     findings: dict[str, Any] = {}
 
-    def is_reported() -> bool:  # not while it is being started once more
+    def is_reported() -> bool:  # not while PostgreSQL restarts
         findings.update({finding["check"]: finding for finding in _doctor(cluster, small)})
         return "No space left on device" in findings["service postgres"]["message"]
 
@@ -114,7 +114,7 @@ def test_a_database_with_a_full_disk_reports_it_and_recovers_once_there_is_space
 
 
 def _fill_a_table(cluster: Cluster) -> None:
-    """Make missions until there is no room for their rows, and check the error."""
+    """Create missions until the disk is full, and check the error."""
     token = (cluster.data_dir / "owner-token").read_text().strip()
     with connect(cluster.runtime_info()["url"], token) as client, pytest.raises(DatabaseUnavailable) as refused:
         _make_missions(client)
@@ -140,7 +140,7 @@ def _administrator(cluster: Cluster) -> "psycopg.Connection[tuple[object, ...]]"
 
 
 def _fill_the_log(administrator: "psycopg.Connection[tuple[object, ...]]") -> None:
-    """Have PostgreSQL begin new segments of its log until there is no room for one."""
+    """Make PostgreSQL create WAL segments until the disk is full."""
     for _ in range(20):
         administrator.execute("SELECT pg_logical_emit_message(false, 'w', 'x'), pg_switch_wal()")
 

@@ -41,18 +41,19 @@ for step in range(20):
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_ten_rounds(cluster: Cluster) -> None:
+def test_an_upload_survives_ten_rounds_of_kills(cluster: Cluster) -> None:
     first = _first_seed()
     sizes = {seed: _FULL_MB for seed in range(first, first + _ROUNDS_PER_CLUSTER) if seed % _ROUNDS_PER_CLUSTER == 1}
     _rounds(cluster, [*_planned(cluster.home, first, _ROUNDS_PER_CLUSTER, sizes)])
 
 
 @pytest.mark.soak
-def test_many_rounds_of_the_full_size(tmp_path: Path) -> None:
+def test_a_large_upload_survives_many_rounds_of_kills(tmp_path: Path) -> None:
     first, count = _first_seed(), int(os.environ.get("KLEINKRAM_SOAK_ROUNDS", "100"))
     sizes = dict.fromkeys(range(first, first + count), _FULL_MB)
     planned = [*_planned(tmp_path, first, count, sizes)]
-    for begin in range(0, count, _ROUNDS_PER_CLUSTER):  # a new cluster now and then: a hundred rounds fill a disk
+    # A new cluster after some rounds, because a hundred rounds would fill the disk.
+    for begin in range(0, count, _ROUNDS_PER_CLUSTER):
         home = tmp_path / f"cluster{begin}"
         home.mkdir()
         cluster = Cluster(home)
@@ -68,15 +69,15 @@ def _first_seed() -> int:
 
 
 def _planned(home: Path, first: int, count: int, sizes: dict[int, int]) -> Iterator[Round]:
-    """Plan rounds: what a seed stands for is the same, whichever is the first."""
+    """Yield the rounds of these seeds. A round depends on its seed only."""
     for seed, victims in enumerate(itertools.islice(turns(random.Random(0)), first, first + count), start=first):
         yield Round(seed, victims, home / f"m{seed}", sizes.get(seed, _SMALL_MB) * MB)
 
 
 def _rounds(cluster: Cluster, rounds: list[Round]) -> None:
-    # A client whose announcement was lost waits for the lease that it got; a minute of that shows no more than seconds.
+    # A client whose announcement was lost waits until its lease expires. A short lease tests the same in less time.
     cluster.settings["KLEINKRAM_UPLOAD_LEASE_S"] = "5"
-    cluster.settings["DOCKER_HOST"] = f"unix://{cluster.home}/nothing"  # runs are processes
+    cluster.settings["DOCKER_HOST"] = f"unix://{cluster.home}/nothing"  # without an engine, runs are processes
     cluster.start()
     cluster.terminal.run("project", "create", "p")
     (cluster.home / "lasting.py").write_text(_LASTING)

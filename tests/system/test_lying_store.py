@@ -14,10 +14,14 @@ from tests.system.cluster import Cluster
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
-_HARM = {"gone.bin": ("lost", "no longer"), "cut.bin": ("corrupt", "1000 bytes"), "altered.bin": ("corrupt", "CRC-64")}
+_DAMAGE = {
+    "gone.bin": ("lost", "no longer"),
+    "cut.bin": ("corrupt", "1000 bytes"),
+    "altered.bin": ("corrupt", "CRC-64"),
+}
 
 
-def _harm(cluster: Cluster, bodies: dict[str, bytes]) -> None:
+def _damage_objects(cluster: Cluster, bodies: dict[str, bytes]) -> None:
     """Delete, truncate or alter each object in the store, as the name of its file says."""
     keys = dict(backend.sql(cluster, "SELECT f.path, b.key FROM file f JOIN blob b ON b.id = f.blob_id"))
     altered = bodies["altered.bin"]
@@ -27,7 +31,7 @@ def _harm(cluster: Cluster, bodies: dict[str, bytes]) -> None:
         await context.storage.put_object(keys["cut.bin"], bodies["cut.bin"][:1000])
         await context.storage.put_object(keys["altered.bin"], altered[:-1] + bytes([altered[-1] ^ 1]))
 
-    backend.on_site(cluster, do)
+    backend.run_in_context(cluster, do)
 
 
 def _states(terminal: Any) -> dict[str, tuple[str, str | None]]:
@@ -41,14 +45,14 @@ def test_lost_truncated_and_altered_objects_are_reported_and_repaired_by_uploadi
     cluster.start()
     terminal, folder = cluster.terminal, tmp_path / "day"
     folder.mkdir()
-    bodies = {name: os.urandom(5000) for name in (*_HARM, "good.bin", "better.bin")}
+    bodies = {name: os.urandom(5000) for name in (*_DAMAGE, "good.bin", "better.bin")}
     for name, body in bodies.items():
         (folder / name).write_bytes(body)
     terminal.run("project", "create", "p")
     terminal.run("upload", *sorted(folder.iterdir()), "-p", "p", "-m", "m", "--create")
     terminal.run("verify", "--remote", "-p", "p", "-m", "m")
     assert terminal.run("admin", "scrub", "--json").json()["last"]["compared"] == len(bodies)
-    _harm(cluster, bodies)
+    _damage_objects(cluster, bodies)
 
     scrubbed = terminal.run("admin", "scrub", code=9)
     assert "newly lost:    1" in scrubbed.out
@@ -56,7 +60,7 @@ def test_lost_truncated_and_altered_objects_are_reported_and_repaired_by_uploadi
     verified = terminal.run("verify", "--remote", "-p", "p", "-m", "m", code=9)
     assert "Upload it again to repair it." in verified.err
     states = _states(terminal)
-    for name, (state, why) in _HARM.items():
+    for name, (state, why) in _DAMAGE.items():
         assert states[name][0] == state
         assert why in str(states[name][1])
         assert why in terminal.run("file", "info", name, "-p", "p", "-m", "m").out

@@ -1,4 +1,4 @@
-"""Signing in with a real OpenID provider, a real browser and `klein up`, and the failures between them."""
+"""Signing in to `klein up` with a real OpenID provider and a real browser, and failures of that."""
 
 import base64
 import hashlib
@@ -23,8 +23,8 @@ _CALLBACK = "/sign-in/callback/lab"
 
 
 @dataclass(frozen=True)
-class Place:
-    """A Kleinkram that trusts a provider for lab.example, and the provider."""
+class Deployment:
+    """An instance that trusts a provider for lab.example, and that provider."""
 
     cluster: Cluster
     provider: RealProvider
@@ -34,7 +34,7 @@ class Place:
         """The server's address."""
         return f"http://127.0.0.1:{self.cluster.port}"
 
-    def ask(self, method: str, path: str, body: object = None, token: str | None = None) -> Any:
+    def request(self, method: str, path: str, body: object = None, token: str | None = None) -> Any:
         """Send an API request, by default as the owner."""
         owner = (self.cluster.data_dir / "owner-token").read_text().strip()
         headers = {"Authorization": f"Bearer {token or owner}", "Content-Type": "application/json"}
@@ -45,12 +45,12 @@ class Place:
 
     def refusals(self) -> list[str]:
         """Return why the last callbacks from the provider were refused, latest first."""
-        events = self.ask("GET", "/audit?operation=auth.refused&limit=50")["items"]
+        events = self.request("GET", "/audit?operation=auth.refused&limit=50")["items"]
         return [str(event["after"]["reason"]) for event in events if _CALLBACK[:17] in event["resource_name"]]
 
 
-@pytest.fixture(name="place", scope="module")
-def _place(node: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+@pytest.fixture(name="deployment", scope="module")
+def _deployment(node: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Deployment]:
     cluster = Cluster(tmp_path_factory.mktemp("oidc"))
     provider = RealProvider(node, f"http://127.0.0.1:{cluster.port}{_CALLBACK}")
     known = {"name": "lab", "title": "The Lab", "issuer": provider.url, "client_id": CLIENT_ID}
@@ -60,15 +60,15 @@ def _place(node: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pla
     provider.start()
     try:
         cluster.start()
-        yield Place(cluster, provider)
+        yield Deployment(cluster, provider)
     finally:
         cluster.end()
         provider.end()
 
 
-def go_to_provider(place: Place, chromium: Chromium, name: str) -> None:
-    """Sign in at the provider, up to its consent page."""
-    chromium.goto(f"{place.url}/sign-in?{urlencode({'return_to': '/account'})}")
+def go_to_provider(deployment: Deployment, chromium: Chromium, name: str) -> None:
+    """Sign in at the provider, and wait for its consent page."""
+    chromium.goto(f"{deployment.url}/sign-in?{urlencode({'return_to': '/account'})}")
     chromium.click("[data-provider=lab]")
     chromium.fill("login", name)
     chromium.fill("password", "any")
@@ -76,120 +76,122 @@ def go_to_provider(place: Place, chromium: Chromium, name: str) -> None:
     chromium.see("Authorize")
 
 
-def sign_in(place: Place, chromium: Chromium, name: str) -> None:
+def sign_in(deployment: Deployment, chromium: Chromium, name: str) -> None:
     """Sign in through the provider."""
-    go_to_provider(place, chromium, name)
+    go_to_provider(deployment, chromium, name)
     chromium.click("button[type=submit]")
     chromium.arrive("/account")
     chromium.see(f"Signed in as {name}")
 
 
-def come_back(place: Place, chromium: Chromium, name: str) -> str:
-    """Sign in at the provider, and return the callback address without opening it."""
-    go_to_provider(place, chromium, name)
+def get_callback(deployment: Deployment, chromium: Chromium, name: str) -> str:
+    """Sign in at the provider, and return the callback URL without opening it."""
+    go_to_provider(deployment, chromium, name)
     chromium.intercept(f"*{_CALLBACK}*")
     chromium.click("button[type=submit]")
     return chromium.intercepted()
 
 
-def test_somebody_signs_in_and_out(place: Place, chromium: Chromium) -> None:
-    sign_in(place, chromium, "ada")
+def test_signing_in_and_out_with_a_provider(deployment: Deployment, chromium: Chromium) -> None:
+    sign_in(deployment, chromium, "ada")
     (cookie,) = (cookie for cookie in chromium.do("cookies") if cookie["name"] == "kleinkram")
     assert (cookie["httpOnly"], cookie["sameSite"]) == (True, "Lax")
     chromium.click("[data-sign-out]")
     chromium.arrive("/sign-in")
-    chromium.goto(f"{place.url}/account")
+    chromium.goto(f"{deployment.url}/account")
     chromium.arrive("/sign-in")
     assert chromium.do("complaints") == []
 
 
-def test_signing_in_again_uses_the_same_account(place: Place, chromium: Chromium) -> None:
-    sign_in(place, chromium, "grace")
+def test_signing_in_again_uses_the_same_account(deployment: Deployment, chromium: Chromium) -> None:
+    sign_in(deployment, chromium, "grace")
     chromium.do("fresh")
-    sign_in(place, chromium, "grace")
+    sign_in(deployment, chromium, "grace")
     chromium.see("Your only sign-in method; it cannot be removed.")
-    events = place.ask("GET", "/audit?operation=person.create&limit=100")["items"]
+    events = deployment.request("GET", "/audit?operation=person.create&limit=100")["items"]
     assert [event["resource_name"] for event in events].count("grace") == 1
 
 
-def test_a_refused_consent_is_reported(place: Place, chromium: Chromium) -> None:
-    go_to_provider(place, chromium, "no")
+def test_a_refused_consent_is_reported(deployment: Deployment, chromium: Chromium) -> None:
+    go_to_provider(deployment, chromium, "no")
     chromium.click("text=Cancel")
     chromium.see("denied access")
-    assert "denied access" in place.refusals()[0]
+    assert "denied access" in deployment.refusals()[0]
 
 
-def test_a_wrong_state_signs_nobody_in(place: Place, chromium: Chromium) -> None:
-    back = come_back(place, chromium, "ada")
-    chromium.goto(re.sub("state=[^&]+", f"state={secrets.token_urlsafe(32)}", back))
+def test_a_wrong_state_is_refused(deployment: Deployment, chromium: Chromium) -> None:
+    callback_url = get_callback(deployment, chromium, "ada")
+    chromium.goto(re.sub("state=[^&]+", f"state={secrets.token_urlsafe(32)}", callback_url))
     chromium.see("was not started in this browser")
-    chromium.goto(f"{place.url}/account")
+    chromium.goto(f"{deployment.url}/account")
     chromium.arrive("/sign-in")
 
 
-def test_a_callback_that_another_browser_began_signs_nobody_in(place: Place, chromium: Chromium) -> None:
-    back = come_back(place, chromium, "mallory")
+def test_a_callback_of_another_browser_is_refused(deployment: Deployment, chromium: Chromium) -> None:
+    callback_url = get_callback(deployment, chromium, "mallory")
     chromium.do("fresh")
-    chromium.goto(back)
+    chromium.goto(callback_url)
     chromium.see("was not started in this browser")
 
 
-def test_a_replayed_code_signs_nobody_in(place: Place, chromium: Chromium) -> None:
-    first = come_back(place, chromium, "ada")
+def test_a_replayed_code_is_refused(deployment: Deployment, chromium: Chromium) -> None:
+    first = get_callback(deployment, chromium, "ada")
     chromium.goto(first)
     chromium.arrive("/account")
     chromium.goto(first)
     chromium.see("was finished before")
-    # The same code with a state that is good: the provider itself must say that it was used.
+    # The same code with a valid state: the provider must refuse it.
     chromium.do("fresh")
-    second = come_back(place, chromium, "ada")
+    second = get_callback(deployment, chromium, "ada")
     code = parse_qs(urlsplit(first).query)["code"][0]
     chromium.goto(re.sub("code=[^&]+", f"code={code}", second))
     chromium.see("did not accept its own code")
 
 
-def test_rotated_keys_are_fetched_again(place: Place, chromium: Chromium) -> None:
-    sign_in(place, chromium, "ada")
-    place.provider.start()
+def test_rotated_keys_are_fetched_again(deployment: Deployment, chromium: Chromium) -> None:
+    sign_in(deployment, chromium, "ada")
+    deployment.provider.start()
     chromium.do("fresh")
-    sign_in(place, chromium, "ada")
+    sign_in(deployment, chromium, "ada")
 
 
-def test_an_expired_token_is_rejected(place: Place, chromium: Chromium) -> None:
-    place.provider.start(late_s=2 * 3600)
+def test_an_expired_token_is_rejected(deployment: Deployment, chromium: Chromium) -> None:
+    deployment.provider.start(late_s=2 * 3600)
     try:
-        back = come_back(place, chromium, "ada")
-        chromium.goto(back)
+        callback_url = get_callback(deployment, chromium, "ada")
+        chromium.goto(callback_url)
         chromium.see("could not confirm who you are")
         assert "expired_token" in chromium.text()
     finally:
-        place.provider.start()
+        deployment.provider.start()
 
 
-def test_a_provider_that_dies_during_sign_in_is_reported(place: Place, chromium: Chromium) -> None:
-    back = come_back(place, chromium, "ada")
-    place.provider.end()
+def test_a_provider_that_dies_during_sign_in_is_reported(deployment: Deployment, chromium: Chromium) -> None:
+    callback_url = get_callback(deployment, chromium, "ada")
+    deployment.provider.end()
     try:
-        chromium.goto(back)
+        chromium.goto(callback_url)
         chromium.see("The sign-in with The Lab failed")
-        assert "cannot be reached" in place.refusals()[0]
-        chromium.goto(f"{place.url}/account")
+        assert "cannot be reached" in deployment.refusals()[0]
+        chromium.goto(f"{deployment.url}/account")
         chromium.arrive("/sign-in")
     finally:
-        place.provider.start()
+        deployment.provider.start()
     chromium.do("fresh")
-    sign_in(place, chromium, "ada")
+    sign_in(deployment, chromium, "ada")
 
 
-def test_an_invited_person_links_the_provider_to_their_account(place: Place, chromium: Chromium) -> None:
-    link = place.ask("POST", "/people/invitations", {"email": "someone@elsewhere.example", "name": "Some One"})["url"]
+def test_an_invited_person_links_the_provider_to_their_account(deployment: Deployment, chromium: Chromium) -> None:
+    link = deployment.request(
+        "POST", "/people/invitations", {"email": "someone@elsewhere.example", "name": "Some One"}
+    )["url"]
     chromium.goto(link)
     chromium.see("someone@elsewhere.example")
     chromium.fill("password", "correct horse battery")
-    chromium.intercept(f"{place.url}/")
+    chromium.intercept(f"{deployment.url}/")
     chromium.click("form button")
     chromium.intercepted()
-    chromium.goto(f"{place.url}/account")
+    chromium.goto(f"{deployment.url}/account")
     chromium.see("Signed in as Some One")
     chromium.click("[data-methods] [data-provider=lab]")
     chromium.fill("login", "linked")
@@ -200,58 +202,58 @@ def test_an_invited_person_links_the_provider_to_their_account(place: Place, chr
     chromium.arrive("/account")
     chromium.see("linked@")
     chromium.do("fresh")
-    go_to_provider(place, chromium, "linked")
+    go_to_provider(deployment, chromium, "linked")
     chromium.click("button[type=submit]")
     chromium.see("Signed in as Some One")
     chromium.click("[data-methods] [aria-label='Unlink The Lab']")
     chromium.click("dialog[open] [type=submit]")
     chromium.see("The Lab unlinked.")
     chromium.do("fresh")
-    go_to_provider(place, chromium, "linked")
+    go_to_provider(deployment, chromium, "linked")
     chromium.click("button[type=submit]")
     chromium.see("was unlinked here")
 
 
-def test_the_owner_s_link_signs_in_once(place: Place, chromium: Chromium) -> None:
-    link = place.ask("POST", "/auth/owner-link")["url"]
-    chromium.intercept(f"{place.url}/")
+def test_the_owner_s_link_signs_in_once(deployment: Deployment, chromium: Chromium) -> None:
+    link = deployment.request("POST", "/auth/owner-link")["url"]
+    chromium.intercept(f"{deployment.url}/")
     chromium.goto(link)
     chromium.intercepted()
-    chromium.goto(f"{place.url}/account")
+    chromium.goto(f"{deployment.url}/account")
     chromium.see("Signed in as owner")
     chromium.do("fresh")
     chromium.goto(link)
     chromium.see("This link or code is not valid")
 
 
-def test_a_program_on_this_machine_signs_in_after_approval(place: Place, chromium: Chromium) -> None:
+def test_a_program_on_this_machine_signs_in_after_approval(deployment: Deployment, chromium: Chromium) -> None:
     verifier = secrets.token_urlsafe(48)
     challenge = base64.urlsafe_b64encode(hashlib.sha256(verifier.encode()).digest()).decode().rstrip("=")
     query = {"port": 40123, "state": "a" * 20, "code_challenge": challenge, "client": "klein on <b>anymal</b>"}
-    sign_in(place, chromium, "ada")
-    chromium.goto(f"{place.url}/sign-in/cli?{urlencode(query)}")
+    sign_in(deployment, chromium, "ada")
+    chromium.goto(f"{deployment.url}/sign-in/cli?{urlencode(query)}")
     chromium.see("klein on <b>anymal</b>")
     chromium.intercept("http://127.0.0.1:40123/*")
     chromium.click("[data-act=approve]")
-    brought = parse_qs(urlsplit(chromium.intercepted()).query)
-    assert brought["state"] == ["a" * 20]
-    runtime_info = place.ask("POST", "/auth/cli/token", {"code": brought["code"][0], "code_verifier": verifier})
-    assert place.ask("GET", "/me", token=runtime_info["token"])["person"]["name"] == "ada"
+    callback = parse_qs(urlsplit(chromium.intercepted()).query)
+    assert callback["state"] == ["a" * 20]
+    token = deployment.request("POST", "/auth/cli/token", {"code": callback["code"][0], "code_verifier": verifier})
+    assert deployment.request("GET", "/me", token=token["token"])["person"]["name"] == "ada"
 
 
-def test_a_program_on_this_machine_gets_the_refusal(place: Place, chromium: Chromium) -> None:
-    sign_in(place, chromium, "ada")
+def test_a_program_on_this_machine_is_notified_of_a_denial(deployment: Deployment, chromium: Chromium) -> None:
+    sign_in(deployment, chromium, "ada")
     query = {"port": 40123, "state": "a" * 20, "code_challenge": "A" * 43, "client": "klein"}
-    chromium.goto(f"{place.url}/sign-in/cli?{urlencode(query)}")
+    chromium.goto(f"{deployment.url}/sign-in/cli?{urlencode(query)}")
     chromium.see("asks to sign in")
     chromium.intercept("http://127.0.0.1:40123/*")
     chromium.click("[data-act=deny]")
     assert parse_qs(urlsplit(chromium.intercepted()).query) == {"error": ["denied"], "state": ["a" * 20]}
 
 
-def test_a_robot_signs_in_by_a_code_that_somebody_types(place: Place, chromium: Chromium) -> None:
-    began = place.ask("POST", "/auth/device", {"client": "klein on spot"})
-    chromium.goto(began["verification_url_complete"])
+def test_a_robot_signs_in_by_a_device_code(deployment: Deployment, chromium: Chromium) -> None:
+    login = deployment.request("POST", "/auth/device", {"client": "klein on spot"})
+    chromium.goto(login["verification_url_complete"])
     chromium.arrive("/sign-in")
     chromium.click("[data-provider=lab]")
     chromium.fill("login", "ada")
@@ -264,5 +266,5 @@ def test_a_robot_signs_in_by_a_code_that_somebody_types(place: Place, chromium: 
     chromium.see("klein on spot")
     chromium.click("[data-act=approve]")
     chromium.see("You can close this page")
-    runtime_info = place.ask("POST", "/auth/device/token", {"device_code": began["device_code"]})
-    assert place.ask("GET", "/me", token=runtime_info["token"])["person"]["name"] == "ada"
+    token = deployment.request("POST", "/auth/device/token", {"device_code": login["device_code"]})
+    assert deployment.request("GET", "/me", token=token["token"])["person"]["name"] == "ada"

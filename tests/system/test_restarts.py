@@ -28,7 +28,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 T = TypeVar("T")
 _CLIENTS, _FILES = 20, 6
-_PATIENCE_S = 60.0
+_TIMEOUT_S = 60.0
 _FILES_OF_ALL = """
     SELECT mission.name, file.path FROM file JOIN mission ON mission.id = mission_id WHERE mission.name LIKE 'client %%'
 """
@@ -90,7 +90,7 @@ def _write(path: Path) -> Path:
 
 def _read(ask: Callable[[], T]) -> T:
     """Send a request and retry while the server is unavailable, as a script does."""
-    gives_up_at = time.monotonic() + _PATIENCE_S
+    gives_up_at = time.monotonic() + _TIMEOUT_S
     while time.monotonic() < gives_up_at:
         with contextlib.suppress(ServerUnreachable, DatabaseUnavailable):
             return ask()
@@ -109,7 +109,7 @@ def test_requests_without_a_database_get_503_with_retry_after(cluster: Cluster) 
     change = ("POST", "/api/v1/projects", token, {"name": "made while it was away"})
     reading = ("GET", "/api/v1/projects", token)
     assert cluster.process is not None
-    cluster.process.send_signal(signal.SIGSTOP)  # who would start it again
+    cluster.process.send_signal(signal.SIGSTOP)  # the supervisor would restart it
     try:
         cluster.kill("postgres")
         for request in (change, reading):

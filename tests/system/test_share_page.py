@@ -17,7 +17,7 @@ _PIXEL = base64.b64decode(
 
 @pytest.fixture
 def browser(tmp_path: Path) -> list[str]:
-    """The command line that prints a page as it is once its script has run."""
+    """The command line that prints the document of a page after its script has run."""
     need("chromium")
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=8000", "--dump-dom"]
     return [str(path_of("chromium")), *options, f"--user-data-dir={tmp_path / 'profile'}"]
@@ -29,7 +29,7 @@ def _seen(browser: list[str], address: str) -> str:
 
 
 @pytest.mark.slow
-def test_the_page_shows_what_the_link_shows(cluster: Cluster, browser: list[str], tmp_path: Path) -> None:
+def test_the_share_page_shows_only_the_shared_files(cluster: Cluster, browser: list[str], tmp_path: Path) -> None:
     cluster.start()
     terminal = cluster.terminal
     folder = tmp_path / "day"
@@ -45,7 +45,7 @@ def test_the_page_shows_what_the_link_shows(cluster: Cluster, browser: list[str]
     assert "Alps / Day &amp; night" in seen
     assert "2 files, 1.5 kB" in seen
     assert "&lt;b&gt;bold&lt;b&gt;.bin" in seen
-    assert seen.count("<button") == 4, "one a file, one for all, and one for more, which is hidden"
+    assert seen.count("<button") == 4, "a button per file, one for all files, and a hidden one for more files"
     assert "Download all (1.5 kB)" in seen
     assert f"klein download '{link}'" in seen
     assert "hidden.bin" not in seen
@@ -56,7 +56,7 @@ def test_the_page_shows_what_the_link_shows(cluster: Cluster, browser: list[str]
 
 
 @pytest.mark.slow
-def test_the_page_of_a_whole_mission_shows_its_metadata_topics_and_a_picture(
+def test_the_share_page_of_a_mission_shows_metadata_topics_and_a_picture(
     cluster: Cluster, browser: list[str], tmp_path: Path
 ) -> None:
     cluster.start()

@@ -1,4 +1,4 @@
-"""One hour of many people on ten years of data: the memory of API and worker does not grow."""
+"""One hour of many clients on ten years of data: the memory of API and worker does not grow."""
 
 import json
 import os
@@ -18,8 +18,8 @@ from tests.system.cluster import Cluster
 
 _SECONDS = float(os.environ.get("KLEINKRAM_SOAK_S", "3600"))
 _CLIENTS, _LOOKS = 10, 60
-# Of the last third, beside the second: the first is when caches fill.
-_MOST_GROWTH, _SLACK_MB = 1.1, 10
+# The last third is compared with the second, because caches fill during the first.
+_MAX_GROWTH, _SLACK_MB = 1.1, 10
 
 
 @pytest.mark.soak
@@ -55,6 +55,6 @@ def test_memory_stays_constant_during_an_hour_of_many_clients(tmp_path: Path) ->
     assert runtime_info["answers"] > 0
     assert runtime_info["errors"] == []
     for name, (middle, last) in thirds.items():
-        assert last <= middle * _MOST_GROWTH + _SLACK_MB, (
+        assert last <= middle * _MAX_GROWTH + _SLACK_MB, (
             f"{name} grew from {middle:.0f} to {last:.0f} MB: {taken[name]}"
         )

@@ -32,10 +32,10 @@ def _files_of(cluster: Cluster, mission: str) -> list[str]:
     return [path for (path,) in backend.sql(cluster, statement, mission)]
 
 
-def _away(cluster: Cluster) -> None:
-    """The store is away for half a minute: at first it takes connections, and no byte moves; then it dies, and again.
+def _interrupt_store(cluster: Cluster) -> None:
+    """Make the store unavailable for half a minute: it is suspended first, then killed again and again.
 
-    Dying, it is started again after ever longer pauses, the last of which ends a moment after its last death.
+    The supervisor restarts it after increasing delays, the last of which ends shortly after the last kill.
     """
     pid = cluster.runtime_info()["services"]["store"]
     os.kill(pid, signal.SIGSTOP)
@@ -54,14 +54,14 @@ def test_transfers_wait_for_a_store_that_is_unavailable_for_half_a_minute(cluste
     there = _file(tmp_path / "there.bin", 60 * MIB)
     terminal.run("upload", "-p", "p", "-m", "old", "--create", there)
     coming = _file(tmp_path / "coming.bin", 60 * MIB)
-    slowly = ["--limit-rate", "5MiB"]  # neither is over before the other is half-way, however slow the machine
+    slowly = ["--limit-rate", "5MiB"]  # so that both transfers overlap on slow machines too
     back = tmp_path / "back"
     transfers = [
         terminal.start("upload", "-p", "p", "-m", "new", "--create", coming, *slowly),
         terminal.start("download", "-p", "p", "-m", "old", "--dest", back, *slowly),
     ]
     wait_until(lambda: terminal.parts_sent() >= 1 and _fetched(back) >= 1, "both transfers to be half-way")
-    _away(cluster)
+    _interrupt_store(cluster)
     assert [transfer.poll() for transfer in transfers] == [None, None], "nobody gave up"
     for transfer in transfers:
         ended = end(transfer)

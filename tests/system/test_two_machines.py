@@ -33,7 +33,7 @@ with kleinkram.connect() as client:
     print(client.missions.get(os.environ["KLEINKRAM_MISSION_ID"]).name, "it is")
 """
 _MIB = 1024 * 1024
-# Tries to connect to every port it is given, and prints those that let it.
+# Tries to connect to these ports, and prints the open ones.
 _CONNECT = """
 import json, socket, sys
 def opens(port):
@@ -46,14 +46,18 @@ print(json.dumps([port for port in map(int, sys.argv[2:]) if opens(port)]))
 """
 
 
-def test_over_plain_http(cluster: Cluster, other_machine: OtherMachine, tmp_path: Path) -> None:
+def test_another_machine_uploads_downloads_and_verifies_over_http(
+    cluster: Cluster, other_machine: OtherMachine, tmp_path: Path
+) -> None:
     _listen(cluster, other_machine, "http")
     cluster.start()
     _upload_download_verify(cluster, other_machine.terminal(_folder(tmp_path / "robot")))
     assert _ports_that_open(cluster, other_machine) == {cluster.port, cluster.s3_port}
 
 
-def test_over_tls_with_a_certificate_of_our_own(cluster: Cluster, other_machine: OtherMachine, tmp_path: Path) -> None:
+def test_another_machine_uploads_downloads_and_verifies_over_tls(
+    cluster: Cluster, other_machine: OtherMachine, tmp_path: Path
+) -> None:
     certificate, key = make_certificate(tmp_path, other_machine.our_address)
     _listen(cluster, other_machine, "https")
     cluster.options += ["--tls-cert", str(certificate), "--tls-key", str(key)]
@@ -61,7 +65,7 @@ def test_over_tls_with_a_certificate_of_our_own(cluster: Cluster, other_machine:
     url = cluster.runtime_info()["url"]
     stranger = other_machine.terminal(_folder(tmp_path / "stranger"), KLEINKRAM_URL=url, KLEINKRAM_TOKEN="klein_x")
     assert "certificate" in stranger.run("project", "list", code=None).err.lower()
-    # The way that OpenSSL gives every program; the client has no setting of its own.
+    # The variable of OpenSSL; the client has no setting for certificates.
     robot = other_machine.terminal(_folder(tmp_path / "robot"), SSL_CERT_FILE=str(certificate))
     _upload_download_verify(cluster, robot)
     assert _ports_that_open(cluster, other_machine) == {cluster.port, cluster.s3_port}

@@ -1,6 +1,7 @@
-"""A call of one operation, as a row of `callers` describes it.
+"""Calls of one operation, as the rows of `callers` describe them.
 
-Every row must leave the world as it was: by asking for what changes nothing, for something new, or by its `undo`.
+Every call must leave the objects unchanged: because the request changes nothing, because it creates a new object, or by
+its `undo`.
 """
 
 import uuid
@@ -9,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kleinkram.contract.access import Scope
-from tests.integration.access.expectations import About, Verdict
+from tests.integration.access.expectations import Target, Verdict
 from tests.integration.access.world import Principal
 from tests.integration.api_server import Answer
 
@@ -26,86 +27,88 @@ class Request:
 
 @dataclass(frozen=True)
 class Caller:
-    """How to call an operation, what that is about, and how to read the answer.
+    """How to call an operation, the target of the call, and how to read the response.
 
-    `shows`: of an operation that answers with whatever one may see: whether the thing is in it.
-    `hides`: without the right, the thing is not even seen (404, or 410, where others say 403).
-    `outcome`: how it went, of an answer that says so for each thing by itself.
-    `passes`: the code of a failure that only somebody meets who was let through.
-    `needs`: the level that it takes here, where the table says that it is about nothing.
-    `scopes`: of which a token must carry one here, where the table says that any will do.
-    `via`: the operation under which the request comes in, where it is another one that it turns into.
-    `is_boundless`: it is not about any place, so a credential that is limited to some is not for it.
+    `shows`: for operations that return all visible objects: whether the response contains the target.
+    `hides`: without the right, the response is 404 or 410, where other operations return 403.
+    `outcome`: the status of the target, for responses with a result per object.
+    `accepted_code`: an error code that only requests with sufficient rights receive; it counts as success.
+    `required_level`: the level that the call requires, if the table of operations has none.
+    `scopes`: scopes of which a token needs one, if the table of operations accepts any.
+    `via`: the operation of the route, if the request turns into another one.
+    `needs_unlimited_credential`: the call has no project or mission, so limited credentials are refused.
     """
 
     request: Callable[[Principal], Request]
-    about: About
+    target: Target
     shows: Callable[[Any, Principal], bool] | None = None
     hides: bool = False
     outcome: Callable[[Any], int] | None = None
-    passes: str | None = None
-    needs: int | None = None
+    accepted_code: str | None = None
+    required_level: int | None = None
     scopes: frozenset[Scope] = frozenset(Scope)
     via: str | None = None
-    is_boundless: bool = False
+    needs_unlimited_credential: bool = False
     undo: Callable[[Principal], object] | None = None
 
     def verdict(self, answer: Answer) -> Verdict | int:
-        """Return how it went."""
+        """Return the verdict of a response."""
         status = answer.status
         if status == 200 and self.outcome is not None:
             status = self.outcome(answer.body)
-        if self.passes is not None and status >= 400 and answer.body["code"] == self.passes:
-            return Verdict.done
+        if self.accepted_code is not None and status >= 400 and answer.body["code"] == self.accepted_code:
+            return Verdict.ok
         if status == 410 and self.hides:
-            return Verdict.unseen
+            return Verdict.not_found
         return Verdict.of_status(status)
 
 
 def new_name() -> str:
-    """Return a name that nothing has."""
+    """Return an unused name."""
     return f"new {uuid.uuid4()}"
 
 
 def get(path: str, /, **query: str) -> Callable[[Principal], Request]:
-    """Ask for a page; names of things in braces."""
-    return lambda by: Request("GET", filled(path, by), query=tuple((k, filled(v, by)) for k, v in query.items()))
+    """Return a GET request; ids of objects are fields in braces."""
+    return lambda principal: Request(
+        "GET", fill(path, principal), query=tuple((k, fill(v, principal)) for k, v in query.items())
+    )
 
 
 def delete(path: str, /, **query: str) -> Callable[[Principal], Request]:
-    """Delete something."""
-    return lambda by: Request("DELETE", filled(path, by), query=tuple(query.items()))
+    """Return a DELETE request."""
+    return lambda principal: Request("DELETE", fill(path, principal), query=tuple(query.items()))
 
 
 def patch(path: str, body: Callable[[Principal], Any]) -> Callable[[Principal], Request]:
-    """Change something."""
-    return lambda by: Request("PATCH", filled(path, by), body(by))
+    """Return a PATCH request."""
+    return lambda principal: Request("PATCH", fill(path, principal), body(principal))
 
 
 def post(path: str, body: Callable[[Principal], Any] = lambda _: None) -> Callable[[Principal], Request]:
-    """Ask for something to be done."""
-    return lambda by: Request("POST", filled(path, by), body(by))
+    """Return a POST request."""
+    return lambda principal: Request("POST", fill(path, principal), body(principal))
 
 
-def filled(text: str, by: Principal) -> str:
-    """Put the ids of what an principal asks about into a text."""
-    return text.format(upload=by.upload, **vars(by.objects))
+def fill(text: str, principal: Principal) -> str:
+    """Insert the ids of a principal's objects into a text."""
+    return text.format(upload=principal.upload, **vars(principal.objects))
 
 
 def lists(attribute: str) -> Callable[[Any, Principal], bool]:
-    """Return what says whether a page lists a thing."""
+    """Return a function that tells whether a page lists an object."""
 
-    def shows(page: Any, by: Principal) -> bool:
-        return getattr(by.objects, attribute) in {item["id"] for item in page["items"]}
+    def shows(page: Any, principal: Principal) -> bool:
+        return getattr(principal.objects, attribute) in {item["id"] for item in page["items"]}
 
     return shows
 
 
 def has_items(page: Any, _: Principal) -> bool:
-    """Say whether a page lists anything."""
+    """Whether a page lists anything."""
     return bool(page["items"])
 
 
 def sets(statement: str, *attributes: str) -> Callable[[Principal], object]:
-    """Return what runs a statement behind the API's back, with the ids of things."""
-    return lambda by: by.api.sql(statement, *(getattr(by.objects, name) for name in attributes))
+    """Return a function that runs a statement directly in the database, with the ids of these objects."""
+    return lambda principal: principal.api.sql(statement, *(getattr(principal.objects, name) for name in attributes))

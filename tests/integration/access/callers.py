@@ -1,10 +1,10 @@
 """How the matrix calls each operation."""
 
 from tests.integration.access.call import Caller
-from tests.integration.access.callers_of_objects import OF_THINGS
-from tests.integration.access.callers_of_people import OF_PEOPLE, PUBLIC_OPERATIONS
-from tests.integration.access.callers_of_runs import OF_RUNS
+from tests.integration.access.callers_of_objects import OBJECT_OPERATIONS
+from tests.integration.access.callers_of_people import PEOPLE_OPERATIONS, PUBLIC_OPERATIONS
+from tests.integration.access.callers_of_runs import RUN_OPERATIONS
 
-CALLERS: dict[str, tuple[Caller, ...]] = {**OF_THINGS, **OF_RUNS, **OF_PEOPLE}
+CALLERS: dict[str, tuple[Caller, ...]] = {**OBJECT_OPERATIONS, **RUN_OPERATIONS, **PEOPLE_OPERATIONS}
 
 __all__ = ["CALLERS", "PUBLIC_OPERATIONS"]

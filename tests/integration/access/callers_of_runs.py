@@ -4,22 +4,22 @@ import uuid
 from typing import Any
 
 from tests.integration.access.call import Caller, get, has_items, lists, new_name, patch, post
-from tests.integration.access.expectations import About
+from tests.integration.access.expectations import Target
 from tests.integration.access.world import ACTION, Principal
 
 _DELETE = 4
-_NOBODY = "00000000-0000-0000-0000-000000000001"
+_UNKNOWN_RUNNER = "00000000-0000-0000-0000-000000000001"
 _CAPACITY = {"cores": 64, "memory_bytes": 2**40, "disk_bytes": 2**40, "gpus": 0}
 _FREE = {"cores": 1, "memory_bytes": 1, "disk_bytes": 1, "gpus": 0}
 _SUMS = {"sha256": "0" * 64, "crc64nvme": "0" * 16, "md5": "0" * 32}
 
 
-def _hello(by: Principal) -> Any:
-    # One that could do the runs of the matrix: with several accounts, runs without containers are refused.
+def _hello(principal: Principal) -> Any:
+    # A runner with containers: with several accounts, the server refuses runs without containers.
     networks = ["none", "api", "open"]
     abilities = {"executor": "docker", "isolation": "container", "images": True, "networks": networks, "gpus": False}
     return {
-        "id": str(uuid.uuid5(uuid.NAMESPACE_OID, str(by))),  # a token is for one runner
+        "id": str(uuid.uuid5(uuid.NAMESPACE_OID, str(principal))),  # a token is for one runner
         "name": "runner",
         "capacity": _CAPACITY,
         "default_image": "sha256:stock",
@@ -28,8 +28,8 @@ def _hello(by: Principal) -> Any:
     }
 
 
-def _launch(by: Principal) -> Any:
-    return {"mission_ids": [by.objects.mission], "definition": ACTION, "force": True}
+def _launch(principal: Principal) -> Any:
+    return {"mission_ids": [principal.objects.mission], "definition": ACTION, "force": True}
 
 
 def _launched(answer: Any) -> int:
@@ -41,73 +41,92 @@ def _segment(**more: Any) -> Any:
     return {"attempt": 1, "offset": 0, "size_bytes": 1, **more}
 
 
-OF_RUNS: dict[str, tuple[Caller, ...]] = {
-    "list_actions": (Caller(get("/actions", project_id="{project}"), About.project, shows=lists("action")),),
+RUN_OPERATIONS: dict[str, tuple[Caller, ...]] = {
+    "list_actions": (Caller(get("/actions", project_id="{project}"), Target.project, shows=lists("action")),),
     "create_action": (
         Caller(
             post(
-                "/actions", lambda by: {"project_id": by.objects.project, "definition": ACTION | {"name": new_name()}}
+                "/actions",
+                lambda principal: {
+                    "project_id": principal.objects.project,
+                    "definition": ACTION | {"name": new_name()},
+                },
             ),
-            About.project,
+            Target.project,
         ),
     ),
-    "get_action": (Caller(get("/actions/{action}"), About.project),),
-    "update_action": (Caller(patch("/actions/{action}", lambda _: {"archived": False}), About.project),),
-    "list_action_versions": (Caller(get("/actions/{action}/versions"), About.project),),
+    "get_action": (Caller(get("/actions/{action}"), Target.project),),
+    "update_action": (Caller(patch("/actions/{action}", lambda _: {"archived": False}), Target.project),),
+    "list_action_versions": (Caller(get("/actions/{action}/versions"), Target.project),),
     "publish_action_version": (
-        Caller(post("/actions/{action}/versions", lambda _: {"definition": ACTION}), About.project),
+        Caller(post("/actions/{action}/versions", lambda _: {"definition": ACTION}), Target.project),
     ),
-    "create_runs": (Caller(post("/runs", _launch), About.mission, outcome=_launched),),
-    "list_runs": (Caller(get("/runs", mission_id="{mission}", limit="500"), About.mission, shows=lists("run")),),
-    "get_run": (Caller(get("/runs/{run}"), About.mission),),
-    # It is another's.
-    "cancel_run": (Caller(post("/runs/{run}/cancel"), About.mission, needs=_DELETE),),
-    "retry_run": (Caller(post("/runs/{run}/retry"), About.mission),),
-    "list_run_inputs": (Caller(get("/runs/{run}/inputs"), About.mission),),
-    "list_artifacts": (Caller(get("/runs/{run}/artifacts"), About.mission),),
+    "create_runs": (Caller(post("/runs", _launch), Target.mission, outcome=_launched),),
+    "list_runs": (Caller(get("/runs", mission_id="{mission}", limit="500"), Target.mission, shows=lists("run")),),
+    "get_run": (Caller(get("/runs/{run}"), Target.mission),),
+    # The run was started by another person.
+    "cancel_run": (Caller(post("/runs/{run}/cancel"), Target.mission, required_level=_DELETE),),
+    "retry_run": (Caller(post("/runs/{run}/retry"), Target.mission),),
+    "list_run_inputs": (Caller(get("/runs/{run}/inputs"), Target.mission),),
+    "list_artifacts": (Caller(get("/runs/{run}/artifacts"), Target.mission),),
     "download_artifacts": (
         Caller(
-            post("/runs/{run}/artifacts/download", lambda by: {"artifact_ids": [by.objects.artifact]}), About.mission
+            post("/runs/{run}/artifacts/download", lambda principal: {"artifact_ids": [principal.objects.artifact]}),
+            Target.mission,
         ),
     ),
-    "get_run_log": (Caller(get("/runs/{run}/log"), About.mission),),
-    "list_findings": (Caller(get("/findings", mission_id="{mission}"), About.mission, shows=has_items),),
-    "list_run_metrics": (Caller(get("/run-metrics", mission_id="{mission}"), About.mission, shows=has_items),),
-    "get_lineage": (Caller(get("/files/{file}/lineage"), About.file),),
-    "list_runners": (Caller(get("/runners"), About.server),),
-    "register_runner": (Caller(post("/runners", _hello), About.server),),
+    "get_run_log": (Caller(get("/runs/{run}/log"), Target.mission),),
+    "list_findings": (Caller(get("/findings", mission_id="{mission}"), Target.mission, shows=has_items),),
+    "list_run_metrics": (Caller(get("/run-metrics", mission_id="{mission}"), Target.mission, shows=has_items),),
+    "get_lineage": (Caller(get("/files/{file}/lineage"), Target.file),),
+    "list_runners": (Caller(get("/runners"), Target.server),),
+    "register_runner": (Caller(post("/runners", _hello), Target.server),),
     "claim_run": (
-        Caller(post(f"/runners/{_NOBODY}/claims", lambda _: {"free": _FREE}), About.server, passes="not_found"),
+        Caller(
+            post(f"/runners/{_UNKNOWN_RUNNER}/claims", lambda _: {"free": _FREE}),
+            Target.server,
+            accepted_code="not_found",
+        ),
     ),
     "send_heartbeats": (
-        Caller(post(f"/runners/{_NOBODY}/heartbeats", lambda _: {"runs": []}), About.server, passes="not_found"),
+        Caller(
+            post(f"/runners/{_UNKNOWN_RUNNER}/heartbeats", lambda _: {"runs": []}),
+            Target.server,
+            accepted_code="not_found",
+        ),
     ),
-    "get_run_context": (Caller(get("/runner/runs/{run}/context", attempt="1"), About.server, passes="run_gone"),),
+    "get_run_context": (
+        Caller(get("/runner/runs/{run}/context", attempt="1"), Target.server, accepted_code="run_gone"),
+    ),
     "sign_inputs": (
         Caller(
             post("/runner/runs/{run}/inputs", lambda _: {"attempt": 1, "paths": ["one.mcap"]}),
-            About.server,
-            passes="run_gone",
+            Target.server,
+            accepted_code="run_gone",
         ),
     ),
     "create_log_chunk": (
-        Caller(post("/runner/runs/{run}/log-chunks", lambda _: _segment(**_SUMS)), About.server, passes="run_gone"),
+        Caller(
+            post("/runner/runs/{run}/log-chunks", lambda _: _segment(**_SUMS)), Target.server, accepted_code="run_gone"
+        ),
     ),
     "confirm_log_chunk": (
-        Caller(post("/runner/runs/{run}/log-chunks/confirm", lambda _: _segment()), About.server, passes="run_gone"),
+        Caller(
+            post("/runner/runs/{run}/log-chunks/confirm", lambda _: _segment()), Target.server, accepted_code="run_gone"
+        ),
     ),
     "create_artifact_uploads": (
         Caller(
             post("/runner/runs/{run}/uploads", lambda _: {"attempt": 1, "files": [{"path": "a", "size_bytes": 1}]}),
-            About.server,
-            passes="run_gone",
+            Target.server,
+            accepted_code="run_gone",
         ),
     ),
     "finish_run": (
         Caller(
             post("/runner/runs/{run}/finish", lambda _: {"attempt": 1, "reason": "done", "message": ""}),
-            About.server,
-            passes="run_gone",
+            Target.server,
+            accepted_code="run_gone",
         ),
     ),
 }

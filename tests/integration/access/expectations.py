@@ -1,6 +1,7 @@
-"""The expected answer of each call, computed from the table of operations and the facts about the caller.
+"""The expected response of each call, computed from the table of operations and the facts about the credential.
 
-Nothing here asks the code under test what somebody may do; of `operations` it takes only what each operation needs.
+This module does not use the code under test to decide what is permitted; from `operations` it takes only the permission
+that each operation requires.
 """
 
 import enum
@@ -8,114 +9,122 @@ from dataclasses import dataclass
 
 from kleinkram.contract.access import Scope
 from kleinkram.server.access.operations import Permission, ResourceKind
-from tests.integration.access.credentials import Carrier, Kind, Reach
+from tests.integration.access.credentials import Credential, Kind, Reach
 
 _READ = 1
 _WRITE = 3
 _OWNER = 4
 
 
-class About(enum.Enum):
-    """What a request is about."""
+class Target(enum.Enum):
+    """The object of a request."""
 
     server = enum.auto()
     project = enum.auto()
     mission = enum.auto()
     file = enum.auto()
-    # What is about people.
+    # Shares, groups and people.
     link = enum.auto()
     edited_group = enum.auto()
     joined_group = enum.auto()
     other_group = enum.auto()
-    hermit = enum.auto()
+    unrelated_person = enum.auto()
     owner = enum.auto()
 
 
 @dataclass(frozen=True)
-class Place:
-    """What is granted: the level on the project and on the mission, 0 for none; and whether anybody may read it."""
+class AccessLevels:
+    """The granted levels on the project and on the mission, 0 for none, and whether the project is public."""
 
     project: int = 0
     mission: int = 0
     is_public: bool = False
 
 
-_REACHING_A_PROJECT = {Reach.everything, Reach.project}
-_REACHING_A_MISSION = {Reach.everything, Reach.project, Reach.mission}
-# What a link shows, by what it is a link to.
-_SHOWN = {
-    About.mission: {Reach.mission, Reach.file, Reach.other_file},
-    About.file: {Reach.mission, Reach.file},
+_PROJECT_REACHES = {Reach.everything, Reach.project}
+_MISSION_REACHES = {Reach.everything, Reach.project, Reach.mission}
+# The links that show a target.
+_LINK_REACHES = {
+    Target.mission: {Reach.mission, Reach.file, Reach.other_file},
+    Target.file: {Reach.mission, Reach.file},
 }
 
-# Somebody whom nobody knows, the owner of the server, and groups of which everybody edits one and is in another.
-_AMONG_PEOPLE = {About.link, About.edited_group, About.joined_group, About.other_group, About.hermit, About.owner}
-_OF_MEMBERS = {About.edited_group: _WRITE, About.joined_group: _READ}
+# Targets that are independent of projects: a person without any relation to the principal, the owner of the server, and
+# groups, of which each principal edits one and is a member of another.
+_PEOPLE_TARGETS = {
+    Target.link,
+    Target.edited_group,
+    Target.joined_group,
+    Target.other_group,
+    Target.unrelated_person,
+    Target.owner,
+}
+_MEMBER_LEVELS = {Target.edited_group: _WRITE, Target.joined_group: _READ}
 
 
 class Verdict(enum.Enum):
-    """How a request must end, by its status."""
+    """The result of a request, by its status."""
 
-    done = "2xx"
-    unknown = "401"
-    refused = "403"
-    unseen = "404"
+    ok = "2xx"
+    unauthenticated = "401"
+    forbidden = "403"
+    not_found = "404"
 
     @classmethod
     def of_status(cls, status: int) -> "Verdict | int":
-        """Return what a status stands for, or the status itself where it stands for none of these."""
-        named = {401: cls.unknown, 403: cls.refused, 404: cls.unseen}
-        return cls.done if 200 <= status < 300 else named.get(status, status)
+        """Return the verdict of a status, or the status itself if it has none."""
+        named = {401: cls.unauthenticated, 403: cls.forbidden, 404: cls.not_found}
+        return cls.ok if 200 <= status < 300 else named.get(status, status)
 
 
-def admitted(need: Permission, carrier: Carrier, *, is_change: bool) -> Verdict:
-    """Return how a request ends before anybody looks at what it is about; `done` where it goes on."""
-    if carrier.kind is Kind.nobody or (carrier.kind is Kind.lured and is_change):
-        return Verdict.unknown
-    if carrier.kind is Kind.stranger and not need.guests:
-        return Verdict.unknown
-    if carrier.kind is Kind.link and not need.guests:
-        return Verdict.refused
-    if carrier.kind is Kind.runner and not need.runners:
-        return Verdict.refused
-    if need.only_runners and carrier.kind is not Kind.runner:
-        return Verdict.refused
-    if not need.scopes & carrier.scopes and carrier.kind is not Kind.runner:
-        return Verdict.refused
-    if need.reads and Scope.read not in carrier.scopes:
-        return Verdict.refused
-    if need.browsers and not carrier.is_browser:
-        return Verdict.refused
-    if need.unrestricted and carrier.is_limited:
-        return Verdict.refused
-    if need.on is ResourceKind.server and (not carrier.is_admin or carrier.is_limited):
-        return Verdict.refused
-    return Verdict.done
+def credential_verdict(need: Permission, credential: Credential, *, is_change: bool) -> Verdict:
+    """Return the verdict that depends on the credential only; `ok` if the rights on the target decide."""
+    if credential.kind is Kind.invalid or (credential.kind is Kind.cross_site and is_change):
+        return Verdict.unauthenticated
+    if credential.kind is Kind.anonymous and not need.guests:
+        return Verdict.unauthenticated
+    if credential.kind is Kind.link and not need.guests:
+        return Verdict.forbidden
+    if credential.kind is Kind.runner and not need.runners:
+        return Verdict.forbidden
+    if need.only_runners and credential.kind is not Kind.runner:
+        return Verdict.forbidden
+    if not need.scopes & credential.scopes and credential.kind is not Kind.runner:
+        return Verdict.forbidden
+    if need.reads and Scope.read not in credential.scopes:
+        return Verdict.forbidden
+    if need.browsers and not credential.is_browser:
+        return Verdict.forbidden
+    if need.unrestricted and credential.is_limited:
+        return Verdict.forbidden
+    if need.on is ResourceKind.server and (not credential.is_admin or credential.is_limited):
+        return Verdict.forbidden
+    return Verdict.ok
 
 
-def level(carrier: Carrier, place: Place, about: About) -> int:
-    """Return the level that somebody has on the place's project, its mission, or the file in that."""
-    if about in _AMONG_PEOPLE:
-        return _among_people(carrier, about)
-    if carrier.kind is Kind.link:
-        return _READ if carrier.reach in _SHOWN.get(about, ()) else 0
-    if carrier.reach not in (_REACHING_A_PROJECT if about is About.project else _REACHING_A_MISSION):
+def level(credential: Credential, levels: AccessLevels, target: Target) -> int:
+    """Return the level that a credential has on a target, if its person was granted these levels."""
+    if target in _PEOPLE_TARGETS:
+        return _people_level(credential, target)
+    if credential.kind is Kind.link:
+        return _READ if credential.reach in _LINK_REACHES.get(target, ()) else 0
+    if credential.reach not in (_PROJECT_REACHES if target is Target.project else _MISSION_REACHES):
         return 0
-    if carrier.is_admin:
+    if credential.is_admin:
         return _OWNER
-    granted = place.project if about is About.project else max(place.project, place.mission)
-    is_theirs = carrier.kind in {Kind.person, Kind.lured} and carrier.holds
-    return max(granted if is_theirs else 0, _READ if place.is_public else 0)
+    granted = levels.project if target is Target.project else max(levels.project, levels.mission)
+    has_grants = credential.kind in {Kind.person, Kind.cross_site} and credential.has_grants
+    return max(granted if has_grants else 0, _READ if levels.is_public else 0)
 
 
-def _among_people(carrier: Carrier, about: About) -> int:
-    if about is About.link:
-        return _READ if carrier.kind is Kind.link else 0
-    if about is About.owner or carrier.is_limited:
+def _people_level(credential: Credential, target: Target) -> int:
+    if target is Target.link:
+        return _READ if credential.kind is Kind.link else 0
+    if target is Target.owner or credential.is_limited:
         return 0
-    return _OWNER if carrier.is_admin else _OF_MEMBERS.get(about, 0)
+    return _OWNER if credential.is_admin else _MEMBER_LEVELS.get(target, 0)
 
 
-def needed(need: Permission) -> int:
-    """Return the level that an operation takes."""
+def required_level(need: Permission) -> int:
+    """Return the level that an operation requires."""
     return need.right.level if need.right else _READ

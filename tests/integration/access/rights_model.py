@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-# When something ends: never, at one time that is to come, or it has ended.
+# The expiry of a grant or membership: none, a time in the future, or a time in the past.
 NEVER, LATER, OVER = "never", "later", "over"
 READ, CREATE, WRITE, DELETE = 1, 2, 3, 4
 ADMINS = "admins"
@@ -11,7 +11,7 @@ ADMINS = "admins"
 
 @dataclass
 class Membership:
-    """Somebody's being in a group."""
+    """The membership of a person in a group."""
 
     ends: str = NEVER
     is_editor: bool = False
@@ -19,7 +19,7 @@ class Membership:
 
 @dataclass
 class Grant:
-    """A right that a group was given."""
+    """The right of a group on a project or mission."""
 
     level: int
     ends: str = NEVER
@@ -27,7 +27,7 @@ class Grant:
 
 @dataclass
 class Rights:
-    """Names stand for ids. Groups that begin with `@` are of addresses, with `~` people's own."""
+    """All rights, by names instead of ids. The group of an email address begins with `@`, that of a person with `~`."""
 
     active: dict[str, bool] = field(default_factory=dict)
     members: dict[str, dict[str, Membership]] = field(default_factory=dict)
@@ -38,31 +38,31 @@ class Rights:
     projects: list[str] = field(default_factory=list)
 
     def is_admin(self, person: str) -> bool:
-        """Whether somebody sees and does all."""
+        """Whether a person has admin rights."""
         return person in self.members[ADMINS]
 
-    def is_gone(self, place: str) -> bool:
-        """Whether a place is in the trash, by itself or with its project."""
+    def is_deleted(self, place: str) -> bool:
+        """Whether a place is in the trash, itself or with its project."""
         return place in self.deleted or self.project_of.get(place) in self.deleted
 
     def granted(self, person: str, place: str, *, last: tuple[str, ...] = (NEVER, LATER)) -> int:
-        """The highest level that somebody has on a place by grants that are not over, or that last as long."""
+        """The highest level of a person on a place by grants and memberships with one of these expiries."""
         return max(
             (grant.level for group, grant in self._on(place) if self._counts(person, group, grant, last)), default=0
         )
 
     def level(self, person: str, place: str, *, last: tuple[str, ...] = (NEVER, LATER)) -> int:
-        """What somebody may do on a place that is not in the trash."""
-        if self.is_gone(place) or not self.active[person]:
+        """The level of a person on a place, 0 if it is in the trash."""
+        if self.is_deleted(place) or not self.active[person]:
             return 0
         return DELETE if self.is_admin(person) else self.granted(person, place, last=last)
 
     def is_live_member(self, person: str, group: str) -> bool:
-        """Whether somebody is in a group now."""
+        """Whether a person is a member of a group, and the membership has not expired."""
         return person in self.members[group] and self.members[group][person].ends != OVER
 
     def unowned(self) -> list[str]:
-        """The projects, in the trash too, that nobody active owns without an end other than by an address."""
+        """The projects, even deleted ones, without an active, permanent owner. Groups of addresses do not count."""
         return [project for project in self.projects if not any(self._owns(person, project) for person in self.active)]
 
     def _owns(self, person: str, project: str) -> bool:

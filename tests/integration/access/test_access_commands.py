@@ -17,7 +17,7 @@ Klein = Callable[..., Any]
 
 @pytest.fixture
 def klein(api: Api, monkeypatch: pytest.MonkeyPatch) -> Klein:
-    """A terminal: runs a command as somebody and returns its JSON, or raises the error that it ended with."""
+    """A terminal: runs a command with a token and returns its JSON, or raises its error."""
 
     def run(who: Person | None, *arguments: str, as_json: bool = True) -> Any:
         monkeypatch.setenv("KLEINKRAM_URL", api.url)

@@ -28,19 +28,19 @@ from tests.integration.openapi_check import assert_is_described
 
 _CHECKS = [not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
 _MODES = (GenerationMode("positive"), GenerationMode("negative"))
-# Operations in the short round; requests for each of them, by each of six kinds of principal, in both rounds.
-# To think of a request takes longer than to answer it.
-_SOME = 30
-_SAMPLE_SIZE, _MANY, _VERY_MANY = 3, 10, 60
+# The short round calls so many operations, the others all of them.
+_OPERATIONS = 30
+# Requests per operation in the three rounds. Generating a request takes longer than answering it.
+_SHORT, _LONG, _SOAK = 3, 10, 60
 
 # Refused by the HTTP parser, before there is a request: too long or malformed.
 _NOT_HTTP = "Invalid HTTP request received."
-_HEAD_TOO_LARGE, _MOST_HEAD_BYTES = 431, 64 * 1024
+_HEAD_TOO_LARGE, _MAX_HEAD_BYTES = 431, 64 * 1024
 
 
 @dataclass(frozen=True)
 class ProxiedRequest:
-    """The API, who asks by what headers, and ids that lead to something."""
+    """The API, the headers of each principal, and ids of existing objects."""
 
     api: Api
     principals: Mapping[str, Mapping[str, str]]
@@ -50,7 +50,7 @@ class ProxiedRequest:
 @pytest.fixture(scope="module")
 def requested(start_api: StartApi) -> ProxiedRequest:
     api = start_api()
-    items = worlds.put_things(api, is_public=False)
+    items = worlds.create_objects(api, is_public=False)
     member, group = people.person(api), people.group(api)
     people.join(api, member, group, is_editor=True)
     people.grant(api, member, Right.delete, project_id=items.project)
@@ -68,9 +68,9 @@ def requested(start_api: StartApi) -> ProxiedRequest:
         "mission_id": items.mission,
         "file_id": items.file,
         "recording_id": items.recording,
-        "upload_id": worlds.begun(api, member.id, items.mission),
+        "upload_id": worlds.create_upload(api, member.id, items.mission),
         "group_id": group,
-        "person_id": items.hermit,
+        "person_id": items.unrelated_person,
         "token_id": people.token(api, member).id,
         "share_id": items.link,
         "grant_id": people.grant(api, group, Right.read, project_id=items.project),
@@ -79,10 +79,10 @@ def requested(start_api: StartApi) -> ProxiedRequest:
         "name": "none",
     }
     principals = {name: {"Authorization": f"Bearer {secret}"} for name, secret in secrets.items()}
-    return ProxiedRequest(api, {**principals, "stranger": {}}, known)
+    return ProxiedRequest(api, {**principals, "anonymous": {}}, known)
 
 
-def _ask(requested: ProxiedRequest, case: Case[Any], who: str, *, is_known: bool) -> None:
+def _send(requested: ProxiedRequest, case: Case[Any], who: str, *, is_known: bool) -> None:
     case.headers.pop("Authorization", None)
     if is_known:
         case.path_parameters.update(
@@ -96,7 +96,7 @@ def _ask(requested: ProxiedRequest, case: Case[Any], who: str, *, is_known: bool
     if response.status_code == _HEAD_TOO_LARGE:
         request = response.request
         head = f"{request.method} {request.path_url} HTTP/1.1\r\n" + "".join(map(str, request.headers.items()))
-        assert len(head) > 0.9 * _MOST_HEAD_BYTES
+        assert len(head) > 0.9 * _MAX_HEAD_BYTES
         return
     case.validate_response(response, checks=_CHECKS)
     body = response.json() if response.status_code >= 400 else None
@@ -104,8 +104,8 @@ def _ask(requested: ProxiedRequest, case: Case[Any], who: str, *, is_known: bool
     assert_is_described(case.method, path, response.status_code, body)
 
 
-def _ask_much(requested: ProxiedRequest, examples: int, *, operations: int | None = None) -> list[str]:
-    """Ask each operation, or so many of them, so many things, and return what went wrong."""
+def _call_operations(requested: ProxiedRequest, examples: int, *, operations: int | None = None) -> list[str]:
+    """Call all operations, or a sample of them, with generated requests, and return the failures."""
     described = schemathesis.openapi.from_dict(requested.api.app.openapi())
     actual = []
     for result in described.get_all_operations():
@@ -124,11 +124,11 @@ def _ask_much(requested: ProxiedRequest, examples: int, *, operations: int | Non
             suppress_health_check=list(HealthCheck),
         )
         @given(case=allowed | forbidden, who=st.sampled_from(sorted(requested.principals)), is_known=st.booleans())
-        def ask(case: Case[Any], who: str, is_known: bool) -> None:
-            _ask(requested, case, who, is_known=is_known)
+        def send(case: Case[Any], who: str, is_known: bool) -> None:
+            _send(requested, case, who, is_known=is_known)
 
         try:
-            ask()
+            send()
         except (AssertionError, FailureGroup) as error:
             causes = getattr(error, "exceptions", [error])
             wrong.append(f"{operation.label}: {' '.join(str(cause) for cause in causes)[:1500]}")
@@ -136,18 +136,18 @@ def _ask_much(requested: ProxiedRequest, examples: int, *, operations: int | Non
 
 
 def test_every_operation_answers_as_described(requested: ProxiedRequest) -> None:
-    wrong = _ask_much(requested, _SAMPLE_SIZE, operations=_SOME)
+    wrong = _call_operations(requested, _SHORT, operations=_OPERATIONS)
     assert not wrong, "\n\n".join(wrong)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_many_generated_requests_are_answered_as_described(requested: ProxiedRequest) -> None:
-    wrong = _ask_much(requested, _MANY)
+    wrong = _call_operations(requested, _LONG)
     assert not wrong, "\n\n".join(wrong)
 
 
 @pytest.mark.soak
 def test_very_many_generated_requests_are_answered_as_described(requested: ProxiedRequest) -> None:
-    wrong = _ask_much(requested, _VERY_MANY)
+    wrong = _call_operations(requested, _SOAK)
     assert not wrong, "\n\n".join(wrong)

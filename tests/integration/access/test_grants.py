@@ -20,19 +20,19 @@ def in_days(days: float) -> str:
 
 
 def met(api: Api, *people: Person) -> None:
-    """Let people know of each other, by a group that gives no rights."""
+    """Make people visible to each other by a group without rights."""
     group(api, members=people)
 
 
 @pytest.fixture
 def ada(api: Api) -> Person:
-    """Who makes a project."""
+    """The person who creates the project."""
     return person(api)
 
 
 @pytest.fixture
 def bob(api: Api, ada: Person) -> Person:
-    """Whom she knows."""
+    """A person who is visible to her."""
     made = person(api)
     met(api, ada, made)
     return made
@@ -40,7 +40,7 @@ def bob(api: Api, ada: Person) -> Person:
 
 @pytest.fixture
 def project(api: Api, ada: Person) -> Any:
-    """Her project."""
+    """The project of `ada`."""
     return api.as_(ada.token).project()
 
 
@@ -170,7 +170,7 @@ def test_two_owners_cannot_remove_each_other_at_the_same_time(api: Api, ada: Per
             send(api.as_(ada.token).delete, f"{path}/{his}"),
             send(api.as_(bob.token).delete, f"{path}/{hers}"),
         ]
-    # The one who comes second has no right there any more.
+    # The second request fails, because its sender has no right any more.
     assert sorted(answer.result().status for answer in answers) == [204, 404]
     assert len(api.all(path)) == 1
 
@@ -276,7 +276,7 @@ def test_a_right_on_a_mission_shows_only_its_projects_name_in_lists(
     met(api, bob, carol)
     his.post(f"{path}/grants", {"person_id": carol.id, "right": "WRITE"}).ok(201)
     his.post(f"{path}/grants", {"person_id": carol.id, "right": "DELETE"}).refused(403, "right_exceeded")
-    # Who owns the project is the project's, and not told with the mission.
+    # The access of a mission does not show the owners of its project.
     assert {row["person"]["id"] for row in his.all(f"{path}/access") if row["person"]} == {bob.id, carol.id}
     assert {row["to"]["id"] for row in his.all(f"{path}/grants")} == {bob.id, carol.id}
     assert api.events(shown["id"]) != []
@@ -315,7 +315,7 @@ def test_access_lists_people_rights_and_reasons(api: Api, ada: Person, bob: Pers
         (ada.id, "group", "CREATE", "project grant"),
         (carol.id, "group", "CREATE", "project grant"),
         (guest.id, "group", "CREATE", "project grant"),
-        (None, "group", "CREATE", "project grant"),  # of which she may not see the members
+        (None, "group", "CREATE", "project grant"),  # a group that is hidden from her
         (None, "email", "READ", "project grant"),
         (bob.id, "person", "WRITE", "mission grant"),
         (None, None, "DELETE", "admin"),

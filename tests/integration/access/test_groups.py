@@ -23,20 +23,20 @@ _RIGHTS = ("SELECT pg_advisory_xact_lock(%s)", 0x6B6C5247)
 
 @pytest.fixture
 def ada(api: Api) -> Person:
-    """Who makes groups."""
+    """The person who creates groups."""
     return person(api)
 
 
 @pytest.fixture
 def bob(api: Api, ada: Person) -> Person:
-    """Whom she knows, by a group that gives nothing."""
+    """A person who is visible to her by a group without rights."""
     made = person(api)
     group(api, members=[ada, made])
     return made
 
 
 def made_by(api: Api, who: Person) -> Any:
-    """A group, made by somebody."""
+    """A group created by a person."""
     return api.as_(who.token).post("/groups", {"name": f"group {uuid.uuid4().hex[:12]}"}).ok(201)
 
 
@@ -114,7 +114,7 @@ def test_only_visible_people_can_be_added(api: Api, ada: Person) -> None:
     path = f"/groups/{made['id']}/members"
     for people in (stranger.id, str(uuid.uuid4())):
         api.as_(ada.token).call("PUT", f"{path}/{people}", {}).refused(404, "not_found")
-    api.call("PUT", f"{path}/{stranger.id}", {}).ok()  # admins know everybody
+    api.call("PUT", f"{path}/{stranger.id}", {}).ok()  # all people are visible to admins
     past = {"expires_at": in_days(-1)}
     api.as_(ada.token).call("PUT", f"{path}/{stranger.id}", past).refused(422, "invalid_request")
 
@@ -307,7 +307,7 @@ def test_several_processes_can_start_at_once(start_api: Callable[..., Api]) -> N
 
 
 def _run(api: Api, affiliations: list[Affiliation] | None, *, join: tuple[str, str] | None = None) -> None:
-    """Do what a starting server does with its affiliations, or what verifying an address does."""
+    """Update affiliations, as the server does at its start and when an address is verified."""
 
     async def work() -> None:
         database = open_database(api.app.state.settings)

@@ -19,13 +19,13 @@ _VERIFIED = (
 
 @pytest.fixture(name="hidden")
 def _hidden(api: Api) -> Any:
-    """A project that nobody is let into."""
+    """A project without grants."""
     return api.project()
 
 
 @pytest.fixture(name="member")
 def _member(api: Api) -> Person:
-    """Somebody who may do anything in a project of their own."""
+    """The owner of another project."""
     return people.person(api)
 
 
@@ -36,7 +36,7 @@ def _own_mission(api: Api, who: Person) -> str:
 
 
 def _same_but_for_ids(one: Answer, other: Answer) -> bool:
-    """Whether two refusals say the same, the ids that were asked for apart."""
+    """Whether two refusals are equal except for the requested ids."""
 
     def answers(answer: Answer) -> dict[str, Any]:
         ref = str(answer.body.get("ref"))
@@ -76,7 +76,7 @@ def test_changes_to_hidden_objects_are_refused_like_missing_ones(api: Api, hidde
 
 
 def test_a_name_taken_by_a_hidden_object_reveals_nothing_else(api: Api, hidden: Any, member: Person) -> None:
-    """Names of projects are one space, as people speak of them: see docs/access.md. Whose it is, is not answers."""
+    """Project names are unique on a server (docs/access.md), so a conflict reveals the name, but not its owner."""
     problem = api.as_(member.token).post("/projects", {"name": hidden["name"]}).refused(409, "name_taken")
     message = problem.keys() - {"type", "title", "status", "detail", "code", "request_id"}
     assert (message, problem["resource_type"], problem["name"]) == (

@@ -1,4 +1,4 @@
-"""The matrix: every operation by every caller at every level on the project and on the mission."""
+"""The matrix: every operation with every credential at every level on the project and on the mission."""
 
 import random
 from collections.abc import Callable, Sequence
@@ -9,22 +9,22 @@ from kleinkram.server.access.operations import OPERATIONS, ResourceKind
 from tests.integration.access import world as worlds
 from tests.integration.access.call import Caller, Request
 from tests.integration.access.callers import CALLERS, PUBLIC_OPERATIONS
-from tests.integration.access.credentials import MEMBER, PLACED, UNPLACED
-from tests.integration.access.expectations import About, Verdict, admitted, level, needed
+from tests.integration.access.credentials import MEMBER, WITH_GRANTS, WITHOUT_GRANTS
+from tests.integration.access.expectations import Target, Verdict, credential_verdict, level, required_level
 from tests.integration.access.world import Principal, World
 from tests.integration.conftest import StartApi
 
-# The short round asks an operation for so many of each: places of the plain member, others who are somewhere, others.
-_MEMBERS, _PLACED, _UNPLACED = 8, 14, 5
-# The places that somebody else is in, in the short round.
-_PLACES_EACH = 4
-# In the long round everybody asks, the plain member in all places, others in so many of theirs; in the longest, in all.
-_LONG_PLACES_EACH = 4
+# Principals per operation in the short round: members, other credentials with grants, credentials without grants.
+_MEMBERS, _OTHERS, _UNGRANTED = 8, 14, 5
+# Access levels per credential in the short round. The member has all of them in every round.
+_LEVELS_PER_CREDENTIAL = 4
+# Access levels per credential in the long round, which uses all credentials. The soak round uses all access levels.
+_LONG_LEVELS_PER_CREDENTIAL = 4
 
 
 @pytest.fixture(scope="module")
 def world(start_api: StartApi) -> World:
-    return worlds.build(start_api(), places_each=_PLACES_EACH)
+    return worlds.build(start_api(), levels_per_credential=_LEVELS_PER_CREDENTIAL)
 
 
 @pytest.fixture(scope="module")
@@ -32,74 +32,88 @@ def whole_world(start_api: StartApi) -> World:
     return worlds.build(start_api())
 
 
-def _wrong(world: World, operation: str, caller: Caller, by: Principal) -> str | None:
-    """Make one request, and return what is wrong with its answer."""
-    requested = caller.request(by)
-    answer = world.api.as_(None).call(requested.method, requested.path, requested.body, requested.query, by.headers)
-    verdict, expected = caller.verdict(answer), _expected(operation, caller, by, requested)
+def _mismatch(world: World, operation: str, caller: Caller, principal: Principal) -> str | None:
+    """Make one request, and return how its response differs from the expected one."""
+    requested = caller.request(principal)
+    answer = world.api.as_(None).call(
+        requested.method, requested.path, requested.body, requested.query, principal.headers
+    )
+    verdict, expected = caller.verdict(answer), _expected(operation, caller, principal, requested)
     if answer.status < 300 and caller.undo is not None:
-        caller.undo(by)
+        caller.undo(principal)
     if verdict is not expected:
-        return f"{by.named}: {verdict}, not {expected.value} ({answer.body})"
-    if caller.shows is not None and verdict is Verdict.done:
-        is_seen = level(by.carrier, by.place, caller.about) >= _needed(operation, caller)
-        if caller.shows(answer.body, by) != is_seen:
-            return f"{by.named}: is {'not shown it' if is_seen else 'shown it'}"
+        return f"{principal.named}: {verdict}, not {expected.value} ({answer.body})"
+    if caller.shows is not None and verdict is Verdict.ok:
+        is_visible = level(principal.credential, principal.levels, caller.target) >= _required_level(operation, caller)
+        if caller.shows(answer.body, principal) != is_visible:
+            return f"{principal.named}: the object is {'missing in' if is_visible else 'visible in'} the response"
     return None
 
 
-def _expected(operation: str, caller: Caller, by: Principal, requested: Request) -> Verdict:
+def _expected(operation: str, caller: Caller, principal: Principal, requested: Request) -> Verdict:
     for item in filter(None, (caller.via, operation)):
-        verdict = _expected_of(item, caller, by, requested)
-        if verdict is not Verdict.done:
+        verdict = _expected_of(item, caller, principal, requested)
+        if verdict is not Verdict.ok:
             return verdict
-    return Verdict.done
+    return Verdict.ok
 
 
-def _expected_of(operation: str, caller: Caller, by: Principal, requested: Request) -> Verdict:
-    without_rights = admitted(OPERATIONS[operation], by.carrier, is_change=requested.method != "GET")
-    if without_rights is not Verdict.done:
+def _expected_of(operation: str, caller: Caller, principal: Principal, requested: Request) -> Verdict:
+    without_rights = credential_verdict(
+        OPERATIONS[operation], principal.credential, is_change=requested.method != "GET"
+    )
+    if without_rights is not Verdict.ok:
         return without_rights
-    if (caller.is_boundless and by.carrier.is_limited) or not caller.scopes & by.carrier.scopes:
-        return Verdict.refused
-    if caller.about is About.server or caller.shows is not None:
-        return Verdict.done
-    locked = level(by.carrier, by.place, caller.about)
-    if locked >= _needed(operation, caller):
-        return Verdict.done
-    if caller.about is About.owner:
-        return Verdict.refused
-    return Verdict.unseen if locked == 0 or caller.hides else Verdict.refused
+    if (
+        caller.needs_unlimited_credential and principal.credential.is_limited
+    ) or not caller.scopes & principal.credential.scopes:
+        return Verdict.forbidden
+    if caller.target is Target.server or caller.shows is not None:
+        return Verdict.ok
+    actual_level = level(principal.credential, principal.levels, caller.target)
+    if actual_level >= _required_level(operation, caller):
+        return Verdict.ok
+    if caller.target is Target.owner:
+        return Verdict.forbidden
+    return Verdict.not_found if actual_level == 0 or caller.hides else Verdict.forbidden
 
 
-def _needed(operation: str, caller: Caller) -> int:
-    return caller.needs or needed(OPERATIONS[operation])
+def _required_level(operation: str, caller: Caller) -> int:
+    return caller.required_level or required_level(OPERATIONS[operation])
 
 
-def _some(world: World, operation: str) -> Sequence[Principal]:
-    """Return some of all who ask; which ones differs between operations."""
+def _sample(world: World, operation: str) -> Sequence[Principal]:
+    """Return a sample of the principals, which differs between operations."""
     rng = random.Random(operation)
-    members = [by for by in world.principals if by.carrier is MEMBER]
-    unplaced = [by for by in world.principals if by.carrier in UNPLACED]
-    others = [[by for by in world.principals if by.carrier is carrier] for carrier in PLACED if carrier is not MEMBER]
-    chosen = [rng.choice(item) for item in rng.sample(others, _PLACED)]
-    return [*rng.sample(members, _MEMBERS), *chosen, *rng.sample(unplaced, _UNPLACED)]
+    members = [principal for principal in world.principals if principal.credential is MEMBER]
+    ungranted = [principal for principal in world.principals if principal.credential in WITHOUT_GRANTS]
+    others = [
+        [principal for principal in world.principals if principal.credential is credential]
+        for credential in WITH_GRANTS
+        if credential is not MEMBER
+    ]
+    chosen = [rng.choice(item) for item in rng.sample(others, _OTHERS)]
+    return [*rng.sample(members, _MEMBERS), *chosen, *rng.sample(ungranted, _UNGRANTED)]
 
 
 @pytest.mark.parametrize("operation", sorted(CALLERS))
-def test_operation(world: World, operation: str) -> None:
-    """Each operation answers some of all who ask as the rule says."""
-    actual = [_wrong(world, operation, caller, by) for caller in CALLERS[operation] for by in _some(world, operation)]
+def test_operation_permits_what_the_model_permits(world: World, operation: str) -> None:
+    """A sample of principals per operation."""
+    actual = [
+        _mismatch(world, operation, caller, principal)
+        for caller in CALLERS[operation]
+        for principal in _sample(world, operation)
+    ]
     assert [item for item in actual if item] == []
 
 
-def _many(world: World, operation: str) -> Sequence[Principal]:
-    """Return all kinds of those who ask; the places from which they do differ between operations."""
+def _all_credentials(world: World, operation: str) -> Sequence[Principal]:
+    """Return principals of all credentials, with a sample of access levels that differs between operations."""
     rng = random.Random(operation)
     chosen = []
-    for carrier in (*PLACED, *UNPLACED):
-        others = [by for by in world.principals if by.carrier is carrier]
-        chosen += others if carrier is MEMBER else rng.sample(others, min(len(others), _LONG_PLACES_EACH))
+    for credential in (*WITH_GRANTS, *WITHOUT_GRANTS):
+        others = [principal for principal in world.principals if principal.credential is credential]
+        chosen += others if credential is MEMBER else rng.sample(others, min(len(others), _LONG_LEVELS_PER_CREDENTIAL))
     return chosen
 
 
@@ -108,16 +122,20 @@ def _many(world: World, operation: str) -> Sequence[Principal]:
 @pytest.mark.parametrize(
     "chosen",
     [
-        pytest.param(_many, id="everybody", marks=pytest.mark.slow),
-        pytest.param(lambda world, _: world.principals, id="everybody-everywhere", marks=pytest.mark.soak),
+        pytest.param(_all_credentials, id="all-credentials", marks=pytest.mark.slow),
+        pytest.param(lambda world, _: world.principals, id="all-principals", marks=pytest.mark.soak),
     ],
 )
-def test_operation_in_full(
+def test_operation_permits_every_credential_what_the_model_permits(
     whole_world: World, operation: str, chosen: Callable[[World, str], Sequence[Principal]]
 ) -> None:
-    """Each operation answers everybody as the rule says, wherever they are."""
+    """Principals of all credentials, or all principals."""
     principals = chosen(whole_world, operation)
-    actual = [_wrong(whole_world, operation, caller, by) for caller in CALLERS[operation] for by in principals]
+    actual = [
+        _mismatch(whole_world, operation, caller, principal)
+        for caller in CALLERS[operation]
+        for principal in principals
+    ]
     assert [item for item in actual if item] == []
 
 
@@ -127,9 +145,11 @@ def test_every_operation_is_called() -> None:
     The app itself checks that every route has a row in the table of operations.
     """
     called = CALLERS.keys() | PUBLIC_OPERATIONS
-    how = "add to tests/integration/access/callers_of_objects.py, or callers_of_people.py, how to call:"
-    assert sorted(OPERATIONS.keys() - called) == [], how
-    assert sorted(called - OPERATIONS.keys()) == [], "these are no operations any more; drop their callers:"
+    hint = "add callers to tests/integration/access/callers_of_objects.py or callers_of_people.py for:"
+    assert sorted(OPERATIONS.keys() - called) == [], hint
+    assert sorted(called - OPERATIONS.keys()) == [], "remove the callers of these former operations:"
     assert sorted(CALLERS.keys() & PUBLIC_OPERATIONS) == []
-    ports = {name for name, need in OPERATIONS.items() if need.guests and need.on is ResourceKind.none}
-    assert ports == PUBLIC_OPERATIONS, "operations for guests without an object are exactly the public endpoints"
+    guest_operations = {name for name, need in OPERATIONS.items() if need.guests and need.on is ResourceKind.none}
+    assert guest_operations == PUBLIC_OPERATIONS, (
+        "operations for guests without an object are exactly the public endpoints"
+    )

@@ -11,18 +11,18 @@ from tests.integration.people import Person, deactivate, email_group, grant, gro
 
 @pytest.fixture
 def ada(api: Api) -> Person:
-    """Somebody."""
+    """A person."""
     return person(api, email=f"ada-{uuid.uuid4().hex}@lab.example")
 
 
 @pytest.fixture
 def bob(api: Api) -> Person:
-    """Somebody else."""
+    """Another person."""
     return person(api, email=f"bob-{uuid.uuid4().hex}@lab.example")
 
 
 def sees(api: Api, who: Person, people: Person) -> bool:
-    """Whether the API tells somebody of somebody, in the one way as in the other."""
+    """Whether the API shows one person to another, in the list and by id alike."""
     requested = api.as_(who.token)
     status = requested.get(f"/people/{people.id}").status
     listed = people.id in [row["id"] for row in requested.all("/people", {"text": people.name})]
@@ -62,7 +62,7 @@ def test_project_members_see_people_of_a_mission_but_not_vice_versa(api: Api, ad
     mission = api.as_(ada.token).mission(project["id"])
     grant(api, bob, Right.read, mission_id=mission["id"])
     assert sees(api, ada, bob)
-    assert not sees(api, bob, ada)  # the project's people are the project's
+    assert not sees(api, bob, ada)  # a right on the mission only does not show the people of the project
     carol = person(api)
     grant(api, carol, Right.read, mission_id=mission["id"])
     assert sees(api, bob, carol)
@@ -94,7 +94,7 @@ def test_addresses_are_visible_to_admins_and_editors_of_a_shared_group(api: Api,
     (address,) = api.get(f"/people/{bob.id}").ok()["emails"]
     path, hers = f"/people/{bob.id}", api.as_(ada.token)
     assert hers.get(path).ok()["emails"] == []
-    assert hers.all("/people", {"text": address}) == []  # nor can it be guessed
+    assert hers.all("/people", {"text": address}) == []  # searching for the address does not find it
     join(api, ada, made, is_editor=True)
     assert hers.get(path).ok()["emails"] == [address]
     assert [row["id"] for row in hers.all("/people", {"text": address.upper()})] == [bob.id]
@@ -105,7 +105,7 @@ def test_addresses_are_visible_to_admins_and_editors_of_a_shared_group(api: Api,
 
 def test_creating_a_group_reveals_neither_addresses_nor_people(api: Api, ada: Person, bob: Person) -> None:
     hers, unknown = api.as_(ada.token), person(api, email=f"{uuid.uuid4().hex}@lab.example")
-    group(api, members=[ada, bob])  # she sees him, as one among others
+    group(api, members=[ada, bob])  # he is visible to her as a member
     people_before = {row["id"] for row in hers.all("/people")}
     (address,) = api.get(f"/people/{bob.id}").ok()["emails"]
     made = hers.post("/groups", {"name": f"mine {uuid.uuid4().hex}"}).ok(201)["id"]

@@ -31,12 +31,12 @@ from tests.integration.people import join, person, token
 _PEOPLE = ("ada", "bob", "cyd")
 _GROUPS = ("lab", "crew")
 _STEPS = 25
-_MANY = int(os.environ.get("KLEINKRAM_SOAK_ROUNDS", "1500"))
+_SOAK_EXAMPLES = int(os.environ.get("KLEINKRAM_SOAK_ROUNDS", "1500"))
 _UNTIL = datetime.datetime(2090, 1, 1, tzinfo=datetime.timezone.utc)
 
 
 class History:
-    """A few people, groups, projects and missions of their own on a shared API, beside the model of them."""
+    """People, groups, projects and missions of one history on a shared API, and the model of their rights."""
 
     def __init__(self, api: Api, choose: random.Random) -> None:
         self.api, self.choose, self.rights = api, choose, Rights()
@@ -74,51 +74,59 @@ class History:
             self.ids[mission] = self._as(maker).mission(self.ids[name], name=f"{self.tag} {mission}")["id"]
             self.rights.project_of[mission] = name
 
-    def know_each_other(self) -> None:
-        """Put all into a group that gives nothing, so that whom one may grant to is no question."""
+    def add_all_to_one_group(self) -> None:
+        """Add all people to a group without rights, so that all are visible to each other."""
         made = self._as("owner").post("/groups", {"name": f"{self.tag} lounge"}).ok(201)
         for name in _PEOPLE:
             join(self.api, self.ids[name], made["id"])
 
     def step(self) -> None:
-        """Do one thing, and see that the API answers as the model says."""
-        ways = (self.give, self.give, self.give, self.revoke, self.set_member, self.set_member, self.remove_member)
-        others = (self.move, self.delete, self.restore, self.pass_time, self.leave, self.come_back)
-        self.choose.choice((*ways, *ways, *others))()
+        """Make one random change, and check that the response is the one that the model expects."""
+        common = (
+            self.create_grant,
+            self.create_grant,
+            self.create_grant,
+            self.revoke,
+            self.set_member,
+            self.set_member,
+            self.remove_member,
+        )
+        rare = (self.move, self.delete, self.restore, self.expire, self.deactivate, self.reactivate)
+        self.choose.choice((*common, *common, *rare))()
 
     def _as(self, who: str) -> Api:
         return self.api.as_(self.tokens[who])
 
-    def _somebody(self) -> str:
+    def _any_person(self) -> str:
         return self.choose.choice([*_PEOPLE, *_PEOPLE, "owner"])
 
     def _place(self) -> str:
         return self.choose.choice([*self.rights.projects, *self.rights.projects, *self.rights.project_of])
 
     def _writer(self, place: str) -> str:
-        """Somebody who may give rights on a place, more often than not; else most of it would be refusals."""
+        """A person who may grant rights on a place, in most cases; otherwise most requests would be refused."""
         writers = [name for name in _PEOPLE if self.rights.level(name, place) >= WRITE]
-        return self.choose.choice(writers) if writers and self.choose.random() < 0.7 else self._somebody()
+        return self.choose.choice(writers) if writers and self.choose.random() < 0.7 else self._any_person()
 
     def _path(self, place: str) -> str:
         return f"/{'missions' if place in self.rights.project_of else 'projects'}/{self.ids[place]}"
 
-    def _saw(self, answer: Answer, expected: int, *what: object) -> bool:
+    def _has_succeeded(self, answer: Answer, expected: int, *what: object) -> bool:
         self.log.append((*what, answer.status))
         assert answer.status == expected, f"{self.log}: {answer.body}"
         return expected < 300
 
-    def _try(self, after: Rights, allowed: int, success: int) -> int:
-        """The status of something that is otherwise allowed: refused where it leaves a project without an owner."""
+    def _status_with_owners(self, after: Rights, allowed: int, success: int) -> int:
+        """The expected status: a permitted change is refused if it leaves a project without an owner."""
         return 409 if allowed == success and after.unowned() else allowed
 
-    def give(self) -> None:
-        """Somebody gives a right to somebody, a group, or an address."""
+    def create_grant(self) -> None:
+        """A person grants a right to a person, a group, or an address."""
         place = self._place()
         who = self._writer(place)
         group = self.choose.choice([f"~{name}" for name in _PEOPLE] + [f"@{name}" for name in _PEOPLE] + [*_GROUPS])
         grant = Grant(self.choose.choice([1, 2, 3, 3, 4, 4]), self.choose.choice([NEVER, LATER]))
-        expected, after = self._may_give(who, place, group, grant), copy.deepcopy(self.rights)
+        expected, after = self._grant_status(who, place, group, grant), copy.deepcopy(self.rights)
         after.grants[place, group] = grant
         body: dict[str, Any] = {"right": Right.of_level(grant.level).value}
         body |= {} if grant.ends == NEVER else {"expires_at": _UNTIL.isoformat()}
@@ -129,15 +137,17 @@ class History:
         else:
             body["group_id"] = self.ids[group]
         answer = self._as(who).post(f"{self._path(place)}/grants", body)
-        if self._saw(answer, self._try(after, expected, 201), who, "gives", grant, "to", group, "on", place):
+        if self._has_succeeded(
+            answer, self._status_with_owners(after, expected, 201), who, "gives", grant, "to", group, "on", place
+        ):
             self.rights = after
 
-    def _may_give(self, who: str, place: str, group: str, grant: Grant) -> int:
-        rights, locked = self.rights, self.rights.level(who, place)
+    def _grant_status(self, who: str, place: str, group: str, grant: Grant) -> int:
+        rights, own_level = self.rights, self.rights.level(who, place)
         if not rights.active[who]:
             return 401
-        if locked < WRITE:
-            return 403 if locked else 404
+        if own_level < WRITE:
+            return 403 if own_level else 404
         if group in _GROUPS and not (rights.is_admin(who) or rights.is_live_member(who, group)):
             return 404
         if group.startswith("~") and not rights.active[group[1:]]:
@@ -145,19 +155,27 @@ class History:
         old = rights.grants.get((place, group))
         if old == grant:
             return 201
-        too_high = old is not None and old.ends != OVER and old.level > locked
+        too_high = old is not None and old.ends != OVER and old.level > own_level
         last = (NEVER,) if grant.ends == NEVER else (NEVER, LATER)
         return 403 if too_high or grant.level > rights.level(who, place, last=last) else 201
 
     def revoke(self) -> None:
-        """Somebody takes a grant away."""
-        who, (place, group) = self._somebody(), self.choose.choice(list(self.rights.grants))
-        locked, after = self.rights.level(who, place), copy.deepcopy(self.rights)
+        """A person revokes a grant."""
+        who, (place, group) = self._any_person(), self.choose.choice(list(self.rights.grants))
+        own_level, after = self.rights.level(who, place), copy.deepcopy(self.rights)
         grant, grant_id = after.grants.pop((place, group)), self._grant_id(place, group)
-        expected = 204 if locked >= WRITE and (grant.ends == OVER or grant.level <= locked) else 403 if locked else 404
+        expected = (
+            204
+            if own_level >= WRITE and (grant.ends == OVER or grant.level <= own_level)
+            else 403
+            if own_level
+            else 404
+        )
         expected = expected if self.rights.active[who] else 401
         answer = self._as(who).delete(f"{self._path(place)}/grants/{grant_id}")
-        if self._saw(answer, self._try(after, expected, 204), who, "revokes", grant, "of", group, "on", place):
+        if self._has_succeeded(
+            answer, self._status_with_owners(after, expected, 204), who, "revokes", grant, "of", group, "on", place
+        ):
             self.rights = after
 
     def _grant_id(self, place: str, group: str) -> str:
@@ -172,12 +190,12 @@ class History:
         return str(actual[0][0])
 
     def set_member(self) -> None:
-        """Somebody puts somebody into a group, or changes until when they are in it."""
-        who, group, people = self._somebody(), self.choose.choice(_GROUPS), self.choose.choice(_PEOPLE)
+        """A person adds a member to a group, or changes a membership."""
+        who, group, people = self._any_person(), self.choose.choice(_GROUPS), self.choose.choice(_PEOPLE)
         requested = Membership(self.choose.choice([NEVER, NEVER, LATER]), self.choose.random() < 0.5)
         after = copy.deepcopy(self.rights)
         after.members[group][people] = requested
-        expected = self._may_manage(who, group)
+        expected = self._manage_status(who, group)
         if expected == 200 and people not in self.rights.members[group] and not self.rights.active[people]:
             expected = 404
         if (
@@ -189,22 +207,26 @@ class History:
         body: dict[str, Any] = {"is_editor": requested.is_editor}
         body |= {} if requested.ends == NEVER else {"expires_at": _UNTIL.isoformat()}
         answer = self._as(who).call("PUT", f"/groups/{self.ids[group]}/members/{self.ids[people]}", body)
-        if self._saw(answer, self._try(after, expected, 200), who, "puts", people, "into", group, requested):
+        if self._has_succeeded(
+            answer, self._status_with_owners(after, expected, 200), who, "puts", people, "into", group, requested
+        ):
             self.rights = after
 
     def remove_member(self) -> None:
-        """Somebody takes somebody out of a group, or leaves it."""
-        who, group, people = self._somebody(), self.choose.choice(_GROUPS), self.choose.choice(_PEOPLE)
+        """A person removes a member of a group, or leaves it."""
+        who, group, people = self._any_person(), self.choose.choice(_GROUPS), self.choose.choice(_PEOPLE)
         after = copy.deepcopy(self.rights)
         was_in = after.members[group].pop(people, None) is not None
-        expected = self._may_manage(who, group)
+        expected = self._manage_status(who, group)
         expected = 200 if who == people and expected == 403 else expected
         expected = (204 if was_in else 404) if expected == 200 else expected
         answer = self._as(who).delete(f"/groups/{self.ids[group]}/members/{self.ids[people]}")
-        if self._saw(answer, self._try(after, expected, 204), who, "takes", people, "out of", group):
+        if self._has_succeeded(
+            answer, self._status_with_owners(after, expected, 204), who, "takes", people, "out of", group
+        ):
             self.rights = after
 
-    def _may_manage(self, who: str, group: str) -> int:
+    def _manage_status(self, who: str, group: str) -> int:
         if not self.rights.active[who]:
             return 401
         if self.rights.is_admin(who):
@@ -218,8 +240,8 @@ class History:
         return not self.rights.is_admin(who) and own is not None and (own.ends, expected.ends) == (LATER, NEVER)
 
     def move(self) -> None:
-        """Somebody moves a mission to a project; what was granted on it goes along."""
-        who, mission = self._somebody(), self.choose.choice(list(self.rights.project_of))
+        """A person moves a mission to another project; its grants stay."""
+        who, mission = self._any_person(), self.choose.choice(list(self.rights.project_of))
         target = self.choose.choice([name for name in self.rights.projects if name != self.rights.project_of[mission]])
         may = self.rights.level(who, mission) >= DELETE and self.rights.level(who, target) >= CREATE
         answer = self._as(who).patch(self._path(mission), {"project_id": self.ids[target]})
@@ -229,24 +251,24 @@ class History:
             self.rights.project_of[mission] = target
 
     def delete(self) -> None:
-        """Somebody moves a project or a mission to the trash."""
-        who, place = self._somebody(), self._place()
-        locked = self.rights.level(who, place)
-        expected = 200 if locked == DELETE else 403 if locked else 404 if self.rights.active[who] else 401
-        if self._saw(self._as(who).delete(self._path(place)), expected, who, "deletes", place):
+        """A person moves a project or a mission to the trash."""
+        who, place = self._any_person(), self._place()
+        own_level = self.rights.level(who, place)
+        expected = 200 if own_level == DELETE else 403 if own_level else 404 if self.rights.active[who] else 401
+        if self._has_succeeded(self._as(who).delete(self._path(place)), expected, who, "deletes", place):
             self.rights.deleted.add(place)
 
     def restore(self) -> None:
-        """An admin has something back."""
+        """The owner restores an object from the trash."""
         place = self.choose.choice([*self.rights.deleted] or ["alps"])
         resource_type = "mission" if place in self.rights.project_of else "project"
         may = place in self.rights.deleted and self.rights.project_of.get(place) not in self.rights.deleted
         answer = self._as("owner").post(f"/trash/{resource_type}/{self.ids[place]}/restore")
-        if self._saw(answer, 204 if may else 404, "owner restores", place):
+        if self._has_succeeded(answer, 204 if may else 404, "owner restores", place):
             self.rights.deleted.remove(place)
 
-    def pass_time(self) -> None:
-        """The time of what ends later comes, for one grant or membership."""
+    def expire(self) -> None:
+        """One grant and one membership expire."""
         grants = [key for key, grant in self.rights.grants.items() if grant.ends == LATER]
         if grants:
             place, group = self.choose.choice(grants)
@@ -261,30 +283,32 @@ class History:
             ids = (self.ids[group], self.ids[who])
             self.api.sql("UPDATE membership SET expires_at = now() WHERE group_id = %s AND person_id = %s", *ids)
             self.rights.members[group][who].ends = OVER
-        self.log.append(("time passes", grants[:1], ending[:1]))
+        self.log.append(("expire", grants[:1], ending[:1]))
 
-    def leave(self) -> None:
-        """Somebody leaves; what only they owned goes to the admins."""
+    def deactivate(self) -> None:
+        """A person is deactivated; projects that only they owned pass to the admins."""
         people = self.choose.choice(_PEOPLE)
         expected = 200 if self.rights.active[people] else 404
         answer = self._as("owner").post(f"/people/{self.ids[people]}/deactivate")
-        if self._saw(answer, expected, people, "leaves"):
+        if self._has_succeeded(answer, expected, people, "is deactivated"):
             self.rights.active[people] = False
             handed = self.rights.unowned()
             assert answer.body["projects"] == sorted(f"{self.tag} {name}" for name in handed), self.log
             for project in handed:
                 self.rights.grants[project, ADMINS] = Grant(DELETE)
 
-    def come_back(self) -> None:
-        """Somebody who left is let in again, with a new token."""
+    def reactivate(self) -> None:
+        """A person is reactivated, and gets a new token."""
         people = self.choose.choice(_PEOPLE)
-        self._saw(self._as("owner").post(f"/people/{self.ids[people]}/reactivate"), 200, people, "comes back")
+        self._has_succeeded(
+            self._as("owner").post(f"/people/{self.ids[people]}/reactivate"), 200, people, "is reactivated"
+        )
         if not self.rights.active[people]:
             self.tokens[people] = token(self.api, self.ids[people]).secret
             self.rights.active[people] = True
 
-    def see_rights(self, who: str) -> None:
-        """See that lists show somebody exactly what the model says, with the right that it says."""
+    def check_visible_objects(self, who: str) -> None:
+        """Check that lists show a person exactly the objects and rights of the model."""
         for path, places in (("/projects", self.rights.projects), ("/missions", list(self.rights.project_of))):
             answer = self._as(who).get(path, {"name": f"{self.tag}*"})
             if not self.rights.active[who]:
@@ -295,8 +319,8 @@ class History:
             expected = {place: Right.of_level(level).value for place, level in levels.items() if level}
             assert message == expected, (who, self.log)
 
-    def see_owners(self) -> None:
-        """See that each project has a lasting owner, by the rows of the database themselves."""
+    def check_owners(self) -> None:
+        """Check in the database that each project has a permanent owner."""
         rows = self.api.sql(
             "SELECT a.project_id::text, a.level, a.expires_at, g.kind, m.expires_at, p.deactivated_at"
             " FROM access_grant a JOIN access_group g ON g.id = a.group_id"
@@ -309,19 +333,19 @@ class History:
         assert self.rights.unowned() == []
 
 
-def live_through(api: Api, seed: int, *, steps: int) -> None:
-    """One history, told by its seed."""
+def run_history(api: Api, seed: int, *, steps: int) -> None:
+    """Run the history of one seed."""
     history = History(api, random.Random(seed))
-    history.know_each_other()
+    history.add_all_to_one_group()
     for number in range(steps):
         history.step()
-        history.see_owners()
-        history.see_rights(_PEOPLE[number % len(_PEOPLE)])
+        history.check_owners()
+        history.check_visible_objects(_PEOPLE[number % len(_PEOPLE)])
     for who in (*_PEOPLE, "owner"):
-        history.see_rights(who)
+        history.check_visible_objects(who)
 
 
-# What fails is told by its whole history: shrinking a seed would only find another.
+# A failure prints the complete history. Shrinking the seed would only find another history.
 _PHASES = [Phase.explicit, Phase.reuse, Phase.generate]
 _CHECKS = [HealthCheck.function_scoped_fixture]
 
@@ -330,11 +354,11 @@ _CHECKS = [HealthCheck.function_scoped_fixture]
 @settings(max_examples=5, deadline=None, phases=_PHASES, suppress_health_check=_CHECKS)
 @given(seed=st.integers(0, 2**32))
 def test_the_highest_unexpired_grant_counts_and_projects_keep_an_owner(api: Api, seed: int) -> None:
-    live_through(api, seed, steps=_STEPS)
+    run_history(api, seed, steps=_STEPS)
 
 
 @pytest.mark.soak
-@settings(max_examples=_MANY, deadline=None, phases=_PHASES, suppress_health_check=_CHECKS)
+@settings(max_examples=_SOAK_EXAMPLES, deadline=None, phases=_PHASES, suppress_health_check=_CHECKS)
 @given(seed=st.integers(0, 2**32))
 def test_rights_are_correct_in_many_long_histories(api: Api, seed: int) -> None:
-    live_through(api, seed, steps=60)
+    run_history(api, seed, steps=60)

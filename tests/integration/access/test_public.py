@@ -1,4 +1,4 @@
-"""Public projects: anybody reads them, changes need an account, and downloads are recorded."""
+"""Public projects: everyone may read them, changes require an account, and downloads are recorded."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from tests.integration.sample import Sample
 
 @pytest.fixture
 def public(api: Api) -> Any:
-    """A project that everybody may read."""
+    """A public project."""
     project = api.project(description="for everybody")
     release = {"is_public": True, "licence": "CC-BY-4.0", "citation": "Lovelace, A.: Alps. 2026."}
     return api.patch(f"/projects/{project['id']}", release).ok()
@@ -23,7 +23,7 @@ def public(api: Api) -> Any:
 
 @pytest.fixture
 def stranger(api: Api) -> Api:
-    """Somebody without an account."""
+    """The API without a credential."""
     return api.as_(None)
 
 

@@ -17,12 +17,12 @@ _RIGHTS = ("SELECT pg_advisory_xact_lock(%s)", 0x6B6C5247)
 
 @pytest.fixture
 def ada(api: Api) -> Person:
-    """Who leaves."""
+    """The person who is removed."""
     return person(api)
 
 
 def leave(api: Api, who: Person) -> Any:
-    """Have somebody deactivated by an admin."""
+    """Deactivate a person as an admin."""
     return api.post(f"/people/{who.id}/deactivate").ok()
 
 
@@ -67,7 +67,7 @@ def test_projects_without_another_owner_pass_to_the_admins(api: Api, ada: Person
     api.post(f"/trash/project/{trashed['id']}/restore").ok(204)
     message = api.all("/audit", {"project_id": alone["id"], "operation": "grant.create"})
     assert [(event["resource_name"], event["after"]["right"]) for event in message] == [("admins", "DELETE")]
-    # Her name stays in the record, and beside what she made.
+    # Her name remains in the audit log and on the objects that she created.
     assert api.get(f"/projects/{alone['id']}").ok()["created_by"] == {"id": ada.id, "name": ada.name}
 
 

@@ -31,7 +31,7 @@ def _link(api: Api, mission_id: str, **expected: Any) -> Any:
 
 @dataclass(frozen=True)
 class Outing:
-    """A mission with two files of one recording, a third that is another's, and one more project beside it."""
+    """A mission with two files of one recording and a file of another, and a second project."""
 
     project: Any
     mission: Any
@@ -44,7 +44,7 @@ class Outing:
 
 @pytest.fixture
 def outing(api: Api, sample: Sample) -> Outing:
-    """Two halves of a split recording, and one that stands alone and is much longer."""
+    """Two files of a split recording, and a single recording that is much longer."""
     project = api.project(description="the secret of the project")
     mission = api.mission(project["id"], notes="the secret of the mission", metadata_yaml="robot: anymal\n")
     topic = {"name": "/imu", "message_type": "sensor_msgs/Imu", "count": 5}

@@ -22,19 +22,19 @@ from tests.integration.conftest import StartApi
 from tests.integration.people import Person
 from tests.integration.upload_client import begin, complete, fetch, put, sign, upload, wait_until
 
-# To the second: what is signed in the middle of one lives up to a second less.
+# Expiries have whole seconds, so a URL may expire up to one second earlier.
 _SHORT_S, _LONGEST_S = 2, 900
 _POOL = urllib3.PoolManager(retries=False, timeout=30)
 
 
 @pytest.fixture(name="brief", scope="module")
 def _brief(start_api: StartApi) -> Api:
-    """An API whose addresses die soon."""
+    """An API whose signed URLs expire soon."""
     return start_api(download_url_s=_SHORT_S)
 
 
 def _mission(api: Api, right: Right) -> tuple[str, Person]:
-    """Make a mission, and somebody who has a right on its project, as yet."""
+    """Create a mission, and a person with a right on its project."""
     project_id, who = api.project()["id"], people.person(api)
     people.grant(api, who, right, project_id=project_id)
     return str(api.mission(project_id)["id"]), who
@@ -103,14 +103,14 @@ def test_an_upload_completed_after_the_right_was_revoked_creates_no_file(api: Ap
 
 
 class _Midway(Watcher):
-    """Does something once, when the first bytes of a transfer have moved."""
+    """Calls a function once, when the first bytes of a transfer have arrived."""
 
     def __init__(self, act: Callable[[], object]) -> None:
         self._act = act
         self._acted = False
 
     def moved(self, path: str, size_bytes: int, total_bytes: int) -> None:
-        """Act, the first time."""
+        """Call the function, the first time only."""
         if not self._acted:
             self._acted = True
             self._act()
@@ -118,7 +118,7 @@ class _Midway(Watcher):
 
 @pytest.fixture(name="large", scope="module")
 def _large() -> bytes:
-    """More than what is fetched with one address at the pace below."""
+    """A file that is too large to download with one URL at the rate below."""
     return os.urandom(20 * 1024 * 1024)
 
 

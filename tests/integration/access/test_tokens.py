@@ -95,7 +95,7 @@ def test_a_token_cannot_be_limited_to_objects_its_creator_cannot_see(api: Api) -
     hers.post("/tokens", {"name": "x", "mission_ids": [mission["id"], mission["id"]]}).ok(201)
     made = _made(hers, project_ids=[seen["id"]])
     assert made["token"]["limits"] == [{"resource_type": "project", "id": seen["id"], "name": seen["name"]}]
-    # What she may no longer see keeps its id there, and loses its name.
+    # Limits on objects that are no longer visible to her keep their id, without a name.
     api.sql("DELETE FROM access_grant WHERE group_id = %s", ada.group_id)
     (limit,) = {item["id"]: item for item in hers.all("/tokens")}[made["token"]["id"]]["limits"]
     assert limit == {"resource_type": "project", "id": seen["id"], "name": None}
@@ -120,7 +120,7 @@ def test_a_token_cannot_create_a_wider_token(api: Api) -> None:
         api.as_(people.token(api, ada, [Scope(scope) for scope in scopes]).secret).post(
             "/tokens", {"name": "x", "scopes": scopes}
         ).refused(403, "scope_missing")
-    # The scope of an admin is no more than its carrier's rights.
+    # The scope `admin` does not extend the rights of the token's person.
     everything = _made(api.as_(ada.token), scopes=["admin"])
     api.as_(everything["secret"]).get("/tokens", {"everybody": "true"}).refused(403, "forbidden")
 
@@ -211,7 +211,7 @@ def test_tokens_created_by_a_token_are_revoked_with_it(api: Api) -> None:
     ada = people.person(api)
     hers = api.as_(ada.token)
     stolen, other = _made(hers, scopes=["admin"]), _made(hers, scopes=["admin"])
-    # Made behind the server's back: a token that was made with another makes none with the scope admin any more.
+    # The creator is set in the database, because a token created by a token cannot create one with the scope admin.
     stolen_id = stolen["token"]["id"]
     api.sql("UPDATE token SET created_by_token_id = NULL WHERE id = %s", stolen_id)
     child = _made(api.as_(stolen["secret"]), scopes=["admin"], name="child")

@@ -1,7 +1,7 @@
-"""A model of what each person may see, in sets in memory, to compare with lists and numbers of the API.
+"""A model of what each credential may see, in sets in memory, to compare with lists and numbers of the API.
 
-A small lab by chance, from a seed: projects, missions, files and recordings, some public, some in the trash; people
-with grants to themselves and to groups, some expired; and credentials of every reach.
+A seed determines a small lab: projects, missions, files and recordings, some public, some in the trash; people with
+direct grants and grants of groups, some expired; and credentials with and without limits.
 """
 
 import random
@@ -21,7 +21,7 @@ _READ, _OWNER = 1, 4
 
 @dataclass
 class File:
-    """A file with a topic of its own name, in a recording of its own or in the one of its mission's shared folder."""
+    """A file with a topic of a unique name, in a recording of its own or in the recording of the split files."""
 
     id: str
     path: str
@@ -30,7 +30,7 @@ class File:
     messages: int
     recording: str
     by: str
-    is_gone: bool = False
+    is_deleted: bool = False
 
 
 @dataclass
@@ -41,7 +41,7 @@ class Mission:
     name: str
     project: "Project"
     files: list[File] = field(default_factory=list)
-    is_gone: bool = False
+    is_deleted: bool = False
 
 
 @dataclass
@@ -52,12 +52,12 @@ class Project:
     name: str
     is_public: bool
     missions: list[Mission] = field(default_factory=list)
-    is_gone: bool = False
+    is_deleted: bool = False
 
 
 @dataclass
-class Eye:
-    """A credential: its `levels` by id of project or mission, and the ids in its `reach`; None for all."""
+class Viewer:
+    """A credential: its `levels` by id of project or mission, and the ids that it is limited to; None for no limit."""
 
     name: str
     secret: str | None
@@ -72,12 +72,12 @@ class Eye:
 
 @dataclass
 class Lab:
-    """The API, what it holds, and who looks."""
+    """The API, its objects, and the credentials that list them."""
 
     api: Api
     seed: int
     projects: list[Project]
-    eyes: list[Eye]
+    viewers: list[Viewer]
 
     @property
     def missions(self) -> list[Mission]:
@@ -90,69 +90,69 @@ class Lab:
         return [file for mission in self.missions for file in mission.files]
 
 
-def level(eye: Eye, place: Project | Mission) -> int:
-    """Return the level that somebody has on a project or a mission, whether or not it is in the trash."""
+def level(viewer: Viewer, place: Project | Mission) -> int:
+    """Return the level that a credential has on a project or a mission, whether or not it is in the trash."""
     project = place if isinstance(place, Project) else place.project
-    if eye.reach is not None and not eye.reach & {place.id, project.id}:
+    if viewer.reach is not None and not viewer.reach & {place.id, project.id}:
         return 0
-    if eye.is_link:
+    if viewer.is_link:
         return 0 if place is project else _READ
     public = _READ if project.is_public else 0
-    return _OWNER if eye.is_admin else max(public, *(eye.levels.get(item.id, 0) for item in (place, project)))
+    return _OWNER if viewer.is_admin else max(public, *(viewer.levels.get(item.id, 0) for item in (place, project)))
 
 
-def sees_project(eye: Eye, project: Project) -> bool:
-    """Say whether a project is listed."""
-    return not project.is_gone and level(eye, project) >= _READ
+def sees_project(viewer: Viewer, project: Project) -> bool:
+    """Whether a project is listed."""
+    return not project.is_deleted and level(viewer, project) >= _READ
 
 
-def sees_mission(eye: Eye, mission: Mission) -> bool:
-    """Say whether a mission is listed."""
-    return not mission.is_gone and not mission.project.is_gone and level(eye, mission) >= _READ
+def sees_mission(viewer: Viewer, mission: Mission) -> bool:
+    """Whether a mission is listed."""
+    return not mission.is_deleted and not mission.project.is_deleted and level(viewer, mission) >= _READ
 
 
-def is_shown(eye: Eye, file: File) -> bool:
-    """Say whether a file of a mission that is listed is shown: not by a link to others, nor to who may only upload."""
-    return (eye.files is None or file.id in eye.files) and (eye.reads or file.by == eye.person_id)
+def is_shown(viewer: Viewer, file: File) -> bool:
+    """Whether a file of a listed mission is shown. A link shows its files, an upload-only token its own uploads."""
+    return (viewer.files is None or file.id in viewer.files) and (viewer.reads or file.by == viewer.person_id)
 
 
-def sees_file(eye: Eye, file: File) -> bool:
-    """Say whether a file is listed."""
-    return not file.is_gone and sees_mission(eye, file.mission) and is_shown(eye, file)
+def sees_file(viewer: Viewer, file: File) -> bool:
+    """Whether a file is listed."""
+    return not file.is_deleted and sees_mission(viewer, file.mission) and is_shown(viewer, file)
 
 
-def recordings(eye: Eye, files: list[File]) -> set[str]:
-    """Return the recordings of a lab's files that are listed: those of which every file is shown."""
-    hidden = {file.recording for file in files if not file.is_gone and not sees_file(eye, file)}
-    return {file.recording for file in files if sees_file(eye, file)} - hidden
+def recordings(viewer: Viewer, files: list[File]) -> set[str]:
+    """Return the listed recordings of these files: those of which every file is shown."""
+    hidden = {file.recording for file in files if not file.is_deleted and not sees_file(viewer, file)}
+    return {file.recording for file in files if sees_file(viewer, file)} - hidden
 
 
 def build(api: Api, seed: int) -> Lab:
-    """Put a lab into an API's database."""
+    """Create a lab in the database of an API."""
     rng = random.Random(seed)
     owner = str(OWNER_ID)
     staff = [people.person(api) for _ in range(4)]
     projects = [_project(api, rng, number, [owner, *(who.id for who in staff)]) for number in range(5)]
     missions = [mission for project in projects for mission in project.missions]
-    eyes = [Eye("stranger", None), Eye("admin", people.person(api, admin=True).token, is_admin=True)]
+    viewers = [Viewer("anonymous", None), Viewer("admin", people.person(api, admin=True).token, is_admin=True)]
     for who in staff:
         levels = _grants(api, rng, who, projects, missions)
-        eyes.append(Eye(f"{who.name}, signed in", who.token, levels, who.id))
+        viewers.append(Viewer(f"{who.name}, signed in", who.token, levels, who.id))
         reach = {rng.choice(projects).id, rng.choice(missions).id}
         limited = people.token(api, who, [Scope.write], limits=sorted(reach))
-        eyes.append(Eye(f"{who.name}, limited", limited.secret, levels, who.id, reach=reach))
+        viewers.append(Viewer(f"{who.name}, limited", limited.secret, levels, who.id, reach=reach))
         robot = people.token(api, who, [Scope.upload], limits=sorted(reach))
-        eyes.append(Eye(f"{who.name}'s robot", robot.secret, levels, who.id, reads=False, reach=reach))
+        viewers.append(Viewer(f"{who.name}'s robot", robot.secret, levels, who.id, reads=False, reach=reach))
     limit = {projects[0].id}
     bounded = people.token(api, people.person(api, admin=True), limits=sorted(limit))
-    eyes.append(Eye("admin, limited", bounded.secret, is_admin=True, reach=limit))
+    viewers.append(Viewer("admin, limited", bounded.secret, is_admin=True, reach=limit))
     # A share of a mission in the trash is suspended: it is no valid credential.
-    for mission in rng.sample([item for item in missions if not item.is_gone and not item.project.is_gone], 3):
+    for mission in rng.sample([item for item in missions if not item.is_deleted and not item.project.is_deleted], 3):
         some = {file.id for file in rng.sample(mission.files, 2)}
         for chosen in (None, some):
             made = people.share(api, mission.id, file_ids=None if chosen is None else sorted(chosen))
-            eyes.append(Eye(f"link {len(eyes)}", made.secret, is_link=True, reach={mission.id}, files=chosen))
-    return Lab(api, seed, projects, eyes)
+            viewers.append(Viewer(f"link {len(viewers)}", made.secret, is_link=True, reach={mission.id}, files=chosen))
+    return Lab(api, seed, projects, viewers)
 
 
 def _project(api: Api, rng: random.Random, number: int, uploaders: list[str]) -> Project:
@@ -167,12 +167,12 @@ def _project(api: Api, rng: random.Random, number: int, uploaders: list[str]) ->
     items += [project] if number == 2 else []
     for object_ in items:
         trash(api, type(object_).__name__.lower(), object_.id)
-        object_.is_gone = True
+        object_.is_deleted = True
     return project
 
 
 def _fill(api: Api, rng: random.Random, mission: Mission, uploaders: list[str]) -> None:
-    """Put three files into a mission: two that make up one recording, and one by itself."""
+    """Create three files in a mission: two of one recording, and one of another."""
     sample = Sample(api)
     for name in ("split/0.mcap", "split/1.mcap", "alone.mcap"):
         size_bytes, messages = rng.randrange(1, 10**6), rng.randrange(1, 1000)
@@ -192,7 +192,7 @@ def _fill(api: Api, rng: random.Random, mission: Mission, uploaders: list[str]) 
 def _grants(
     api: Api, rng: random.Random, who: Person, projects: list[Project], missions: list[Mission]
 ) -> dict[str, int]:
-    """Grant somebody this and that, by themselves, by groups, until later and until lately; return what holds."""
+    """Create grants of a person, directly and by groups, some expired; return the effective levels."""
     levels: dict[str, int] = {}
     for _ in range(6):
         places: list[Project | Mission] = [*projects, *missions]

@@ -1,6 +1,6 @@
-"""The objects of the matrix: a private and a public project with everything in it, and people at every level.
+"""The objects of the matrix: a private and a public project with their contents, and principals of every level.
 
-Made once, behind the API's back. Nothing that the matrix asks for changes it for good.
+Created once, mostly by direct inserts into the database. The calls of the matrix change nothing permanently.
 """
 
 import random
@@ -11,23 +11,26 @@ from dataclasses import dataclass
 from kleinkram.contract.access import Right, TokenKind
 from kleinkram.server.access.builtin_groups import ADMINS_ID, OWNER_ID
 from tests.integration import people
-from tests.integration.access.credentials import MEMBER, PLACED, UNPLACED, Carrier, Reach
-from tests.integration.access.expectations import Place
+from tests.integration.access.credentials import MEMBER, WITH_GRANTS, WITHOUT_GRANTS, Credential, Kind, Reach
+from tests.integration.access.expectations import AccessLevels
 from tests.integration.api_server import Api
 from tests.integration.people import Person, Token
 from tests.integration.sample import Sample
 
 LEVELS = range(5)
-PLACES = (
-    *(Place(project, mission) for project in LEVELS for mission in LEVELS),
-    *(Place(project, mission, is_public=True) for project, mission in ((0, 0), (1, 0), (0, 1), (2, 3), (0, 4), (4, 0))),
+ACCESS_LEVELS = (
+    *(AccessLevels(project, mission) for project in LEVELS for mission in LEVELS),
+    *(
+        AccessLevels(project, mission, is_public=True)
+        for project, mission in ((0, 0), (1, 0), (0, 1), (2, 3), (0, 4), (4, 0))
+    ),
 )
 _PAST_S, _AHEAD_S = -1, 3600
 
 
 @dataclass(frozen=True)
-class Things:
-    """The ids of one project, of all that it holds, and of where it may be moved."""
+class Objects:
+    """The ids of one project, of its contents, and of the destinations of moves."""
 
     project: str
     project_name: str
@@ -36,77 +39,81 @@ class Things:
     file: str
     other_file: str
     recording: str
-    # In the trash, each by itself.
+    # In the trash, each deleted separately.
     trashed_mission: str
     trashed_file: str
     trashed_project: str
-    # In a project that all who hold anything may fill.
-    target: str
-    target_mission: str
-    # A link to the mission, and somebody who shares nothing with anybody.
+    # All principals with grants may create objects in this project.
+    destination: str
+    destination_mission: str
+    # A link to the mission.
     link: str
-    # An action of the project, and a run of it on the mission that is over, with what it left and said.
+    # An action of the project, an ended run of it on the mission, and an artifact of that run.
     action: str
     run: str
     artifact: str
-    hermit: str
-    hermit_name: str
+    # A person who shares no group or project with anybody.
+    unrelated_person: str
+    unrelated_person_name: str
 
 
 @dataclass(frozen=True)
 class Principal:
-    """Somebody in one place, what their requests carry, an upload they began in the mission; `api` is for behind it."""
+    """A credential with access levels: its request headers, and an open upload of its person in the mission."""
 
     api: Api
-    carrier: Carrier
-    place: Place
-    objects: Things
+    credential: Credential
+    levels: AccessLevels
+    objects: Objects
     headers: dict[str, str]
     upload: str
     person_id: str | None = None
 
     @property
     def named(self) -> str:
-        """Who it is, for the message of a test that failed."""
-        levels = f"{self.place.project} on the project, {self.place.mission} on the mission"
-        return f"{self.carrier.name} with {levels}{' (public)' if self.place.is_public else ''}"
+        """A description for the messages of failed tests."""
+        granted = f"{self.levels.project} on the project, {self.levels.mission} on the mission"
+        return f"{self.credential.name} with {granted}{' (public)' if self.levels.is_public else ''}"
 
 
 @dataclass(frozen=True)
 class World:
-    """The API, what it holds, and all who ask."""
+    """The API and all principals."""
 
     api: Api
     principals: Sequence[Principal]
 
 
-def build(api: Api, *, places_each: int = len(PLACES)) -> World:
-    """Put everything and everybody into an API's database; the plain member in all places, others in so many."""
-    sides = {is_public: put_things(api, is_public=is_public) for is_public in (False, True)}
-    expected = {carrier: set(random.Random(carrier.name).sample(PLACES, places_each)) for carrier in PLACED}
-    expected[MEMBER] = set(PLACES)
+def build(api: Api, *, levels_per_credential: int = len(ACCESS_LEVELS)) -> World:
+    """Create all objects and principals: the member with all access levels, other credentials with a sample of them."""
+    objects_by_visibility = {is_public: create_objects(api, is_public=is_public) for is_public in (False, True)}
+    sampled = {
+        credential: set(random.Random(credential.name).sample(ACCESS_LEVELS, levels_per_credential))
+        for credential in WITH_GRANTS
+    }
+    sampled[MEMBER] = set(ACCESS_LEVELS)
     principals: list[Principal] = []
-    for place in PLACES:
-        carriers = [carrier for carrier in PLACED if place in expected[carrier]]
-        principals += _placed(api, place, sides[place.is_public], carriers)
-    for is_public, items in sides.items():
-        principals += _unplaced(api, Place(is_public=is_public), items)
+    for levels in ACCESS_LEVELS:
+        credentials = [credential for credential in WITH_GRANTS if levels in sampled[credential]]
+        principals += _principals_with_grants(api, levels, objects_by_visibility[levels.is_public], credentials)
+    for is_public, items in objects_by_visibility.items():
+        principals += _principals_without_grants(api, AccessLevels(is_public=is_public), items)
     return World(api, principals)
 
 
-def put_things(api: Api, *, is_public: bool) -> Things:
-    """Put a project, public or not, and all that is in it."""
+def create_objects(api: Api, *, is_public: bool) -> Objects:
+    """Create a project and its contents."""
     sample = Sample(api)
-    project, target = api.project(), api.project()["id"]
-    mission, target_mission = api.mission(project["id"]), api.mission(target)["id"]
+    project, destination = api.project(), api.project()["id"]
+    mission, destination_mission = api.mission(project["id"]), api.mission(destination)["id"]
     trashed_project, trashed_mission = api.project()["id"], api.mission(project["id"])["id"]
     topics = [{"name": "/imu", "message_type": "sensor_msgs/Imu", "count": 3}]
     file, other, trashed = (
         sample.file(mission["id"], f"{name}.mcap", topics=topics) for name in ("one", "two", "gone")
     )
-    hermit = people.person(api)
-    action, run, artifact = _put_run(api, project["id"], mission["id"], file)
-    items = Things(
+    unrelated_person = people.person(api)
+    action, run, artifact = _create_run(api, project["id"], mission["id"], file)
+    items = Objects(
         project=project["id"],
         project_name=project["name"],
         mission=mission["id"],
@@ -117,17 +124,17 @@ def put_things(api: Api, *, is_public: bool) -> Things:
         trashed_mission=trashed_mission,
         trashed_file=trashed,
         trashed_project=trashed_project,
-        target=target,
-        target_mission=target_mission,
+        destination=destination,
+        destination_mission=destination_mission,
         link=people.share(api, mission["id"]).id,
         action=action,
         run=run,
         artifact=artifact,
-        hermit=hermit.id,
-        hermit_name=hermit.name,
+        unrelated_person=unrelated_person.id,
+        unrelated_person_name=unrelated_person.name,
     )
     api.sql("UPDATE project SET is_public = %s WHERE id = ANY(%s::uuid[])", is_public, [project["id"], trashed_project])
-    # Old enough that the uploader may no longer delete them as recent uploads.
+    # Old enough that uploaders may no longer delete their own files as recent uploads.
     api.sql("UPDATE file SET created_at = now() - interval '2 hours' WHERE mission_id = %s", mission["id"])
     for table, gone in (("mission", trashed_mission), ("file", trashed), ("project", trashed_project)):
         trash(api, table, gone)
@@ -137,8 +144,8 @@ def put_things(api: Api, *, is_public: bool) -> Things:
 ACTION = {"name": "count", "script": "print(1)"}
 
 
-def _put_run(api: Api, project_id: str, mission_id: str, file_id: str) -> tuple[str, str, str]:
-    """Put an action, and a run of it that is over; returns the ids of both, and of what the run left."""
+def _create_run(api: Api, project_id: str, mission_id: str, file_id: str) -> tuple[str, str, str]:
+    """Create an action and an ended run; return the ids of the action, the run and an artifact of the run."""
     made = api.post("/actions", {"project_id": project_id, "definition": ACTION}).ok(201)
     expected = {"mission_ids": [mission_id], "action_id": made["id"], "force": True}
     run = api.post("/runs", expected).ok()["items"][0]["run"]["id"]
@@ -148,94 +155,96 @@ def _put_run(api: Api, project_id: str, mission_id: str, file_id: str) -> tuple[
         "INSERT INTO run_artifact (id, run_id, path, blob_id) SELECT %s, %s, 'left', blob_id FROM file WHERE id = %s",
         *(artifact, run, file_id),
     )
-    api.sql(
-        "INSERT INTO run_finding (run_id, severity, code, message) VALUES (%s, 'info', 'seen', 'It was seen.')", run
-    )
+    api.sql("INSERT INTO run_finding (run_id, severity, code, message) VALUES (%s, 'info', 'code', 'A finding.')", run)
     api.sql("INSERT INTO run_metric (run_id, name, value) VALUES (%s, 'count', 1)", run)
     return made["id"], run, artifact
 
 
 def trash(api: Api, table: str, ref: str) -> None:
-    """Put something into the trash, by itself."""
+    """Move one object to the trash."""
     api.sql(f"UPDATE {table} SET deleted_at = now(), deleted_by_id = %s WHERE id = %s", OWNER_ID, ref)
 
 
-def _grant(api: Api, group_id: str, place: Place, items: Things, *, expires_s: float | None = None) -> None:
+def _grant(api: Api, group_id: str, levels: AccessLevels, items: Objects, *, expires_s: float | None = None) -> None:
     for project in (items.project, items.trashed_project):
-        if place.project:
-            people.grant(api, group_id, Right.of_level(place.project), project_id=project, expires_s=expires_s)
+        if levels.project:
+            people.grant(api, group_id, Right.of_level(levels.project), project_id=project, expires_s=expires_s)
     for mission in (items.mission, items.trashed_mission):
-        if place.mission:
-            people.grant(api, group_id, Right.of_level(place.mission), mission_id=mission, expires_s=expires_s)
-    people.grant(api, group_id, Right.create, project_id=items.target, expires_s=expires_s)
+        if levels.mission:
+            people.grant(api, group_id, Right.of_level(levels.mission), mission_id=mission, expires_s=expires_s)
+    people.grant(api, group_id, Right.create, project_id=items.destination, expires_s=expires_s)
 
 
-def _placed(api: Api, place: Place, items: Things, carriers: Sequence[Carrier]) -> Iterator[Principal]:
-    """Give everybody who comes by a group, or by grants of their own, the levels of a place."""
-    group_id, expired_id, elsewhere = people.group(api), people.group(api), api.project()["id"]
-    _grant(api, group_id, place, items)
-    _grant(api, expired_id, place, items, expires_s=_PAST_S)
-    for carrier in carriers:
-        who = people.person(api, admin=carrier.name.startswith("admin"))
-        if carrier.name == "person with grants of their own":
-            _grant(api, who.group_id, place, items)
-        elif carrier.name == "person whose grants expired":
+def _principals_with_grants(
+    api: Api, levels: AccessLevels, items: Objects, credentials: Sequence[Credential]
+) -> Iterator[Principal]:
+    """Create a person with each credential, and grant them these levels by a group or directly."""
+    group_id, expired_id, other_project = people.group(api), people.group(api), api.project()["id"]
+    _grant(api, group_id, levels, items)
+    _grant(api, expired_id, levels, items, expires_s=_PAST_S)
+    for credential in credentials:
+        who = people.person(api, admin=credential.name.startswith("admin"))
+        if credential.name == "person with grants of their own":
+            _grant(api, who.group_id, levels, items)
+        elif credential.name == "person whose grants expired":
             people.join(api, who, expired_id)
         else:
-            people.join(api, who, group_id, expires_s=_PAST_S if carrier.name == "expired member" else None)
-        if carrier.name == "admin whose membership of the admins expired":
+            people.join(api, who, group_id, expires_s=_PAST_S if credential.name == "expired member" else None)
+        if credential.name == "admin whose membership of the admins expired":
             people.join(api, who, str(ADMINS_ID), expires_s=_PAST_S)
         reached = {
-            Reach.project: [items.project, items.target, items.trashed_project],
-            Reach.mission: [items.mission, items.trashed_mission, items.target],
-            Reach.elsewhere: [elsewhere],
+            Reach.project: [items.project, items.destination, items.trashed_project],
+            Reach.mission: [items.mission, items.trashed_mission, items.destination],
+            Reach.other_project: [other_project],
         }
-        headers = _headers(api, carrier, who, reached.get(carrier.reach))
-        upload = begun(api, who.id, items.mission)
-        yield Principal(api, carrier, place, items, headers, upload, who.id)
+        headers = _headers(api, credential, who, reached.get(credential.reach))
+        upload = create_upload(api, who.id, items.mission)
+        yield Principal(api, credential, levels, items, headers, upload, who.id)
 
 
-def _headers(api: Api, carrier: Carrier, who: Person, limits: list[str] | None) -> dict[str, str]:
-    if "session" in carrier.name:
-        cookie = people.session(api, who, expires_s=_PAST_S if carrier.name.startswith("expired") else _AHEAD_S)
-        origin = "http://elsewhere.test" if "lured" in carrier.name else api.app.state.settings.public_origin
+def _headers(api: Api, credential: Credential, who: Person, limits: list[str] | None) -> dict[str, str]:
+    if "session" in credential.name:
+        cookie = people.session(api, who, expires_s=_PAST_S if credential.name.startswith("expired") else _AHEAD_S)
+        origin = (
+            "http://other-site.test" if credential.kind is Kind.cross_site else api.app.state.settings.public_origin
+        )
         return {"Cookie": f"kleinkram={cookie}", "Origin": origin}
     kind = TokenKind.personal
-    if carrier.name == "runner":
+    if credential.name == "runner":
         kind = TokenKind.runner
-    elif carrier.is_robot:
+    elif credential.is_robot:
         kind = TokenKind.robot
-    expires_s = _PAST_S if carrier.name == "expired token" else _AHEAD_S
-    made = people.token(api, who, carrier.scopes, limits=limits, kind=kind, expires_s=expires_s)
-    if carrier.name == "revoked token":
+    expires_s = _PAST_S if credential.name == "expired token" else _AHEAD_S
+    made = people.token(api, who, credential.scopes, limits=limits, kind=kind, expires_s=expires_s)
+    if credential.name == "revoked token":
         people.revoke(api, made)
-    if carrier.name == "deactivated person":
+    if credential.name == "deactivated person":
         people.deactivate(api, who)
     return _bearer(made)
 
 
-def _unplaced(api: Api, place: Place, items: Things) -> Iterator[Principal]:
+def _principals_without_grants(api: Api, levels: AccessLevels, items: Objects) -> Iterator[Principal]:
     chosen = {Reach.file: [items.file], Reach.other_file: [items.other_file]}
-    upload = begun(api, str(OWNER_ID), items.mission)
-    for carrier in UNPLACED:
+    upload = create_upload(api, str(OWNER_ID), items.mission)
+    for credential in WITHOUT_GRANTS:
         headers = {}
-        if "link" in carrier.name:
-            expires_s = _PAST_S if carrier.name == "ended link" else _AHEAD_S
-            made = people.share(api, items.mission, file_ids=chosen.get(carrier.reach), expires_s=expires_s)
-            if carrier.name == "revoked link":
+        if "link" in credential.name:
+            expires_s = _PAST_S if credential.name == "ended link" else _AHEAD_S
+            made = people.share(api, items.mission, file_ids=chosen.get(credential.reach), expires_s=expires_s)
+            if credential.name == "revoked link":
                 api.sql("UPDATE share SET revoked_at = now() WHERE id = %s", made.id)
             headers = _bearer(made)
-        elif carrier.name == "carrier of nonsense":
+        elif credential.name == "malformed token":
             headers = {"Authorization": "Bearer nonsense"}
-        yield Principal(api, carrier, place, items, headers, upload)
+        yield Principal(api, credential, levels, items, headers, upload)
 
 
 def _bearer(made: Token) -> dict[str, str]:
     return {"Authorization": f"Bearer {made.secret}"}
 
 
-def begun(api: Api, person_id: str, mission_id: str) -> str:
-    """Put an upload that somebody began, of which nothing was sent yet; returns its id."""
+def create_upload(api: Api, person_id: str, mission_id: str) -> str:
+    """Insert an open upload without parts; return its id."""
     upload_id = str(uuid.uuid4())
     api.sql(
         "INSERT INTO upload (id, mission_id, person_id, path, path_key, size_bytes, part_size_bytes, checksum, key,"

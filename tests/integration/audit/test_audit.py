@@ -74,7 +74,7 @@ def test_pages_are_stable_while_events_are_added(api: Api) -> None:
 
 @pytest.fixture(scope="module")
 def lab(api: Api, sample: Sample) -> Lab:
-    """A project of the owner's, where somebody else with CREATE made a mission, and fetched a file by a token."""
+    """A project of the owner, in which a person with CREATE created a mission and downloaded a file by a token."""
     project = api.project()["id"]
     guest = people.person(api)
     people.grant(api, guest, Right.create, project_id=project)

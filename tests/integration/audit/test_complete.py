@@ -10,7 +10,7 @@ from tests.integration.access.callers import CALLERS
 from tests.integration.access.world import Principal, World
 from tests.integration.conftest import StartApi
 
-# What an operation writes; in brackets what no way to call it in the matrix comes to; tests of that operation do.
+# The audit entries of each operation. Those in brackets are not written by the calls of the matrix, but by other tests.
 WRITES: dict[str, set[str]] = {
     "create_project": {"project.create"},
     "update_project": {"[project.update]"},
@@ -39,7 +39,7 @@ WRITES: dict[str, set[str]] = {
     "download_artifacts": {"run.download"},
     "register_runner": {"[runner.register]"},
     "finish_run": {"[run.end]", "[file.create]"},
-    # What a runner says of a run while it lasts; what comes of it is written when the run ends.
+    # Messages of a runner during a run. The audit entry is written when the run ends.
     "claim_run": set(),
     "send_heartbeats": set(),
     "sign_inputs": set(),
@@ -88,10 +88,10 @@ WRITES: dict[str, set[str]] = {
     "exchange_cli_code": {"[token.create]"},
     "exchange_device_code": {"[token.create]"},
     "sign_out": {"[session.revoke]"},
-    # Names held for a minute and addresses to send parts to: what comes of them is written when it does.
+    # Reservations of names and signed URLs. The audit entry is written when the upload is completed.
     "begin_uploads": {"[file.link]"},
     "sign_parts": set(),
-    # What ends by itself within minutes, and gives nobody anything.
+    # States that expire within minutes and permit nothing.
     "begin_device_login": set(),
     "begin_provider_sign_in": set(),
     "get_code": set(),
@@ -108,13 +108,13 @@ WRITES: dict[str, set[str]] = {
 
 @pytest.fixture(scope="module")
 def world(start_api: StartApi) -> World:
-    return worlds.build(start_api(), places_each=1)
+    return worlds.build(start_api(), levels_per_credential=1)
 
 
 @pytest.fixture(scope="module")
 def admin(world: World) -> Principal:
-    """Somebody whom nothing is refused."""
-    return next(by for by in world.principals if by.named.startswith("admin with"))
+    """An admin, whom no operation refuses."""
+    return next(principal for principal in world.principals if principal.named.startswith("admin with"))
 
 
 def test_every_operation_that_changes_something_is_listed(world: World) -> None:
@@ -125,10 +125,10 @@ def test_every_operation_that_changes_something_is_listed(world: World) -> None:
         for method, operation in path.items()
         if method in {"post", "put", "patch", "delete"}
     }
-    # Some come in under the route of another, and say by themselves what they take.
-    under_another = {"publish_project", "set_project_quota", "move_mission", "move_file"}
+    # These operations share the route of another operation.
+    shared_route = {"publish_project", "set_project_quota", "move_mission", "move_file"}
     by_get = {"end_provider_sign_in"}
-    assert changing | under_another | by_get == WRITES.keys()
+    assert changing | shared_route | by_get == WRITES.keys()
     assert WRITES.keys() <= OPERATIONS.keys()
 
 

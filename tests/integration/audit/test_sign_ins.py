@@ -12,7 +12,7 @@ from tests.integration.conftest import StartApi
 
 @pytest.fixture(scope="module")
 def api(start_api: StartApi) -> Api:
-    """An API by itself, where anybody may try as often as they like."""
+    """An API of its own without limits on sign-in attempts."""
     return start_api(sign_ins_per_minute=0)
 
 

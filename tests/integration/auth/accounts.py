@@ -13,7 +13,7 @@ PASSWORD = "correct horse battery"
 
 @dataclass(frozen=True)
 class Account:
-    """Somebody with a local account, and the browser in which they made it."""
+    """A person with a local account, and the browser in which they created it."""
 
     id: str
     name: str
@@ -27,7 +27,7 @@ def code_of(link: str) -> str:
 
 
 def any_email() -> str:
-    """Return an address that nobody has yet."""
+    """Return an unused address."""
     return f"{uuid.uuid4().hex[:12]}@lab.example"
 
 
@@ -41,7 +41,7 @@ def account(api: Api, *, name: str = "Ada", email: str | None = None) -> Account
 
 
 def signed_in(api: Api, name: str = "Ada") -> Account:
-    """Put somebody without a password, signed in behind the server's back: for tests of what comes after."""
+    """Insert a person without a password and a session: for tests that need a signed-in person."""
     email = any_email()
     put = people.person(api, name, email=email)
     browser = Browser(api)

@@ -15,7 +15,7 @@ USER_AGENT = "a browser of the tests"
 
 @dataclass
 class Browser:
-    """One browser in front of one API. `origin` is whose page asks: the server's own, unless told otherwise."""
+    """A browser of one API. `origin` is the origin of the page that sends requests, by default that of the server."""
 
     api: Api
     origin: str | None = None

@@ -9,7 +9,7 @@ from tests.integration.conftest import StartApi
 
 @pytest.fixture(scope="module")
 def api(start_api: StartApi) -> Api:
-    """The module's API; without limits on how often somebody may try."""
+    """The API of the module, without limits on sign-in attempts."""
     return start_api()
 
 

@@ -48,7 +48,7 @@ class FakeProvider:
         self.keys = [made, *(self.keys if keep_old else [])]
 
     def sign_in_as(self, subject: str, **claims: Any) -> None:
-        """Whoever comes next is this person."""
+        """Sign in as this person from now on."""
         self.person = {"sub": subject, **claims}
 
     def authorize(self, url: str) -> str:

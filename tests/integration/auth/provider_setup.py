@@ -27,7 +27,7 @@ class Lab:
         return browser.get(self.provider.authorize(message["url"]))
 
     def sign_in(self, subject: str, **claims: Any) -> Browser:
-        """Sign in a new browser as somebody; it must go well."""
+        """Sign in a new browser as a person; check that it succeeds."""
         self.provider.sign_in_as(subject, **claims)
         browser = Browser(self.api)
         answer = self.come_back(browser)
@@ -35,7 +35,7 @@ class Lab:
         return browser
 
     def refuses(self, subject: str = "ada", **claims: Any) -> str:
-        """Sign in as somebody; it must be refused with a page, whose sentence is returned."""
+        """Sign in as a person; check that it is refused, and return the sentence of the page."""
         self.provider.sign_in_as(subject, **claims)
         browser = Browser(self.api)
         answer = self.come_back(browser)
@@ -78,5 +78,5 @@ def _lab(shared: Api, provider: FakeProvider) -> Lab:
 
 
 def known_as(email: str, **more: Any) -> dict[str, Any]:
-    """Return what a provider tells of somebody with a verified address."""
+    """Return the claims of a person with a verified address."""
     return {"email": email, "email_verified": True, "name": "Ada Lovelace", **more}

@@ -1,4 +1,4 @@
-"""The own account: its data, and unlinking a provider without locking anybody out."""
+"""The own account: its data, and unlinking a provider without locking people out."""
 
 import json
 from concurrent.futures import ThreadPoolExecutor
@@ -23,7 +23,7 @@ __all__ = ["_fake", "_lab", "_shared"]
 
 
 def _link(lab: Lab, browser: Browser, subject: str, **claims: Any) -> Any:
-    """Link somebody's account at the provider to a browser's; returns the identity."""
+    """Link an account at the provider to the account of a browser; return the identity."""
     lab.provider.sign_in_as(subject, **claims)
     begun = browser.post("/auth/providers/lab/link", {"return_to": "/account"}).ok()
     answer = browser.get(lab.provider.authorize(begun["url"]))
@@ -83,7 +83,7 @@ def test_an_unlinked_identity_is_linked_again_only_by_the_signed_in_person(lab: 
     again = _link(lab, made.browser, subject, **known_as(made.email))
     assert again["id"] == linked["id"]
     assert lab.sign_in(subject, **known_as(made.email)).me()["person"]["id"] == made.id
-    # Somebody who shows that it is theirs may have it too, once nobody else has.
+    # Another person who proves to own the identity may link it after it was unlinked.
     _unlink(made.browser, again).ok(204)
     other = account(lab.api)
     _link(lab, other.browser, subject, email=any_email())

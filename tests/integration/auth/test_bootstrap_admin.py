@@ -31,7 +31,7 @@ def _server(start_api: StartApi) -> Api:
 
 @pytest.fixture(name="fresh")
 def _fresh(server: Api) -> Api:
-    """A server of which nobody is admin."""
+    """A server without an admin."""
     server.sql("DELETE FROM membership WHERE group_id = %s", ADMINS_ID)
     server.sql("DELETE FROM one_time_code")
     return server
@@ -201,5 +201,5 @@ def test_an_owner_token_file_that_cannot_be_written_is_named(
     monkeypatch.setattr(owner, "_write_private", refuse)
     with pytest.raises(RuntimeError, match="takes no other: read-only"):
         _start_again(api)
-    # Nothing is kept of a token that nobody has.
+    # No token remains that was never delivered.
     assert api.sql("SELECT 1 FROM token WHERE revoked_at IS NULL") == []

@@ -159,7 +159,7 @@ def test_open_registration_does_not_trust_addresses(start_api: StartApi, lab: La
     settings = provider_settings("lab", lab.provider.url, open_to=OpenTo.anybody, trusted_domains=[])
     anybody = Lab(start_api(oidc_providers=[settings]), lab.provider)
     assert anybody.sign_in("whoever", **known_as(any_email())).me()["emails"] == []
-    # An address that somebody else has makes no difference: it is neither believed nor told of.
+    # An address of another account makes no difference: it is neither trusted nor revealed.
     made = account(anybody.api)
     me = anybody.sign_in("namesake", **known_as(made.email)).me()
     assert (me["person"]["id"] != made.id, me["emails"]) == (True, [])

@@ -144,12 +144,14 @@ def _recorded_checksums(blobs: list[str]) -> dict[str, str]:
 
 
 @pytest.mark.timeout(300)
-def test_killed_anywhere(start_api: StartApi, instances: EmptyInstances, tmp_path: Path) -> None:
+def test_killed_backups_and_restores_continue(start_api: StartApi, instances: EmptyInstances, tmp_path: Path) -> None:
     _rounds(start_api(), instances, tmp_path, seed=_SEED, count=2)
 
 
 @pytest.mark.soak
-def test_killed_anywhere_often(start_api: StartApi, instances: EmptyInstances, tmp_path: Path) -> None:
+def test_backups_and_restores_killed_many_times_continue(
+    start_api: StartApi, instances: EmptyInstances, tmp_path: Path
+) -> None:
     for seed in range(_SEED, _SEED + int(os.environ.get("KLEINKRAM_SOAK_ROUNDS", "20"))):
         _rounds(start_api(), instances, tmp_path / str(seed), seed=seed, count=10)
 

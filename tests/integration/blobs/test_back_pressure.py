@@ -21,7 +21,7 @@ _Work = Callable[[BackPressure], Awaitable[None]]
 
 @pytest.fixture(name="api", scope="module")
 def _api(start_api: Callable[[], Api]) -> Api:
-    """An API of its own: nobody else uploads here."""
+    """An API of its own, to which no other test uploads."""
     return start_api()
 
 

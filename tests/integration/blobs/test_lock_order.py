@@ -51,7 +51,9 @@ def test_a_blob_is_linked_while_its_summary_is_stored(api: Api, keep: _Keep, lin
 
 
 @pytest.mark.parametrize("link_first", [True, False])
-def test_a_file_has_its_blobs_start_in_either_order_of_reading_and_linking(api: Api, link_first: bool) -> None:
+def test_a_linked_file_has_the_start_of_its_blob_in_either_order_of_reading_and_linking(
+    api: Api, link_first: bool
+) -> None:
     mission_id = api.mission(api.project()["id"])["id"]
     body = os.urandom(1000)
     file = upload(api, mission_id, "a.bin", body)

@@ -106,7 +106,7 @@ def test_a_member_that_is_missing_is_named(api: Api, mission_id: str) -> None:
     assert (recording["content"], recording["lost"]["messages"]) == ("broken", 9)
 
 
-def test_a_lying_extension_is_opaque_and_safe(api: Api, mission_id: str) -> None:
+def test_a_file_with_a_wrong_extension_is_opaque(api: Api, mission_id: str) -> None:
     file = upload(api, mission_id, "holiday.bag", b"\xff\xd8\xff\xe0" + os.urandom(1000))
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
@@ -164,7 +164,7 @@ def test_objects_are_deleted_only_when_nothing_refers_to_them(api: Api, mission_
     assert api.events(first["id"])[0]["operation"] == "file.purge"
 
 
-def test_a_project_leaves_the_trash_with_all_that_is_in_it(api: Api) -> None:
+def test_an_expired_project_is_deleted_with_its_contents(api: Api) -> None:
     project = api.project()
     mission_id = api.mission(project["id"])["id"]
     upload(api, mission_id, "run.bin", os.urandom(10))

@@ -22,7 +22,7 @@ _AT_LEISURE = "SELECT args ->> 'ref' FROM procrastinate_jobs WHERE status = 'tod
 
 @pytest.fixture(name="api", scope="module")
 def _api(start_api: StartApi) -> Api:
-    """An API of its own: what others leave in the store is nobody's to compare."""
+    """An API of its own, because a scrub compares all objects of the store."""
     return start_api(garbage_grace_s=0)
 
 
@@ -214,7 +214,9 @@ def test_blobs_added_and_removed_during_a_scrub_are_not_reported_missing(
     assert _counts(_scrub(api)) == (0, 0, 0)
 
 
-def test_a_list_that_ends_half_way_judges_nothing(api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scrub_with_an_incomplete_listing_marks_nothing(
+    api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     files = _verified(api, mission_id)
     _remove(api, _key(api, files[0][0]["id"]))
 
@@ -257,7 +259,7 @@ def test_many_are_compared_page_by_page(api: Api, mission_id: str, monkeypatch: 
     assert [_read(api, file)["state"] for file in gone] == ["lost"] * 3
 
 
-def test_one_at_a_time_and_each_when_it_is_due(start_api: StartApi) -> None:
+def test_one_scrub_runs_at_a_time_when_it_is_due(start_api: StartApi) -> None:
     api = start_api()
     first = api.post("/admin/scrub", {}).ok(202)
     assert api.post("/admin/scrub", {}).ok(202)["id"] == first["id"], "it is under way already"

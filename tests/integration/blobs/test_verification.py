@@ -49,7 +49,7 @@ def _troubled(start_api: StartApi, middleman: Middleman) -> Api:
 
 
 def _uploaded(api: Api, size_bytes: int) -> tuple[Any, str]:
-    """A file whose bytes nobody has read yet, and the key of its object."""
+    """A file that is not verified yet, and the key of its object."""
     file = upload(api, str(api.mission(api.project()["id"])["id"]), "drive.bin", os.urandom(size_bytes))
     [(key,)] = api.sql("SELECT b.key FROM blob b JOIN file f ON f.blob_id = b.id WHERE f.id = %s", file["id"])
     return file, key

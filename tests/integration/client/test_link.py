@@ -128,7 +128,7 @@ def test_interrupted_parts_are_sent_before_new_ones() -> None:
     assert order == ["first again", "second"]
 
 
-def test_a_part_with_an_error_of_its_own_lets_others_go_first() -> None:
+def test_a_failed_part_waits_for_the_others() -> None:
     window = CongestionWindow(_CONNECTIONS, Stop())
     with window.slot() as failing:
         window.leave(failing)
@@ -194,7 +194,7 @@ def test_a_good_link_needs_no_advice() -> None:
         (None, False),
     ],
 )
-def test_silence_is_not_a_reset(error: BaseException | None, silent: bool) -> None:
+def test_timeouts_count_as_silence_and_resets_do_not(error: BaseException | None, silent: bool) -> None:
     assert is_silence(error) is silent
 
 
@@ -242,7 +242,7 @@ def test_a_missing_network_is_reported(clock: Clock, cause: OSError, monkeypatch
     ]
 
 
-def test_an_error_that_wraps_silence_is_silence() -> None:
+def test_an_error_caused_by_a_timeout_counts_as_silence() -> None:
     wrapping = urllib3.exceptions.ProtocolError("Connection broken")
     wrapping.__cause__ = OSError(errno.ETIMEDOUT, "Connection timed out")
     assert is_silence(wrapping)

@@ -94,7 +94,7 @@ def test_a_run_has_no_name() -> None:
         client.runs.get("look")
 
 
-def test_names_of_actions_mean_one() -> None:
+def test_ambiguous_names_of_actions_are_refused() -> None:
     of_lab, of_project = action_read("look"), action_read("Look", project="alps")
     with scripted(Page(items=[of_lab, of_project], next=None)) as script, client_of(script) as client:
         with pytest.raises(AmbiguousName, match="alps/Look") as caught:

@@ -77,7 +77,7 @@ def test_a_file_of_an_earlier_version_is_loaded() -> None:
     assert (saved.person, saved.expires_at, saved.is_own) == (None, None, False)
 
 
-def test_choosing_and_removing() -> None:
+def test_endpoints_are_selected_and_removed() -> None:
     add_endpoint("lab", LAB)
     add_endpoint("field", FIELD)
     assert load_endpoints().current == "lab", "the first is chosen, the second is not"

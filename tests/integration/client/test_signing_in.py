@@ -96,7 +96,7 @@ def test_waiting_for_a_device_code_ends() -> None:
     assert sum(waited) == CODE.expires_s
 
 
-def test_the_browser_brings_a_code_that_only_this_process_can_use() -> None:
+def test_the_code_of_a_browser_login_requires_the_verifier_of_this_process() -> None:
     with scripted(SIGNED_IN) as server, begin_browser(f"{server.url}/", "klein on anymal-3") as waiting:
         page = urlsplit(waiting.url)
         query = {name: value for name, (value,) in parse_qs(page.query).items()}

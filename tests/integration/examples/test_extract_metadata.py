@@ -70,7 +70,7 @@ def geodesic_m(one: tuple[float, float], other: tuple[float, float]) -> float:
     return b * big_a * (s - big_b * sin_s * (cos_2m + rest))
 
 
-def test_script_and_image_say_the_same_of_themselves() -> None:
+def test_script_and_image_have_the_same_manifest() -> None:
     script, image = read_manifest(FOLDER / "extract_metadata.py"), read_manifest(FOLDER)
     for field in ("name", "description", "parameters", "inputs", "resources", "network", "right"):
         assert getattr(script, field) == getattr(image, field), field
@@ -99,7 +99,7 @@ def test_a_drive_without_gps_is_measured_by_its_odometry(recordings_dir: Path, t
 
 
 @pytest.mark.slow
-def test_a_drive_with_gps_has_a_place_on_earth(recordings_dir: Path, tmp_path: Path) -> None:
+def test_a_drive_with_gps_is_measured_by_its_positions(recordings_dir: Path, tmp_path: Path) -> None:
     bag = recordings_dir / "ros1" / "robot_localization_test1_imu_odom_gps_bz2.bag"
     fixes = [(item.latitude, item.longitude) for item in values(bag, "sensor_msgs/msg/NavSatFix")]
     walked_m, last = 0.0, fixes[0]

@@ -85,7 +85,7 @@ def test_each_file_fetched_is_one_audit_row(api: Api, sample: Sample, mission: s
     assert [[event["operation"] for event in api.events(item)] for item in ids] == [["file.download"]] * 3
 
 
-def test_a_look_into_a_file_is_recorded_as_one(api: Api, sample: Sample, mission: str) -> None:
+def test_a_preview_is_recorded_as_a_preview(api: Api, sample: Sample, mission: str) -> None:
     file_id = sample.file(mission, "a.mcap")
     api.post("/files/download", {"file_ids": [file_id], "purpose": "preview"}).ok()
     api.post("/files/download", {"file_ids": [file_id], "purpose": "download"}).ok()

@@ -112,7 +112,7 @@ def test_refuses_a_hostile_path(api: Api, sample: Sample, mission: str, path: st
     assert [one["field"] for one in problem["problems"]] == ["body.path"]
 
 
-def test_moves_to_another_mission_and_has_both_grouped_anew(api: Api, sample: Sample, mission: str) -> None:
+def test_moving_a_file_groups_both_missions_again(api: Api, sample: Sample, mission: str) -> None:
     target = api.mission(api.project()["id"])
     file_id = sample.file(mission, "a.mcap")
     moved = api.patch(f"/files/{file_id}", {"mission_id": target["id"], "path": "b.mcap"}).ok()
@@ -215,9 +215,7 @@ def test_requesting_a_verification_enqueues_it(api: Api, sample: Sample, mission
     assert results == [(1,)]
 
 
-def test_two_who_want_paths_that_exclude_each_other_cannot_both_have_them(
-    api: Api, sample: Sample, mission: str
-) -> None:
+def test_concurrent_moves_to_conflicting_paths_cannot_both_succeed(api: Api, sample: Sample, mission: str) -> None:
     for round_ in range(5):
         ids = [sample.file(mission, f"{round_} {name}") for name in ("first", "second")]
         bodies = [{"path": f"{round_} x"}, {"path": f"{round_} X/y"}]

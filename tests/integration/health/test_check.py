@@ -51,7 +51,7 @@ def _api(start_api: StartApi) -> Api:
     return start_api()
 
 
-def test_nothing_is_wrong_with_a_server_that_works(api: Api) -> None:
+def test_a_healthy_server_has_no_problems(api: Api) -> None:
     code, actual = _check(_environment(api))
     assert {name: item for name, item in actual.items() if item["severity"] == "problem"} == {}
     assert code == 0

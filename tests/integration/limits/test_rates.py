@@ -87,7 +87,7 @@ def test_requests_without_credential_are_counted_by_address(strict: Api) -> None
     for _ in range(3):
         stranger.get("/stats").ok()
     stranger.get("/stats").refused(429, "rate_limited")
-    # A credential behind the same address has more room there, and a count of its own.
+    # A credential has a higher limit at the same address, and its own count.
     strict.sql("DELETE FROM rate_count")
     for _ in range(3):
         link.get("/stats").ok()

@@ -284,7 +284,9 @@ def test_changing_nothing_keeps_the_document(api: Api, project_id: str) -> None:
         ({"note": "x" * 200_001}, "characters"),
     ],
 )
-def test_values_that_nobody_keeps_are_refused(api: Api, project_id: str, values: object, word: str) -> None:
+def test_metadata_values_that_cannot_be_stored_are_refused(
+    api: Api, project_id: str, values: object, word: str
+) -> None:
     body = {"name": "never", "metadata": values}
     problem = api.post(f"/projects/{project_id}/missions", body).refused(422, "invalid_request")
     assert word in problem["problems"][0]["message"]

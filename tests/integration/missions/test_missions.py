@@ -63,7 +63,7 @@ def test_unknown_ids_are_not_found(api: Api) -> None:
     api.get(f"{unknown}/recordings").refused(404, "not_found")
 
 
-def test_each_change_says_what_it_changed(api: Api) -> None:
+def test_audit_events_contain_the_changed_fields(api: Api) -> None:
     made = api.mission(api.project()["id"], metadata_yaml="a: 1\n", notes="old")
     path = f"/missions/{made['id']}"
     changed = api.patch(path, {"name": "renamed", "metadata_yaml": "a: 2\n", "notes": "new"}).ok()
@@ -82,7 +82,7 @@ def test_completing_notes_the_time_once_and_can_be_undone(api: Api) -> None:
     assert api.patch(path, {"completed": False}).ok()["completed_at"] is None
 
 
-def test_moves_to_another_project_and_is_judged_there(api: Api, sample: Sample) -> None:
+def test_a_moved_mission_is_validated_by_the_fields_of_its_new_project(api: Api, sample: Sample) -> None:
     fields = "fields:\n  - {name: robot, type: string, required: true}\n"
     source, target = api.project(), api.project(fields_yaml=fields)
     made = api.mission(source["id"], metadata_yaml="operator: ada\n")
@@ -103,7 +103,7 @@ def test_moves_to_another_project_and_is_judged_there(api: Api, sample: Sample) 
     assert (repaired["metadata"], repaired["metadata_problems"]) == ({"robot": "spot"}, [])
 
 
-def test_does_not_move_onto_a_name_or_into_nothing(api: Api) -> None:
+def test_moving_to_a_taken_name_or_a_missing_project_is_refused(api: Api) -> None:
     source, target = api.project(), api.project()
     made = api.mission(source["id"], name="Run")
     api.mission(target["id"], name="RUN")

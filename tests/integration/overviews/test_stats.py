@@ -94,7 +94,7 @@ def test_numbers_of_any_size_find_a_range(
     assert sum(item["stats"]["missions"] for item in actual["buckets"]) == 2
 
 
-def test_a_field_that_nothing_has_is_refused(api: Api, sample: Sample, project_id: str) -> None:
+def test_statistics_by_an_unused_field_are_refused(api: Api, sample: Sample, project_id: str) -> None:
     _mission(api, sample, project_id, MAY, 1)
     problem = api.get(f"/projects/{project_id}/stats", {"by": "colour"}).refused(422, "invalid_query")
     assert problem["expression"] == "colour"
@@ -102,7 +102,7 @@ def test_a_field_that_nothing_has_is_refused(api: Api, sample: Sample, project_i
     api.get(f"/projects/{uuid.uuid4()}/stats").refused(404, "not_found")
 
 
-def test_everything_visible_together(api: Api, sample: Sample, project_id: str) -> None:
+def test_an_overview_combines_all_visible_projects(api: Api, sample: Sample, project_id: str) -> None:
     _mission(api, sample, project_id, MAY, 1, robot="spot")
     within = {"project_id": project_id, "by": "robot"}
     assert _stats(api.get("/overview", within).ok()) == [("spot", None, None, 1)]

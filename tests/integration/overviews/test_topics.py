@@ -158,7 +158,7 @@ def test_a_link_to_some_files_shows_topics_of_these(api: Api, sample: Sample, mi
     assert [item["name"] for item in result["recordings"]] == ["a.mcap"]
 
 
-def test_a_file_says_how_densely_its_messages_lie(api: Api, sample: Sample, mission_id: str) -> None:
+def test_topics_of_a_file_have_a_message_density(api: Api, sample: Sample, mission_id: str) -> None:
     stamps = [T0 + number * S for number in range(1000)]
     file_id = _put(sample, mission_id, "a.mcap", _times("/imu", stamps), _times("/old", stamps, density=None))
     imu, old = api.all(f"/files/{file_id}/topics")
@@ -178,7 +178,7 @@ def test_a_recording_that_is_uploaded_gets_its_density(api: Api, mission_id: str
     assert len(result["items"]) > 1
 
 
-def test_topics_that_were_never_derived_are_caught_up_with(api: Api, sample: Sample, mission_id: str) -> None:
+def test_missing_topics_of_a_mission_are_derived_later(api: Api, sample: Sample, mission_id: str) -> None:
     _put(sample, mission_id, "a.mcap", _times("/imu", [T0, T0 + S]))
     api.sql("UPDATE mission SET files_revision = 1, derived_revision = 1 WHERE id = %s", mission_id)
 

@@ -162,7 +162,7 @@ def test_undamaged(name: str) -> None:
 
 @given(NAMES, PLACES, st.integers(1, 4096))
 @settings(max_examples=500, deadline=None)
-def test_a_hole_of_zeros(name: str, place: float, length: int) -> None:
+def test_a_range_of_zeros_loses_only_the_chunks_that_it_overlaps(name: str, place: float, length: int) -> None:
     whole = WHOLE[name]
     start = 13 + int(place * (len(whole.data) - 14))
     end = min(len(whole.data), start + length)
@@ -182,7 +182,7 @@ def test_a_hole_of_zeros(name: str, place: float, length: int) -> None:
 @example("lz4.mcap", place_of("lz4.mcap", 3286), 7)  # what is left of a message index looks like a message
 @example("none.mcap", place_of("none.mcap", 1730), 22)  # ... like a record of unknown kind that reaches into a chunk
 @settings(max_examples=500, deadline=None)
-def test_a_sector_cut_out(name: str, place: float, length: int) -> None:
+def test_a_missing_range_loses_only_the_chunks_that_it_overlaps(name: str, place: float, length: int) -> None:
     whole = WHOLE[name]
     start = 13 + int(place * (len(whole.data) - 14))
     end = min(len(whole.data), start + length)

@@ -171,7 +171,7 @@ def test_queries_end_after_more_rows_than_the_file_has_room_for(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("head", [b"", b"SQLite format 3\0", b"SQLite format 3\0" + bytes(84), bytes(5000)])
-def test_nothing_left(head: bytes, tmp_path: Path) -> None:
+def test_a_database_without_readable_pages_is_broken(head: bytes, tmp_path: Path) -> None:
     path = tmp_path / "a.db3"
     path.write_bytes(head)
     summary = scan_file(path)

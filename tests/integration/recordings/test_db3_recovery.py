@@ -61,7 +61,7 @@ def whole_messages(data: bytes) -> int:
     return actual
 
 
-def test_the_rule_of_this_test_is_right(sound: bytes, tmp_path: Path) -> None:
+def test_the_message_count_of_the_test_is_correct(sound: bytes, tmp_path: Path) -> None:
     assert whole_messages(sound) == COUNT == scan_bytes(sound, tmp_path).message_count
 
 

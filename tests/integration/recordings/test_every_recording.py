@@ -101,7 +101,7 @@ def assert_no_recording(summary: RecordingSummary, entry: Entry) -> None:
         assert entry.name.endswith(".json")
 
 
-def test_none_is_left_out(recordings_dir: Path) -> None:
+def test_the_manifest_lists_every_recording(recordings_dir: Path) -> None:
     """The manifest and the folder name the same files, so that the test above names each."""
     there = {path.relative_to(recordings_dir).as_posix() for path in recordings_dir.rglob("*") if path.is_file()}
     assert there - {"manifest.json"} == {entry.name for entry in entries()}

@@ -114,7 +114,7 @@ def test_unchanged_recordings_are_not_written_again(api: Api, mission_id: str) -
     assert None not in {row[2] for row in api.sql(linked, mission_id)}
 
 
-def test_a_mission_that_took_long_rests_and_is_not_forgotten(api: Api, mission_id: str) -> None:
+def test_a_mission_whose_grouping_took_long_is_grouped_again_after_a_pause(api: Api, mission_id: str) -> None:
     """With ten thousand files it would be derived, and held, all the time that these are read."""
     upload_all(api, mission_id, {"a.mcap": _BROKEN + b"1"})
     run_jobs(api)
@@ -143,7 +143,7 @@ async def _drain_courteously(context: AppContext, rests: DerivationDebounce) -> 
     await drain(context, back_pressure, rests)
 
 
-def test_a_mission_rests_as_long_as_it_took_some_times_over() -> None:
+def test_the_pause_after_grouping_is_a_multiple_of_its_duration() -> None:
     rests, (quick, slow, other) = DerivationDebounce(), (uuid.uuid4() for _ in range(3))
     rests.took(quick, 0.05)
     rests.took(slow, 2.0)
@@ -177,7 +177,9 @@ def _refuse(*_: object, **__: object) -> None:
     raise RuntimeError("YAML of a stranger, parsed beside the credentials")
 
 
-def test_a_metadata_is_read_by_a_child_alone(api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_metadata_files_are_parsed_in_a_child_process_only(
+    api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     upload_all(api, mission_id, {"run/metadata.yaml": _METADATA, "run/run_1.mcap": b"\x89MCAP0\r\n"})
     monkeypatch.setattr(YAML, "load", _refuse)
     run_jobs(api)

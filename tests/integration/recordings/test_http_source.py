@@ -98,14 +98,14 @@ def test_reads_exactly_the_requested_bytes(store: Store) -> None:
 
 
 @pytest.mark.parametrize("mishap", ["500", "503", "429", "cut"])
-def test_a_passing_mishap_is_tried_again(store: Store, mishap: str) -> None:
+def test_a_temporary_fault_is_retried(store: Store, mishap: str) -> None:
     store.mishaps = [mishap] * (ATTEMPTS - 1)
     assert store.source().read(0, 100) == DATA[:100]
     assert store.requests == ATTEMPTS
 
 
 @pytest.mark.parametrize(("mishap", "says"), [("500", "answered 500"), ("cut", "127.0.0.1")])
-def test_a_lasting_mishap_is_an_error(store: Store, mishap: str, says: str) -> None:
+def test_a_persistent_fault_is_an_error(store: Store, mishap: str, says: str) -> None:
     store.mishaps = [mishap] * ATTEMPTS
     with pytest.raises(SourceError, match=says) as caught:
         store.source().read(0, 100)
@@ -167,7 +167,7 @@ def test_short_ranges_come_in_their_order(store: Store, mishap: str) -> None:
 @pytest.mark.parametrize(
     ("mishaps", "says"), [(["", "404"], "with 404"), (["503"] * (PARALLEL_READS + ATTEMPTS), "answered 503")]
 )
-def test_short_ranges_say_what_is_wrong(store: Store, mishaps: list[str], says: str) -> None:
+def test_failures_of_short_ranges_are_reported(store: Store, mishaps: list[str], says: str) -> None:
     store.mishaps = mishaps
     with pytest.raises(SourceError, match=says):
         list(store.source().read_short((offset, 100) for offset in range(0, 5_000, 100)))
@@ -201,7 +201,7 @@ def test_a_summary_over_http_is_that_of_the_file(store: Store, tmp_path: Path) -
         assert expected.bytes_read < 1_000_000
 
 
-def test_a_store_that_refuses_is_not_the_files_fault(store: Store) -> None:
+def test_a_refusal_of_the_store_is_a_source_failure(store: Store) -> None:
     store.mishaps = ["403"] * 100
     with pytest.raises(SummaryFailed, match="403") as caught:
         summarise_isolated(UrlRequest(store.url, len(DATA), "drive.mcap"))

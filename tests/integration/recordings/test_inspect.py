@@ -95,7 +95,7 @@ def test_a_clock_that_was_set_between_the_files_is_named() -> None:
     assert combine([first, overlapping]).problems == ()
 
 
-def test_one_topic_that_comes_late_is_no_clock() -> None:
+def test_one_late_topic_is_no_clock_jump() -> None:
     """A buffer that is written late, beside topics that go on."""
     first, second = member(T0, T0 + 60 * 10**9), member(T0 + 60 * 10**9, T0 + 90 * 10**9)
     late = [TopicSummary("/late", "a/B", "a/B", "", "cdr", 5, T0 + at, T0 + at + 30 * 10**9) for at in (0, 10**9)]
@@ -162,7 +162,7 @@ def test_a_topic_that_is_silent_in_one_file_causes_no_warning() -> None:
     assert whole.problems == (named,)
 
 
-def test_the_plain_shape(tmp_path: Path) -> None:
+def test_plain_inspections_have_the_documented_fields(tmp_path: Path) -> None:
     generate_mission(tmp_path, duration_s=1, formats=[SampleFormat.mcap])
     (plain,) = [to_plain(actual) for actual in inspect_paths([tmp_path / "drive.mcap"])]
     assert json.loads(json.dumps(plain)) == plain

@@ -45,7 +45,7 @@ def test_same_scan_as_in_this_process(tmp_path: Path) -> None:
         assert summarise_isolated(FileRequest(str(truth.path)), depth=Depth.scan) == scan(SourceReader(source))
 
 
-def test_bytes_that_follow_the_request(tmp_path: Path) -> None:
+def test_a_child_reads_files_from_its_standard_input(tmp_path: Path) -> None:
     """Two files through one child; of the one that is no recording, only the head is looked at, and all is taken."""
     truth = generate_mcap(tmp_path / "drive.mcap", duration_s=1)
     data = truth.path.read_bytes()
@@ -140,7 +140,7 @@ def test_a_crash_is_reported_with_its_signal() -> None:
     assert (caught.value.kind, caught.value.signal) == (FailureKind.crash, signal.SIGSEGV)
 
 
-def test_processor_time_that_ran_out_is_a_matter_of_time() -> None:
+def test_exceeding_the_processor_time_is_a_timeout() -> None:
     with pytest.raises(SummaryFailed) as caught:
         read_answer(b"", b"", -signal.SIGXCPU)
     assert caught.value.kind is FailureKind.time

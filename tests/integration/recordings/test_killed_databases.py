@@ -42,7 +42,9 @@ def test_messages_in_the_log_are_read_as_they_are_here(
 
 
 @pytest.mark.parametrize("first", ["-wal", ".db3"])
-def test_the_order_of_arrival_does_not_matter(start_api: StartApi, make_case: MakeCase, first: str) -> None:
+def test_a_database_and_its_journal_may_arrive_in_any_order(
+    start_api: StartApi, make_case: MakeCase, first: str
+) -> None:
     api = start_api()
     mission_id = str(api.mission(api.project()["id"])["id"])
     bodies = _files(make_case("03A")) | {"bag/bag_0.db3-journal": b""}

@@ -231,7 +231,7 @@ def test_the_loss_of_a_cut_database_is_what_its_metadata_claim(folder: Path) -> 
     assert (summary.reason or "").endswith(f"{summary.message_count} of 500 messages can be read")
 
 
-def test_a_yaml_of_something_else_is_not_compared_with_the_data(folder: Path) -> None:
+def test_a_metadata_yaml_of_another_kind_is_ignored(folder: Path) -> None:
     (folder / "metadata.yaml").write_text("robot: anymal\noperator: Ada\n")
     (database,) = folder.glob("*.db3")
     actual = inspect_one(folder)

@@ -103,7 +103,7 @@ def test_a_journal_that_names_another_file_deletes_nothing(tmp_path: Path) -> No
     assert victim.read_text() == "precious"
 
 
-def test_a_journal_that_spoils_the_copy_costs_no_messages(tmp_path: Path) -> None:
+def test_a_journal_that_corrupts_the_copy_loses_no_messages(tmp_path: Path) -> None:
     """It cuts the database down to its first page, in which SQLite then finds no more than that it is malformed."""
     path = make_database(tmp_path / "a.db3", messages=steady(100))
     page_bytes = int.from_bytes(path.read_bytes()[16:18], "big")

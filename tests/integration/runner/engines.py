@@ -120,7 +120,7 @@ class Dockerd:
         return True
 
     def kill(self) -> None:
-        """Kill it as nobody should."""
+        """Kill it with SIGKILL."""
         assert self.process is not None
         self.process.kill()
         self.process.wait()

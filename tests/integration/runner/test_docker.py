@@ -26,7 +26,7 @@ from tests.integration.runner.test_executors import CONNECT, answers, ending_of_
 pytestmark = pytest.mark.slow
 BOTH = pytest.mark.parametrize("bench", ["docker", "podman"], indirect=True)
 
-# Says what it does for as long as nobody ends it.
+# Prints its progress until it is ended.
 COUNTS = "import time\nfor n in range(10_000): print(f'line {n}', flush=True); time.sleep(0.01)"
 
 

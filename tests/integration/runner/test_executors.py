@@ -71,7 +71,7 @@ def test_a_job_reads_in_and_writes_out(isolated: Bench) -> None:
 @pytest.mark.parametrize(
     "path", ["/in/drive.txt", "/in/other", "/usr/other", "/etc/other", "/other", "/proc/sys/vm/swappiness"]
 )
-def test_nothing_else_can_be_written(isolated: Bench, path: str) -> None:
+def test_a_job_can_write_only_to_its_output_folder(isolated: Bench, path: str) -> None:
     job = isolated.job(f"open({path!r}, 'a').write('1')")
     (job.directory / "in" / "drive.txt").write_text("bytes of a drive")
     isolated.executor.submit(job)

@@ -85,7 +85,7 @@ def test_a_missing_command(bench: Bench, command: str) -> None:
     assert (ending.reason, command in ending.message) == (EndReason.command_not_found, True)
 
 
-def test_without_a_shell_it_does_not_wait(bench: Bench) -> None:
+def test_a_command_in_an_image_without_a_shell_starts_without_the_barrier(bench: Bench) -> None:
     assert bench.engine is not None
     image = bench.engine.load("lab/bare:1", root=engines.python_root(with_shell=False))
     job = bench.with_image(image).job(

@@ -95,7 +95,7 @@ class FakeServer:
         return run
 
     def wake(self) -> None:
-        """Have whoever waits for a run look again."""
+        """Wake all long polls for runs."""
         with self._changed:
             self._changed.notify_all()
 

@@ -18,7 +18,7 @@ from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer
 
-# Says that it lives by a file that nobody else touches, and ends when asked to by another one.
+# Writes a file to show that it is alive, and ends when another file appears.
 LASTING = (
     "import pathlib, time\n"
     "from kleinkram.action import out\n"

@@ -7,7 +7,7 @@ from tests.integration.runs.conftest import FakeRunner, Place, another, launch
 from tests.integration.upload_client import fetch, sha256
 
 
-def test_a_run_goes_from_the_queue_to_its_results(lab: Api, runner: FakeRunner, place: Place) -> None:
+def test_a_run_is_queued_claimed_executed_and_finished(lab: Api, runner: FakeRunner, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     assert (made["state"], made["input_count"], made["may_cancel"]) == ("queued", 2, True)
     claim = runner.claim()
@@ -142,7 +142,7 @@ def test_a_restored_artifact_is_a_file_with_its_lineage(lab: Api, runner: FakeRu
     assert [entry["path"] for entry in reader["files"]] == ["clean/drive.bin"]
 
 
-def test_an_action_that_may_only_read_puts_nothing_back(lab: Api, runner: FakeRunner, place: Place) -> None:
+def test_an_action_with_the_right_read_creates_no_mission_files(lab: Api, runner: FakeRunner, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     claim = runner.claim()
     runner.upload_artifact(claim, "clean.bin", b"cleaned")
@@ -184,7 +184,7 @@ def test_results_of_an_identical_run_are_reused_unless_forced(lab: Api, runner: 
     assert launch(lab, runner, place.mission, force=True)["state"] == "queued"
 
 
-def test_cancelling(lab: Api, runner: FakeRunner, place: Place) -> None:
+def test_runs_are_cancelled_in_the_queue_and_while_active(lab: Api, runner: FakeRunner, place: Place) -> None:
     queued = launch(lab, runner, place.mission)
     assert lab.post(f"/runs/{queued['id']}/cancel").ok()["state"] == "cancelled"
     assert runner.claim() is None
@@ -206,7 +206,7 @@ def test_a_mission_that_is_deleted_ends_its_runs(lab: Api, runner: FakeRunner, p
     runner.finish(claim, "cancelled").ok()
 
 
-def test_no_file_fits(lab: Api, runner: FakeRunner, place: Place) -> None:
+def test_a_launch_without_matching_files_is_refused(lab: Api, runner: FakeRunner, place: Place) -> None:
     action = {"name": "bags", "script": "x", "inputs": {"paths": ["*.bag"]}}
     (refused,) = lab.post("/runs", {"mission_ids": [place.mission["id"]], "definition": action}).ok()["items"]
     assert refused["outcome"] == "refused"

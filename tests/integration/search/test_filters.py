@@ -20,7 +20,7 @@ DAY_NS = 86_400 * 10**9
 IMU = {"message_type": "sensor_msgs/msg/Imu", "count": 200}
 IMAGE = {"message_type": "sensor_msgs/msg/Image", "count": 10}
 # Of so many visible missions, a list sorts all files.
-_FEW = files_service._MAX_SORTED_MISSIONS
+_MAX_SORTED = files_service._MAX_SORTED_MISSIONS
 
 
 @pytest.fixture(scope="module")
@@ -240,7 +240,7 @@ def test_a_person_with_several_missions_finds_what_an_admin_finds_in_them(
     api: Api, sample: Sample, project: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The statements on files name those missions; those of someone who sees many do not."""
-    monkeypatch.setattr(search_plan, "MAX_VISIBLE_MISSIONS", _FEW)
+    monkeypatch.setattr(search_plan, "MAX_VISIBLE_MISSIONS", _MAX_SORTED)
     reader, many = people.person(api), people.person(api)
     missions = [item["id"] for item in api.all("/missions", {"project_id": project["id"]})]
     for mission_id in missions:
@@ -248,7 +248,7 @@ def test_a_person_with_several_missions_finds_what_an_admin_finds_in_them(
     people.grant(api, many, Right.read, project_id=project["id"])
     crowd = api.project()["id"]
     people.grant(api, many, Right.read, project_id=crowd)
-    for number in range(_FEW):
+    for number in range(_MAX_SORTED):
         sample.file(api.mission(crowd)["id"], f"{number}.txt")
     for person in (reader, many):
         theirs = api.as_(person.token)
@@ -271,7 +271,7 @@ def test_lists_by_label_name_the_missions_of_somebody_who_sees_up_to_two_thousan
     reader, crowd = people.person(api), api.project()["id"]
     people.grant(api, reader, Right.read, project_id=crowd)
     ids = []
-    for number in range(_FEW + 1):
+    for number in range(_MAX_SORTED + 1):
         mission = api.mission(crowd)["id"]
         ids += [sample.file(mission, f"{number}.txt", labels=("night",) if number % 2 else ())]
     theirs = api.as_(reader.token)
@@ -299,7 +299,7 @@ def test_a_list_continues_when_the_number_of_visible_missions_changes(
     reader = people.person(api)
     people.grant(api, reader, Right.read, mission_id=mission)
     theirs, result, query = api.as_(reader.token), list[str](), {"sort": sort, "limit": "1"}
-    for most in itertools.cycle((_FEW, 0)):
+    for most in itertools.cycle((_MAX_SORTED, 0)):
         monkeypatch.setattr(search_plan, "MAX_VISIBLE_MISSIONS", most)
         page = theirs.get("/files", query).ok()
         result += _ids(page["items"])
@@ -316,7 +316,7 @@ def test_both_execution_plans_find_the_same_files(api: Api, sample: Sample, monk
     reader = people.person(api)
     for mission in missions:
         people.grant(api, reader, Right.read, mission_id=mission)
-    for most in (0, _FEW):
+    for most in (0, _MAX_SORTED):
         monkeypatch.setattr(search_plan, "MAX_VISIBLE_MISSIONS", most)
         assert sorted(_ids(api.as_(reader.token).all("/files", {"sort": "created"}))) == sorted(ids)
 

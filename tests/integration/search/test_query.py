@@ -131,7 +131,7 @@ def test_a_query_finds_files(lab: Api, text: str, files: list[str]) -> None:
         ("project:town", ["Lake"]),
     ],
 )
-def test_a_query_finds_missions_by_what_they_say_and_by_their_files(lab: Api, text: str, missions: list[str]) -> None:
+def test_a_query_finds_missions_by_their_metadata_and_files(lab: Api, text: str, missions: list[str]) -> None:
     page = _result(lab, text)["missions"]
     assert (_names(page), page["total"]) == (missions, len(missions))
     assert sorted(item["name"] for item in lab.all("/missions", {"query": text, "limit": "1"})) == missions
@@ -153,7 +153,7 @@ def test_a_query_finds_topics_once_each(lab: Api) -> None:
     assert _result(lab, "no such thing")["topics"] == {"items": [], "next": None, "total": 0}
 
 
-def test_the_text_comes_back_in_its_own_spelling_and_with_what_it_means(lab: Api) -> None:
+def test_a_search_returns_the_normalized_query_and_its_filter(lab: Api) -> None:
     result = _result(lab, " -label:wet   label:night size>=1000MB alps ")
     assert result["query"] == "alps label:night size>=1GB -label:wet"
     assert result["filter"]["min_size_bytes"] == 10**9
@@ -176,7 +176,7 @@ def test_errors_of_a_query_name_the_column(lab: Api, path: str) -> None:
 
 
 @pytest.mark.parametrize("path", ["/search", "/search/facets", "/files", "/missions", "/projects", "/topics", "/stats"])
-def test_a_search_has_so_many_words_and_no_more(lab: Api, path: str) -> None:
+def test_the_number_of_words_of_a_search_is_limited(lab: Api, path: str) -> None:
     requested = "text" if path == "/projects" else "query"
     words = [f"word{number}" for number in range(MAX_WORDS + 1)]
     lab.get(path, {requested: " ".join(words[1:])}).ok()
@@ -210,7 +210,7 @@ def test_facets_count_what_is_found(lab: Api) -> None:
     assert "label" not in _facets(lab, "town")
 
 
-def test_choosing_a_value_finds_as_many_files_as_it_says(lab: Api) -> None:
+def test_selecting_a_facet_value_finds_its_number_of_files(lab: Api) -> None:
     for text in ("", "alps", "label:night", "meta.robot:spot", "project:Town", "topic:/imu month:2024-10"):
         answer = lab.get("/search/facets", {"query": text}).ok()
         for facet in answer["facets"]:

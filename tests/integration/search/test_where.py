@@ -61,7 +61,9 @@ def project_id(api: Api, sample: Sample) -> str:
         ("robot=:x %(y)s", ""),
     ],
 )
-def test_compares(api: Api, project_id: str, expression: str, result: str) -> None:
+def test_comparisons_of_metadata_find_missions_and_files(
+    api: Api, project_id: str, expression: str, result: str
+) -> None:
     query = {"project_id": project_id, "where": expression}
     assert " ".join(mission["name"] for mission in api.all("/missions", query)) == result
     files = sorted(file["mission"]["name"] for file in api.all("/files", query))

@@ -22,7 +22,7 @@ FAKE_SERVER = (sys.executable, str(Path(__file__).with_name("fake_server.py")))
 
 
 def wait_until(condition: Callable[[], object], *, timeout_s: float = 30) -> None:
-    """Wait for a condition; a test that waits in vain fails here."""
+    """Wait for a condition; fail the test after a timeout."""
     deadline = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < deadline, "the condition did not come true in time"

@@ -65,7 +65,7 @@ def test_expired_trash_cannot_be_restored(own: Api, tree: dict[str, str], resour
 @pytest.mark.parametrize(
     ("resource_type", "left"), [("project", []), ("mission", ["project"]), ("file", ["project", "mission"])]
 )
-def test_all_of_what_is_due_goes_and_is_noted_with_its_project(
+def test_expired_objects_are_purged_and_audited_with_their_project(
     own: Api, tree: dict[str, str], resource_type: str, left: list[str]
 ) -> None:
     own.delete(f"/{resource_type}s/{tree[resource_type]}").ok()
@@ -81,7 +81,7 @@ def test_all_of_what_is_due_goes_and_is_noted_with_its_project(
     assert purged == {item: (resource_id, None) for item, resource_id in tree.items() if item not in left}
 
 
-def test_an_upload_goes_with_its_mission_once_the_store_is_rid_of_it(own: Api, tree: dict[str, str]) -> None:
+def test_the_uploads_of_an_expired_mission_are_deleted_after_their_bytes(own: Api, tree: dict[str, str]) -> None:
     file = {"path": "b.bin", "size_bytes": 3}
     (begun,) = own.post(f"/missions/{tree['mission']}/uploads", {"files": [file]}).ok()["items"]
     upload = begun["upload"]["id"]
@@ -95,7 +95,7 @@ def test_an_upload_goes_with_its_mission_once_the_store_is_rid_of_it(own: Api, t
     assert (own.sql("SELECT 1 FROM upload WHERE id = %s", upload), _left(own, tree)) == ([], ["project"])
 
 
-def test_a_round_takes_no_more_than_it_may_and_the_next_goes_on(own: Api, tree: dict[str, str]) -> None:
+def test_expiry_deletes_a_limited_number_of_files_per_round(own: Api, tree: dict[str, str]) -> None:
     for number in range(2):
         Sample(own).file(tree["mission"], f"{number}.mcap")
     own.delete(f"/projects/{tree['project']}").ok()
@@ -123,6 +123,6 @@ def test_a_mission_is_restored_only_after_its_project(own: Api, tree: dict[str, 
     own.delete(f"/{resource_type}s/{tree[resource_type]}").ok()
     with racing(own, "SELECT 1 FROM project WHERE id = %s FOR UPDATE", tree["project"]) as send:
         restored = send(_restore, own, resource_type, tree[resource_type])
-        # Whoever holds the project may still take what is in it.
+        # While it waits for the lock of the project, it has not locked the object itself.
         own.sql(f"SELECT 1 FROM {resource_type} WHERE id = %s FOR UPDATE NOWAIT", tree[resource_type])
     restored.result().ok(204)

@@ -96,7 +96,7 @@ def test_a_file_does_not_come_back_where_a_folder_is_now(api: Api, sample: Sampl
     assert _restore(api, "file", tree["file"]).refused(409, "path_conflict")["other"] == "a.mcap/inside"
 
 
-def test_nothing_comes_back_into_what_is_in_the_trash(api: Api, tree: dict[str, Any]) -> None:
+def test_restoring_into_a_deleted_parent_is_refused(api: Api, tree: dict[str, Any]) -> None:
     project, mission = tree["project"], tree["mission"]
     api.delete(f"/files/{tree['file']}").ok()
     api.delete(f"/missions/{mission['id']}").ok()

@@ -24,7 +24,7 @@ _ALL_BLOBS = text(
 
 
 class SiteThread:
-    """A site of its own for the test's hand behind the server, kept open in a thread."""
+    """A context with its own connections for direct access of tests, kept open in a thread."""
 
     def __init__(self, api: Api) -> None:
         self._loop = asyncio.new_event_loop()

@@ -51,7 +51,7 @@ class Machine(RuleBasedStateMachine):
         self._wipe()
         self.project_id = self.api.project()["id"]
         self.mission_id = self.api.mission(self.project_id)["id"]
-        # By key: what was done to an object behind the server's back.
+        # By key: how the test changed an object in the store.
         self.done_to: dict[str, str] = {}
         self.trashed: dict[str, str] = {}
         self.seen: dict[tuple[str, str], str] = {}

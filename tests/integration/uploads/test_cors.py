@@ -52,7 +52,7 @@ def _part_to_send(api: Api, body: bytes) -> tuple[Any, Any]:
     return upload, sign(api, upload, parts_of(upload, body)).ok()["items"][0]
 
 
-def test_a_page_of_ours_sends_a_part(lab: Api) -> None:
+def test_the_web_interface_may_upload_a_part(lab: Api) -> None:
     upload, part = _part_to_send(lab, _BODY)
     # A browser says a body's length by itself, and asks about every other header.
     own = {name.lower(): value for name, value in part["headers"].items() if name != "Content-Length"}
@@ -63,7 +63,7 @@ def test_a_page_of_ours_sends_a_part(lab: Api) -> None:
     assert complete(lab, upload, _BODY)["outcome"] == "completed"
 
 
-def test_a_page_of_ours_and_a_viewer_read_ranges(lab: Api) -> None:
+def test_the_web_interface_and_viewers_may_read_ranges(lab: Api) -> None:
     mission = lab.mission(lab.project()["id"])
     file = upload(lab, mission["id"], "Seen again.MCAP", _BODY)
     url = lab.post("/files/download", {"file_ids": [file["id"]]}).ok()["items"][0]["url"]

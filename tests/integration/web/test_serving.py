@@ -57,7 +57,7 @@ def test_not_found_is_a_page_for_browsers_and_a_problem_for_programs(api: Api) -
     assert _POOL.request("POST", f"{api.url}/api/v1/nothing").status == 404
 
 
-def test_the_client_of_the_original_is_answered_with_which_client_to_install(api: Api) -> None:
+def test_the_former_client_is_told_which_client_to_install(api: Api) -> None:
     carried = {"Kleinkram-Client-Version": "0.63.3", "Accept": "*/*"}
     requests = [("GET", path, carried) for path in ("/", "/users/me", "/projects", "/missions/x", "/api/v1/projects")]
     requests += [("POST", "/missions", carried), ("DELETE", "/files", carried), ("PUT", "/anything", carried)]
@@ -81,7 +81,7 @@ def test_programs_that_ask_for_json_never_get_a_page(api: Api) -> None:
     assert _get(api, "/users/me", **_LOOKING).headers["content-type"].startswith("text/html")
 
 
-def test_the_policy_lets_run_what_is_ours_alone_and_reach_the_store(api: Api) -> None:
+def test_the_content_security_policy_allows_own_scripts_and_the_store(api: Api) -> None:
     settings = api.app.state.settings
     for path in ("/", "/projects", _script(api)):
         policy = _get(api, path).headers["content-security-policy"]

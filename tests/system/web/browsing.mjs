@@ -1,76 +1,76 @@
-// What the programs that click have in common: a browser, people in it, and a look at what they have before them.
-// How every page looks is told by every_page.mjs; here axe looks at what only clicking opens.
+// Shared by the browser programs: starts a browser, opens pages, and checks what they show. every_page.mjs checks all
+// pages as they load; axe runs here on what only clicks open.
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
-import { isOfTheMachine } from "./complaints.mjs";
+import { isEnvironmentError } from "./console_errors.mjs";
 
-const PATIENCE_MS = 60_000;
-const MOST_TRIES = 4;
+const TIMEOUT_MS = 60_000;
+const MAX_TRIES = 4;
 const RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"];
-const WIDE = { width: 1440, height: 900 };
-const LOOKS = [["desktop", "light", WIDE], ["phone-dark", "dark", { width: 360, height: 780 }]];
+const DESKTOP = { width: 1440, height: 900 };
+const VIEWS = [["desktop", "light", DESKTOP], ["phone-dark", "dark", { width: 360, height: 780 }]];
 
-/** Starts the browser. `web` is the folder with playwright-core and axe-core, `pictures` where pictures go. */
+/** Starts the browser. `web` is the folder with playwright-core and axe-core, `pictures` the folder for screenshots. */
 export async function openBrowser(web, executablePath, pictures) {
   const require = createRequire(`${web}/package.json`);
   const { chromium } = require("playwright-core");
   const axe = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
   const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
-  const results = { complaints: [], axe: [], wide: [], ran: [] };
+  const results = { consoleErrors: [], axe: [], overflowing: [], executed: [] };
 
-  /** Somebody with a browser of their own. The server may refuse what they ask where `mayBeRefused` says so. */
-  async function somebody(mayBeRefused = () => false) {
-    const context = await browser.newContext({ viewport: WIDE, reducedMotion: "reduce", acceptDownloads: true });
+  /** Opens a page with its own cookies. The server may refuse requests while `expectsErrors` returns true. */
+  async function openPage(expectsErrors = () => false) {
+    const context = await browser.newContext({ viewport: DESKTOP, reducedMotion: "reduce", acceptDownloads: true });
     const page = await context.newPage();
-    page.setDefaultTimeout(PATIENCE_MS);
+    page.setDefaultTimeout(TIMEOUT_MS);
     page.on("console", (message) => {
-      const isMeant = isOfTheMachine(message.text()) || (message.text().startsWith("Failed to load resource") && mayBeRefused());
-      if (["error", "warning"].includes(message.type()) && !isMeant) results.complaints.push(`${message.text()} ${message.location().url}`);
+      const isExpected = isEnvironmentError(message.text()) || (message.text().startsWith("Failed to load resource") && expectsErrors());
+      if (["error", "warning"].includes(message.type()) && !isExpected) results.consoleErrors.push(`${message.text()} ${message.location().url}`);
     });
     page.on("pageerror", (error) => {
-      if (!isOfTheMachine(error.message)) results.complaints.push(error.message);
+      if (!isEnvironmentError(error.message)) results.consoleErrors.push(error.message);
     });
     page.on("dialog", (dialog) => {
-      results.ran.push(dialog.message());
+      results.executed.push(dialog.message());
       void dialog.dismiss();
     });
     return { context, page };
   }
 
-  /** What axe finds once colours and columns have settled: a page that is still being laid out anew is asked again. */
-  async function settledAxe(page) {
-    let found = [];
-    for (let tries = 0; tries < MOST_TRIES; tries += 1) {
+  /** Returns the violations that axe reports. Repeats the check, because the layout may still be changing. */
+  async function runAxe(page) {
+    let violations = [];
+    for (let tries = 0; tries < MAX_TRIES; tries += 1) {
       await page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve))));
-      found = await page.evaluate(async (runOnly) => {
-        const { violations } = await globalThis.axe.run(document, { runOnly, resultTypes: ["violations"] });
-        return violations.map(({ id, nodes }) => `${id} ${nodes[0]?.html}`);
+      violations = await page.evaluate(async (runOnly) => {
+        const result = await globalThis.axe.run(document, { runOnly, resultTypes: ["violations"] });
+        return result.violations.map(({ id, nodes }) => `${id} ${nodes[0]?.html}`);
       }, RULES);
-      if (found.length === 0) break;
+      if (violations.length === 0) break;
     }
-    return found;
+    return violations;
   }
 
-  /** Looks at what somebody has before them, wide and light, narrow and dark. */
+  /** Checks the current state of a page in all views, and takes a screenshot of each. */
   async function checkPage(page, name) {
     await page.evaluate(axe);
-    for (const [kind, colorScheme, viewport] of LOOKS) {
+    for (const [view, colorScheme, viewport] of VIEWS) {
       await page.emulateMedia({ colorScheme });
       await page.setViewportSize(viewport);
       await page.waitForFunction((theme) => document.documentElement.dataset.theme === theme, colorScheme);
-      results.axe.push(...(await settledAxe(page)).map((found) => `${name} ${kind}: ${found}`));
-      if (await page.evaluate(() => document.documentElement.scrollWidth > document.documentElement.clientWidth)) results.wide.push(`${name} ${kind}`);
-      await page.screenshot({ path: `${pictures}/${name}-${kind}.png` });
+      results.axe.push(...(await runAxe(page)).map((violation) => `${name} ${view}: ${violation}`));
+      if (await page.evaluate(() => document.documentElement.scrollWidth > document.documentElement.clientWidth)) results.overflowing.push(`${name} ${view}`);
+      await page.screenshot({ path: `${pictures}/${name}-${view}.png` });
     }
     await page.emulateMedia({ colorScheme: "light" });
-    await page.setViewportSize(WIDE);
+    await page.setViewportSize(DESKTOP);
   }
 
-  /** Ends the browser, and prints as JSON what was seen. */
+  /** Closes the browser, and prints the results as JSON. */
   async function printResults() {
     await browser.close();
     process.stdout.write(JSON.stringify(results));
   }
 
-  return { results, somebody, checkPage, printResults };
+  return { results, openPage, checkPage, printResults };
 }

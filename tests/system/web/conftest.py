@@ -15,13 +15,13 @@ from tests.system.cluster import Cluster
 WEB = Path(__file__).parents[3] / "web"
 OUTPUT = Path(__file__).parents[3] / "output" / "web"
 
-# Runs a program beside the tests as the owner of a house, and returns what it saw.
-Act = Callable[..., dict[str, Any]]
+# Runs a program of this folder with a sign-in link of the owner, and returns the JSON that it prints.
+RunBrowser = Callable[..., dict[str, Any]]
 
 
 @pytest.fixture
-def act() -> Act:
-    """Runs a program with the browser; skipped where there is no browser, driver or built app."""
+def run_browser() -> RunBrowser:
+    """Return a function that runs a browser program. Skips without a browser, its driver or the built app."""
     need("chromium", "node")
     browser = path_of("chromium")
     if not (WEB / "node_modules" / "playwright-core").is_dir() or not (BUILT / "index.html").is_file():
@@ -32,18 +32,18 @@ def act() -> Act:
     ) -> dict[str, Any]:
         link = cluster.terminal.run("session", "link").out.strip()
         program = Path(__file__).parent / script
-        places = [str(WEB), str(browser), link, cluster.runtime_info()["url"]]
-        command = [*inside, "node", str(program), *places, *map(str, arguments)]
+        common = [str(WEB), str(browser), link, cluster.runtime_info()["url"]]
+        command = [*inside, "node", str(program), *common, *map(str, arguments)]
         done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=timeout_s)
         assert done.returncode == 0, done.stderr
-        seen: dict[str, Any] = json.loads(done.stdout)
-        return seen
+        results: dict[str, Any] = json.loads(done.stdout)
+        return results
 
     return run
 
 
 @pytest.fixture
 def pictures() -> Path:
-    """Where the pictures of pages are kept, to be looked at."""
+    """The folder for screenshots, for people to look at."""
     OUTPUT.mkdir(parents=True, exist_ok=True)
     return OUTPUT

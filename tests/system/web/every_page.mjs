@@ -1,70 +1,71 @@
-// Every page there is, wide and on a phone, light and dark, as an admin, as somebody new and as a stranger, in a world of
-// hostile names. Prints as JSON what was seen. Arguments: the folder with playwright-core and axe-core, the browser, a
-// link that signs in, the server's address, where pictures go, and as JSON: the world and the texts that are to be shown.
+// Checks every page on desktop and phone, light and dark, as an admin, as a new user and as an anonymous visitor, on a
+// server whose objects have hostile names. Prints the results as JSON. Arguments: the folder with playwright-core and
+// axe-core, the browser, a sign-in link, the server's address, the folder for screenshots, and as JSON: the ids of the
+// objects, the texts that pages must show, and whether to use all views.
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
-import { isOfTheMachine } from "./complaints.mjs";
+import { isEnvironmentError } from "./console_errors.mjs";
 
 const [web, executablePath, link, address, pictures, input] = process.argv.slice(2);
-const { invitation, unused, share, ids, texts, store, every } = JSON.parse(input);
+const { invitation, unused, share, ids, texts, store, allViews } = JSON.parse(input);
 const require = createRequire(`${web}/package.json`);
 const { chromium } = require("playwright-core");
 const axe = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
-const PATIENCE_MS = 60_000;
-const MOST_TRIES = 4;
+const TIMEOUT_MS = 60_000;
+const MAX_TRIES = 4;
 const RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"];
-const WIDE = { width: 1440, height: 900 };
-const NARROW = { width: 360, height: 740 };
-// Colours follow from the theme and layout from the width: two looks see both of each. Soak sees all four.
-const TWO = [["desktop", "light", WIDE], ["phone-dark", "dark", NARROW]];
-const LOOKS = every ? [...TWO, ["phone", "light", NARROW], ["desktop-dark", "dark", WIDE]] : TWO;
+const DESKTOP = { width: 1440, height: 900 };
+const PHONE = { width: 360, height: 740 };
+// Colours depend only on the theme and layout only on the width, so two views cover both of each. Soak uses all four.
+const DEFAULT_VIEWS = [["desktop", "light", DESKTOP], ["phone-dark", "dark", PHONE]];
+const VIEWS = allViews ? [...DEFAULT_VIEWS, ["phone", "light", PHONE], ["desktop-dark", "dark", DESKTOP]] : DEFAULT_VIEWS;
 
-// What a browser complains of where it was meant to be so: an answer that refuses, a window that it would not close.
-const NOTHING = /^$/;
-const REFUSED = /^Failed to load resource: the server responded with a status of 4/;
-const NOBODY = /^Failed to load resource: the server responded with a status of 401/;
-const OPEN = /^Scripts may close only the windows/;
-const TALLEST = 2400;
+// Console errors that a page may cause: a response that refuses, a window that the browser does not close.
+const NO_ERRORS = /^$/;
+const CLIENT_ERROR = /^Failed to load resource: the server responded with a status of 4/;
+const UNAUTHORIZED = /^Failed to load resource: the server responded with a status of 401/;
+const WINDOW_NOT_CLOSED = /^Scripts may close only the windows/;
+const MAX_HEIGHT = 2400;
 
 const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
-const results = { complaints: [], violations: [], ran: [], elsewhere: [], axe: [], wide: [], unseen: [], policies: {}, looked: [] };
-let at = "";
-let meant = NOTHING;
+const results = { consoleErrors: [], cspViolations: [], executed: [], foreignRequests: [], axe: [], overflowing: [], missingTexts: [], policies: {}, visitedPages: [] };
+let currentPage = "";
+let expectedErrors = NO_ERRORS;
 
-async function somebody() {
-  const context = await browser.newContext({ viewport: WIDE, reducedMotion: "reduce" });
+async function openPage() {
+  const context = await browser.newContext({ viewport: DESKTOP, reducedMotion: "reduce" });
   await context.addInitScript(() => {
     globalThis.violations = [];
     document.addEventListener("securitypolicyviolation", ({ violatedDirective, blockedURI }) => globalThis.violations.push(`${violatedDirective} ${blockedURI}`));
   });
   const page = await context.newPage();
-  page.setDefaultTimeout(PATIENCE_MS);
+  page.setDefaultTimeout(TIMEOUT_MS);
   page.on("console", (message) => {
-    if (["error", "warning"].includes(message.type()) && !meant.test(message.text()) && !isOfTheMachine(message.text())) results.complaints.push(`${at}: ${message.text()}`);
+    if (["error", "warning"].includes(message.type()) && !expectedErrors.test(message.text()) && !isEnvironmentError(message.text())) results.consoleErrors.push(`${currentPage}: ${message.text()}`);
   });
   page.on("pageerror", (error) => {
-    if (!isOfTheMachine(error.message)) results.complaints.push(`${at}: ${error.message}`);
+    if (!isEnvironmentError(error.message)) results.consoleErrors.push(`${currentPage}: ${error.message}`);
   });
   page.on("dialog", (dialog) => {
-    results.ran.push(`${at}: dialog ${dialog.message()}`);
+    results.executed.push(`${currentPage}: dialog ${dialog.message()}`);
     void dialog.dismiss();
   });
   page.on("request", (request) => {
     const { protocol, origin } = new URL(request.url());
-    if (protocol.startsWith("http") && ![address, store].includes(origin)) results.elsewhere.push(`${at}: ${request.url()}`);
+    if (protocol.startsWith("http") && ![address, store].includes(origin)) results.foreignRequests.push(`${currentPage}: ${request.url()}`);
   });
   return { context, page };
 }
 
-/** Waits until nothing is still coming, and what came has been laid out. */
-async function settled(page, colorScheme) {
+/** Waits until no part of the page is loading, and the layout is final. */
+async function waitUntilSettled(page, colorScheme) {
   await page.waitForFunction((scheme) => {
-    const coming = document.querySelector("main .skeleton, main [aria-busy=true], dialog .skeleton");
+    const pending = document.querySelector("main .skeleton, main [aria-busy=true], dialog .skeleton");
     const title = document.querySelector("h1")?.textContent?.trim() ?? "";
     const theme = document.documentElement.dataset.theme ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
-    return coming === null && title !== "" && theme === scheme;
+    return pending === null && title !== "" && theme === scheme;
   }, colorScheme).catch(async (error) => {
-    throw new Error(`${at} does not settle: ${await page.locator("body").innerText()}`, { cause: error });
+    throw new Error(`${currentPage} does not settle: ${await page.locator("body").innerText()}`, { cause: error });
   });
   await page.evaluate(async () => {
     await document.fonts.ready;
@@ -72,77 +73,77 @@ async function settled(page, colorScheme) {
   });
 }
 
-/** What axe finds; a page that is still being laid out anew is asked again. */
-async function ask(page) {
-  let found = [];
-  for (let tries = 0; tries < MOST_TRIES; tries += 1) {
-    found = await page.evaluate(async (runOnly) => {
-      const { violations } = await globalThis.axe.run(document, { runOnly, resultTypes: ["violations"] });
-      return violations.map(({ id, nodes }) => `${id} ${nodes[0]?.html} ${nodes[0]?.failureSummary}`);
+/** Returns the violations that axe reports. Repeats the check, because the layout may still be changing. */
+async function runAxe(page) {
+  let violations = [];
+  for (let tries = 0; tries < MAX_TRIES; tries += 1) {
+    violations = await page.evaluate(async (runOnly) => {
+      const result = await globalThis.axe.run(document, { runOnly, resultTypes: ["violations"] });
+      return result.violations.map(({ id, nodes }) => `${id} ${nodes[0]?.html} ${nodes[0]?.failureSummary}`);
     }, RULES);
-    if (found.length === 0) break;
-    await settled(page, await page.evaluate(() => (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light")));
+    if (violations.length === 0) break;
+    await waitUntilSettled(page, await page.evaluate(() => (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light")));
   }
-  return found;
+  return violations;
 }
 
-/** Whether the chosen one of a page's tabs is not to be seen whole. */
-function isTabOut() {
-  const chosen = document.querySelector("main nav.tabs [aria-current]");
-  if (chosen === null) return false;
-  const [tab, room] = [chosen, chosen.parentElement].map((each) => each.getBoundingClientRect());
-  return tab.left < room.left - 1 || tab.right > room.right + 1;
+/** Returns whether the current tab of a page is not completely visible. */
+function isCurrentTabCutOff() {
+  const current = document.querySelector("main nav.tabs [aria-current]");
+  if (current === null) return false;
+  const [tab, bar] = [current, current.parentElement].map((element) => element.getBoundingClientRect());
+  return tab.left < bar.left - 1 || tab.right > bar.right + 1;
 }
 
-/** What a page says: its text, and what stands in its fields. */
-function saidBy(page) {
+/** Returns the text of a page, including the values of its form fields. */
+function pageText(page) {
   return page.evaluate(() => {
     const fields = [...document.querySelectorAll("input, textarea, select")].map((field) => field.selectedOptions?.[0]?.textContent ?? field.value);
     return [document.body.innerText, ...fields].join("\n").replaceAll(/\s+/g, " ");
   });
 }
 
-async function checkPage(page, name, { path = null, ready = null, shows = [], allows = NOTHING, whole = true } = {}) {
-  at = name;
-  meant = allows;
+async function checkPage(page, name, { path = null, ready = null, expectedTexts = [], allowedErrors = NO_ERRORS, fullPage = true } = {}) {
+  currentPage = name;
+  expectedErrors = allowedErrors;
   if (path !== null) {
     const answer = await page.goto(`${address}${path}`);
     if (answer !== null) results.policies[name] = answer.headers()["content-security-policy"] ?? "";
   }
   await page.evaluate(axe);
   if (ready !== null) await page.locator(ready).first().waitFor();
-  for (const [kind, colorScheme, size] of LOOKS) {
+  for (const [view, colorScheme, size] of VIEWS) {
     await page.emulateMedia({ colorScheme });
     await page.setViewportSize(size);
-    await settled(page, colorScheme);
-    for (const each of await ask(page)) results.axe.push(`${name} ${kind}: ${each}`);
+    await waitUntilSettled(page, colorScheme);
+    for (const violation of await runAxe(page)) results.axe.push(`${name} ${view}: ${violation}`);
     const over = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
-    if (over > 0) results.wide.push(`${name} ${kind}: ${over} px`);
-    if (await page.evaluate(isTabOut)) results.wide.push(`${name} ${kind}: the chosen tab is out of sight`);
-    if (whole) {
+    if (over > 0) results.overflowing.push(`${name} ${view}: ${over} px`);
+    if (await page.evaluate(isCurrentTabCutOff)) results.overflowing.push(`${name} ${view}: the current tab is not completely visible`);
+    if (fullPage) {
       const height = await page.evaluate(() => document.documentElement.scrollHeight);
-      await page.setViewportSize({ width: size.width, height: Math.min(TALLEST, Math.max(size.height, height)) });
-      await settled(page, colorScheme);
+      await page.setViewportSize({ width: size.width, height: Math.min(MAX_HEIGHT, Math.max(size.height, height)) });
+      await waitUntilSettled(page, colorScheme);
     }
-    await page.screenshot({ path: `${pictures}/page-${name}-${kind}.png` });
-    if (kind === "desktop") {
-      const said = await saidBy(page);
-      results.unseen.push(...shows.filter((text) => !said.includes(text.replaceAll(/\s+/g, " "))).map((text) => `${name}: ${text}`));
+    await page.screenshot({ path: `${pictures}/page-${name}-${view}.png` });
+    if (view === "desktop") {
+      const shownText = await pageText(page);
+      results.missingTexts.push(...expectedTexts.filter((text) => !shownText.includes(text.replaceAll(/\s+/g, " "))).map((text) => `${name}: ${text}`));
     }
   }
   await page.emulateMedia({ colorScheme: "light" });
-  await page.setViewportSize(WIDE);
-  const found = await page.evaluate(() => ({ violations: globalThis.violations, wasRun: "wasRun" in globalThis }));
-  results.violations.push(...found.violations.map((each) => `${name}: ${each}`));
-  if (found.wasRun) results.ran.push(name);
-  results.looked.push(name);
+  await page.setViewportSize(DESKTOP);
+  const state = await page.evaluate(() => ({ violations: globalThis.violations, wasRun: "wasRun" in globalThis }));
+  results.cspViolations.push(...state.violations.map((violation) => `${name}: ${violation}`));
+  if (state.wasRun) results.executed.push(name);
+  results.visitedPages.push(name);
 }
 
-/** Whether a page runs what somebody could slip in: a script in it, a handler of an element, an address of a script. */
-async function runs(context, path) {
+/** Returns whether a page executes injected code: an inline script, an event handler, a `javascript:` URL. */
+async function executesInlineScripts(context, path) {
   const page = await context.newPage();
   await page.goto(`${address}${path}`);
-  const found = await page.evaluate(async () => {
+  const wasExecuted = await page.evaluate(async () => {
     const script = document.createElement("script");
     script.textContent = "globalThis.inlineRan = true";
     const image = document.createElement("div");
@@ -157,16 +158,16 @@ async function runs(context, path) {
     return globalThis.inlineRan === true;
   });
   await page.close();
-  return found;
+  return wasExecuted;
 }
 
-// Somebody new: an invitation is accepted, and there is nothing yet.
-const { page: eve, context: evesBrowser } = await somebody();
+// A new user accepts an invitation, and has access to nothing yet.
+const { page: eve, context: eveContext } = await openPage();
 const code = new URL(invitation).hash.slice(1);
 const account = { data: { code, name: texts.person, password: "a long enough password" }, headers: { Origin: address } };
-results.accepted = (await evesBrowser.request.post(`${address}/api/v1/auth/invitation`, account)).status();
-const person = (await (await evesBrowser.request.get(`${address}/api/v1/me`)).json()).person.id;
-await checkPage(eve, "new-home", { path: "/", shows: [texts.person] });
+results.accepted = (await eveContext.request.post(`${address}/api/v1/auth/invitation`, account)).status();
+const person = (await (await eveContext.request.get(`${address}/api/v1/me`)).json()).person.id;
+await checkPage(eve, "new-home", { path: "/", expectedTexts: [texts.person] });
 await checkPage(eve, "new-projects", { path: "/projects" });
 await checkPage(eve, "new-search", { path: "/search" });
 await checkPage(eve, "new-upload", { path: "/upload" });
@@ -174,54 +175,54 @@ await checkPage(eve, "new-trash", { path: "/trash" });
 await checkPage(eve, "new-tokens", { path: "/tokens" });
 await checkPage(eve, "new-people", { path: "/people" });
 await checkPage(eve, "new-groups", { path: "/groups" });
-await checkPage(eve, "new-audit", { path: "/audit", allows: REFUSED });
-await checkPage(eve, "new-admin", { path: "/admin", allows: REFUSED });
-await checkPage(eve, "refused-mission", { path: `/missions/${ids.mission}`, allows: REFUSED });
+await checkPage(eve, "new-audit", { path: "/audit", allowedErrors: CLIENT_ERROR });
+await checkPage(eve, "new-admin", { path: "/admin", allowedErrors: CLIENT_ERROR });
+await checkPage(eve, "refused-mission", { path: `/missions/${ids.mission}`, allowedErrors: CLIENT_ERROR });
 
-// The owner, on every page.
-const { page, context } = await somebody();
-at = "link";
+// The owner sees every page.
+const { page, context } = await openPage();
+currentPage = "link";
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
 const asOwner = (method, path, data) => context.request[method](`${address}/api/v1${path}`, { data, headers: { Origin: address } });
 results.member = (await asOwner("put", `/groups/${ids.group}/members/${person}`, {})).status();
 results.granted = (await asOwner("post", `/projects/${ids.project}/grants`, { group_id: ids.group, right: "READ" })).status();
 const { project, mission } = texts;
-await checkPage(page, "home", { path: "/", shows: [mission] });
-await checkPage(page, "projects", { path: "/projects", shows: [project] });
+await checkPage(page, "home", { path: "/", expectedTexts: [mission] });
+await checkPage(page, "projects", { path: "/projects", expectedTexts: [project] });
 const ofProject = (query) => `/projects/${ids.project}?${query}`;
-await checkPage(page, "project", { path: ofProject(""), shows: [project, mission, texts.description] });
-await checkPage(page, "project-timeline", { path: ofProject("view=timeline"), shows: [mission] });
+await checkPage(page, "project", { path: ofProject(""), expectedTexts: [project, mission, texts.description] });
+await checkPage(page, "project-timeline", { path: ofProject("view=timeline"), expectedTexts: [mission] });
 await checkPage(page, "project-stats", { path: ofProject("tab=stats") });
 await checkPage(page, "project-stats-field", { path: ofProject("tab=stats&by=metadata.robot") });
-await checkPage(page, "project-fields", { path: ofProject("tab=fields"), shows: [texts.description] });
-await checkPage(page, "project-access", { path: ofProject("tab=access"), shows: [texts.group] });
-await checkPage(page, "project-activity", { path: ofProject("tab=activity"), shows: [mission] });
-await checkPage(page, "project-settings", { path: ofProject("tab=settings"), shows: [project, texts.description] });
+await checkPage(page, "project-fields", { path: ofProject("tab=fields"), expectedTexts: [texts.description] });
+await checkPage(page, "project-access", { path: ofProject("tab=access"), expectedTexts: [texts.group] });
+await checkPage(page, "project-activity", { path: ofProject("tab=activity"), expectedTexts: [mission] });
+await checkPage(page, "project-settings", { path: ofProject("tab=settings"), expectedTexts: [project, texts.description] });
 await checkPage(page, "project-empty", { path: `/projects/${ids.empty}` });
 const ofMission = (query) => `/missions/${ids.mission}?${query}`;
 const facts = [texts.value, texts.address, texts.notes];
-await checkPage(page, "mission", { path: ofMission(""), ready: "[data-lanes]", shows: [project, mission, texts.recording, texts.text, texts.label, ...facts] });
+await checkPage(page, "mission", { path: ofMission(""), ready: "[data-lanes]", expectedTexts: [project, mission, texts.recording, texts.text, texts.label, ...facts] });
 results.links = await page.evaluate(() => [...document.links].map((each) => each.protocol).filter((each) => !/^https?:$/.test(each)));
 await page.locator("[data-metadata]").getByRole("button", { name: "<b onclick" }).click();
-await checkPage(page, "mission-editing", { shows: [texts.description] });
-await checkPage(page, "mission-topics", { path: ofMission("tab=topics"), shows: [texts.topic, texts.type] });
-await checkPage(page, "mission-problems", { path: ofMission("tab=problems"), shows: [texts.broken] });
-await checkPage(page, "mission-access", { path: ofMission("tab=access"), shows: [texts.share, texts.group] });
-await checkPage(page, "file-recording", { path: `/files/${ids.recording}`, shows: [texts.recording, texts.topic, texts.type, texts.label] });
+await checkPage(page, "mission-editing", { expectedTexts: [texts.description] });
+await checkPage(page, "mission-topics", { path: ofMission("tab=topics"), expectedTexts: [texts.topic, texts.type] });
+await checkPage(page, "mission-problems", { path: ofMission("tab=problems"), expectedTexts: [texts.broken] });
+await checkPage(page, "mission-access", { path: ofMission("tab=access"), expectedTexts: [texts.share, texts.group] });
+await checkPage(page, "file-recording", { path: `/files/${ids.recording}`, expectedTexts: [texts.recording, texts.topic, texts.type, texts.label] });
 await checkPage(page, "file-drive", { path: `/files/${ids.drive}`, ready: "[data-log-time]" });
 await checkPage(page, "file-plot", { path: `/files/${ids.drive}?topic=/imu/data`, ready: "[data-plot-viewer][data-messages]" });
-await checkPage(page, "file-broken", { path: `/files/${ids.broken}`, shows: [texts.broken] });
-await checkPage(page, "file-text", { path: `/files/${ids.text}`, shows: [texts.text] });
-await checkPage(page, "mission-runs", { path: ofMission("tab=runs"), shows: [texts.action] });
-await checkPage(page, "actions", { path: "/actions", shows: [texts.action, texts.description] });
-await checkPage(page, "action", { path: `/actions/${ids.action}`, shows: [texts.action, texts.description, texts.value] });
-await checkPage(page, "launch", { path: `/runs/new?action=${ids.action}&mission=${ids.mission}`, ready: "form:has(.chosen):has(fieldset.parameters)", shows: [mission, texts.description] });
-await checkPage(page, "runs", { path: "/runs", shows: [texts.action, mission] });
+await checkPage(page, "file-broken", { path: `/files/${ids.broken}`, expectedTexts: [texts.broken] });
+await checkPage(page, "file-text", { path: `/files/${ids.text}`, expectedTexts: [texts.text] });
+await checkPage(page, "mission-runs", { path: ofMission("tab=runs"), expectedTexts: [texts.action] });
+await checkPage(page, "actions", { path: "/actions", expectedTexts: [texts.action, texts.description] });
+await checkPage(page, "action", { path: `/actions/${ids.action}`, expectedTexts: [texts.action, texts.description, texts.value] });
+await checkPage(page, "launch", { path: `/runs/new?action=${ids.action}&mission=${ids.mission}`, ready: "form:has(.chosen):has(fieldset.parameters)", expectedTexts: [mission, texts.description] });
+await checkPage(page, "runs", { path: "/runs", expectedTexts: [texts.action, mission] });
 const ofRun = (query) => `/runs/${ids.run}?${query}`;
-await checkPage(page, "run", { path: ofRun(""), ready: "[data-log][data-over] .line", shows: [texts.action, mission, texts.notes, texts.value, texts.label] });
+await checkPage(page, "run", { path: ofRun(""), ready: "[data-log][data-over] .line", expectedTexts: [texts.action, mission, texts.notes, texts.value, texts.label] });
 for (const part of ["metrics", "artifacts", "inputs", "definition"]) await checkPage(page, `run-${part}`, { path: ofRun(`tab=${part}`) });
-await checkPage(page, "run-findings", { path: ofRun("tab=findings"), shows: [texts.value, texts.topic] });
+await checkPage(page, "run-findings", { path: ofRun("tab=findings"), expectedTexts: [texts.value, texts.topic] });
 await checkPage(page, "upload", { path: "/upload" });
 const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Choose files" }).click()]);
 await chooser.setFiles({ name: texts.recording, mimeType: "", buffer: Buffer.from("x") });
@@ -229,71 +230,71 @@ await page.getByText("Destination").waitFor();
 await page.getByLabel("Project").selectOption({ label: project });
 await page.getByLabel("Mission").selectOption({ label: "New mission" });
 await page.getByLabel(/^robot/).waitFor();
-await checkPage(page, "upload-form", { shows: [texts.recording, texts.description] });
-const searched = { ready: "[data-results]" };
-await checkPage(page, "search", { path: "/search", ...searched, shows: [texts.recording, texts.label] });
-await checkPage(page, "search-missions", { path: "/search?tab=missions", ...searched, shows: [mission] });
-await checkPage(page, "search-topics", { path: "/search?tab=topics", ...searched, shows: [texts.topic, texts.type] });
+await checkPage(page, "upload-form", { expectedTexts: [texts.recording, texts.description] });
+const loadedResults = { ready: "[data-results]" };
+await checkPage(page, "search", { path: "/search", ...loadedResults, expectedTexts: [texts.recording, texts.label] });
+await checkPage(page, "search-missions", { path: "/search?tab=missions", ...loadedResults, expectedTexts: [mission] });
+await checkPage(page, "search-topics", { path: "/search?tab=topics", ...loadedResults, expectedTexts: [texts.topic, texts.type] });
 await checkPage(page, "search-nothing", { path: `/search?q=${encodeURIComponent(`"${texts.label}" nothing`)}`, ...searched });
-await checkPage(page, "search-wrong", { path: `/search?q=${encodeURIComponent(`size:${texts.label}`)}`, allows: REFUSED });
-await checkPage(page, "people", { path: "/people", shows: [texts.person] });
-await checkPage(page, "person", { path: `/people/${person}`, shows: [texts.person, texts.group] });
-await checkPage(page, "access", { path: `/people/access?project=${ids.project}`, shows: [texts.person, texts.group, project] });
-await checkPage(page, "groups", { path: "/groups", shows: [texts.group] });
-await checkPage(page, "group", { path: `/groups/${ids.group}`, shows: [texts.group, texts.person] });
+await checkPage(page, "search-wrong", { path: `/search?q=${encodeURIComponent(`size:${texts.label}`)}`, allowedErrors: CLIENT_ERROR });
+await checkPage(page, "people", { path: "/people", expectedTexts: [texts.person] });
+await checkPage(page, "person", { path: `/people/${person}`, expectedTexts: [texts.person, texts.group] });
+await checkPage(page, "access", { path: `/people/access?project=${ids.project}`, expectedTexts: [texts.person, texts.group, project] });
+await checkPage(page, "groups", { path: "/groups", expectedTexts: [texts.group] });
+await checkPage(page, "group", { path: `/groups/${ids.group}`, expectedTexts: [texts.group, texts.person] });
 await checkPage(page, "account", { path: "/account" });
-await checkPage(page, "tokens", { path: "/tokens", shows: [texts.token] });
+await checkPage(page, "tokens", { path: "/tokens", expectedTexts: [texts.token] });
 await checkPage(page, "sessions", { path: "/sessions" });
-await checkPage(page, "audit", { path: "/audit", shows: [project] });
-await checkPage(page, "audit-groups", { path: "/audit?operation=group.*", shows: [texts.group] });
-await checkPage(page, "trash", { path: "/trash", shows: [texts.gone, project] });
+await checkPage(page, "audit", { path: "/audit", expectedTexts: [project] });
+await checkPage(page, "audit-groups", { path: "/audit?operation=group.*", expectedTexts: [texts.group] });
+await checkPage(page, "trash", { path: "/trash", expectedTexts: [texts.gone, project] });
 for (const tab of ["storage", "scrub", "jobs", "health", "settings"]) await checkPage(page, `admin-${tab}`, { path: `/admin?tab=${tab}` });
-await checkPage(page, "not-found", { path: `/nowhere/${encodeURIComponent(texts.label)}`, allows: REFUSED });
-await checkPage(page, "signed-in", { path: "/signed-in", allows: OPEN });
+await checkPage(page, "not-found", { path: `/nowhere/${encodeURIComponent(texts.label)}`, allowedErrors: CLIENT_ERROR });
+await checkPage(page, "signed-in", { path: "/signed-in", allowedErrors: WINDOW_NOT_CLOSED });
 
-// What opens on pages.
-const opened = { whole: false };
+// Dialogs.
+const dialogOnly = { fullPage: false };
 await page.goto(`${address}/projects`);
 await page.getByRole("button", { name: "New project" }).first().click();
-await checkPage(page, "dialog-project", { ...opened, ready: "dialog[open]" });
+await checkPage(page, "dialog-project", { ...dialogOnly, ready: "dialog[open]" });
 await page.goto(`${address}${ofMission("")}`);
 await page.locator("[data-lanes]").waitFor();
 await page.getByRole("button", { name: /^Share/ }).first().click();
-await checkPage(page, "dialog-share", { ...opened, ready: "dialog[open]", shows: [mission] });
+await checkPage(page, "dialog-share", { ...dialogOnly, ready: "dialog[open]", expectedTexts: [mission] });
 await page.goto(`${address}/`);
 await page.locator("h1").waitFor();
 await page.keyboard.press("Control+k");
-await checkPage(page, "dialog-palette", { ...opened, ready: "dialog[open]" });
+await checkPage(page, "dialog-palette", { ...dialogOnly, ready: "dialog[open]" });
 await page.goto(`${address}/`);
 await page.locator("h1").waitFor();
 await page.keyboard.press("Shift+?");
-await checkPage(page, "dialog-keys", { ...opened, ready: "dialog[open]" });
+await checkPage(page, "dialog-keys", { ...dialogOnly, ready: "dialog[open]" });
 
-// The server's own pages for somebody who is signed in.
+// Pages of the server, not of the app, for a signed-in person.
 await checkPage(page, "account", { path: "/account" });
-await checkPage(page, "device", { path: `/sign-in/device?user_code=${encodeURIComponent(texts.value)}`, shows: [texts.value] });
-const asks = new URLSearchParams({ port: "4444", state: texts.value, code_challenge: "x", client: texts.value });
-await checkPage(page, "cli", { path: `/sign-in/cli?${asks}`, ready: "#decision:not([hidden])", shows: [texts.value] });
+await checkPage(page, "device", { path: `/sign-in/device?user_code=${encodeURIComponent(texts.value)}`, expectedTexts: [texts.value] });
+const loginQuery = new URLSearchParams({ port: "4444", state: texts.value, code_challenge: "x", client: texts.value });
+await checkPage(page, "cli", { path: `/sign-in/cli?${loginQuery}`, ready: "#decision:not([hidden])", expectedTexts: [texts.value] });
 
-// Somebody without an account.
-const nobody = { allows: NOBODY };
-const { page: stranger, context: strangers } = await somebody();
-await checkPage(stranger, "public", { ...nobody, path: "/public", shows: ["Lakes"] });
-await checkPage(stranger, "public-project", { ...nobody, path: `/projects/${ids.public}` });
-await checkPage(stranger, "public-mission", { ...nobody, path: `/missions/${ids.publicMission}`, ready: "[data-lanes]" });
-await checkPage(stranger, "public-file", { ...nobody, path: `/files/${ids.publicFile}`, ready: "[data-log-time]" });
-await checkPage(stranger, "public-search", { ...nobody, ...searched, path: "/search" });
-await checkPage(stranger, "sign-in", { path: `/sign-in?return_to=${encodeURIComponent(texts.address)}` });
-await checkPage(stranger, "invitation", { path: new URL(unused).pathname + new URL(unused).hash, shows: [texts.person] });
-await checkPage(stranger, "reset", { path: "/sign-in/reset#not-a-code", allows: REFUSED });
-await checkPage(stranger, "claim", { path: "/sign-in/bootstrap" });
-await checkPage(stranger, "link", { path: "/sign-in/link#not-a-code", allows: REFUSED });
-await checkPage(stranger, "callback", { path: `/sign-in/callback/${encodeURIComponent("<img src=x>")}?error=${encodeURIComponent(texts.label)}`, allows: REFUSED });
-await checkPage(stranger, "share", { path: new URL(share).pathname + new URL(share).hash, ready: "#files tr", shows: [project, mission, texts.recording] });
-await stranger.goto("about:blank");
-await checkPage(stranger, "share-ended", { path: "/s#not-a-secret", ready: "#message:not([hidden])", allows: REFUSED });
+// An anonymous visitor.
+const unauthorized = { allowedErrors: UNAUTHORIZED };
+const { page: anonymous, context: anonymousContext } = await openPage();
+await checkPage(anonymous, "public", { ...unauthorized, path: "/public", expectedTexts: ["Lakes"] });
+await checkPage(anonymous, "public-project", { ...unauthorized, path: `/projects/${ids.public}` });
+await checkPage(anonymous, "public-mission", { ...unauthorized, path: `/missions/${ids.publicMission}`, ready: "[data-lanes]" });
+await checkPage(anonymous, "public-file", { ...unauthorized, path: `/files/${ids.publicFile}`, ready: "[data-log-time]" });
+await checkPage(anonymous, "public-search", { ...unauthorized, ...loadedResults, path: "/search" });
+await checkPage(anonymous, "sign-in", { path: `/sign-in?return_to=${encodeURIComponent(texts.address)}` });
+await checkPage(anonymous, "invitation", { path: new URL(unused).pathname + new URL(unused).hash, expectedTexts: [texts.person] });
+await checkPage(anonymous, "reset", { path: "/sign-in/reset#not-a-code", allowedErrors: CLIENT_ERROR });
+await checkPage(anonymous, "claim", { path: "/sign-in/bootstrap" });
+await checkPage(anonymous, "link", { path: "/sign-in/link#not-a-code", allowedErrors: CLIENT_ERROR });
+await checkPage(anonymous, "callback", { path: `/sign-in/callback/${encodeURIComponent("<img src=x>")}?error=${encodeURIComponent(texts.label)}`, allowedErrors: CLIENT_ERROR });
+await checkPage(anonymous, "share", { path: new URL(share).pathname + new URL(share).hash, ready: "#files tr", expectedTexts: [project, mission, texts.recording] });
+await anonymous.goto("about:blank");
+await checkPage(anonymous, "share-ended", { path: "/s#not-a-secret", ready: "#message:not([hidden])", allowedErrors: CLIENT_ERROR });
 
-results.inline = {};
-for (const path of ["/", "/public", "/sign-in", "/s"]) results.inline[path] = await runs(strangers, path === "/" ? "/search" : path);
+results.inlineScripts = {};
+for (const path of ["/", "/public", "/sign-in", "/s"]) results.inlineScripts[path] = await executesInlineScripts(anonymousContext, path === "/" ? "/search" : path);
 await browser.close();
 process.stdout.write(JSON.stringify(results));

@@ -9,20 +9,20 @@ from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate
 from tests.acceptance.conftest import Terminal, wait_until
 from tests.recording_files.writers import McapWriter
 
-# What would be asked for if any of it were an element.
-ELSEWHERE = "http://evil.invalid"
-# Names hold nothing that paths and wildcards need: no quotes, no slashes.
+# A host that the browser would call if any of these names became an element.
+FOREIGN = "http://evil.invalid"
+# Names may not contain the characters of paths and wildcards, such as quotes and slashes.
 PROJECT = "<img src=x onerror=wasRun=1> {{7+7}}"
 MISSION = "<svg onload=wasRun=1> javascript:wasRun=1"
 GROUP = "<b onmouseover=wasRun=1 autofocus onfocus=wasRun=1>"
-PERSON = f'"><img src="{ELSEWHERE}/person.png" onerror="wasRun=1">'
-TOKEN = f"<iframe src={ELSEWHERE}/token>"
+PERSON = f'"><img src="{FOREIGN}/person.png" onerror="wasRun=1">'
+TOKEN = f"<iframe src={FOREIGN}/token>"
 LABEL = "<img src=x onerror=wasRun=1>"
 SHARE = '<script>wasRun=1</script>"><script src=//evil.invalid>'
-NOTES = f"[a link](javascript:wasRun=1) ![x]({ELSEWHERE}/notes.png) <img src=x onerror=wasRun=1> {{{{7*7}}}} ${{7*7}}"
-VALUE = f'"><svg onload=wasRun=1><img src="{ELSEWHERE}/value.png">{{{{constructor.constructor(\'wasRun=1\')()}}}}'
+NOTES = f"[a link](javascript:wasRun=1) ![x]({FOREIGN}/notes.png) <img src=x onerror=wasRun=1> {{{{7*7}}}} ${{7*7}}"
+VALUE = f'"><svg onload=wasRun=1><img src="{FOREIGN}/value.png">{{{{constructor.constructor(\'wasRun=1\')()}}}}'
 ADDRESS = "javascript:wasRun=1"
-DESCRIPTION = f'<style>@import "{ELSEWHERE}/style.css";body{{display:none}}</style><base href="{ELSEWHERE}">'
+DESCRIPTION = f'<style>@import "{FOREIGN}/style.css";body{{display:none}}</style><base href="{FOREIGN}">'
 TOPIC = "/<img src=x onerror=wasRun=1>/{{7*7}}"
 TYPE = "evil_msgs/<svg onload=wasRun=1>"
 RECORDING = '"><svg onload=wasRun=1>.mcap'
@@ -89,7 +89,7 @@ def make_world(terminal: Terminal, folder: Path) -> World:
     terminal.run("upload", *place, f"{day}/")
     terminal.run("mission", "create", "-p", PROJECT, "-m", f"gone {LABEL}", "--metadata", metadata)
     terminal.run("mission", "delete", f"gone {LABEL}", "-p", PROJECT, "--yes")
-    # Once it was said it is declared a link: what is there already was never judged as one.
+    # The field is declared as a link after it has a value, so that the value was never validated as one.
     fields = folder / "later.yaml"
     fields.write_text(json.dumps({"undeclared": "accept", "fields": [*_FIELDS, {"name": "page", "type": "link"}]}))
     terminal.run("project", "update", PROJECT, "--fields", fields)

@@ -1,22 +1,22 @@
-// Somebody at another machine uploads a file from their browser, looks at it and downloads it. Prints as JSON what was
-// seen. Arguments: the folder with playwright-core, the browser, a link that signs in, the server's address, the file,
-// where pictures go.
+// Uploads a file from a browser on another machine, opens its preview, and downloads it. Prints the results as JSON.
+// Arguments: the folder with playwright-core, the browser, a sign-in link, the server's address, the file, the folder for
+// screenshots.
 import { createHash } from "node:crypto";
 import { readFile } from "node:fs/promises";
 import { createRequire } from "node:module";
 
 const [web, executablePath, link, address, file, pictures] = process.argv.slice(2);
 const { chromium } = createRequire(`${web}/package.json`)("playwright-core");
-const PATIENCE_MS = 60_000;
+const TIMEOUT_MS = 60_000;
 
 const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
 const page = await (await browser.newContext({ viewport: { width: 1280, height: 900 }, acceptDownloads: true })).newPage();
-page.setDefaultTimeout(PATIENCE_MS);
-const results = { complaints: [] };
-page.on("pageerror", (error) => results.complaints.push(error.message));
-// Over plain HTTP from another machine a browser says of each page that it ignores this header; all else counts.
-const PLAIN = /^The Cross-Origin-Opener-Policy header has been ignored/;
-page.on("console", (message) => message.type() === "error" && !PLAIN.test(message.text()) && results.complaints.push(message.text()));
+page.setDefaultTimeout(TIMEOUT_MS);
+const results = { consoleErrors: [] };
+page.on("pageerror", (error) => results.consoleErrors.push(error.message));
+// Over plain HTTP from another machine, the browser reports for each page that it ignores this header.
+const IGNORED_HEADER = /^The Cross-Origin-Opener-Policy header has been ignored/;
+page.on("console", (message) => message.type() === "error" && !IGNORED_HEADER.test(message.text()) && results.consoleErrors.push(message.text()));
 const hosts = new Set();
 page.on("request", (request) => {
   const { origin, protocol } = new URL(request.url());
@@ -34,7 +34,7 @@ await page.getByRole("button", { name: /^Upload 1 file/ }).click();
 await page.locator("[data-phase=over]").waitFor().catch(async (error) => {
   throw new Error(await page.locator("main").innerText(), { cause: error });
 });
-results.over = await page.locator("[data-phase]").first().innerText();
+results.finished = await page.locator("[data-phase]").first().innerText();
 await page.locator("[data-phase]").getByRole("link", { name: "far" }).click();
 await page.getByRole("link", { name: "drive.mcap" }).first().click();
 await page.locator("[data-log-time]").waitFor().catch(async (error) => {

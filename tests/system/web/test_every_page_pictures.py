@@ -1,4 +1,4 @@
-"""The pictures of README and tour; `make pictures` copies them to docs/pictures."""
+"""Takes the screenshots of the README and the tour; `make pictures` copies them to docs/pictures."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import pytest
 from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate_mission
 from tests.acceptance.conftest import Terminal, wait_until
 from tests.system.cluster import Cluster
-from tests.system.web.conftest import Act
+from tests.system.web.conftest import RunBrowser
 
 _FIELDS = """
 undeclared: accept
@@ -22,12 +22,14 @@ _MISSIONS = {
     "night-run": ("anymal", "ada", -2, ""),
 }
 _QUERY = "alpine topic:/imu/* format:mcap"
-_MOST_BYTES = 200_000
+_MAX_BYTES = 200_000
 
 
 @pytest.mark.soak
 @pytest.mark.timeout(300)
-def test_pictures_of_the_readme(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+def test_screenshots_of_the_readme_are_taken(
+    cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
+) -> None:
     cluster.start()
     terminal = cluster.terminal
     (tmp_path / "fields.yaml").write_text(_FIELDS)
@@ -45,10 +47,10 @@ def test_pictures_of_the_readme(cluster: Cluster, act: Act, pictures: Path, tmp_
 
     wait_until(lambda: files() != {}, "the recordings to be read")
     terminal.run("file", "update", "drive.mcap", *place, "--label", "icra-27")
-    act("every_page_pictures.mjs", cluster, pictures, missions["ridge-traverse"], files()["drive.mcap"], _QUERY)
+    run_browser("every_page_pictures.mjs", cluster, pictures, missions["ridge-traverse"], files()["drive.mcap"], _QUERY)
     for name in ("mission", "search", "preview"):
         picture = pictures / f"readme-{name}.png"
-        assert 10_000 < picture.stat().st_size < _MOST_BYTES, name
+        assert 10_000 < picture.stat().st_size < _MAX_BYTES, name
 
 
 def _make(terminal: Terminal, folder: Path, seed: int) -> None:

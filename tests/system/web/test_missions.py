@@ -9,7 +9,7 @@ from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate
 from tests.acceptance.conftest import wait_until
 from tests.system.backend import sql
 from tests.system.cluster import Cluster
-from tests.system.web.conftest import Act
+from tests.system.web.conftest import RunBrowser
 
 _FILES = 10_000
 _FOLDERS = 20
@@ -22,7 +22,7 @@ fields:
   - {name: operator, type: string, pattern: "[a-z]+", required: true}
 """
 _GUEST = "Grace Guest"
-# Uploading very many is told elsewhere: here they are names of the bytes of the first.
+# Other tests upload many files. Here all files share the bytes of the first.
 _MANY = f"""
 INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_id)
   SELECT gen_random_uuid(), mission_id, blob_id, name, name, 'link', uploaded_by_id FROM file,
@@ -36,7 +36,9 @@ INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_i
 
 @pytest.mark.slow
 @pytest.mark.timeout(280)
-def test_missions(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+def test_metadata_files_and_rights_of_missions_with_hostile_names(
+    cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
+) -> None:
     cluster.start()
     terminal = cluster.terminal
     (tmp_path / "fields.yaml").write_text(_FIELDS)
@@ -46,10 +48,10 @@ def test_missions(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) ->
     day.mkdir()
     generate_mcap(day / "drive.mcap", duration_s=5, faults=Faults(gap=TopicGap("/imu/data", 2, 3)))
     generate_bag(day / "cut.bag", duration_s=4, faults=Faults(truncate_to=0.6))
-    (day / "<a href=x>.txt").write_text("named by somebody who tries")
+    (day / "<a href=x>.txt").write_text("a hostile name")
     many = tmp_path / "many"
     (many / "scan_00").mkdir(parents=True)
-    (many / "scan_00" / "frame_0000.txt").write_text("the bytes that ten thousand names stand for")
+    (many / "scan_00" / "frame_0000.txt").write_text("the bytes that ten thousand files share")
     terminal.run("project", "create", _MARKUP, "--fields", tmp_path / "fields.yaml")
     place = ("-p", _MARKUP, "--create", "--metadata", metadata)
     terminal.run("upload", *place, "-m", _MISSION, f"{day}/", "--wait")
@@ -58,8 +60,8 @@ def test_missions(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) ->
     missions = {row["name"]: row["id"] for row in terminal.run("mission", "list", "--json").json()["items"]}
     sql(cluster, _MANY, missions["many"])
     invited = terminal.run("person", "invite", "grace@example.org", "--name", _GUEST, "--json").json()
-    wait_until(lambda: _topics_are_there(cluster, missions[_MISSION]), "the topics to be added up")
-    seen = act(
+    wait_until(lambda: _has_topics(cluster, missions[_MISSION]), "the topics to be merged")
+    results = run_browser(
         "missions.mjs",
         cluster,
         invited["url"],
@@ -70,23 +72,23 @@ def test_missions(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) ->
         pictures,
     )
 
-    assert seen["complaints"] == []
-    assert seen["ran"] == [], "markup was run"
-    assert set(seen["elements"]) == {0}, "markup was made of what people said"
-    assert seen["axe"] == []
-    assert seen["wide"] == []
-    assert seen["title"] == _MISSION
-    assert "Must match" in seen["refused"]
-    assert "grace" in seen["accepted"]
-    assert "ada" not in seen["accepted"].split()
-    assert "/imu/data" in seen["topics"]
-    assert seen["rows"] == _FILES + _FOLDERS + 1
-    assert max(seen["drawn"], seen["drawnAtEnd"]) < 120, "all rows were drawn"
-    assert seen["granted"] == _MISSION
-    assert "not" in seen["before"], "nobody has given them anything yet"
-    assert "not" in seen["revoked"]
+    assert results["consoleErrors"] == []
+    assert results["executed"] == [], "markup was run"
+    assert set(results["markupElements"]) == {0}, "markup became elements"
+    assert results["axe"] == []
+    assert results["overflowing"] == []
+    assert results["title"] == _MISSION
+    assert "Must match" in results["refused"]
+    assert "grace" in results["accepted"]
+    assert "ada" not in results["accepted"].split()
+    assert "/imu/data" in results["topics"]
+    assert results["rows"] == _FILES + _FOLDERS + 1
+    assert max(results["renderedRows"], results["renderedRowsAtEnd"]) < 120, "all rows were rendered"
+    assert results["granted"] == _MISSION
+    assert "not" in results["beforeGrant"], "the person has no rights yet"
+    assert "not" in results["revoked"]
 
 
-def _topics_are_there(cluster: Cluster, mission_id: str) -> bool:
+def _has_topics(cluster: Cluster, mission_id: str) -> bool:
     runtime_info = cluster.terminal.run("mission", "info", mission_id, "--json").json()
     return "/imu/data" in json.dumps(runtime_info)

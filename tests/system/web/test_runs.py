@@ -7,7 +7,7 @@ import pytest
 
 from tests.acceptance.conftest import Terminal
 from tests.system.cluster import Cluster
-from tests.system.web.conftest import Act
+from tests.system.web.conftest import RunBrowser
 
 _MARKUP = "Wet <img src=x onerror=alert(1)>"
 _SCRIPT = """\
@@ -34,7 +34,7 @@ for number in range(3000):
     print("line", number)
 (path,) = inputs()
 progress(0.5, "half of it")
-# Those on many missions last until they are ended.
+# Runs on several missions continue until they are cancelled.
 time.sleep((600 if values["top"] == "/odom" else 15) if values["slow"] else 0)
 report.metric("ate_rmse", 0.12, unit="m", file=path)
 where = {"file": path, "topic": values["top"], "time_ns": 1_700_000_000_000_000_000}
@@ -55,29 +55,31 @@ print("the very end", flush=True)
 
 @pytest.mark.slow
 @pytest.mark.timeout(280)
-def test_a_run_from_form_to_lineage(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+def test_a_run_is_launched_watched_and_followed_to_its_lineage(
+    cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
+) -> None:
     cluster.start()
-    _filled(cluster.terminal, tmp_path)
+    _create_objects(cluster.terminal, tmp_path)
 
-    seen = act("runs.mjs", cluster, pictures)
+    results = run_browser("runs.mjs", cluster, pictures)
 
-    assert seen["complaints"] == []
-    assert seen["axe"] == []
-    assert seen["wide"] == []
-    assert seen["ran"] == [], "markup was run"
-    assert seen["wrong"] == ["Required.", "Enter at most 10."]
-    assert "/imu/data" in seen["topics"], "the mission's topics are offered"
-    assert seen["live"]["progress"] == "half of it", "what it is at is seen while it runs"
-    log = seen["log"]
+    assert results["consoleErrors"] == []
+    assert results["axe"] == []
+    assert results["overflowing"] == []
+    assert results["executed"] == [], "markup was run"
+    assert results["fieldErrors"] == ["Required.", "Enter at most 10."]
+    assert "/imu/data" in results["topics"], "the mission's topics are offered"
+    assert results["active"]["progress"] == "half of it", "progress is shown while it runs"
+    log = results["log"]
     assert log["last"] == "the very end"
-    assert log["drawn"] < 100, "only the lines in sight are drawn"
-    assert log["found"] == "1 of 1"
-    assert "line 1234" in log["inSight"]
-    _check_report(seen)
-    _check_links(seen, cluster.terminal)
+    assert log["renderedLines"] < 100, "only visible lines are rendered"
+    assert log["matches"] == "1 of 1"
+    assert "line 1234" in log["visibleLines"]
+    _check_report(results)
+    _check_links(results, cluster.terminal)
 
 
-def _filled(terminal: Terminal, tmp_path: Path) -> None:
+def _create_objects(terminal: Terminal, tmp_path: Path) -> None:
     terminal.run("sample", tmp_path / "drive", "--size", "1MB", "--format", "mcap")
     terminal.run("project", "create", "Alps")
     for mission in (_MARKUP, "night"):
@@ -87,30 +89,30 @@ def _filled(terminal: Terminal, tmp_path: Path) -> None:
     terminal.run("action", "create", script, "-p", "Alps")
 
 
-def _check_report(seen: dict[str, Any]) -> None:
-    (finding,) = seen["findings"]
+def _check_report(results: dict[str, Any]) -> None:
+    (finding,) = results["findings"]
     assert "nothing <i>for a while<i>" in finding
-    assert seen["findingLeadsTo"].startswith("/files/")
-    assert "topic=%2Fimu%2Fdata" in seen["findingLeadsTo"].replace("topic=/imu/data", "topic=%2Fimu%2Fdata")
-    (metric,) = seen["metrics"]
+    assert results["findingLink"].startswith("/files/")
+    assert "topic=%2Fimu%2Fdata" in results["findingLink"].replace("topic=/imu/data", "topic=%2Fimu%2Fdata")
+    (metric,) = results["metrics"]
     assert metric.split("\n")[:2] == ["ate_rmse", "0.12 m"]
-    assert seen["previews"] == {
+    assert results["previews"] == {
         "pictures": 1,
         "inline": 0,
         "track": "A track of 3 points",
         "cells": ["<img src=x onerror=alert(5)>", "1"],
     }
-    assert sorted(path for path in seen["artifacts"] if "." in path) == ["plot.svg", "table.csv", "track.geojson"]
-    assert seen["downloaded"] == "table.csv"
-    assert seen["taken"]["robot"] == "anymal <b>3<b>"
+    assert sorted(path for path in results["artifacts"] if "." in path) == ["plot.svg", "table.csv", "track.geojson"]
+    assert results["downloaded"] == "table.csv"
+    assert results["appliedMetadata"]["robot"] == "anymal <b>3<b>"
 
 
-def _check_links(seen: dict[str, Any], terminal: Terminal) -> None:
-    assert "Used by look <b>closely<b>" in seen["lineage"]
-    assert "derived/<b>table<b>.csv" in seen["deletion"], "what came of it is told before it is deleted"
-    assert seen["again"]["state"] == "done"
-    assert seen["many"]["made"] == "2 runs started"
-    assert len(seen["many"]["runs"]) == 4
-    assert seen["cancelled"] == "cancelled"
+def _check_links(results: dict[str, Any], terminal: Terminal) -> None:
+    assert "Used by look <b>closely<b>" in results["lineage"]
+    assert "derived/<b>table<b>.csv" in results["deletionWarning"], "the dialog names the results made from the file"
+    assert results["secondRun"]["state"] == "done"
+    assert results["batch"]["launched"] == "2 runs started"
+    assert len(results["batch"]["runs"]) == 4
+    assert results["cancelled"] == "cancelled"
     runs = terminal.run("run", "list", "--json").json()["items"]
     assert {run["mission"]["name"] for run in runs} == {_MARKUP, "night"}

@@ -9,29 +9,31 @@ import pytest
 from kleinkram.recordings.sample import generate_mcap
 from tests.acceptance.conftest import KLEIN, Terminal, wait_until
 from tests.system.cluster import Cluster
-from tests.system.web.conftest import Act
+from tests.system.web.conftest import RunBrowser
 
 _MARKUP = "Wet <img src=x onerror=alert(1)> <b>grass<b>"
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(280)
-def test_search_to_download(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+def test_search_results_are_labelled_shared_and_downloaded(
+    cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
+) -> None:
     cluster.start()
-    sources = _filled(cluster.terminal, tmp_path)
+    sources = _create_missions(cluster.terminal, tmp_path)
 
-    seen = act("search.mjs", cluster, pictures)
+    results = run_browser("search.mjs", cluster, pictures)
 
-    _check_results(seen)
-    _check_shares(seen, cluster.terminal)
-    fetched = _fetched(seen, cluster.terminal, tmp_path)
+    _check_results(results)
+    _check_shares(results, cluster.terminal)
+    fetched = _run_download_script(results, cluster.terminal, tmp_path)
     assert fetched == {f"Alps/{mission}/drive.mcap": sources[mission] for mission in ("traverse", _MARKUP)}, (
-        "of one path in two"
+        "equal paths of two missions are kept apart"
     )
 
 
-def _filled(terminal: Terminal, tmp_path: Path) -> dict[str, bytes]:
-    """Three missions in two projects; returns what the recording of each is made of."""
+def _create_missions(terminal: Terminal, tmp_path: Path) -> dict[str, bytes]:
+    """Upload three missions into two projects; return the bytes of the recording of each."""
     sources: dict[str, bytes] = {}
     for seed, (project, mission) in enumerate([("Alps", "traverse"), ("Alps", _MARKUP), ("Lakes", "night")]):
         folder = tmp_path / f"from-{seed}"
@@ -48,50 +50,50 @@ def _filled(terminal: Terminal, tmp_path: Path) -> dict[str, bytes]:
         return [file["content"] for file in terminal.run("file", "list", "--json").json()["items"]]
 
     wait_until(lambda: "pending" not in contents(), "the files to be read")
-    wait_until(lambda: contents().count("indexed") == len(sources), "the recordings to be known")
+    wait_until(lambda: contents().count("indexed") == len(sources), "the recordings to be indexed")
     return sources
 
 
-def _check_results(seen: dict[str, Any]) -> None:
-    assert seen["complaints"] == []
-    assert seen["axe"] == []
-    assert seen["wide"] == []
-    assert seen["ran"] == [], "markup was run"
-    assert "1 file broken" in seen["home"]
-    assert _MARKUP in seen["home"]
-    assert [tab.split() for tab in seen["all"]] == [["Files", "9"], ["Missions", "3"], ["Topics", "7"]]
-    typed = seen["typed"]
-    assert typed["asked"] == "alps topic:/imu/* format:mcap"
+def _check_results(results: dict[str, Any]) -> None:
+    assert results["consoleErrors"] == []
+    assert results["axe"] == []
+    assert results["overflowing"] == []
+    assert results["executed"] == [], "markup was run"
+    assert "1 file broken" in results["home"]
+    assert _MARKUP in results["home"]
+    assert [tab.split() for tab in results["tabs"]] == [["Files", "9"], ["Missions", "3"], ["Topics", "7"]]
+    typed = results["typed"]
+    assert typed["urlQuery"] == "alps topic:/imu/* format:mcap"
     assert typed["command"].strip() == "klein search 'alps topic:/imu/* format:mcap'"
     assert sorted(row.split("\n")[-1] for row in typed["rows"]) == sorted([f"Alps / {_MARKUP}", "Alps / traverse"])
-    assert seen["back"] == {"asked": typed["asked"], "box": typed["asked"]}
-    assert seen["faceted"]["query"] == seen["faceted"]["box"]
-    assert seen["wrong"]["mark"] == "size:big"
-    assert "column 6" in seen["wrong"]["told"]
-    assert seen["wrong"]["rows"] == 2, "what was found before stays in sight"
+    assert results["back"] == {"urlQuery": typed["urlQuery"], "box": typed["urlQuery"]}
+    assert results["faceted"]["query"] == results["faceted"]["box"]
+    assert results["invalid"]["mark"] == "size:big"
+    assert "column 6" in results["invalid"]["message"]
+    assert results["invalid"]["rows"] == 2, "the previous results stay visible"
 
 
-def _check_shares(seen: dict[str, Any], terminal: Terminal) -> None:
-    assert [row.split("\n")[0] for row in seen["markup"]["rows"]] == [_MARKUP]
-    assert seen["markup"]["elements"] == 0
-    assert 'mission:"Wet *" topic:/imu/data' in seen["topic"]
+def _check_shares(results: dict[str, Any], terminal: Terminal) -> None:
+    assert [row.split("\n")[0] for row in results["markup"]["rows"]] == [_MARKUP]
+    assert results["markup"]["elements"] == 0
+    assert 'mission:"Wet *" topic:/imu/data' in results["topic"]
     assert {file["path"] for file in terminal.run("file", "list", "--label", "icra 27", "--json").json()["items"]} == {
         "drive.mcap"
     }
-    assert seen["shareOfTwo"], "a link shows files of one mission"
-    assert seen["shared"]["chosen"], "what is selected is what the link shows"
-    assert seen["shared"]["told"].startswith(f"{seen['shared']['place']}\n\n1 file, ")
-    assert [row.split()[0] for row in seen["shared"]["rows"]] == ["drive.mcap"]
-    assert [row.split("\n")[0] for row in seen["public"]] == ["Lakes"]
-    assert {row.split("\n")[-1] for row in seen["publicRows"]} == {"Lakes / night"}
-    assert seen["publicBoxes"] == 0, "nothing is to be chosen by people without an account"
+    assert results["isShareDisabledForTwoMissions"], "a link shows files of one mission"
+    assert results["shared"]["isSelectionChecked"], "the link is limited to the selected files"
+    assert results["shared"]["text"].startswith(f"{results['shared']['place']}\n\n1 file, ")
+    assert [row.split()[0] for row in results["shared"]["rows"]] == ["drive.mcap"]
+    assert [row.split("\n")[0] for row in results["public"]] == ["Lakes"]
+    assert {row.split("\n")[-1] for row in results["publicRows"]} == {"Lakes / night"}
+    assert results["publicCheckboxes"] == 0, "anonymous visitors cannot select files"
 
 
-def _fetched(seen: dict[str, Any], terminal: Terminal, tmp_path: Path) -> dict[str, bytes]:
-    """What the script that was downloaded downloads."""
-    assert seen["amount"].startswith("2 files, ")
+def _run_download_script(results: dict[str, Any], terminal: Terminal, tmp_path: Path) -> dict[str, bytes]:
+    """Run the download script, and return the files that it downloads."""
+    assert results["downloadSize"].startswith("2 files, ")
     script = tmp_path / "download.sh"
-    script.write_text(seen["script"])
+    script.write_text(results["script"])
     path = f"{KLEIN.parent}:{terminal.environment['PATH']}"
     fetched = tmp_path / "fetched"
     subprocess.run(["sh", script, fetched], check=True, env={**terminal.environment, "PATH": path}, timeout=60)

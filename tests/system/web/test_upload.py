@@ -10,13 +10,13 @@ import pytest
 from kleinkram.recordings.sample import generate_mcap
 from tests.system.cluster import Cluster
 
-from .conftest import Act
+from .conftest import RunBrowser
 
 _FIELDS = """
 undeclared: refuse
 fields:
   - {name: robot, type: choice, choices: [anymal, spot], required: true, description: Which one drove.}
-  # In words that a browser does not understand: the server judges.
+  # A syntax that browsers do not support: only the server validates it.
   - {name: operator, type: string, pattern: '(?x) [a-z]+', required: true, description: In small letters.}
   - {name: temperature, type: number, unit: degC}
 """
@@ -26,7 +26,9 @@ _PARTS = -(-_LARGE_BYTES // (5 << 20))
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_an_upload_with_all_that_comes_between(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+def test_an_interrupted_upload_is_completed_without_sending_parts_again(
+    cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
+) -> None:
     cluster.start()
     day, other = tmp_path / "day", tmp_path / "other" / "day"
     (day / "nothing").mkdir(parents=True)
@@ -41,37 +43,39 @@ def test_an_upload_with_all_that_comes_between(cluster: Cluster, act: Act, pictu
     terminal = cluster.terminal
     terminal.run("project", "create", "Alps", "--fields", fields)
 
-    seen = act("upload.mjs", cluster, day, other, pictures)
+    results = run_browser("upload.mjs", cluster, day, other, pictures)
 
-    assert seen["complaints"] == []
-    assert seen["axe"] == []
-    assert "2 files" in seen["plan"]
-    assert "growing.bag another program is writing to the file" in seen["plan"].replace("\n", " ")
-    assert "now.bag.active the file is still being recorded" in seen["plan"].replace("\n", " ")
-    assert seen["asked"].count("Required.") == 2
-    assert "'ada.lovelace', which does not match" in seen["refused"]
-    assert "continues automatically" in seen["offline"]
-    assert seen["dialogs"] == ["beforeunload"], "closing the page is warned about while something is under way"
-    assert "already in the store" in seen["unfinished"]
-    assert re.search(r"[12] files? unchanged", seen["fit"]), seen["fit"]
-    # The two small files go in one part each; of four parts on their way the page may not have heard the answer.
-    assert seen["putsBefore"] >= 6
-    assert seen["putsAfter"] <= _PARTS + 2 - seen["putsBefore"] + 4, "what the store holds is not sent again"
-    assert "All 3 files uploaded." in seen["over"]
-    assert "3 already there" in seen["again"]
-    assert seen["putsAgain"] == 0
+    assert results["consoleErrors"] == []
+    assert results["axe"] == []
+    assert "2 files" in results["plan"]
+    assert "growing.bag another program is writing to the file" in results["plan"].replace("\n", " ")
+    assert "now.bag.active the file is still being recorded" in results["plan"].replace("\n", " ")
+    assert results["missingMetadata"].count("Required.") == 2
+    assert "'ada.lovelace', which does not match" in results["refused"]
+    assert "continues automatically" in results["offline"]
+    assert results["dialogs"] == ["beforeunload"], "the browser warns before it closes the page during an upload"
+    assert "already in the store" in results["unfinished"]
+    assert re.search(r"[12] files? unchanged", results["matchingFiles"]), results["matchingFiles"]
+    # The two small files have one part each. The page may not have received the responses of four parts in progress.
+    assert results["putsBefore"] >= 6
+    assert results["putsAfter"] <= _PARTS + 2 - results["putsBefore"] + 4, "uploaded parts are not sent again"
+    assert "All 3 files uploaded." in results["finished"]
+    assert "3 already there" in results["secondUpload"]
+    assert results["putsOfSecondUpload"] == 0
     for content in (day / "drive.mcap", other / "drive.mcap"):
-        assert hashlib.sha256(content.read_bytes()).hexdigest() in seen["conflict"]
-    widths = [seen[f"{name}Wide"] for name in ("dark", "phone", "phone-dark")]
-    assert max(widths) <= 0, "nothing is wider than the page"
+        assert hashlib.sha256(content.read_bytes()).hexdigest() in results["conflict"]
+    overflows = [results[f"{name}Overflow"] for name in ("dark", "phone", "phone-dark")]
+    assert max(overflows) <= 0, "a page is wider than its viewport"
     (day / "now.bag.active").unlink()
     terminal.run("verify", "-p", "Alps", "-m", "ascent", day)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_trouble_on_the_way(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
-    """The API dies and comes back, the session ends and somebody signs in again, a file is written to."""
+def test_an_upload_survives_a_killed_api_an_expired_session_and_a_second_tab(
+    cluster: Cluster, run_browser: RunBrowser, pictures: Path, tmp_path: Path
+) -> None:
+    """The API is killed, the session ends, two tabs upload into one mission, and a file changes during its upload."""
     cluster.start()
     day = tmp_path / "day"
     day.mkdir()
@@ -81,16 +85,18 @@ def test_trouble_on_the_way(cluster: Cluster, act: Act, pictures: Path, tmp_path
     terminal = cluster.terminal
     terminal.run("project", "create", "Alps")
 
-    seen = act("upload_trouble.mjs", cluster, day, changing, pictures, cluster.runtime_info()["services"]["api"])
+    results = run_browser(
+        "upload_trouble.mjs", cluster, day, changing, pictures, cluster.runtime_info()["services"]["api"]
+    )
 
-    assert "The server does not respond" in seen["away"]
-    assert "signed out" in seen["signedOut"]
-    assert "File uploaded." in seen["over"]
+    assert "The server does not respond" in results["unreachable"]
+    assert "signed out" in results["signedOut"]
+    assert "File uploaded." in results["finished"]
     terminal.run("verify", "-p", "Alps", "-m", "descent", day)
-    assert "The file was changed, moved, or deleted after you selected it." in seen["changed"]
+    assert "The file was changed, moved, or deleted after you selected it." in results["changed"]
     assert "changing.raw" not in terminal.run("file", "list", "-p", "Alps").out
-    assert "Another tab is uploading it." in seen["other"]
-    assert seen["elsewhere"].count("Another tab is uploading to this mission") == 1
-    assert seen["cancelled"].startswith("Cancelled")
-    assert seen["left"] == 0, "nothing is unfinished once it was cancelled"
-    assert seen["errors"] == []
+    assert "Another tab is uploading it." in results["unfinishedInOtherTab"]
+    assert results["refusedInOtherTab"].count("Another tab is uploading to this mission") == 1
+    assert results["cancelled"].startswith("Cancelled")
+    assert results["unfinishedAfterCancel"] == 0, "a cancelled upload is not listed as unfinished"
+    assert results["errors"] == []

@@ -1,46 +1,46 @@
-// What a person does who uploads from a browser: drops a folder, is told what is missing, loses the network, looks at
-// another page, pauses, reloads, chooses the folder again; then meets what is there already, and a file that changes.
-// Prints as JSON what was seen. Arguments: the folder with playwright-core and axe-core, the browser, a link that signs
-// in, the server's address, the folder to upload, a folder of the same names with other content, where pictures go.
+// An upload with interruptions: drops a folder, corrects its metadata, loses the network, opens another page, pauses,
+// reloads, resumes by choosing the folder again; then uploads the same files again, and other files of the same names.
+// Prints the results as JSON. Arguments: the folder with playwright-core and axe-core, the browser, a sign-in link, the
+// server's address, the folder to upload, a folder of the same names with other content, the folder for screenshots.
 import { appendFile } from "node:fs/promises";
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
-import { isOfTheMachine } from "./complaints.mjs";
+import { isEnvironmentError } from "./console_errors.mjs";
 
 const [web, executablePath, link, address, folder, other, pictures] = process.argv.slice(2);
 const require = createRequire(`${web}/package.json`);
 const { chromium } = require("playwright-core");
 const axe = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
-const PATIENCE_MS = 60_000;
+const TIMEOUT_MS = 60_000;
 
 const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
 const context = await browser.newContext({ viewport: { width: 1280, height: 900 } });
 const page = await context.newPage();
-page.setDefaultTimeout(PATIENCE_MS);
+page.setDefaultTimeout(TIMEOUT_MS);
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
 
-const results = { complaints: [], axe: [], dialogs: [] };
-let isMeantToFail = false;
+const results = { consoleErrors: [], axe: [], dialogs: [] };
+let expectsErrors = false;
 page.on("console", (message) => {
-  if (["error", "warning"].includes(message.type()) && !isMeantToFail && !isOfTheMachine(message.text())) results.complaints.push(message.text());
+  if (["error", "warning"].includes(message.type()) && !expectsErrors && !isEnvironmentError(message.text())) results.consoleErrors.push(message.text());
 });
-page.on("pageerror", (error) => results.complaints.push(error.message));
+page.on("pageerror", (error) => results.consoleErrors.push(error.message));
 page.on("dialog", (dialog) => {
   results.dialogs.push(dialog.type());
   void dialog.accept();
 });
 let puts = 0;
-page.on("response", (answer) => {
-  if (answer.request().method() === "PUT" && answer.ok()) puts += 1;
+page.on("response", (response) => {
+  if (response.request().method() === "PUT" && response.ok()) puts += 1;
 });
 
-/** The network: lets so many bytes a second through, all that come without a number, or nothing at all. */
-const cable = await context.newCDPSession(page);
-async function network(bytesPerSecond, offline = false) {
-  await cable.send("Network.enable");
-  const at = { offline, latency: 0, downloadThroughput: -1, uploadThroughput: bytesPerSecond ?? -1 };
-  await cable.send("Network.emulateNetworkConditions", at);
+/** Limits uploads to this rate; without one, the rate is unlimited. With `offline`, all requests fail. */
+const networkSession = await context.newCDPSession(page);
+async function limitNetwork(bytesPerSecond, offline = false) {
+  await networkSession.send("Network.enable");
+  const conditions = { offline, latency: 0, downloadThroughput: -1, uploadThroughput: bytesPerSecond ?? -1 };
+  await networkSession.send("Network.emulateNetworkConditions", conditions);
 }
 const SLOW = 16e6;
 
@@ -48,8 +48,8 @@ const panel = page.locator("[data-phase]").first();
 
 async function checkPage(name) {
   await page.evaluate(axe);
-  const found = await page.evaluate(() => globalThis.axe.run(document, { runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"] }));
-  results.axe.push(...found.violations.map(({ id, nodes }) => `${name}: ${id} ${nodes[0]?.html}`));
+  const report = await page.evaluate(() => globalThis.axe.run(document, { runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"] }));
+  results.axe.push(...report.violations.map(({ id, nodes }) => `${name}: ${id} ${nodes[0]?.html}`));
   await page.screenshot({ path: `${pictures}/upload-${name}.png`, fullPage: true });
 }
 
@@ -60,28 +60,28 @@ async function choose(where, path, button = "Choose a folder") {
 
 async function drop(path) {
   const box = await page.locator(".zone").last().boundingBox();
-  const at = { x: box.x + box.width / 2, y: box.y + box.height / 2 };
+  const point = { x: box.x + box.width / 2, y: box.y + box.height / 2 };
   const data = { items: [], files: [path], dragOperationsMask: 1 };
   const session = await context.newCDPSession(page);
-  for (const type of ["dragEnter", "dragOver", "drop"]) await session.send("Input.dispatchDragEvent", { type, ...at, data });
+  for (const type of ["dragEnter", "dragOver", "drop"]) await session.send("Input.dispatchDragEvent", { type, ...point, data });
   await session.detach();
 }
 
-async function reaches(percent) {
+async function waitForProgress(percent) {
   await page.waitForFunction(
     (least) => Number(document.querySelector("[data-phase] [role=progressbar]")?.getAttribute("aria-valuenow")) >= least,
     percent,
   );
 }
 
-async function over() {
+async function waitForEnd() {
   await page.locator("[data-phase=over]").first().waitFor().catch(async (error) => {
     throw new Error(await page.locator("main").innerText(), { cause: error });
   });
   return panel.innerText();
 }
 
-// The empty page, then a folder dropped while one of its files is being written to.
+// The empty page; then a folder is dropped while a program writes to one of its files.
 await page.goto(`${address}/upload`);
 await page.getByRole("button", { name: "Choose a folder" }).waitFor();
 await checkPage("empty");
@@ -91,54 +91,54 @@ await page.getByText("Files to upload").waitFor();
 clearInterval(writing);
 results.plan = await page.locator("[aria-label='Files to upload']").innerText();
 
-// Metadata that is not said is asked for; then it is said.
+// Missing and invalid metadata are reported in the form, then corrected.
 await page.getByLabel("Project").selectOption({ label: "Alps" });
 await page.getByLabel("Mission").selectOption({ label: "New mission" });
 await page.getByLabel("robot").waitFor();
 await page.getByRole("button", { name: /^Upload \d+ files/ }).click();
-results.asked = await page.locator("form").innerText();
+results.missingMetadata = await page.locator("form").innerText();
 await checkPage("form");
 await page.getByLabel("Mission name").fill("ascent");
 await page.getByLabel("robot").selectOption("spot");
 await page.getByLabel("operator").fill("ada.lovelace");
-isMeantToFail = true;
+expectsErrors = true;
 await page.getByRole("button", { name: /^Upload \d+ files/ }).click();
 await page.getByRole("alert").waitFor();
 results.refused = await page.locator("form").innerText();
 await page.getByLabel("operator").fill("ada");
-await network(SLOW);
+await limitNetwork(SLOW);
 await page.getByRole("button", { name: /^Upload \d+ files/ }).click();
 
-// The network goes, and comes back; other pages are looked at; it is paused, and goes on.
-await reaches(5);
-await network(SLOW, true);
+// The network fails and recovers; another page is opened; the upload is paused and continued.
+await waitForProgress(5);
+await limitNetwork(SLOW, true);
 await panel.getByText("continues automatically").first().waitFor();
 results.offline = await panel.innerText();
 await checkPage("offline");
-await network(SLOW);
-await reaches(20);
-isMeantToFail = false;
+await limitNetwork(SLOW);
+await waitForProgress(20);
+expectsErrors = false;
 await page.getByRole("link", { name: "Projects" }).first().click();
 await page.getByRole("link", { name: /^Uploading, / }).click();
 await panel.getByRole("button", { name: "Pause" }).click();
 await panel.getByText("paused").waitFor();
 await checkPage("paused");
 await panel.getByRole("button", { name: "Continue" }).click();
-await reaches(70); // four parts are on their way at once: six are there for certain
+await waitForProgress(70); // at most four parts are in progress, so six have arrived
 
-// The page is loaded anew in the middle.
+// The page is reloaded during the upload.
 results.putsBefore = puts;
 await page.reload();
 await page.locator("[data-unfinished]").waitFor();
 results.unfinished = await page.locator("[data-unfinished]").innerText();
 await checkPage("unfinished");
 puts = 0;
-await network();
+await limitNetwork();
 await choose(page.locator("[data-unfinished]"), folder);
 await page.getByRole("button", { name: "Resume" }).waitFor();
-results.fit = await page.locator("[data-unfinished]").innerText();
+results.matchingFiles = await page.locator("[data-unfinished]").innerText();
 await page.getByRole("button", { name: "Resume" }).click();
-results.over = await over();
+results.finished = await waitForEnd();
 results.putsAfter = puts;
 await checkPage("over");
 results.mission = (await panel.getByRole("link", { name: "ascent" }).getAttribute("href")).split("/").at(-1);
@@ -148,15 +148,15 @@ puts = 0;
 await page.goto(`${address}/upload?mission=${results.mission}`);
 await choose(page, folder);
 await page.getByRole("button", { name: /^Upload \d+ files/ }).click();
-results.again = await over();
-results.putsAgain = puts;
+results.secondUpload = await waitForEnd();
+results.putsOfSecondUpload = puts;
 await page.reload();
 await choose(page, other);
 await page.getByRole("button", { name: /^Upload \d+ file/ }).click();
-results.conflict = await over();
+results.conflict = await waitForEnd();
 await checkPage("conflict");
 
-// Dark, and on a phone.
+// Dark theme and phone.
 for (const [name, colorScheme, width] of [["dark", "dark", 1280], ["phone", "light", 360], ["phone-dark", "dark", 360]]) {
   await page.emulateMedia({ colorScheme });
   await page.setViewportSize({ width, height: 780 });
@@ -164,13 +164,13 @@ for (const [name, colorScheme, width] of [["dark", "dark", 1280], ["phone", "lig
   await page.getByRole("button", { name: "Choose files" }).waitFor();
   await choose(page, other);
   await page.getByText("Destination").waitFor();
-  results[`${name}Wide`] = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
+  results[`${name}Overflow`] = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
   await checkPage(name);
 }
 await page.emulateMedia({ colorScheme: "light" });
 await page.setViewportSize({ width: 360, height: 780 });
 await page.getByRole("button", { name: /^Upload \d+ file/ }).click();
-await over();
+await waitForEnd();
 await checkPage("phone-conflict");
 await browser.close();
 process.stdout.write(JSON.stringify(results));

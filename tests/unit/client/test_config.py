@@ -40,7 +40,7 @@ def test_no_endpoint_explains_what_to_do() -> None:
         find_endpoint()
 
 
-def test_the_order_of_places(local: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_endpoints_are_searched_in_the_documented_order(local: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (find_endpoint().source, find_endpoint().token) == (EndpointSource.local, "local-token")
     add_endpoint("lab", SavedEndpoint(url="https://lab/", token="lab-token"))
     assert (find_endpoint().source, find_endpoint().url) == (EndpointSource.chosen, "https://lab")

@@ -61,7 +61,7 @@ def test_links_inside_may_be_followed_and_links_out_may_not(tmp_path: Path) -> N
     assert [*outside.iterdir()] == []
 
 
-def test_a_destination_that_is_a_link_itself_is_meant(tmp_path: Path) -> None:
+def test_a_destination_that_is_a_symbolic_link_is_followed(tmp_path: Path) -> None:
     (tmp_path / "disk").mkdir()
     (tmp_path / "dest").symlink_to(tmp_path / "disk")
     make_folders(tmp_path / "dest", "sub/a.bag")

@@ -191,7 +191,7 @@ def test_a_large_file_gets_a_journal_of_its_own() -> None:
     journals.close()
 
 
-def test_each_server_and_mission_has_its_own() -> None:
+def test_each_server_and_mission_has_its_own_journal() -> None:
     journals = [
         Journals().open("http://lab", MISSION, FILE),
         Journals().open("http://other", MISSION, FILE),

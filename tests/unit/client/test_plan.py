@@ -89,7 +89,7 @@ def test_links_to_files_and_links_passed_as_arguments_are_followed(day: Path, tm
 
 
 @pytest.mark.parametrize("name", [b"bad\xff.bin", b"new\nline", b"back\\slash", b"x" * 251 + b".bin"])
-def test_names_that_no_mission_takes_are_named_and_left_out(day: Path, name: bytes) -> None:
+def test_files_with_invalid_names_are_reported_and_left_out(day: Path, name: bytes) -> None:
     too_long = len(name) == 255
     (day / os.fsdecode(name)).write_bytes(b"x")
     plan = plan_upload([f"{day}/"], include_active=True)

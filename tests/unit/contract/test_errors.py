@@ -43,7 +43,7 @@ def test_every_code_has_one_class() -> None:
 
 
 @pytest.mark.parametrize("code", ErrorCode)
-def test_an_error_crosses_the_wire_and_is_the_same(code: ErrorCode) -> None:
+def test_errors_survive_serialisation(code: ErrorCode) -> None:
     error = _example(ERRORS[code])
     document = to_problem(error, "text").model_dump_json()
     back = from_problem(ProblemDocument.model_validate_json(document))

@@ -63,7 +63,7 @@ def test_data_that_break_off_are_refused(packing: str) -> None:
 
 
 @pytest.mark.parametrize("packing", PACKINGS)
-def test_the_same_once_more_is_refused(packing: str) -> None:
+def test_data_after_the_compressed_stream_are_refused(packing: str) -> None:
     name, pack = PACKINGS[packing]
     with pytest.raises(Malformed):
         decompress(name, memoryview(2 * pack(RAW)), len(RAW))

@@ -44,7 +44,7 @@ def test_a_rosbag2_folder_is_one_recording_in_the_order_of_its_numbers() -> None
     ]
 
 
-def test_a_rosbag2_folder_may_call_its_file_anything() -> None:
+def test_the_file_of_a_rosbag2_folder_may_have_any_name() -> None:
     assert shape(["bag/metadata.yaml", "bag/test.db3"]) == [("bag", ROSBAG2, ("bag/test.db3",))]
     assert shape(["metadata.yaml", "test_0.db3.zstd"]) == [(".", ROSBAG2, ("test_0.db3.zstd",))]
 
@@ -193,7 +193,7 @@ def test_a_time_at_the_end_of_a_name_is_no_split_number(names: list[str]) -> Non
     assert [list(actual.members) for actual in group(names)] == [[name] for name in names]
 
 
-def test_a_number_behind_a_time_is_one() -> None:
+def test_a_number_after_a_time_is_a_split_number() -> None:
     names = [f"rosbag2_2026_01_17-10_00_00_{k}.mcap" for k in (0, 1, 2, 10)]
     assert [list(actual.members) for actual in group(names)] == [names]
 

@@ -162,7 +162,7 @@ def test_rubbish_in_a_chunk(compression: bytes, stored: bytes) -> None:
     assert summary.lost.chunks == 1
 
 
-def test_a_compression_that_we_do_not_read_is_not_the_files_fault() -> None:
+def test_a_file_with_an_unsupported_compression_is_opaque() -> None:
     summary = summarise_bytes(mcap_of(chunk(b"brotli", b"x" * 50, 1_000)))
     assert summary.content is Content.opaque
     assert summary.reason is not None

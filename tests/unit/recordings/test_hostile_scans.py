@@ -51,7 +51,7 @@ FILES = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_heads_of_chunks_are_not_read_as_often_as_they_stand_there(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_work_for_repeated_chunk_headers_is_bounded(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     read = 0
 
     def counted(kind: str, stored: memoryview, uncompressed_bytes: int) -> bytes:
@@ -103,7 +103,7 @@ INNER = {
 @pytest.mark.parametrize("opcode", [Opcode.ATTACHMENT, Opcode.MESSAGE, Opcode.METADATA])
 @pytest.mark.parametrize("length", [2**60, 2**39, 1_200, 700])
 @pytest.mark.parametrize("inner", INNER)
-def test_the_messages_of_a_file_inside_of_this_one_are_not_its_own(inner: str, length: int, opcode: int) -> None:
+def test_messages_of_an_embedded_file_are_not_counted(inner: str, length: int, opcode: int) -> None:
     """The length around the inner file is damaged, so that the search comes upon its records."""
     front, rest = front_and_rest(small_mcap())
     damaged = struct.pack("<BQ", opcode, length) + attachment_of(INNER[inner])
@@ -115,7 +115,7 @@ def test_the_messages_of_a_file_inside_of_this_one_are_not_its_own(inner: str, l
     assert any("another MCAP begins inside" in problem.message for problem in summary.problems)
 
 
-def test_a_file_inside_of_this_one_that_has_no_end_takes_the_rest_with_it() -> None:
+def test_messages_after_an_embedded_file_of_unknown_length_are_not_counted() -> None:
     """Where it ends cannot be known: too little is counted rather than what is not this file's."""
     front, rest = front_and_rest(small_mcap())
     cut = small_mcap()[:-60]
@@ -124,7 +124,7 @@ def test_a_file_inside_of_this_one_that_has_no_end_takes_the_rest_with_it() -> N
     assert (summary.content, summary.message_count) == (Content.broken, 0)
 
 
-def test_a_file_behind_this_one_is_not_counted() -> None:
+def test_a_second_file_after_the_end_of_a_recording_is_not_counted() -> None:
     first, second = small_mcap(), small_mcap()
     summary = scan(SourceReader(MemorySource(first + second, "a.mcap")))
     assert (summary.content, summary.message_count) == (Content.recovered, 40)
@@ -160,7 +160,7 @@ def test_a_topic_may_have_any_name() -> None:
     assert [(actual.name, actual.count) for actual in summary.topics] == [(topic.decode(), 3)]
 
 
-def test_heads_of_definitions_are_not_read_as_often_as_they_stand_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_work_for_repeated_definition_headers_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each claims a megabyte, behind which nothing stands; a reader without index is told of none but a few."""
     bytes_parsed = 0
 

@@ -112,7 +112,7 @@ def test_files_add_up_to_their_recording(files: list[list[int]]) -> None:
 
 @given(STAMPS, st.integers(0, 5), st.integers(-300, 300), st.integers(1, 512))
 @settings(deadline=None)
-def test_an_axis_has_the_counts_inside_it(stamps: list[int], wider: int, shift: int, bins: int) -> None:
+def test_counts_on_an_axis_are_those_of_its_range(stamps: list[int], wider: int, shift: int, bins: int) -> None:
     density = plainly(stamps)
     bin_ns = density.bin_ns << wider
     first = max(0, density.start_ns // bin_ns + shift)

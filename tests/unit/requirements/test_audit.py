@@ -19,7 +19,7 @@ def test_a_vulnerability_is_named_with_its_fix() -> None:
 
 
 @pytest.mark.parametrize("name", ["PYSEC-1", "CVE-2026-1"])
-def test_an_accepted_hole_passes_until_its_day(name: str) -> None:
+def test_an_accepted_vulnerability_passes_until_its_date(name: str) -> None:
     accepted = read_accepted(f"# comment\n\n{name} a 2026-05-01 we never call it\n")
     assert failures(REPORT, accepted, TODAY) == []
     late = failures(REPORT, accepted, TODAY + datetime.timedelta(days=1))

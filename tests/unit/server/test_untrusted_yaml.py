@@ -66,7 +66,7 @@ def test_scalars_follow_the_core_schema(text: str, value: object) -> None:
     assert read_yaml(text).value == value
 
 
-def test_every_value_has_its_place() -> None:
+def test_values_of_yaml_have_positions() -> None:
     document = read_yaml("a: 1\nb:\n  - x\n  - c: 2\n")
     assert document.position(("b", 1, "c")) == TextPosition(4, 5)
     assert document.position(("b", 1, "absent")) == TextPosition(4, 5)

@@ -67,7 +67,7 @@ def _requested(**changes: Any) -> UploadFile:
     return UploadFile.model_validate({"path": "run.mcap", "size_bytes": 10} | changes)
 
 
-def test_an_unknown_name_begins() -> None:
+def test_an_upload_under_an_unused_name_begins() -> None:
     assert decide(_requested(), _facts()).action is Action.begin
 
 

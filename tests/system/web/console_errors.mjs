@@ -1,0 +1,10 @@
+let hasNetworkChanged = false;
+
+/**
+ * Returns whether an error is caused by the machine, not by the page: Docker created or removed a network during the
+ * test. The browser then aborts its requests; the app repeats them, and loads an aborted page again.
+ */
+export function isEnvironmentError(text) {
+  if (text.includes("net::ERR_NETWORK_CHANGED")) hasNetworkChanged = true;
+  return text.includes("net::ERR_NETWORK_CHANGED") || (hasNetworkChanged && text.startsWith("Failed to fetch dynamically imported module"));
+}
