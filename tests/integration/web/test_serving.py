@@ -57,7 +57,7 @@ def test_not_found_is_a_page_for_browsers_and_a_problem_for_programs(api: Api) -
     assert _POOL.request("POST", f"{api.url}/api/v1/nothing").status == 404
 
 
-def test_the_former_client_is_told_which_client_to_install(api: Api) -> None:
+def test_the_former_client_receives_the_name_of_the_client_to_install(api: Api) -> None:
     carried = {"Kleinkram-Client-Version": "0.63.3", "Accept": "*/*"}
     requests = [("GET", path, carried) for path in ("/", "/users/me", "/projects", "/missions/x", "/api/v1/projects")]
     requests += [("POST", "/missions", carried), ("DELETE", "/files", carried), ("PUT", "/anything", carried)]
