@@ -9,6 +9,7 @@ const MAX_TRIES = 4;
 const RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"];
 const DESKTOP = { width: 1440, height: 900 };
 const VIEWS = [["desktop", "light", DESKTOP], ["phone-dark", "dark", { width: 360, height: 780 }]];
+const WITH_PICTURES = process.env.KLEINKRAM_TEST_PICTURES === "1";
 
 /** Starts the browser. `web` is the folder with playwright-core and axe-core, `pictures` the folder for screenshots. */
 export async function openBrowser(web, executablePath, pictures) {
@@ -51,7 +52,7 @@ export async function openBrowser(web, executablePath, pictures) {
     return violations;
   }
 
-  /** Checks the current state of a page in all views, and takes a screenshot of each. */
+  /** Checks the current state of a page in all views, and takes a screenshot of each, if wanted. */
   async function checkPage(page, name) {
     await page.evaluate(axe);
     for (const [view, colorScheme, viewport] of VIEWS) {
@@ -60,7 +61,7 @@ export async function openBrowser(web, executablePath, pictures) {
       await page.waitForFunction((theme) => document.documentElement.dataset.theme === theme, colorScheme);
       results.axe.push(...(await runAxe(page)).map((violation) => `${name} ${view}: ${violation}`));
       if (await page.evaluate(() => document.documentElement.scrollWidth > document.documentElement.clientWidth)) results.overflowing.push(`${name} ${view}`);
-      await page.screenshot({ path: `${pictures}/${name}-${view}.png` });
+      if (WITH_PICTURES) await page.screenshot({ path: `${pictures}/${name}-${view}.png` });
     }
     await page.emulateMedia({ colorScheme: "light" });
     await page.setViewportSize(DESKTOP);

@@ -44,6 +44,6 @@ def run_browser() -> RunBrowser:
 
 @pytest.fixture
 def pictures() -> Path:
-    """The folder for screenshots, for people to look at."""
+    """The folder for screenshots, for people to look at. Checked pages have one with KLEINKRAM_TEST_PICTURES=1."""
     OUTPUT.mkdir(parents=True, exist_ok=True)
     return OUTPUT
