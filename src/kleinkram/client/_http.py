@@ -139,14 +139,14 @@ class Api:
 
     def get(self, path: str, kind: type[T], query: list[tuple[str, str]] | None = None) -> T:
         """GET a path; retried while the server is briefly unavailable."""
-        return self.understood(kind, f"GET {path}", self._request("GET", path, query=query or []))
+        return self.parse_response(kind, f"GET {path}", self._request("GET", path, query=query or []))
 
     def stream(self, path: str, kind: type[T], query: list[tuple[str, str]] | None = None) -> Iterator[T]:
         """Yield the answer of a path line by line; raise ServerUnreachable where it breaks off."""
         answer = self._answer("GET", path, query=query or [], whole=False)
         try:
             for line in answer:
-                yield self.understood(kind, f"GET {path}", line)
+                yield self.parse_response(kind, f"GET {path}", line)
         except urllib3.exceptions.HTTPError as error:
             raise ServerUnreachable(url=self.endpoint.url, reason=reason_of(error)) from error
         finally:
@@ -179,16 +179,16 @@ class Api:
     ) -> T:
         """Send a change; not retried once the server may have seen it. With an `etag`, only if it still has that."""
         answer = self._request(method, path, body=body, idempotent=False, etag=etag)
-        return self.understood(kind, f"{method} {path}", answer)
+        return self.parse_response(kind, f"{method} {path}", answer)
 
     def repeat(self, path: str, kind: type[T], body: BaseModel | None = None) -> T:
         """POST something idempotent, such as signing; retried until the timeout."""
-        return self.understood(kind, f"POST {path}", self.post(path, body))
+        return self.parse_response(kind, f"POST {path}", self.post(path, body))
 
     def patch(self, path: str, kind: type[T], body: BaseModel, *, etag: str | None = None) -> T:
         """PATCH with the fields that were set in `body`. With an `etag`, only if it still has that."""
         answer = self._request("PATCH", path, body=body, etag=etag)
-        return self.understood(kind, f"PATCH {path}", answer)
+        return self.parse_response(kind, f"PATCH {path}", answer)
 
     def delete(self, path: str, query: list[tuple[str, str]] | None = None) -> bytes:
         """DELETE, and return the answer's body."""
@@ -198,7 +198,7 @@ class Api:
         """POST something idempotent, and return the answer's body."""
         return self._request("POST", path, body=body)
 
-    def understood(self, kind: type[T], what: str, answer: bytes) -> T:
+    def parse_response(self, kind: type[T], what: str, answer: bytes) -> T:
         """Return an answer's body as a model.
 
         Raises:

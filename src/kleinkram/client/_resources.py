@@ -138,7 +138,7 @@ class ApiResource:
 
     def _to_trash(self, path: str, *, dry_run: bool) -> Deleted:
         answer = self._api.delete(path, query_of(None, dry_run=dry_run or None))
-        return self._api.understood(Deleted, f"DELETE {path}", answer)
+        return self._api.parse_response(Deleted, f"DELETE {path}", answer)
 
 
 class NamedResource(ApiResource, ABC, Generic[ResourceT]):

@@ -95,7 +95,7 @@ class Groups(NamedResource[access.GroupRead]):
         return resolve_one("group", name, self.list(name=name), name=lambda row: row.name, label=group_label)
 
     def create(self, name: str) -> access.GroupRead:
-        """Create a group, with oneself as first member and editor.
+        """Create a group, with yourself as first member and editor.
 
         Raises:
             NameTaken: there is one of that name, visible or not.

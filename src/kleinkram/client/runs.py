@@ -291,9 +291,9 @@ class Runners(ApiResource):
         """Confirm that a chunk of the log was uploaded."""
         self._api.post(f"/runner/runs/{run_id}/log-chunks/confirm", chunk)
 
-    def uploads(self, run_id: uuid.UUID, attempt: runners.Attempt) -> "ArtifactUploads":
-        """Return the upload protocol for artifacts of a run."""
-        return ArtifactUploads(self._api, run_id, attempt)
+    def uploads(self, attempt: runners.Attempt) -> "ArtifactUploads":
+        """Return the upload protocol for artifacts of this attempt at a run."""
+        return ArtifactUploads(self._api, attempt)
 
     def finish(self, run_id: uuid.UUID, finish: runners.RunFinish) -> runners.RunFinished:
         """Report the end of a run."""
@@ -301,14 +301,13 @@ class Runners(ApiResource):
 
 
 class ArtifactUploads(Uploads):
-    """The upload protocol for artifacts: `begin` takes the id of the run."""
+    """The upload protocol for artifacts: `begin` takes the id of a run."""
 
-    def __init__(self, api: Api, run_id: uuid.UUID, attempt: runners.Attempt) -> None:
+    def __init__(self, api: Api, attempt: runners.Attempt) -> None:
         super().__init__(api)
-        self._run_id = run_id
         self._attempt = attempt
 
-    def begin(self, mission_id: uuid.UUID, files: Sequence[UploadFile]) -> UploadDecisions:
+    def begin(self, run_id: uuid.UUID, files: Sequence[UploadFile]) -> UploadDecisions:
         """Announce up to 200 artifacts of the run and return what to do with each, in the order given."""
         body = runners.ArtifactUploadsCreate(attempt=self._attempt, files=[*files])
-        return self._api.repeat(f"/runner/runs/{mission_id}/uploads", UploadDecisions, body)
+        return self._api.repeat(f"/runner/runs/{run_id}/uploads", UploadDecisions, body)

@@ -109,9 +109,9 @@ class Events(ApiResource):
                 if name == "id":
                     after = value
                 elif name == "change":
-                    yield self._api.understood(Change, "GET /events", value.encode())
+                    yield self._api.parse_response(Change, "GET /events", value.encode())
                 elif name == "refetch":
-                    yield self._api.understood(Refetch, "GET /events", value.encode())
+                    yield self._api.parse_response(Refetch, "GET /events", value.encode())
             if ends_at is not None and time.monotonic() >= ends_at:
                 return
             after = after or _NOWHERE

@@ -123,7 +123,7 @@ def _read_quoted(text: str, start: int) -> tuple[str, int]:
         reason = f"the quote that opens at column {column} is not closed"
         raise InvalidQuery(expression=text[start:], reason=reason, column=column)
     if end + 1 < len(text) and not text[end + 1].isspace():
-        reason = f'a space is missing behind the quote that closes at column {end + 1}; write \\" for a quote inside'
+        reason = f'a space is missing after the quote that closes at column {end + 1}; write \\" for a quote inside'
         raise InvalidQuery(expression=text[start:], reason=reason, column=end + 1)
     return _unescaped(text[start + 1 : end]), end + 1
 

@@ -40,7 +40,7 @@ def build_summary(
     types: Mapping[str, Sequence[TopicType]],
     problems: Iterable[Problem] = (),
 ) -> RecordingSummary:
-    """Return the summary of an undamaged file by a finished timeline; `types` as of `types_by_topic`."""
+    """Return the summary of an undamaged file by a finished timeline; `types` as in `types_by_topic`."""
     cluster = main_cluster(span for times in timeline.topics.values() for span in times.spans)
     bins = bins_per_topic(len(timeline.topics))
     topics: list[TopicSummary] = []

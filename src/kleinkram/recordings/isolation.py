@@ -99,7 +99,7 @@ def request_bytes(
 ) -> bytes:
     """Return the line that the child reads from stdin, without its newline.
 
-    `max_bytes`: as of `summarise`. `depth` and `max_bytes` apply to files and URLs.
+    `max_bytes`: as in `summarise`. `depth` and `max_bytes` apply to files and URLs.
     """
     options = {"depth": depth.value, "max_bytes": max_bytes, "memory_bytes": memory_bytes, "cpu_s": timeout_s}
     return json.dumps({**vars(request), **options}).encode()

@@ -13,7 +13,7 @@ from kleinkram.recordings.chunk_reader import ChunkedMember
 from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import NotARecording, SeveralRecordings
-from kleinkram.recordings.formats.base import Member, OpenContext, RecordingFile
+from kleinkram.recordings.formats.base import OpenContext, OpenedFile, RecordingFile
 from kleinkram.recordings.formats.rosbag2 import metadata as rosbag2
 from kleinkram.recordings.formats.rosbag2.database import LOG_SUFFIXES
 from kleinkram.recordings.formats.rosbag2.db3 import ROSBAG2_DB3
@@ -48,13 +48,13 @@ class Opened:
 
     name: str
     files: tuple[str, ...]
-    members: tuple[Member, ...]
+    members: tuple[OpenedFile, ...]
     summarise: Callable[[], RecordingSummary]
     stack: ExitStack
 
 
 def open_members(what: Openable, problem_log: ProblemLog, *, max_bytes: int | None = None) -> Opened:
-    """Open the files of a recording; arguments and errors as of `Recording.open`."""
+    """Open the files of a recording; arguments and errors as in `Recording.open`."""
     stack = ExitStack()  # members add to it later, too
     with ExitStack() as on_failure:
         on_failure.callback(stack.close)
@@ -78,7 +78,7 @@ def open_members(what: Openable, problem_log: ProblemLog, *, max_bytes: int | No
     return Opened(name, names, members, summarise_all, stack)
 
 
-def _summary_of(file: RecordingFile, member: Member) -> RecordingSummary:
+def _summary_of(file: RecordingFile, member: OpenedFile) -> RecordingSummary:
     summary = member.summary or _summarise(file)
     if (
         isinstance(member, ChunkedMember)
@@ -101,7 +101,7 @@ def _summarise(file: RecordingFile) -> RecordingSummary:
         return summarise(source, max_bytes=None if file.database else MAX_SCANNED_FOR_PROBLEMS)
 
 
-def _open_file(file: RecordingFile, context: OpenContext) -> Member:
+def _open_file(file: RecordingFile, context: OpenContext) -> OpenedFile:
     file_format = format_of(file.source)
     if file_format is UNKNOWN and any(f"{file.source.name}{suffix}" in context.logs for suffix in LOG_SUFFIXES):
         file_format = ROSBAG2_DB3  # all of its tables may be in the log

@@ -155,7 +155,7 @@ def read_ahead(tasks: Iterator[ReadAheadTask[T]], *, workers: int, max_bytes: in
     first = next(tasks, None)
     if first is None:
         return
-    keep_freed_memory()
+    raise_malloc_threshold()
     yield first.run()
     pool = ThreadPoolExecutor(workers, thread_name_prefix="read-ahead")
     try:
@@ -182,7 +182,7 @@ _LARGE_ALLOCATION = 24 * 2**20
 
 
 @cache
-def keep_freed_memory() -> None:
+def raise_malloc_threshold() -> None:
     """Make malloc keep up to 48 MB of freed memory for reuse, because fresh pages cost as much as decompression.
 
     glibc raises its threshold when a large allocation is freed, even an untouched one; other libraries ignore it. Once

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from kleinkram.recordings.errors import Cut, Malformed, SourceError
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_TAKE, WINDOW
-from kleinkram.recordings.sources import SequentialReader, Source, keep_freed_memory
+from kleinkram.recordings.sources import SequentialReader, Source, raise_malloc_threshold
 
 _STEP = 256 * 2**10
 _FIRST_BUFFER = 2 * 2**20
@@ -146,7 +146,7 @@ class LookaheadStream:
         self._reader = reader
         self._with_crc = with_crc
         self.size_bytes = reader.size_bytes
-        keep_freed_memory()
+        raise_malloc_threshold()
         self._buffer = memoryview(bytearray(_FIRST_BUFFER))
         self.window = self._buffer[:0]
         self.at = 0

@@ -180,7 +180,7 @@ def _artifacts(out: Path, problems: _Problems) -> Iterator[Artifact]:
         if stat.S_ISDIR(status.st_mode):
             continue
         if not stat.S_ISREG(status.st_mode):
-            kind = "a link" if stat.S_ISLNK(status.st_mode) else "no regular file"
+            kind = "a link" if stat.S_ISLNK(status.st_mode) else "not a regular file"
             problems.add(f"{path} is {kind}: left out.")
             continue
         if not os.access(entry.path, os.R_OK):
@@ -443,7 +443,7 @@ class ResultUpload:
         """Upload files by the protocol of all uploads; stored content is not sent again."""
         run_id = self._assignment.run_id
         self._uploader = Uploader(
-            self._context.runners.uploads(run_id, self._assignment.attempt),
+            self._context.runners.uploads(self._assignment.attempt),
             self._context.url,
             run_id,
             connections=min(_CONNECTIONS, len(files)),

@@ -55,7 +55,7 @@ class StateDirectory:
         try:
             self.runner_id = uuid.UUID(id_file.read_text().strip())
         except ValueError:
-            raise InvalidInput(what=str(id_file), reason="it holds no id of a runner") from None
+            raise InvalidInput(what=str(id_file), reason="it contains no runner id") from None
 
     def create_attempt(self, assignment: RunAssignment) -> "Attempt":
         """Create the directory of a new attempt."""

@@ -13,7 +13,7 @@ from kleinkram.server.actions.routes import router as actions
 from kleinkram.server.admin.routes import router as admin
 from kleinkram.server.audit.requests import AdminReads, Refusals
 from kleinkram.server.audit.routes import router as audit
-from kleinkram.server.auth.bootstrap import let_owner_in, log_bootstrap_code
+from kleinkram.server.auth.bootstrap import ensure_local_owner, log_bootstrap_code
 from kleinkram.server.auth.dependencies import open_providers
 from kleinkram.server.auth.local_accounts import PasswordHasher
 from kleinkram.server.auth.pages import router as sign_in_pages
@@ -111,7 +111,7 @@ def create_app(settings: Settings) -> FastAPI:
                     if settings.owner_token_file is None:
                         await log_bootstrap_code(db)
                     else:
-                        await let_owner_in(db, settings.owner_token_file)
+                        await ensure_local_owner(db, settings.owner_token_file)
                 app.state.database = database
                 app.state.providers = providers
                 app.state.password_hasher = PasswordHasher()

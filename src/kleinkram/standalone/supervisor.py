@@ -128,7 +128,7 @@ def stop_instance(data_dir: DataDir, *, timeout_s: float = 60) -> StoppedInstanc
     """
     holder = read_holder(data_dir)
     if holder is None or not is_locked(data_dir):
-        raise NotRunning(f"Kleinkram does not run on {data_dir.root}: there is nothing to end.")
+        raise NotRunning(f"Kleinkram is not running in {data_dir.root}: there is nothing to stop.")
     info = load_runtime_info(data_dir)
     # A supervisor that was killed leaves its file, until the next has finished starting.
     services = info.services if info is not None and info.pid == holder.pid else {}

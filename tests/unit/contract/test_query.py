@@ -105,7 +105,7 @@ def test_queries_are_normalized(text: str, message: str) -> None:
         ("recording:front", 1, "recording:ID"),
         (f"recording:{uuid.UUID(int=1)} recording:{uuid.UUID(int=2)}", 48, "already set at column 1"),
         ('alps "50% of', 6, "the quote that opens at column 6 is not closed"),
-        ('alps topic:"/a"b', 15, "a space is missing behind the quote"),
+        ('alps topic:"/a"b', 15, "a space is missing after the quote"),
         ("a -topc:/x", 3, "did you mean 'topic'?"),
         ("a\x00", 1, "U+0000"),
         (" ".join(f"label:{number}" for number in range(51)), 1, "50"),

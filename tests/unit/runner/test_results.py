@@ -52,7 +52,7 @@ def test_a_report_that_is_a_link_is_broken(tmp_path: Path) -> None:
     assert "cannot be read" in (collect_results(out).report_error or "")
     (out / "report.json").unlink()
     os.mkfifo(out / "report.json")
-    assert "no regular file" in (collect_results(out).report_error or "")
+    assert "not a regular file" in (collect_results(out).report_error or "")
 
 
 def test_links_are_counted_and_ignored(tmp_path: Path) -> None:

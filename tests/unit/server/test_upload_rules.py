@@ -9,7 +9,7 @@ from kleinkram.contract.uploads import UploadFile
 from kleinkram.server.files.paths import conflicts_among
 from kleinkram.server.uploads.completion import placement_of
 from kleinkram.server.uploads.queries import ExistingFile, FileContent, UploadRow
-from kleinkram.server.uploads.service import Action, RequestFacts, decide
+from kleinkram.server.uploads.service import FileAction, RequestFacts, decide
 
 _SHA = "ab" * 32
 _OTHER = "cd" * 32
@@ -68,16 +68,16 @@ def _requested(**changes: Any) -> UploadFile:
 
 
 def test_an_upload_under_an_unused_name_begins() -> None:
-    assert decide(_requested(), _facts()).action is Action.begin
+    assert decide(_requested(), _facts()).action is FileAction.begin
 
 
 def test_an_existing_name_requires_the_hash_first() -> None:
-    assert decide(_requested(), _facts(files={"run.mcap": _existing()})).action is Action.hash_required
+    assert decide(_requested(), _facts(files={"run.mcap": _existing()})).action is FileAction.hash_required
 
 
 def test_the_same_content_under_the_same_name_is_present() -> None:
     decision = decide(_requested(sha256=_SHA), _facts(files={"run.mcap": _existing()}))
-    assert (decision.action, decision.file_id) == (Action.present, _ID)
+    assert (decision.action, decision.file_id) == (FileAction.present, _ID)
 
 
 def test_other_content_under_the_same_name_is_refused_naming_both_hashes() -> None:
@@ -88,13 +88,15 @@ def test_other_content_under_the_same_name_is_refused_naming_both_hashes() -> No
 
 @pytest.mark.parametrize("state", ["lost", "corrupt"])
 def test_the_same_content_repairs_a_damaged_file(state: str) -> None:
-    assert decide(_requested(sha256=_SHA), _facts(files={"run.mcap": _existing(state=state)})).action is Action.begin
+    assert (
+        decide(_requested(sha256=_SHA), _facts(files={"run.mcap": _existing(state=state)})).action is FileAction.begin
+    )
 
 
 @pytest.mark.parametrize("state", ["lost", "corrupt"])
 def test_other_content_does_not_repair_a_damaged_file(state: str) -> None:
     facts = _facts(files={"run.mcap": _existing(state=state)})
-    assert decide(_requested(sha256=_OTHER), facts).action is Action.refuse
+    assert decide(_requested(sha256=_OTHER), facts).action is FileAction.refuse
 
 
 def test_a_name_that_differs_only_in_case_is_a_conflict() -> None:
@@ -110,36 +112,36 @@ def test_a_name_under_lease_is_refused() -> None:
 
 def test_an_expired_lease_is_stolen() -> None:
     decision = decide(_requested(), _facts(uploads={"run.mcap": _upload(has_lease=False)}))
-    assert (decision.action, decision.stolen_upload_id) == (Action.begin, _ID)
+    assert (decision.action, decision.stolen_upload_id) == (FileAction.begin, _ID)
 
 
 def test_the_lease_of_an_upload_being_completed_is_never_stolen() -> None:
     decision = decide(_requested(), _facts(uploads={"run.mcap": _upload(has_lease=False, state="completing")}))
-    assert decision.action is Action.refuse
+    assert decision.action is FileAction.refuse
 
 
 def test_the_owner_of_a_lease_resumes() -> None:
     decision = decide(_requested(upload_id=_ID), _facts(uploads={"run.mcap": _upload(has_lease=True)}))
-    assert (decision.action, decision.upload_id) == (Action.resume, _ID)
+    assert (decision.action, decision.upload_id) == (FileAction.resume, _ID)
 
 
 def test_another_size_does_not_resume() -> None:
     decision = decide(_requested(upload_id=_ID, size_bytes=11), _facts(uploads={"run.mcap": _upload(has_lease=True)}))
-    assert decision.action is Action.refuse
+    assert decision.action is FileAction.refuse
 
 
 def test_a_possible_duplicate_is_hashed_first_and_then_linked() -> None:
     blob_id = uuid.uuid4()
     facts = _facts(duplicate_sizes=frozenset({10}), duplicates={FileContent(10, bytes.fromhex(_SHA)): blob_id})
-    assert decide(_requested(), facts).action is Action.hash_required
+    assert decide(_requested(), facts).action is FileAction.hash_required
     linked = decide(_requested(sha256=_SHA), facts)
-    assert (linked.action, linked.blob_id) == (Action.link, blob_id)
-    assert decide(_requested(sha256=_OTHER), facts).action is Action.begin
+    assert (linked.action, linked.blob_id) == (FileAction.link, blob_id)
+    assert decide(_requested(sha256=_OTHER), facts).action is FileAction.begin
 
 
 def test_an_upload_of_another_person_is_not_resumed() -> None:
     facts = _facts(uploads={"run.mcap": _upload(has_lease=True)}, person_id=uuid.uuid4())
-    assert decide(_requested(upload_id=_ID), facts).action is Action.refuse
+    assert decide(_requested(upload_id=_ID), facts).action is FileAction.refuse
 
 
 @pytest.mark.parametrize(

@@ -105,7 +105,9 @@ class PendingFile:
 
 
 class Uploader:
-    """One run of an upload into one mission. `results` has one result per file that has ended.
+    """One run of an upload into one destination: a mission, or a run whose artifacts these are.
+
+    `results` has one result per file that has ended.
 
     `journals` is the folder of its journals; by default, in this user's state directory.
     """
@@ -114,7 +116,7 @@ class Uploader:
         self,
         uploads: Uploads,
         server: str,
-        mission_id: uuid.UUID,
+        destination_id: uuid.UUID,
         *,
         connections: int,
         bytes_per_s: float | None,
@@ -122,7 +124,7 @@ class Uploader:
         journals: Path | None = None,
     ) -> None:
         self._server = server
-        self._mission_id = mission_id
+        self._destination_id = destination_id
         self._journals = Journals(journals)
         self._watcher = watcher
         self._pipeline = UploadPipeline(
@@ -161,7 +163,7 @@ class Uploader:
                 self._stop.check()
                 try:
                     requests = [candidate.announcement() for candidate in pending]
-                    decisions = self._uploads.begin(self._mission_id, requests).items
+                    decisions = self._uploads.begin(self._destination_id, requests).items
                 except QuotaExceeded as error:
                     pending = [candidate for candidate in pending if self._refuse(candidate, error)]
                     continue
@@ -181,7 +183,7 @@ class Uploader:
         """Open a file and its journal, and hash it when it is small."""
         with contextlib.ExitStack() as opened:
             try:
-                journal = self._journals.open(self._server, self._mission_id, file)
+                journal = self._journals.open(self._server, self._destination_id, file)
                 opened.callback(journal.close)
                 source = OpenFile(file)
                 opened.callback(source.close)
@@ -244,7 +246,7 @@ class Uploader:
         file = candidate.source.file
         head = JournalHead(
             server=self._server,
-            mission_id=self._mission_id,
+            mission_id=self._destination_id,
             path=file.path,
             source=str(file.source.absolute()),
             size_bytes=file.size_bytes,

@@ -219,7 +219,7 @@ class UploadPipeline(TransferPool[FilePart]):
 
     def _request(self, part: FilePart) -> PutResult | None:
         signed = part.signed
-        if signed is None or signed.expires_at <= self.uploads.now():  # do not send the bytes in vain
+        if signed is None or signed.expires_at <= self.uploads.now():  # the store would refuse the bytes
             [signed] = self.uploads.sign([part.to_sign]).items
             part.signed = signed
         part.file.url = signed.url

@@ -101,7 +101,7 @@ class Format:
     is_text: bool = False
     scan: Callable[[SequentialReader], RecordingSummary] | None = None
     summarise: Callable[[Source, int], RecordingSummary] | None = None
-    open: Callable[[RecordingFile, OpenContext], Member] | None = None
+    open: Callable[[RecordingFile, OpenContext], OpenedFile] | None = None
     refusal: str = ""
 
 
@@ -124,7 +124,7 @@ class MemberContents:
         }
 
 
-class Member(Protocol):
+class OpenedFile(Protocol):
     """One file of a recording."""
 
     @property

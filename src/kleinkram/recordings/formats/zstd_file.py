@@ -16,7 +16,7 @@ import zstandard
 from kleinkram.recordings.compression import open_decompressed
 from kleinkram.recordings.errors import Cut, Malformed, NotARecording
 from kleinkram.recordings.file_summary import pending
-from kleinkram.recordings.formats.base import LONG_HEAD_BYTES, Format, Member, OpenContext, RecordingFile
+from kleinkram.recordings.formats.base import LONG_HEAD_BYTES, Format, OpenContext, OpenedFile, RecordingFile
 from kleinkram.recordings.limits import FREE_UNPACKED, MAX_EXPANSION, MAX_ZSTD_WINDOW
 from kleinkram.recordings.model import Content, Depth, Lost, RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader, peek_bytes
@@ -109,7 +109,7 @@ def _summarise(source: Source, max_bytes: int) -> RecordingSummary:
     return _not_a_recording(inside.kind)
 
 
-def _open(file: RecordingFile, context: OpenContext) -> Member:
+def _open(file: RecordingFile, context: OpenContext) -> OpenedFile:
     from kleinkram.recordings import summary as formats  # imports this module
 
     source = file.source

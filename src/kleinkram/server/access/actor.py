@@ -93,7 +93,7 @@ def secret_hash(secret: str) -> bytes:
     return hashlib.sha256(secret.encode()).digest()
 
 
-def contained(scopes: Collection[Scope]) -> frozenset[Scope]:
+def expand_scopes(scopes: Collection[Scope]) -> frozenset[Scope]:
     """Return scopes and the scopes that they contain."""
     return frozenset(part for scope in scopes for part in _CONTAINED.get(scope, {scope}))
 
@@ -110,7 +110,7 @@ async def find_actor(db: Connection, secret: str) -> Actor | None:
     if row is not None:
         if row.is_use_outdated:
             await db.execute(update(token).where(token.c.id == row.token_id).values(last_used_at=func.now()))
-        scopes = contained([Scope(scope) for scope in row.scopes])
+        scopes = expand_scopes([Scope(scope) for scope in row.scopes])
         return Actor(
             row.id,
             row.name,

@@ -41,7 +41,7 @@ class OwnedProject(NamedTuple):
     name: str
 
 
-def admit(actor: Actor, operation: str) -> None:
+def check_credential(actor: Actor, operation: str) -> None:
     """Check that a credential may be used for an operation, regardless of the rights of its holder.
 
     Raises NotAuthenticated, ScopeMissing or Forbidden.

@@ -179,15 +179,15 @@ def _at_most(actor: Actor, level: sa.ColumnElement[int]) -> sa.ColumnElement[int
     return level if actor.max_right is None else sa.func.least(level, actor.max_right.level)
 
 
-def lasting_level_on_project(actor: Actor, until: datetime.datetime | None) -> sa.ColumnElement[int]:
+def level_on_project_until(actor: Actor, until: datetime.datetime | None) -> sa.ColumnElement[int]:
     """Return the level of `actor`'s right on each `project` of a select that lasts until a time, or permanently."""
     if actor.is_admin:
         return sa.literal(Right.delete.level)
     return _granted_level(actor.person_id, (access_grant.c.project_id, project.c.id), project, _valid_until(until))
 
 
-def lasting_level_on_mission(actor: Actor, until: datetime.datetime | None) -> sa.ColumnElement[int]:
-    """Like `lasting_level_on_project`, for each `mission` of a select."""
+def level_on_mission_until(actor: Actor, until: datetime.datetime | None) -> sa.ColumnElement[int]:
+    """Like `level_on_project_until`, for each `mission` of a select."""
     if actor.is_admin:
         return sa.literal(Right.delete.level)
     return sa.func.greatest(*_levels_granted_on_mission(actor.person_id, _valid_until(until)))

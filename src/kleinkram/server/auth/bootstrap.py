@@ -95,7 +95,7 @@ _log = logging.getLogger("kleinkram.owner")
 OWNER_NAME = "owner"
 
 
-async def let_owner_in(db: Connection, token_file: Path) -> None:
+async def ensure_local_owner(db: Connection, token_file: Path) -> None:
     """Create the local owner with the token in a file; a revoked token is replaced by a new one in the file.
 
     Raises RuntimeError.

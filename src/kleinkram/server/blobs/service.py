@@ -52,7 +52,7 @@ async def enqueue_reading(db: Connection, blob_ids: Sequence[uuid.UUID]) -> None
 
 
 async def requeue_unfinished(db: Connection, *, store_id: str, limit: int) -> None:
-    """Queue blobs again whose jobs gave up, for example because the store was away for long.
+    """Queue blobs again whose jobs gave up, for example because the store was unavailable for long.
 
     A failed summary is tried again once a day.
     """
@@ -175,7 +175,7 @@ async def record_read_failure(db: Connection, blob_id: uuid.UUID, reason: str) -
 def _summary_columns(summary: RecordingSummary) -> dict[str, object]:
     start_ns, end_ns = summary.start_ns, summary.end_ns
     if _bigint(start_ns) is None or _bigint(end_ns) is None:
-        start_ns = end_ns = None  # half a time span is none
+        start_ns = end_ns = None  # one end of a time span is of no use
     return {
         "content": summary.content.value,
         "content_reason": fit_text(summary.reason),
@@ -218,7 +218,7 @@ def _bigint(value: int | None) -> int | None:
 async def record_verified(db: Connection, md5s: Mapping[uuid.UUID, bytes]) -> None:
     """Record that the server has read blobs and confirmed their SHA-256, with the MD5 of each.
 
-    A blob that was damaged is sound again.
+    A blob that was damaged is intact again.
     """
     repaired = await _lock_damaged(db, md5s)
     rows = unnest_rows([blob.c.id, blob.c.md5], [{"id": blob_id, "md5": md5} for blob_id, md5 in md5s.items()])

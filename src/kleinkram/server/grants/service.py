@@ -22,10 +22,10 @@ from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.builtin_groups import email_group, own_group
 from kleinkram.server.access.rights import ensure_owner_remains, lock_rights, require_mission, require_project
 from kleinkram.server.access.visible import (
-    lasting_level_on_mission,
-    lasting_level_on_project,
     level_on_mission,
+    level_on_mission_until,
     level_on_project,
+    level_on_project_until,
     visible_groups,
     visible_missions,
     visible_people,
@@ -213,7 +213,7 @@ async def _require_may_grant(
     if expires_at is not None and (await db.execute(sa.select(sa.literal(expires_at) <= sa.func.now()))).scalar_one():
         raise InvalidRequest(problems=[FieldProblem(field="body.expires_at", message="has passed already")])
     resource, actor = granter.resource, granter.actor
-    level = lasting_level_on_project if resource.on is access.GrantOn.project else lasting_level_on_mission
+    level = level_on_project_until if resource.on is access.GrantOn.project else level_on_mission_until
     lasting_level = (await db.execute(_visible_resource(actor, resource, level(actor, expires_at)))).scalar_one()
     if right.level > lasting_level:
         until = "without an end" if expires_at is None else f"until {expires_at:%Y-%m-%d %H:%M} UTC"

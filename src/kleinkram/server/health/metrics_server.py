@@ -22,7 +22,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.contract.files import BlobState
 from kleinkram.server.db import Database
-from kleinkram.server.health.readiness import Recent, find_workers
+from kleinkram.server.health.readiness import CachedLookup, find_workers
 from kleinkram.server.metrics import REGISTRY
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.tables import blob, scrub, upload
@@ -70,7 +70,7 @@ class _ServerGauges:
 
     def __init__(self, settings: Settings, database: Database) -> None:
         self._dsn = make_conninfo(plain_dsn(settings.database_url), **_CONNECTION)
-        self._recent = Recent(lambda: _server_metrics(database), holds_s=_HOLDS_S)
+        self._recent = CachedLookup(lambda: _server_metrics(database), holds_s=_HOLDS_S)
         self._lock = asyncio.Lock()
         self._connection: psycopg.AsyncConnection[tuple[object, ...]] | None = None
         self._release: asyncio.TimerHandle | None = None

@@ -28,7 +28,7 @@ T = TypeVar("T")
 _LOOKUP_TIME_FACTOR = 10
 
 
-class Recent(Generic[T]):
+class CachedLookup(Generic[T]):
     """The last result of a lookup and when it expires. Failed lookups are not cached."""
 
     def __init__(self, look_up: Callable[[], Awaitable[T]], *, holds_s: float) -> None:

@@ -9,7 +9,7 @@ import kleinkram
 from kleinkram.checks import CheckResult, CheckSeverity, find_problems
 from kleinkram.contract.access import TokenKind
 from kleinkram.contract.people import ServiceRead, ViewerRead
-from kleinkram.server.health.readiness import Recent, check_service
+from kleinkram.server.health.readiness import CachedLookup, check_service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
 from kleinkram.server.http.headers import request_origin
 from kleinkram.server.settings import Settings
@@ -37,7 +37,7 @@ async def ready(
     """Return whether database, schema and store are available; reasons and warnings only for monitoring networks."""
     state = request.app.state
     if not hasattr(state, "readiness"):
-        state.readiness = Recent(lambda: check_service(database, storage), holds_s=_HOLDS_S)
+        state.readiness = CachedLookup(lambda: check_service(database, storage), holds_s=_HOLDS_S)
     results: list[CheckResult] = await state.readiness.get()
     shows = _watches(request, settings)
     problems = find_problems(results)

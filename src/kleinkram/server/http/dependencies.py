@@ -10,7 +10,7 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from kleinkram.contract.errors import NotAuthenticated
 from kleinkram.server.access.actor import STRANGER, Actor, ActorKind, find_actor, find_signed_in
 from kleinkram.server.access.operations import OPERATIONS
-from kleinkram.server.access.rights import admit, is_public_endpoint, require_fresh_sign_in, still_shares
+from kleinkram.server.access.rights import check_credential, is_public_endpoint, require_fresh_sign_in, still_shares
 from kleinkram.server.audit.requests import AdminReads, request_target
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, Database
@@ -55,7 +55,7 @@ async def _actor(
     address = request.client.host if request.client else None
     actor = requester.for_request(operation, request_id=request.state.request_id, address=address)
     request.state.actor = actor
-    admit(actor, operation)
+    check_credential(actor, operation)
     if OPERATIONS[operation].fresh:
         require_fresh_sign_in(actor, operation, within_s=request.app.state.settings.fresh_sign_in_s)
     has_text = not request.query_params.keys().isdisjoint({"text", "query"})

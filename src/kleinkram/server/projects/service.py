@@ -21,7 +21,13 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.problems import message_of
 from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.rights import admit, grant_first_rights, require_creator, require_match, require_project
+from kleinkram.server.access.rights import (
+    check_credential,
+    grant_first_rights,
+    require_creator,
+    require_match,
+    require_project,
+)
 from kleinkram.server.access.visible import level_on_project, sees_whole_missions, visible_projects
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, by_name, violated_constraint
@@ -98,10 +104,10 @@ async def update_project(
         return old
     require_match(if_match, old.etag, resource_type="project", name=old.name)
     if after.keys() & _PUBLICATION:
-        admit(actor, "publish_project")
+        check_credential(actor, "publish_project")
         await require_project(db, actor, "publish_project", project_id)
     if after.keys() & _QUOTA:
-        admit(actor, "set_project_quota")
+        check_credential(actor, "set_project_quota")
     values = after | ({"name_key": name_key(after["name"])} if "name" in after else {})
     try:
         await db.execute(update(project).where(project.c.id == project_id).values(**values))

@@ -103,12 +103,10 @@ class AssignedRun(NamedTuple):
     is_deleted: bool
 
 
-async def find_assigned_run(
-    db: Connection, condition: ColumnElement[bool], *, is_queued: bool = False
-) -> AssignedRun | None:
+async def lock_run(db: Connection, condition: ColumnElement[bool], *, is_queued: bool = False) -> AssignedRun | None:
     """Return a run that meets a condition, locked until this transaction ends.
 
-    With `is_queued`, the oldest that no other transaction has locked.
+    With `is_queued`, the oldest queued run that no other transaction has locked.
     """
     columns = (
         *(run.c[name] for name in AssignedRun._fields[:14]),
@@ -150,7 +148,7 @@ async def lock_assigned_run(db: Connection, actor: Actor, run_id: uuid.UUID, att
     Raises:
         RunGone: it does not have the run, or this attempt is outdated.
     """
-    row = await find_assigned_run(db, _is_of(actor, run_id, attempt) & run.c.state.in_(ASSIGNED))
+    row = await lock_run(db, _is_of(actor, run_id, attempt) & run.c.state.in_(ASSIGNED))
     if row is None:
         raise RunGone(run_id=str(run_id))
     return row

@@ -36,7 +36,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.events.hub import EventFilter, Hub
 from kleinkram.server.pagination import Order, PageRequest, fetch_page
-from kleinkram.server.runners.assigned_runs import LEASE, OWN_TOKEN, AssignedRun, find_assigned_run, record_seen
+from kleinkram.server.runners.assigned_runs import LEASE, OWN_TOKEN, AssignedRun, lock_run, record_seen
 from kleinkram.server.runs.eligibility import (
     KnownRunner,
     find_runner,
@@ -183,13 +183,13 @@ async def _claim_now(
     await requeue_lost_runs(db)
     # Assigned without the runner's knowledge: the answer to an earlier claim was lost.
     is_assigned = (run.c.runner_id == runner_id) & run.c.state.in_(ASSIGNED)
-    unanswered = await find_assigned_run(db, is_assigned & run.c.id.not_in(requested.active_run_ids))
+    unanswered = await lock_run(db, is_assigned & run.c.id.not_in(requested.active_run_ids))
     if unanswered is not None:
         return await _assign(db, unanswered, runner_id, unanswered.attempt)
     claiming = await find_runner(db, runner_id)
     if claiming.is_single_person_only and not await has_single_person(db):
         return None
-    while (candidate := await find_assigned_run(db, _fits(claiming, requested.free), is_queued=True)) is not None:
+    while (candidate := await lock_run(db, _fits(claiming, requested.free), is_queued=True)) is not None:
         if await _may_still_run(db, candidate):
             return await _assign(db, candidate, runner_id, candidate.attempt + 1)
         message = "The person who launched it may not run it on this mission any more."

@@ -53,7 +53,7 @@ _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 _RESERVED = {CONTEXT_FILE, ".kleinkram"}
 
 
-class Task(NamedTuple):
+class PreparedAction(NamedTuple):
     """An action with parameters, not yet bound to a mission. `project_id` None: an action of the whole lab."""
 
     version_id: uuid.UUID
@@ -102,7 +102,7 @@ async def launch(db: Connection, actor: Actor, *, requested: RunsCreate) -> Runs
 async def create_run(
     db: Connection,
     actor: Actor,
-    task: Task,
+    task: PreparedAction,
     mission_id: uuid.UUID,
     *,
     force: bool,
@@ -173,11 +173,11 @@ async def retry_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, force: b
     joined = stmt.outerjoin(action, action.c.id == action_version.c.action_id)
     row = (await db.execute(joined.where(action_version.c.id == earlier.version_id))).one()
     definition, runners = ActionDefinition.model_validate(row.definition), await known_runners(db)
-    task = Task(earlier.version_id, definition, row.image_digest, row.project_id, earlier.parameters, runners)
+    task = PreparedAction(earlier.version_id, definition, row.image_digest, row.project_id, earlier.parameters, runners)
     return await create_run(db, actor, task, earlier.mission.id, force=force, retry_of_id=run_id)
 
 
-async def _task(db: Connection, actor: Actor, requested: RunsCreate) -> Task:
+async def _task(db: Connection, actor: Actor, requested: RunsCreate) -> PreparedAction:
     project_id = None
     if requested.action_id is not None:
         version = await actions.get_version(db, actor, action_id=requested.action_id, number=requested.version)
@@ -194,7 +194,7 @@ async def _task(db: Connection, actor: Actor, requested: RunsCreate) -> Task:
     except ParametersWrong as error:
         problems = [FieldProblem(field=f"parameters.{name}", message=parts) for name, parts in error.problems.items()]
         raise InvalidRequest(problems=problems) from error
-    return Task(version_id, definition, digest, project_id, parameters, await known_runners(db))
+    return PreparedAction(version_id, definition, digest, project_id, parameters, await known_runners(db))
 
 
 def _needs(definition: ActionDefinition, project_id: uuid.UUID) -> Needs:
@@ -211,7 +211,7 @@ def _needs(definition: ActionDefinition, project_id: uuid.UUID) -> Needs:
     )
 
 
-async def _find_target(db: Connection, actor: Actor, task: Task, mission_id: uuid.UUID) -> _TargetMission:
+async def _find_target(db: Connection, actor: Actor, task: PreparedAction, mission_id: uuid.UUID) -> _TargetMission:
     """Return a mission on which the actor may run the action, locked against deletion until the run exists."""
     columns = (mission.c.id, mission.c.name, mission.c.project_id, level_on_mission(actor).label("level"))
     stmt = visible_missions(actor).with_only_columns(*columns, maintain_column_froms=True)
@@ -254,14 +254,14 @@ async def _find_inputs(
     return inputs
 
 
-def _fingerprint(task: Task, inputs: Sequence[_Input]) -> bytes:
+def _fingerprint(task: PreparedAction, inputs: Sequence[_Input]) -> bytes:
     """Return the hash of everything that determines the results, except the image."""
     parts = [str(task.version_id), task.parameters, [[entry.path, entry.sha256.hex()] for entry in inputs]]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).digest()
 
 
 async def _reusable_results(
-    db: Connection, task: Task, mission_id: uuid.UUID, fingerprint: bytes
+    db: Connection, task: PreparedAction, mission_id: uuid.UUID, fingerprint: bytes
 ) -> dict[str, Any] | None:
     """Return the columns of a run that reuses the latest run with this fingerprint, mission and image."""
     images = {task.image_digest} - {None}

@@ -87,7 +87,7 @@ async def begin_uploads(
 # -- deciding: functions of the facts, without database and store -----------------------------------------------------
 
 
-class Action(enum.Enum):
+class FileAction(enum.Enum):
     """Decision about an announced file."""
 
     present = enum.auto()
@@ -109,7 +109,7 @@ class Decision:
     """
 
     requested: protocol.UploadFile
-    action: Action
+    action: FileAction
     file_id: uuid.UUID | None = None
     blob_id: uuid.UUID | None = None
     upload_id: uuid.UUID | None = None
@@ -146,7 +146,7 @@ def decide(requested: protocol.UploadFile, facts: RequestFacts) -> Decision:
 
 
 def _refuse(requested: protocol.UploadFile, error: KleinkramError) -> Decision:
-    return Decision(requested, Action.refuse, error=error)
+    return Decision(requested, FileAction.refuse, error=error)
 
 
 def _decide_with_existing(
@@ -158,12 +158,12 @@ def _decide_with_existing(
         return _refuse(requested, PathConflict(path=requested.path, other=other))
     content = content_of(requested)
     if content is None:
-        return Decision(requested, Action.hash_required)
+        return Decision(requested, FileAction.hash_required)
     if content != existing.content:
         return _refuse(requested, existing.exists_error(requested.path, content, may_read=facts.may_read))
     if existing.is_damaged:
         return None
-    return Decision(requested, Action.present, file_id=existing.id)
+    return Decision(requested, FileAction.present, file_id=existing.id)
 
 
 def _decide_with_upload(requested: protocol.UploadFile, other: UploadRow, person_id: uuid.UUID | None) -> Decision:
@@ -171,21 +171,21 @@ def _decide_with_upload(requested: protocol.UploadFile, other: UploadRow, person
     is_same_file = (other.person_id, other.path, other.size_bytes) == (person_id, requested.path, requested.size_bytes)
     is_completing = other.state == UploadState.completing.value
     if is_same_file and other.id == requested.upload_id and not is_completing:
-        return Decision(requested, Action.resume, upload_id=other.id)
+        return Decision(requested, FileAction.resume, upload_id=other.id)
     if other.has_lease or is_completing:
         lease_ends_at = other.lease_ends_at.isoformat(timespec="seconds")
         return _refuse(requested, NameLeased(path=requested.path, lease_ends_at=lease_ends_at))
-    return Decision(requested, Action.begin, stolen_upload_id=other.id)
+    return Decision(requested, FileAction.begin, stolen_upload_id=other.id)
 
 
 def _decide_new(requested: protocol.UploadFile, facts: RequestFacts) -> Decision:
     content = content_of(requested)
     if content is None:
         is_worth_hashing = requested.size_bytes in facts.duplicate_sizes
-        return Decision(requested, Action.hash_required if is_worth_hashing else Action.begin)
+        return Decision(requested, FileAction.hash_required if is_worth_hashing else FileAction.begin)
     if blob_id := facts.duplicates.get(content):
-        return Decision(requested, Action.link, blob_id=blob_id)
-    return Decision(requested, Action.begin)
+        return Decision(requested, FileAction.link, blob_id=blob_id)
+    return Decision(requested, FileAction.begin)
 
 
 def content_of(requested: protocol.UploadFile) -> FileContent | None:
@@ -218,7 +218,7 @@ async def _collect_facts(
 def _decide_all(requested: Sequence[protocol.UploadFile], facts: RequestFacts) -> list[Decision]:
     conflicts = conflicts_among([file.path for file in requested])
     return [
-        Decision(file, Action.refuse, error=PathConflict(path=file.path, other=conflicts[position]))
+        Decision(file, FileAction.refuse, error=PathConflict(path=file.path, other=conflicts[position]))
         if position in conflicts
         else decide(file, facts)
         for position, file in enumerate(requested)
@@ -227,7 +227,7 @@ def _decide_all(requested: Sequence[protocol.UploadFile], facts: RequestFacts) -
 
 def _new_amount(decisions: Sequence[Decision], facts: RequestFacts) -> Amount:
     """Return how much quota the request needs. A repaired file needs no more than it has."""
-    new = [d.requested for d in decisions if d.action in {Action.begin, Action.link}]
+    new = [d.requested for d in decisions if d.action in {FileAction.begin, FileAction.link}]
     new = [file for file in new if name_key(file.path) not in facts.files]
     return Amount(len(new), sum(file.size_bytes for file in new))
 
@@ -243,7 +243,7 @@ async def _steal_leases(db: Connection, decisions: Sequence[Decision]) -> None:
 
 
 async def _renew_resumed(db: Connection, context: AppContext, decisions: Sequence[Decision]) -> None:
-    resumed = [decision.upload_id for decision in decisions if decision.action is Action.resume]
+    resumed = [decision.upload_id for decision in decisions if decision.action is FileAction.resume]
     if resumed:
         renewed = lease_columns(context.settings, func.now())
         await db.execute(update(upload).where(among(upload.c.id, resumed)).values(**renewed))
@@ -253,7 +253,7 @@ async def _reserve_names(
     db: Connection, context: AppContext, actor: Actor, mission_id: uuid.UUID, decisions: list[Decision]
 ) -> list[Decision]:
     """Insert an upload for each new file. The unique index decides between requests that come at the same time."""
-    new = [decision.requested for decision in decisions if decision.action is Action.begin]
+    new = [decision.requested for decision in decisions if decision.action is FileAction.begin]
     if not new:
         return decisions
     # The database's clock, because leases are compared with it and the clocks of machines differ.
@@ -269,7 +269,7 @@ async def _reserve_names(
     ids = {row.path: row.id for row in await db.execute(statement)}
     created = [ChangeEvent("upload", ChangeKind.created, id_, mission_id=mission_id) for id_ in ids.values()]
     await publish(db, created)
-    return [_with_upload(decision, ids) if decision.action is Action.begin else decision for decision in decisions]
+    return [_with_upload(decision, ids) if decision.action is FileAction.begin else decision for decision in decisions]
 
 
 def _free_id(requested: protocol.UploadFile, used: Collection[uuid.UUID]) -> uuid.UUID:
@@ -284,7 +284,7 @@ def _with_upload(decision: Decision, ids: Mapping[str, uuid.UUID]) -> Decision:
     if upload_id := ids.get(path):
         return replace(decision, upload_id=upload_id)
     now = datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds")
-    return replace(decision, action=Action.refuse, error=NameLeased(path=path, lease_ends_at=now))
+    return replace(decision, action=FileAction.refuse, error=NameLeased(path=path, lease_ends_at=now))
 
 
 # -- linking duplicates -----------------------------------------------------------------------------------------------
@@ -294,7 +294,7 @@ async def _link_duplicates(
     db: Connection, actor: Actor, mission_id: uuid.UUID, decisions: list[Decision]
 ) -> list[Decision]:
     """Make files from stored blobs; a file whose blob is damaged gets the undamaged one."""
-    linked = [decision for decision in decisions if decision.action is Action.link]
+    linked = [decision for decision in decisions if decision.action is FileAction.link]
     if not linked:
         return decisions
     rows = [
@@ -337,14 +337,14 @@ async def _link_duplicates(
     # A file that was damaged may have been verified since; then it has the same bytes as its duplicate.
     healed = [name_key(d.requested.path) for d in linked if d.requested.path not in file_ids]
     existing = await queries.existing_files(db, mission_id, healed) if healed else {}
-    return [_with_file(d, file_ids, existing) if d.action is Action.link else d for d in decisions]
+    return [_with_file(d, file_ids, existing) if d.action is FileAction.link else d for d in decisions]
 
 
 def _with_file(decision: Decision, file_ids: Mapping[str, uuid.UUID], existing: Mapping[str, ExistingFile]) -> Decision:
     path = decision.requested.path
     if file_id := file_ids.get(path):
         return replace(decision, file_id=file_id)
-    return replace(decision, action=Action.present, file_id=existing[name_key(path)].id)
+    return replace(decision, action=FileAction.present, file_id=existing[name_key(path)].id)
 
 
 # -- answering --------------------------------------------------------------------------------------------------------
@@ -362,15 +362,15 @@ class _BegunUploads:
 async def _open_at_store(
     context: AppContext, decisions: Sequence[Decision], uploads: Mapping[uuid.UUID, UploadRow]
 ) -> dict[uuid.UUID, list[protocol.StoredPart]]:
-    """Open the uploads at the store and return the parts that it has; free the names if the store is away."""
-    resumed = {d.upload_id for d in decisions if d.action is Action.resume and d.upload_id}
+    """Open the uploads at the store and return the parts that it has; free the names if the store is unavailable."""
+    resumed = {d.upload_id for d in decisions if d.action is FileAction.resume and d.upload_id}
     multipart = [row for row in uploads.values() if row.is_multipart]
     try:
         parts = await open_multiparts(context, multipart, resumed=resumed) if multipart else {}
         # A resumed upload may have many small files at the store; sending them again would take long.
         return parts | await stored_small_files(context.storage, [uploads[id_] for id_ in resumed])
     except StoreUnavailable:
-        await free_names(context, [d.upload_id for d in decisions if d.action is Action.begin and d.upload_id])
+        await free_names(context, [d.upload_id for d in decisions if d.action is FileAction.begin and d.upload_id])
         raise
 
 
@@ -383,11 +383,15 @@ def _to_wire(context: AppContext, actor: Actor, decision: Decision, begun: _Begu
         parts = begun.parts.get(row.id, [])
         return protocol.UploadRequired(upload=to_upload_read(row, parts), part=sign_only_part(context, row, requested))
     read = begun.files.get(decision.file_id) if decision.file_id else None
-    if decision.action is Action.present and Scope.read not in actor.scopes:
+    if decision.action is FileAction.present and Scope.read not in actor.scopes:
         return protocol.AlreadyPresent(file=read)
     if read is None:  # also if the file was deleted since: the next request gets another decision
         return protocol.HashRequired(path=requested.path)
-    return protocol.AlreadyPresent(file=read) if decision.action is Action.present else protocol.Deduplicated(file=read)
+    return (
+        protocol.AlreadyPresent(file=read)
+        if decision.action is FileAction.present
+        else protocol.Deduplicated(file=read)
+    )
 
 
 # -- one upload, and all of a mission ---------------------------------------------------------------------------------

@@ -171,7 +171,7 @@ def _check_offsets(facts: McapFacts, summary_start: int) -> None:
         if row.start < end or row.length < records.RECORD_HEAD.size:
             raise Malformed(f"byte {row.start}", "the chunk index lists chunks that overlap")
         if row.end > summary_start:
-            raise Malformed(f"byte {row.start}", "the chunk index points behind the data")
+            raise Malformed(f"byte {row.start}", "the chunk index points past the data")
         end = row.end
 
 
@@ -422,5 +422,5 @@ SVO2 = Format(
     extensions=(".svo2", ".mcap"),
     scan=lambda reader: as_svo2(scan_mcap(reader)),
     summarise=lambda source, max_bytes: as_svo2(summarise_mcap(source, max_bytes)),
-    refusal="it is a SVO2 of a ZED camera, and reading that format is not supported",
+    refusal="it is an SVO2 of a ZED camera, and reading that format is not supported",
 )

@@ -92,7 +92,7 @@ def is_unfinished_chunk(data: Buffer, at: int) -> bool:
     return records.PLACEHOLDER in (length, uncompressed, stored)
 
 
-def is_disguised(data: Buffer, at: int, left: int, *, behind_chunk: bool) -> bool:
+def has_flipped_opcode(data: Buffer, at: int, left: int, *, behind_chunk: bool) -> bool:
     """Return whether a message record has the lengths of a record whose opcode differs by one bit.
 
     `left`: bytes from `at` to the end of the file. `behind_chunk`: or behind damage, where message indexes may be; a
@@ -107,7 +107,7 @@ def is_disguised(data: Buffer, at: int, left: int, *, behind_chunk: bool) -> boo
     return any(_body_length(kind, data, at + RECORD_HEAD.size, length) == length for kind in kinds)
 
 
-def fault_at_hand(data: Buffer, at: int, left: int) -> str | None:
+def fault_in_window(data: Buffer, at: int, left: int) -> str | None:
     """Return why no record can begin here; None: one can, or the bytes are not in the window."""
     if at + min(LOOK, left) > len(data) or left < RECORD_HEAD.size:
         return None
@@ -214,7 +214,7 @@ _END = rb"\x02\x14\0{7}.{20}" + re.escape(MAGIC)  # A footer, and the magic behi
 _MARK = re.compile(_END + b"|" + re.escape(MAGIC), re.DOTALL)
 
 
-def pass_damage(stream: LookaheadStream, channels: Container[int], losses: DamageReport) -> None:
+def skip_damage(stream: LookaheadStream, channels: Container[int], losses: DamageReport) -> None:
     """Skip at least one byte, up to the next record of this file."""
     start = 0 if stream.window[stream.at] == Opcode.HEADER and stream.position != len(MAGIC) else 1
     while stream.left:

@@ -91,7 +91,7 @@ class _McapScanner(ChunkScanner[McapFacts]):
         stream, losses = self._stream, self._scan.losses
         stream.ahead(LOOK)
         behind_chunk = self._chunk is not None or self._is_resynced
-        if resync.is_disguised(stream.window, stream.at, stream.left, behind_chunk=behind_chunk):
+        if resync.has_flipped_opcode(stream.window, stream.at, stream.left, behind_chunk=behind_chunk):
             _, length = RECORD_HEAD.unpack_from(stream.window, stream.at)
             losses.note(Malformed(f"byte {stream.position}", "a record of another kind that claims to be a message"))
             losses.bytes += RECORD_HEAD.size + length
@@ -189,13 +189,13 @@ class _McapScanner(ChunkScanner[McapFacts]):
         return resync.stands_outside_chunks(stream.window, stream.at + total, stream.left - total)
 
     def _search(self) -> None:
-        resync.pass_damage(self._stream, self._scan.facts.channels, self._scan.losses)
+        resync.skip_damage(self._stream, self._scan.facts.channels, self._scan.losses)
         self._is_resynced = True
 
     def _pass(self, total: int) -> None:
         """Skip a record; if no record can begin after it, its length is wrong, and the search begins inside it."""
         stream, scan = self._stream, self._scan
-        wrong = resync.fault_at_hand(stream.window, stream.at + total, stream.left - total)
+        wrong = resync.fault_in_window(stream.window, stream.at + total, stream.left - total)
         if wrong is None:
             stream.advance(total)
             return

@@ -22,7 +22,7 @@ from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.file_summary import TopicType, bounded, build_summary, pending
 from kleinkram.recordings.formats import base
-from kleinkram.recordings.formats.base import Format, Member, MemberContents
+from kleinkram.recordings.formats.base import Format, MemberContents, OpenedFile
 from kleinkram.recordings.formats.rosbag2 import database as db
 from kleinkram.recordings.formats.rosbag2.database import LOG_SUFFIXES, MessageRow, Origin, TopicRow
 from kleinkram.recordings.formats.rosbag2.recovery import Recovery, open_recovered
@@ -236,13 +236,13 @@ class DatabaseMember:
         path: Path,
         name: str,
         problem_log: ProblemLog,
-        recover: Callable[[], Member],
+        recover: Callable[[], OpenedFile],
         *,
         message_compression: str = "",
     ) -> None:
         """Read topics and span; `recover` opens a damaged database."""
         self._recover = recover
-        self._recovered: Member | None = None
+        self._recovered: OpenedFile | None = None
         self._path = path
         self._name = name
         self._problem_log = problem_log
@@ -319,7 +319,7 @@ class DatabaseMember:
         for (number,) in database.execute(_BY_NUMBERS, span):
             yield from database.execute(_ONE, (number,))
 
-    def _rescue(self, error: Exception) -> Member:
+    def _rescue(self, error: Exception) -> OpenedFile:
         self._problem_log.add("damaged", self._name, f"SQLite cannot read it ({error}); what is left of it is read")
         if self._recovered is None:
             self._recovered = self._recover()
@@ -372,13 +372,13 @@ def _summarise(source: Source, max_bytes: int) -> RecordingSummary:
     return scan_db3(SourceReader(source), depth=Depth.summary)
 
 
-def _open(file: base.RecordingFile, context: base.OpenContext) -> Member:
+def _open(file: base.RecordingFile, context: base.OpenContext) -> OpenedFile:
     source, problem_log, compression = file.source, context.problem_log, context.message_compression
     if file.path is None:
         context.check_cost(source, "a rosbag2 database (db3) is read from a local copy")
     path = file.database = _whole_database(file, context)
 
-    def recover() -> Member:
+    def recover() -> OpenedFile:
         return open_recovered(path, source.name, problem_log, context.stack, message_compression=compression)
 
     return DatabaseMember(path, source.name, problem_log, recover, message_compression=compression)
