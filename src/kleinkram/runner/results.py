@@ -214,7 +214,7 @@ def _read(out: Path, name: str, max_bytes: int) -> bytes | None:
     """Return the content of a file below `out`, or None where there is none.
 
     Raises:
-        _Unreadable: it is no regular file, or too large.
+        _Unreadable: it is not a regular file, or too large.
     """
     try:
         stream = _open_beneath(out, name)
@@ -297,7 +297,7 @@ def _open_beneath(directory: Path, relative: str) -> IO[bytes] | None:
         os.close(current)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise OSError(f"{name} is no regular file")
+        raise OSError(f"{name} is not a regular file")
     return os.fdopen(descriptor, "rb")
 
 

@@ -1,7 +1,6 @@
 """Untrusted YAML yields plain values or the place of the error."""
 
 import math
-import time
 
 import pytest
 from hypothesis import given
@@ -95,12 +94,9 @@ def test_unbounded_yaml_expansion_is_aborted(text: str) -> None:
 
 
 @pytest.mark.parametrize("opening", ["[", "{", "{a: ", "[{a: ", "- ", "? ", "a: [", "- {b: "])
-def test_a_thousand_open_brackets_are_refused_in_milliseconds(opening: str) -> None:
-    began = time.process_time()
-    refusal = _refusal(opening * 1000)
-    took_s = time.process_time() - began
-    assert refusal is not None
-    assert took_s < 0.05
+def test_ten_thousand_open_brackets_are_refused_without_reading_them_all(opening: str) -> None:
+    # A parser whose time grows with the square of the depth would not end within the timeout.
+    assert _refusal(opening * 10_000) is not None
 
 
 @pytest.mark.parametrize(("text", "column"), [("[" * 1000, 22), ("a: " + "[" * 1000, 24), ("- " * 1000, 43)])
