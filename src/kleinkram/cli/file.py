@@ -9,6 +9,7 @@ from kleinkram.cli import options
 from kleinkram.cli.commands import Many, Subcommands, Text, argument, flag, option
 from kleinkram.cli.errors import exit_code_of
 from kleinkram.cli.filters import Choice, file_filter, select_files, with_choice
+from kleinkram.cli.mission import show_files
 from kleinkram.cli.render import Output, as_list, as_total, details, line, note, table
 from kleinkram.cli.transfer import upload
 from kleinkram.cli.units import count as count_of
@@ -144,18 +145,6 @@ def delete(
     note(f"{verb} to the trash: {count_of(len(chosen), 'file')}, {size(size_bytes)}")
     document = {"files": len(chosen), "size_bytes": size_bytes, "dry_run": dry_run, "items": chosen}
     return Output(document, (lambda: show_files(chosen)) if dry_run else ())
-
-
-def show_files(files: Iterable[FileRead], *, to_stderr: bool = False) -> None:
-    """Print files of any missions as a table."""
-    cells = []
-    for row in files:
-        location = (row.mission.project.name, row.mission.name, row.path)
-        content = (row.content.value, row.message_count)
-        times = (instant(row.start_ns), span(row.start_ns, row.end_ns))
-        cells.append((*location, size(row.size_bytes), row.state.value, *content, *times, row.id))
-    headers = ["project", "mission", "path", "size", "bytes", "content", "messages", "start", "span", "id"]
-    table(headers, cells, to_stderr=to_stderr)
 
 
 def _show_topics(topics: Iterable[TopicRead]) -> None:

@@ -246,6 +246,17 @@ def show_missions(missions: Iterable[MissionRead]) -> None:
     )
 
 
+def show_files(files: Iterable[FileRead], *, to_stderr: bool = False) -> None:
+    """Print files of any missions as a table."""
+    cells = []
+    for row in files:
+        location = (row.mission.project.name, row.mission.name, row.path)
+        content = (row.content.value, row.message_count)
+        cells.append((*location, size(row.size_bytes), row.state.value, *content, *_times(row), row.id))
+    headers = ["project", "mission", "path", "size", "bytes", "content", "messages", "start", "span", "id"]
+    table(headers, cells, to_stderr=to_stderr)
+
+
 def _times(row: MissionRead | RecordingRead | FileRead) -> tuple[str | None, str | None]:
     """Return the start and the span of what was recorded."""
     return instant(row.start_ns), span(row.start_ns, row.end_ns)

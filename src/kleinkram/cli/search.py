@@ -8,9 +8,8 @@ from typing import Annotated
 
 from kleinkram.cli import options
 from kleinkram.cli.commands import AsJson, Many, Text, argument, flag, option
-from kleinkram.cli.file import show_files
 from kleinkram.cli.filters import Choice, file_filter, mission_query, with_choice
-from kleinkram.cli.mission import show_missions
+from kleinkram.cli.mission import show_files, show_missions
 from kleinkram.cli.render import Output, as_list, as_table, as_total, details, line, note, show_json, table
 from kleinkram.cli.run_view import action_name, mission_name, status_text
 from kleinkram.cli.units import size

@@ -67,7 +67,7 @@ def test_a_second_account_makes_script_runs_refused_with_the_remedy(
     assert single.get("/home").ok()["attention"] == []
 
 
-def test_runs_start_again_with_a_runner_that_has_containers(single: Api, own_runner: FakeRunner, mission: Any) -> None:
+def test_a_runner_with_containers_ends_the_problem(single: Api, own_runner: FakeRunner, mission: Any) -> None:
     people.person(single)
     own_runner.register()
     assert launch(single, own_runner, mission)["waits_for"].startswith("It is queued for ")

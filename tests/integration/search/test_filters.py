@@ -266,7 +266,9 @@ def test_a_person_with_several_missions_finds_what_an_admin_finds_in_them(
     assert set(_statements_naming_missions(api, many.token)) == {False}
 
 
-def test_lists_by_label_name_the_missions_of_somebody_who_sees_up_to_two_thousand(api: Api, sample: Sample) -> None:
+def test_lists_by_label_name_the_visible_missions_up_to_the_limit_of_searches(
+    api: Api, sample: Sample, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Other lists of this person are read in the order of an index, since their conditions may hold for most files."""
     reader, crowd = people.person(api), api.project()["id"]
     people.grant(api, reader, Right.read, project_id=crowd)
@@ -287,6 +289,12 @@ def test_lists_by_label_name_the_missions_of_somebody_who_sees_up_to_two_thousan
         listed = [entry for entry in statements if "JOIN mission" in entry and "FROM file" in entry]
         assert listed, query
         assert {"file.mission_id = ANY" in entry for entry in listed} == {is_named}, query
+
+    monkeypatch.setattr(search_plan, "MAX_VISIBLE_MISSIONS", _MAX_SORTED)
+    with api.statements() as statements:
+        assert sorted(_ids(theirs.all("/files", {"project_id": crowd, "label": "night"}))) == sorted(ids[1::2])
+    listed = [entry for entry in statements if "JOIN mission" in entry and "FROM file" in entry]
+    assert {"file.mission_id = ANY" in entry for entry in listed} == {False}
 
 
 @pytest.mark.parametrize("sort", ["start", "-start", "-created", "size"])

@@ -25,7 +25,7 @@ const NO_ERRORS = /^$/;
 const CLIENT_ERROR = /^Failed to load resource: the server responded with a status of 4/;
 const UNAUTHORIZED = /^Failed to load resource: the server responded with a status of 401/;
 const WINDOW_NOT_CLOSED = /^Scripts may close only the windows/;
-// Nothing in the test reads the pictures, and they take a fifth of its time.
+// Pictures are for people; no check reads them.
 const WITH_PICTURES = process.env.KLEINKRAM_TEST_PICTURES === "1";
 const MAX_HEIGHT = 2400;
 
@@ -122,7 +122,7 @@ async function checkPage(page, name, { path = null, ready = null, expectedTexts 
     const over = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
     if (over > 0) results.overflowing.push(`${name} ${view}: ${over} px`);
     if (await page.evaluate(isCurrentTabCutOff)) results.overflowing.push(`${name} ${view}: the current tab is not completely visible`);
-    if (WITH_PICTURES && fullPage) {
+    if (fullPage) {
       const height = await page.evaluate(() => document.documentElement.scrollHeight);
       await page.setViewportSize({ width: size.width, height: Math.min(MAX_HEIGHT, Math.max(size.height, height)) });
       await waitUntilSettled(page, colorScheme);

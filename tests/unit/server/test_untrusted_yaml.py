@@ -5,6 +5,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ruamel.yaml.scanner import Scanner
 
 from kleinkram.contract.errors import YamlInvalid
 from kleinkram.contract.metadata import MAX_DEPTH, MAX_VALUES
@@ -94,9 +95,17 @@ def test_unbounded_yaml_expansion_is_aborted(text: str) -> None:
 
 
 @pytest.mark.parametrize("opening", ["[", "{", "{a: ", "[{a: ", "- ", "? ", "a: [", "- {b: "])
-def test_ten_thousand_open_brackets_are_refused_without_reading_them_all(opening: str) -> None:
-    # A parser whose time grows with the square of the depth would not end within the timeout.
+def test_deep_nesting_is_refused_after_a_few_tokens(opening: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[None] = []
+    fetch_more_tokens = Scanner.fetch_more_tokens
+
+    def count_calls(scanner: Scanner) -> None:
+        calls.append(None)
+        fetch_more_tokens(scanner)
+
+    monkeypatch.setattr(Scanner, "fetch_more_tokens", count_calls)
     assert _refusal(opening * 10_000) is not None
+    assert len(calls) < 8 * MAX_DEPTH
 
 
 @pytest.mark.parametrize(("text", "column"), [("[" * 1000, 22), ("a: " + "[" * 1000, 24), ("- " * 1000, 43)])
