@@ -93,7 +93,7 @@ def _clock(check: str, date: str | None) -> Iterator[CheckResult]:
 
 
 def _not_running(data_dir: DataDir) -> Iterator[CheckResult]:
-    yield problem("running", "Kleinkram does not run on this data directory.", "Start it with `klein up`.")
+    yield problem("running", "Kleinkram is not running in this data directory.", "Start it with `klein up`.")
     for name, port in load_ports(data_dir).items():
         if name in ("api", "store") and (holder := port_listener(port)):
             remedy = "`klein up` will choose another; to keep it, end that program first."

@@ -117,7 +117,7 @@ def test_down_ends_an_instance_and_fails_when_none_runs(shared_instance: Instanc
     process.communicate(timeout=60)
     assert process.returncode == 0
     assert shared_instance.processes == []
-    with pytest.raises(NotRunning, match="does not run"):
+    with pytest.raises(NotRunning, match="is not running"):
         stop_instance(DataDir(shared_instance.data_dir))
 
 
@@ -139,7 +139,7 @@ def test_up_and_down_print_json(shared_instance: Instance) -> None:
     assert (out, _unexpected(err)) == ("", "")
     again = subprocess.run(down, check=False, capture_output=True, text=True)
     assert (again.returncode, again.stdout) == (1, "")
-    assert "does not run" in again.stderr
+    assert "is not running" in again.stderr
 
 
 def test_down_names_no_services_of_a_killed_instance(shared_instance: Instance) -> None:
