@@ -291,8 +291,9 @@ def test_lists_by_label_name_the_visible_missions_up_to_the_limit_of_searches(
         assert {"file.mission_id = ANY" in entry for entry in listed} == {is_named}, query
 
     monkeypatch.setattr(search_plan, "MAX_VISIBLE_MISSIONS", _MAX_SORTED)
+    by_label = {"project_id": crowd, "label": "night"}
     with api.statements() as statements:
-        assert sorted(_ids(theirs.all("/files", {"project_id": crowd, "label": "night"}))) == sorted(ids[1::2])
+        assert sorted(_ids(theirs.all("/files", {**by_label, "sort": "created"}))) == sorted(ids[1::2])
     listed = [entry for entry in statements if "JOIN mission" in entry and "FROM file" in entry]
     assert {"file.mission_id = ANY" in entry for entry in listed} == {False}
 
