@@ -237,6 +237,8 @@ class ActiveRun:
                 sampled_s = boot_time_s()
                 self._add_sample()
         self._check_stop()
+        if ending.reason is EndReason.lost and self.lease.is_over():  # its supervisor noticed before `enforce` did
+            raise StopRequested(StopRequest.abandon)
         self._add_sample()
         self._progress.read()
         if self.stop.request is StopRequest.cancel:

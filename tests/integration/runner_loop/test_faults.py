@@ -13,6 +13,7 @@ from kleinkram.client.transfer import store
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner import results
+from kleinkram.runner.active_run import ActiveRun
 from kleinkram.runner.state_directory import LEASE_MARGIN_S
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
@@ -159,9 +160,12 @@ def test_sigterm_leaves_jobs_and_sigint_ends_them(server: FakeServer, runners: R
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("noticed_by", ["the runner", "the supervisor of the job"])
 def test_a_run_whose_lease_cannot_be_renewed_is_ended(
-    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
+    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch, noticed_by: str
 ) -> None:
+    if noticed_by != "the runner":
+        monkeypatch.setattr(ActiveRun, "enforce", lambda _: None)
     # The machine's clock counts for nothing.
     monkeypatch.setattr(time, "time", lambda: time.time_ns() / 1e9 + 3600)
     server.lease_s = LEASE_MARGIN_S + 8
