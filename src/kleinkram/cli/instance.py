@@ -93,7 +93,7 @@ def down(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
 
 def doctor(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
     """Check the Kleinkram on this machine, and show how to fix problems. The exit code is 1 if there are any."""
-    from kleinkram import checks
+    from kleinkram import diagnostics
     from kleinkram.standalone.doctor import examine
 
     results = examine(resolve_data_dir(data_dir))
@@ -103,8 +103,8 @@ def doctor(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
             "run `python -m kleinkram.server check`.",
             err=True,
         )
-    typer.echo(checks.report(results, as_json=as_json))
-    if checks.find_problems(results):
+    typer.echo(diagnostics.report(results, as_json=as_json))
+    if diagnostics.find_problems(results):
         raise typer.Exit(1)
 
 

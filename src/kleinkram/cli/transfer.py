@@ -19,7 +19,7 @@ from kleinkram.cli.render import Output, escape, moment, note, table
 from kleinkram.cli.units import count, parse_rate, size
 from kleinkram.client import Client, connect, transfer
 from kleinkram.client.errors import ClientError, InvalidInput, NothingToDo, ServerUnreachable, TimedOut, request_id_of
-from kleinkram.client.transfer import FileVerdict, TransferReport, UploadPlan, Verdict, Watcher
+from kleinkram.client.transfer import Comparison, FileComparison, TransferReport, UploadPlan, Watcher
 from kleinkram.client.transfer.plan import is_excluded, mission_folders
 from kleinkram.contract.errors import KleinkramError, NotFound
 from kleinkram.contract.missions import MissionRead
@@ -232,48 +232,48 @@ def verify(
         files = select_files(client, choice, paths or [])
         if not files:
             raise NothingToDo(reason="No file matches")
-        verdicts = transfer.verify_remote(client.files, files, timeout_s=timeout)
+        comparisons = transfer.verify_remote(client.files, files, timeout_s=timeout)
     else:
         if not paths:
             raise InvalidInput(what="The command", reason="specify local files to compare, or --remote")
         plan = _plan(paths, include_active=True)
         ref = options.the_ref("mission", None, options.the_only("mission", mission))
         mission_id = client.missions.get(ref, project=options.the_only("project", project)).id
-        verdicts, left_out = transfer.verify_local(client.files, mission_id, plan), plan.left_out
-    unread = [one.error for one in verdicts if one.error is not None]
+        comparisons, left_out = transfer.verify_local(client.files, mission_id, plan), plan.left_out
+    unread = [one.error for one in comparisons if one.error is not None]
     _note_left_out(unread)
-    same_count = sum(one.verdict is Verdict.same for one in verdicts)
-    note(f"{same_count} of {count(len(verdicts) + len(left_out), 'file')} are the same.")
+    same_count = sum(one.comparison is Comparison.same for one in comparisons)
+    note(f"{same_count} of {count(len(comparisons) + len(left_out), 'file')} are the same.")
     exit_code = exit_code_of([*unread, *left_out])
-    if len(verdicts) - same_count > len(unread):
+    if len(comparisons) - same_count > len(unread):
         exit_code = ExitCode.bytes_differ
-    items = [_plain_verdict(one) for one in verdicts]
+    items = [_plain_comparison(one) for one in comparisons]
     document = {"items": items, "left_out": [_plain_error(error) for error in left_out]}
-    return Output(document, lambda: _show_verdicts(verdicts), exit_code)
+    return Output(document, lambda: _show_comparisons(comparisons), exit_code)
 
 
-def _show_verdicts(verdicts: list[FileVerdict]) -> None:
-    named = _named(verdicts)
-    table(["verdict", "path", "size"], [(one.verdict.value, path, size(one.size_bytes)) for one, path in named])
+def _show_comparisons(comparisons: list[FileComparison]) -> None:
+    named = _named(comparisons)
+    table(["result", "path", "size"], [(one.comparison.value, path, size(one.size_bytes)) for one, path in named])
     for one, path in named:
         if one.file is not None and one.file.damaged_at is not None:
             reason, since = one.file.state_reason, moment(one.file.damaged_at)
             note(f"{path} is {one.file.state.value} since {since}: {reason}. Upload it again to repair it.")
 
 
-def _named(verdicts: list[FileVerdict]) -> list[tuple[FileVerdict, str]]:
-    """Return each verdict with its path, preceded by project and mission where there are several missions."""
-    locations = [(one.file.mission.project.name, one.file.mission.name) if one.file else () for one in verdicts]
+def _named(comparisons: list[FileComparison]) -> list[tuple[FileComparison, str]]:
+    """Return each comparison with its path, preceded by project and mission where there are several missions."""
+    locations = [(one.file.mission.project.name, one.file.mission.name) if one.file else () for one in comparisons]
     if len({location for location in locations if location}) < 2:
-        return [(one, one.path) for one in verdicts]
-    return [(one, "/".join([*location, one.path])) for one, location in zip(verdicts, locations, strict=True)]
+        return [(one, one.path) for one in comparisons]
+    return [(one, "/".join([*location, one.path])) for one, location in zip(comparisons, locations, strict=True)]
 
 
-def _plain_verdict(one: FileVerdict) -> dict[str, object]:
+def _plain_comparison(one: FileComparison) -> dict[str, object]:
     file = one.file
     return {
         "path": one.path,
-        "verdict": one.verdict.value,
+        "result": one.comparison.value,
         "size_bytes": one.size_bytes,
         "sha256": one.sha256,
         "file_id": str(file.id) if file else None,

@@ -6,7 +6,7 @@ from datetime import datetime, timezone
 from email.utils import parsedate_to_datetime
 from pathlib import Path
 
-from kleinkram.checks import CheckResult, check_clock, check_disk, judge, ok, problem
+from kleinkram.diagnostics import Diagnostic, check_clock, check_disk, judge, ok, problem
 from kleinkram.standalone import http_client
 from kleinkram.standalone.data_dir import (
     DataDir,
@@ -24,7 +24,7 @@ from kleinkram.standalone.processes import port_listener, start_ticks
 from kleinkram.standalone.services import last_postgres_error
 
 
-def examine(root: Path) -> list[CheckResult]:
+def examine(root: Path) -> list[Diagnostic]:
     """Run the checks that apply to the state of the instance; takes a few seconds at most."""
     data_dir = DataDir(root)
     results = [*_programs(), _folder(data_dir)]
@@ -41,7 +41,7 @@ def examine(root: Path) -> list[CheckResult]:
     return [*results, *_running(data_dir, info)]
 
 
-def _running(data_dir: DataDir, info: RuntimeInfo) -> Iterator[CheckResult]:
+def _running(data_dir: DataDir, info: RuntimeInfo) -> Iterator[Diagnostic]:
     yield ok("running", f"Kleinkram answers at {info.url}.")
     for name, pid in info.services.items():
         if pid is not None and start_ticks(pid) is not None:
@@ -54,7 +54,7 @@ def _running(data_dir: DataDir, info: RuntimeInfo) -> Iterator[CheckResult]:
     yield from _store(data_dir, info)
 
 
-def _api(data_dir: DataDir, info: RuntimeInfo) -> Iterator[CheckResult]:
+def _api(data_dir: DataDir, info: RuntimeInfo) -> Iterator[Diagnostic]:
     url = info.local_url
     try:
         response = http_client.request("GET", f"{url}/health/ready", timeout_s=10)
@@ -69,7 +69,7 @@ def _api(data_dir: DataDir, info: RuntimeInfo) -> Iterator[CheckResult]:
     yield from _clock("clock against the API", response.date)
 
 
-def _store(data_dir: DataDir, info: RuntimeInfo) -> Iterator[CheckResult]:
+def _store(data_dir: DataDir, info: RuntimeInfo) -> Iterator[Diagnostic]:
     """Request the public address without a signature: any S3 response shows that clients reach it."""
     url = info.store_url
     try:
@@ -87,12 +87,12 @@ def _store(data_dir: DataDir, info: RuntimeInfo) -> Iterator[CheckResult]:
     yield from _clock("clock against the store", response.date)
 
 
-def _clock(check: str, date: str | None) -> Iterator[CheckResult]:
+def _clock(check: str, date: str | None) -> Iterator[Diagnostic]:
     if date is not None:
         yield check_clock(check, (datetime.now(timezone.utc) - parsedate_to_datetime(date)).total_seconds())
 
 
-def _not_running(data_dir: DataDir) -> Iterator[CheckResult]:
+def _not_running(data_dir: DataDir) -> Iterator[Diagnostic]:
     yield problem("running", "Kleinkram is not running in this data directory.", "Start it with `klein up`.")
     for name, port in load_ports(data_dir).items():
         if name in ("api", "store") and (holder := port_listener(port)):
@@ -100,7 +100,7 @@ def _not_running(data_dir: DataDir) -> Iterator[CheckResult]:
             yield problem(f"port of the {name}", f"Port {port} is taken by {holder}.", remedy)
 
 
-def _programs() -> Iterator[CheckResult]:
+def _programs() -> Iterator[Diagnostic]:
     try:
         programs = locate_postgres()
         yield ok("PostgreSQL", f"Version {programs.major} in {programs.folder}.")
@@ -112,7 +112,7 @@ def _programs() -> Iterator[CheckResult]:
         yield problem("weed", str(error))
 
 
-def _folder(data_dir: DataDir) -> CheckResult:
+def _folder(data_dir: DataDir) -> Diagnostic:
     check, root = "data directory", data_dir.root
     if not data_dir.lock_file.exists():
         return problem(check, f"There is none at {root}.", "`klein up` creates it.")
@@ -123,7 +123,7 @@ def _folder(data_dir: DataDir) -> CheckResult:
     return ok(check, f"{root}.")
 
 
-def _version(data_dir: DataDir) -> Iterator[CheckResult]:
+def _version(data_dir: DataDir) -> Iterator[Diagnostic]:
     try:
         refuse_newer(data_dir)
     except StandaloneError as error:
@@ -147,7 +147,7 @@ def _postgres_major() -> int | None:
         return None
 
 
-def _token(data_dir: DataDir) -> CheckResult:
+def _token(data_dir: DataDir) -> Diagnostic:
     check, token = "owner token", data_dir.token_file
     if not token.exists():
         return problem(check, f"{token} does not exist.", "`klein up` creates a new one.")
@@ -156,7 +156,7 @@ def _token(data_dir: DataDir) -> CheckResult:
     return ok(check, "Readable by its owner only.")
 
 
-def _disks(data_dir: DataDir) -> Iterator[CheckResult]:
+def _disks(data_dir: DataDir) -> Iterator[Diagnostic]:
     """Check the disk of the data directory, and that of the database if it is another one."""
     remedy = (
         "Free some: below 1 % the store takes no more uploads, and without any the database stops until there is some. "

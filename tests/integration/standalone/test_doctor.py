@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram import checks
-from kleinkram.checks import find_problems
+from kleinkram import diagnostics
+from kleinkram.diagnostics import find_problems
 from kleinkram.standalone import doctor
 from kleinkram.standalone.data_dir import DataDir
 from kleinkram.standalone.supervisor import stop_instance
@@ -53,8 +53,8 @@ def test_files_readable_by_others_are_reported(shared_instance: Instance) -> Non
 
 
 def test_clock_skew_and_low_disk_space_are_reported(shared_instance: Instance, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checks, "LOW_DISK_BYTES", 10**18)
-    monkeypatch.setattr(checks, "MAX_SKEW_S", -1.0)
+    monkeypatch.setattr(diagnostics, "LOW_DISK_BYTES", 10**18)
+    monkeypatch.setattr(diagnostics, "MAX_SKEW_S", -1.0)
     shared_instance.up()
     problems = _problems(shared_instance)
     stop_instance(DataDir(shared_instance.data_dir))

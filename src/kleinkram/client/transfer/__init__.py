@@ -5,20 +5,20 @@ from kleinkram.client.transfer.download_target import DownloadPlan, DownloadTarg
 from kleinkram.client.transfer.plan import LocalFile, UploadPlan, plan_upload
 from kleinkram.client.transfer.report import CONNECTIONS, LinkReport, Outcome, TransferReport, TransferResult, Watcher
 from kleinkram.client.transfer.upload import upload
-from kleinkram.client.transfer.verify import FileVerdict, Verdict, verify_local, verify_remote
+from kleinkram.client.transfer.verify import Comparison, FileComparison, verify_local, verify_remote
 
 __all__ = [
     "CONNECTIONS",
+    "Comparison",
     "DownloadPlan",
     "DownloadTarget",
-    "FileVerdict",
+    "FileComparison",
     "LinkReport",
     "LocalFile",
     "Outcome",
     "TransferReport",
     "TransferResult",
     "UploadPlan",
-    "Verdict",
     "Watcher",
     "download",
     "plan_download",

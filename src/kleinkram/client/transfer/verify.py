@@ -19,7 +19,7 @@ _POLL_S = 0.5
 _DAMAGED = {BlobState.lost, BlobState.corrupt}
 
 
-class Verdict(str, enum.Enum):
+class Comparison(str, enum.Enum):
     """The result of a comparison. `damaged`: the stored copy is not what was uploaded."""
 
     same = "same"
@@ -30,35 +30,35 @@ class Verdict(str, enum.Enum):
 
 
 @dataclass(frozen=True)
-class FileVerdict:
+class FileComparison:
     """The result for one file. `error`: why it is unreadable."""
 
     path: str
-    verdict: Verdict
+    comparison: Comparison
     size_bytes: int
     sha256: str | None
     file: FileRead | None
     error: FileUnreadable | None = None
 
 
-def verify_local(files: Files, mission_id: uuid.UUID, plan: UploadPlan) -> list[FileVerdict]:
+def verify_local(files: Files, mission_id: uuid.UUID, plan: UploadPlan) -> list[FileComparison]:
     """Compare the planned local files with the mission's, reading every local byte; in the plan's order."""
     remote = {name_key(file.path): file for file in files.list(FileFilter(mission_id=mission_id))}
-    verdicts = []
+    comparisons = []
     for local in plan.files:
         file = remote.get(name_key(local.path))
         try:
             sums = _hash_file(local.source, lambda: None)
         except FileUnreadable as error:
-            verdicts.append(FileVerdict(local.path, Verdict.unreadable, local.size_bytes, None, file, error))
+            comparisons.append(FileComparison(local.path, Comparison.unreadable, local.size_bytes, None, file, error))
             continue
-        verdict, sha256 = _compare(file, local.size_bytes, sums), sums.sha256.hexdigest()
-        verdicts.append(FileVerdict(local.path, verdict, local.size_bytes, sha256, file))
-    return verdicts
+        comparison, sha256 = _compare(file, local.size_bytes, sums), sums.sha256.hexdigest()
+        comparisons.append(FileComparison(local.path, comparison, local.size_bytes, sha256, file))
+    return comparisons
 
 
-def verify_remote(files: Files, selected: Sequence[FileRead], *, timeout_s: float) -> list[FileVerdict]:
-    """Have the server verify the bytes of these files, wait for the results, and return the verdicts.
+def verify_remote(files: Files, selected: Sequence[FileRead], *, timeout_s: float) -> list[FileComparison]:
+    """Have the server verify the bytes of these files, wait for the results, and return the comparisons.
 
     Raises:
         TimedOut: it took longer; the server continues.
@@ -79,11 +79,11 @@ def verify_remote(files: Files, selected: Sequence[FileRead], *, timeout_s: floa
             raise TimedOut(what=f"Verifying {len(waiting)} of {len(selected)} files", seconds=timeout_s)
         if waiting:
             time.sleep(_POLL_S)
-    verdicts = []
+    comparisons = []
     for file in (answers[file.id] for file in selected):
-        verdict = Verdict.same if file.state is BlobState.verified else Verdict.damaged
-        verdicts.append(FileVerdict(file.path, verdict, file.size_bytes, file.sha256, file))
-    return verdicts
+        comparison = Comparison.same if file.state is BlobState.verified else Comparison.damaged
+        comparisons.append(FileComparison(file.path, comparison, file.size_bytes, file.sha256, file))
+    return comparisons
 
 
 def is_same(file: FileRead | ArtifactRead, local: Path, check: Callable[[], None]) -> bool:
@@ -96,7 +96,7 @@ def is_same(file: FileRead | ArtifactRead, local: Path, check: Callable[[], None
         return False
     if isinstance(file, ArtifactRead):
         return sums.sha256.hexdigest() == file.sha256
-    return _compare(file, file.size_bytes, sums) is Verdict.same
+    return _compare(file, file.size_bytes, sums) is Comparison.same
 
 
 def _hash_file(local: Path, check: Callable[[], None]) -> FileHashes:
@@ -115,13 +115,13 @@ def _hash_file(local: Path, check: Callable[[], None]) -> FileHashes:
     return whole
 
 
-def _compare(file: FileRead | None, size_bytes: int, sums: FileHashes) -> Verdict:
+def _compare(file: FileRead | None, size_bytes: int, sums: FileHashes) -> Comparison:
     if file is None:
-        return Verdict.missing
+        return Comparison.missing
     if file.sha256 is not None:
         is_same_sum = sums.sha256.hexdigest() == file.sha256
     else:
         is_same_sum = sums.crc64nvme.hexdigest() == file.crc64nvme
     if not is_same_sum or size_bytes != file.size_bytes:
-        return Verdict.differs
-    return Verdict.damaged if file.state in _DAMAGED else Verdict.same
+        return Comparison.differs
+    return Comparison.damaged if file.state in _DAMAGED else Comparison.same

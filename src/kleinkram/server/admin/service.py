@@ -6,11 +6,11 @@ from typing import Any
 from sqlalchemy import Select, exists, func, select, text
 
 import kleinkram
-from kleinkram.checks import CheckSeverity, find_problems
 from kleinkram.contract import admin
 from kleinkram.contract.errors import NotAuthenticated, NotFound
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.runs import RunState
+from kleinkram.diagnostics import DiagnosticSeverity, find_problems
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.blobs import scrub
@@ -151,7 +151,9 @@ async def get_health(context: AppContext, *, takes_pages: bool) -> admin.AdminHe
         known = await known_runners(db)
         rows = await db.execute(queued.group_by(*NEEDS_COLUMNS).order_by(_NUMBER.desc()).limit(200))
         queued_runs = [QueuedRuns(Needs(*row[:-1]), row.number) for row in rows]
-    warnings = [f"{result.message} {result.remedy}" for result in results if result.severity is CheckSeverity.warning]
+    warnings = [
+        f"{result.message} {result.remedy}" for result in results if result.severity is DiagnosticSeverity.warning
+    ]
     return admin.AdminHealth(
         not_ready=next((result.message for result in find_problems(results)), None),
         warnings=warnings,

@@ -22,9 +22,10 @@ from psycopg.rows import class_row
 from pydantic import PostgresDsn, ValidationError
 from typing_extensions import LiteralString
 
-from kleinkram.checks import (
-    CheckResult,
-    CheckSeverity,
+from kleinkram.contract.errors import StoreUnavailable
+from kleinkram.diagnostics import (
+    Diagnostic,
+    DiagnosticSeverity,
     check_clock,
     check_disk,
     find_problems,
@@ -34,7 +35,6 @@ from kleinkram.checks import (
     report,
     warning,
 )
-from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.recordings import SummaryFailed
 from kleinkram.recordings.isolation import FileRequest, summarise_isolated
 from kleinkram.server.db import open_database
@@ -101,7 +101,7 @@ def main(*, as_json: bool) -> int:
     return 1 if find_problems(results) else 0
 
 
-async def _collect() -> list[CheckResult]:
+async def _collect() -> list[Diagnostic]:
     try:
         settings = load_settings()
     except SettingsInvalid as error:
@@ -113,7 +113,7 @@ async def _collect() -> list[CheckResult]:
     return results
 
 
-def _optional(settings: Settings) -> Iterator[CheckResult]:
+def _optional(settings: Settings) -> Iterator[Diagnostic]:
     if settings.metrics_port is None:
         remedy = "Set KLEINKRAM_METRICS_PORT, a different one for each process."
         yield warning("metrics", "They are not served.", remedy)
@@ -122,7 +122,7 @@ def _optional(settings: Settings) -> Iterator[CheckResult]:
         yield warning("public address", f"{settings.public_url} is not encrypted.", "Serve it by https.")
 
 
-async def _database(settings: Settings) -> AsyncIterator[CheckResult]:
+async def _database(settings: Settings) -> AsyncIterator[Diagnostic]:
     """Check the database as the role that serves."""
     try:
         row = await _query(_Server, settings.database_url, _ABOUT_SERVER)
@@ -151,7 +151,7 @@ async def _database(settings: Settings) -> AsyncIterator[CheckResult]:
         yield _rights_of_role(await _query(_Rights, settings.database_url, _ABOUT_RIGHTS))
 
 
-def _serving_role(settings: Settings, row: _Server) -> CheckResult:
+def _serving_role(settings: Settings, row: _Server) -> Diagnostic:
     check = "serving role"
     if row.role != settings.serving_role:
         return problem(
@@ -165,7 +165,7 @@ def _serving_role(settings: Settings, row: _Server) -> CheckResult:
     return ok(check, f"{row.role} cannot change the schema.")
 
 
-def _rights_of_role(rights: _Rights) -> CheckResult:
+def _rights_of_role(rights: _Rights) -> Diagnostic:
     check = "rights of the serving role"
     if rights.alters:
         return problem(check, "It may alter the audit log.", "REVOKE UPDATE and DELETE on audit_event from it.")
@@ -176,7 +176,7 @@ def _rights_of_role(rights: _Rights) -> CheckResult:
     return ok(check, "It reads and writes, and adds to the audit log.")
 
 
-async def _migrating_role(settings: Settings) -> AsyncIterator[CheckResult]:
+async def _migrating_role(settings: Settings) -> AsyncIterator[Diagnostic]:
     check = "migrating role"
     if settings.migration_database_url is None:
         yield warning(check, "Not checked.", "`migrate` needs KLEINKRAM_MIGRATION_DATABASE_URL; nothing else does.")
@@ -194,7 +194,7 @@ async def _migrating_role(settings: Settings) -> AsyncIterator[CheckResult]:
         yield judge(check, row.can_create, f"{row.role}.", f"Let {row.role} own the database.")
 
 
-async def _store(settings: Settings) -> AsyncIterator[CheckResult]:
+async def _store(settings: Settings) -> AsyncIterator[Diagnostic]:
     """Check the bucket by doing what uploads, downloads and scrubs do, with small objects."""
     async with open_storage(settings) as storage:
         try:
@@ -236,7 +236,7 @@ def _store_rights(storage: Storage) -> Iterator[tuple[str, Callable[[], Awaitabl
     yield "s3:DeleteObject", lambda: storage.delete(key)
 
 
-async def _try_right(right: str, attempt: Callable[[], Awaitable[object]]) -> CheckResult:
+async def _try_right(right: str, attempt: Callable[[], Awaitable[object]]) -> Diagnostic:
     try:
         await attempt()
     except (StoreUnavailable, StoreRefused, FileNotFoundError) as error:
@@ -245,7 +245,7 @@ async def _try_right(right: str, attempt: Callable[[], Awaitable[object]]) -> Ch
     return ok(f"right {right}", "Granted.")
 
 
-async def _public_url(settings: Settings) -> AsyncIterator[CheckResult]:
+async def _public_url(settings: Settings) -> AsyncIterator[Diagnostic]:
     """Request the public address as clients do; the API reports how the request reached it."""
     check, url = "public address", settings.public_url.rstrip("/")
     try:
@@ -276,7 +276,7 @@ async def _public_url(settings: Settings) -> AsyncIterator[CheckResult]:
     yield _proxy(settings, origin)
 
 
-def _proxy(settings: Settings, origin: RequestOrigin) -> CheckResult:
+def _proxy(settings: Settings, origin: RequestOrigin) -> Diagnostic:
     check = "proxy headers"
     if origin.forwarded and not origin.is_trusted:
         return problem(
@@ -296,7 +296,7 @@ def _proxy(settings: Settings, origin: RequestOrigin) -> CheckResult:
     return ok(check, f"The API sees requests from here as {origin.address}, by {origin.scheme}.")
 
 
-def _reader(settings: Settings) -> CheckResult:
+def _reader(settings: Settings) -> Diagnostic:
     """Read a small recording as workers do: in a child process, within its limits."""
     memory_bytes = settings.summary_memory_bytes
     with tempfile.TemporaryDirectory() as folder:
@@ -310,18 +310,18 @@ def _reader(settings: Settings) -> CheckResult:
     return ok("reader", "It reads a recording within its limits.")
 
 
-def _machine(settings: Settings | None) -> Iterator[CheckResult]:
+def _machine(settings: Settings | None) -> Iterator[Diagnostic]:
     folders = {"temporary files": Path(tempfile.gettempdir())}
     if settings is not None and settings.store_folder is not None:
         folders["disk of the store"] = settings.store_folder
     for check, folder in folders.items():
-        yield check_disk(check, folder, "Free some.", otherwise=CheckSeverity.warning)
+        yield check_disk(check, folder, "Free some.", otherwise=DiagnosticSeverity.warning)
     _, files = resource.getrlimit(resource.RLIMIT_NOFILE)  # the API raises the soft limit to the hard one
     is_unlimited = files == resource.RLIM_INFINITY
     remedy = f"Raise the hard limit to {_MIN_OPEN_FILES} (`ulimit -Hn`, or LimitNOFILE= of a unit)."
     message = f"The API may have {'any number' if is_unlimited else files} at a time."
     is_enough = is_unlimited or files >= _MIN_OPEN_FILES
-    yield judge("open files", is_enough, message, remedy, otherwise=CheckSeverity.warning)
+    yield judge("open files", is_enough, message, remedy, otherwise=DiagnosticSeverity.warning)
 
 
 async def _query(kind: type[T], url: PostgresDsn, statement: LiteralString) -> T:

@@ -17,8 +17,8 @@ from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.exc import SQLAlchemyError
 
 import kleinkram
-from kleinkram.checks import CheckResult, find_problems, ok, problem, warning
 from kleinkram.contract.errors import DatabaseUnavailable, StoreUnavailable
+from kleinkram.diagnostics import Diagnostic, find_problems, ok, problem, warning
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.migrations import schema_problem
 from kleinkram.server.s3.storage import Storage
@@ -111,7 +111,7 @@ async def _send_heartbeats(database: Database, worker_id: uuid.UUID) -> None:
 _STORE_TIMEOUT_S = 2
 
 
-async def check_service(database: Database, storage: Storage) -> list[CheckResult]:
+async def check_service(database: Database, storage: Storage) -> list[Diagnostic]:
     """Check what this process needs to serve; releases its connection before it asks the store.
 
     An API process without workers only gets a warning: otherwise a load balancer would drop all of them.
@@ -132,7 +132,7 @@ async def check_service(database: Database, storage: Storage) -> list[CheckResul
     return results
 
 
-async def check_schema(db: Connection) -> list[CheckResult]:
+async def check_schema(db: Connection) -> list[Diagnostic]:
     """Check that this program can use the database's schema, and that workers are alive."""
     reason = await schema_problem(db)
     if reason is not None:

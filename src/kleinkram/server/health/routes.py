@@ -6,9 +6,9 @@ from fastapi import APIRouter, Request, Response
 from fastapi.responses import PlainTextResponse
 
 import kleinkram
-from kleinkram.checks import CheckResult, CheckSeverity, find_problems
 from kleinkram.contract.access import TokenKind
 from kleinkram.contract.people import ServiceRead, ViewerRead
+from kleinkram.diagnostics import Diagnostic, DiagnosticSeverity, find_problems
 from kleinkram.server.health.readiness import CachedLookup, check_service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
 from kleinkram.server.http.headers import request_origin
@@ -38,12 +38,12 @@ async def ready(
     state = request.app.state
     if not hasattr(state, "readiness"):
         state.readiness = CachedLookup(lambda: check_service(database, storage), holds_s=_HOLDS_S)
-    results: list[CheckResult] = await state.readiness.get()
+    results: list[Diagnostic] = await state.readiness.get()
     shows = _watches(request, settings)
     problems = find_problems(results)
     if problems:
         return PlainTextResponse(f"{problems[0].message if shows else 'not ready'}\n", status_code=503)
-    warnings = [result for result in results if shows and result.severity is CheckSeverity.warning]
+    warnings = [result for result in results if shows and result.severity is DiagnosticSeverity.warning]
     return PlainTextResponse("".join(["ready\n", *(f"warning: {it.message} {it.remedy}\n" for it in warnings)]))
 
 

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import Select, func, select, text, union
 
-from kleinkram.checks import is_disk_low
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.home import (
@@ -24,6 +23,7 @@ from kleinkram.contract.home import (
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.runs import RunState
+from kleinkram.diagnostics import is_disk_low
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files, visible_missions, visible_projects
 from kleinkram.server.context import AppContext

@@ -19,7 +19,7 @@ from kleinkram.contract.errors import FieldProblem, MetadataInvalid, YamlInvalid
 from kleinkram.contract.metadata import FieldType, Location, Metadata, MetadataField, MetadataFields, Undeclared
 from kleinkram.contract.problems import first_message
 from kleinkram.server.filters.dates import iso_text
-from kleinkram.server.untrusted_yaml import Document, Path, read_yaml, resolve_plain
+from kleinkram.untrusted_yaml import Document, Path, read_yaml, resolve_plain
 
 _WITH_UNIT = re.compile(
     r"([-+]?(?:\d{1,300}(?:\.\d{0,300})?|\.\d{1,300})(?:[eE][-+]?\d{1,3})?)\s*([^\s\d.].*)", re.ASCII

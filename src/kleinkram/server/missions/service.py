@@ -45,7 +45,7 @@ from kleinkram.server.missions.metadata import (
 from kleinkram.server.pagination import PageRequest, read_listing
 from kleinkram.server.quotas import require_room_for_mission
 from kleinkram.server.tables import mission
-from kleinkram.server.untrusted_yaml import Document
+from kleinkram.untrusted_yaml import Document
 
 _VALIDATED_AT_ONCE = 500
 

@@ -39,7 +39,7 @@ from kleinkram.server.pagination import Order, PageRequest, fetch_page
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import mission, person, project, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
-from kleinkram.server.untrusted_yaml import Document, Path, read_yaml
+from kleinkram.untrusted_yaml import Document, Path, read_yaml
 
 # Only owners change these, and only admins those.
 _PUBLICATION = {"is_public", "licence", "citation"}

@@ -1,6 +1,6 @@
-"""Results of checks, with severity and remedy: for `klein doctor`, `python -m kleinkram.server check` and readiness.
+"""Diagnostics of an instance, with severity and remedy: for `klein doctor`, the server's `check`, readiness.
 
-Imports nothing of ours: a command on a laptop and a server process use the same checks of clocks and disks.
+Imports nothing of ours: a command on a laptop and a server process use the same tests of clocks and disks.
 """
 
 import enum
@@ -16,8 +16,8 @@ LOW_DISK_SHARE = 0.02
 MAX_SKEW_S = 60.0
 
 
-class CheckSeverity(str, enum.Enum):
-    """CheckSeverity of a check result: with warnings, Kleinkram runs."""
+class DiagnosticSeverity(str, enum.Enum):
+    """Severity of a diagnostic: with warnings, Kleinkram runs."""
 
     ok = "ok"
     warning = "warning"
@@ -25,46 +25,46 @@ class CheckSeverity(str, enum.Enum):
 
 
 @dataclass(frozen=True)
-class CheckResult:
-    """Result of one check. `remedy`: how to correct what is wrong."""
+class Diagnostic:
+    """What one test of an instance found. `remedy`: how to correct what is wrong."""
 
     check: str
-    severity: CheckSeverity
+    severity: DiagnosticSeverity
     message: str
     remedy: str = ""
 
 
-def ok(check: str, message: str) -> CheckResult:
+def ok(check: str, message: str) -> Diagnostic:
     """Return the result of a check that found nothing wrong."""
-    return CheckResult(check, CheckSeverity.ok, message)
+    return Diagnostic(check, DiagnosticSeverity.ok, message)
 
 
-def warning(check: str, message: str, remedy: str = "") -> CheckResult:
+def warning(check: str, message: str, remedy: str = "") -> Diagnostic:
     """Return a result that does not stop Kleinkram."""
-    return CheckResult(check, CheckSeverity.warning, message, remedy)
+    return Diagnostic(check, DiagnosticSeverity.warning, message, remedy)
 
 
-def problem(check: str, message: str, remedy: str = "") -> CheckResult:
+def problem(check: str, message: str, remedy: str = "") -> Diagnostic:
     """Return a result that stops Kleinkram, or part of it."""
-    return CheckResult(check, CheckSeverity.problem, message, remedy)
+    return Diagnostic(check, DiagnosticSeverity.problem, message, remedy)
 
 
 def judge(
-    check: str, is_ok: bool, message: str, remedy: str, *, otherwise: CheckSeverity = CheckSeverity.problem
-) -> CheckResult:
+    check: str, is_ok: bool, message: str, remedy: str, *, otherwise: DiagnosticSeverity = DiagnosticSeverity.problem
+) -> Diagnostic:
     """Return ok, or the other severity with the remedy."""
-    return ok(check, message) if is_ok else CheckResult(check, otherwise, message, remedy)
+    return ok(check, message) if is_ok else Diagnostic(check, otherwise, message, remedy)
 
 
-def check_clock(check: str, skew_s: float) -> CheckResult:
+def check_clock(check: str, skew_s: float) -> Diagnostic:
     """Check how far another machine's clock is ahead of, or behind, this machine's."""
     remedy = "Signatures contain the time: set the clocks of both machines by NTP."
     return judge(check, abs(skew_s) <= MAX_SKEW_S, f"The clocks differ by {abs(skew_s):.0f} s.", remedy)
 
 
 def check_disk(
-    check: str, folder: Path, remedy: str, *, otherwise: CheckSeverity = CheckSeverity.problem
-) -> CheckResult:
+    check: str, folder: Path, remedy: str, *, otherwise: DiagnosticSeverity = DiagnosticSeverity.problem
+) -> Diagnostic:
     """Check the free space on a folder's disk."""
     try:
         usage = shutil.disk_usage(folder)
@@ -79,17 +79,21 @@ def is_disk_low(free_bytes: int, total_bytes: int) -> bool:
     return free_bytes < max(LOW_DISK_BYTES, LOW_DISK_SHARE * total_bytes)
 
 
-def find_problems(results: Sequence[CheckResult]) -> list[CheckResult]:
+def find_problems(results: Sequence[Diagnostic]) -> list[Diagnostic]:
     """Return the results that are problems."""
-    return [result for result in results if result.severity is CheckSeverity.problem]
+    return [result for result in results if result.severity is DiagnosticSeverity.problem]
 
 
-def report(results: Sequence[CheckResult], *, as_json: bool) -> str:
+def report(results: Sequence[Diagnostic], *, as_json: bool) -> str:
     """Return results as lines of text, or as one JSON document."""
     if as_json:
         return json.dumps(
             {"ok": not find_problems(results), "checks": [asdict(result) for result in results]}, indent=2
         )
-    marks = {CheckSeverity.ok: "ok     ", CheckSeverity.warning: "WARNING", CheckSeverity.problem: "PROBLEM"}
+    marks = {
+        DiagnosticSeverity.ok: "ok     ",
+        DiagnosticSeverity.warning: "WARNING",
+        DiagnosticSeverity.problem: "PROBLEM",
+    }
     lines = (f"{marks[result.severity]} {result.check}: {result.message} {result.remedy}" for result in results)
     return "\n".join(line.rstrip() for line in lines)

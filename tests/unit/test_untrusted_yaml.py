@@ -9,7 +9,7 @@ from ruamel.yaml.scanner import Scanner
 
 from kleinkram.contract.errors import YamlInvalid
 from kleinkram.contract.metadata import MAX_DEPTH, MAX_VALUES
-from kleinkram.server.untrusted_yaml import TextPosition, read_yaml
+from kleinkram.untrusted_yaml import TextPosition, read_yaml
 
 # fmt: off
 _PIECES = [
