@@ -56,8 +56,8 @@ class TryOutResult:
         Raises:
             KeyError: it was not reported.
         """
-        wanted = (name, file, topic, tuple(sorted((labels or {}).items())))
-        return {entry.key: entry.value for entry in self.report.metrics}[wanted]
+        key = (name, file, topic, tuple(sorted((labels or {}).items())))
+        return {entry.key: entry.value for entry in self.report.metrics}[key]
 
     def statuses(self, name: str) -> set[CheckStatus]:
         """Return the statuses of the checks of this name."""

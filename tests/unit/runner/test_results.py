@@ -73,7 +73,7 @@ def test_nan_in_a_report_is_answered_with_a_sentence(tmp_path: Path) -> None:
     )
 
 
-def test_of_too_many_checks_and_findings_the_worst_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_worst_of_too_many_checks_and_findings_are_stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(results, "MAX_CHECKS", 100)
     monkeypatch.setattr(reports, "MAX_FINDINGS", 100)
     (tmp_path / ".kleinkram").mkdir()
