@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.requirements import missing
+from tests.template_instance import share_template
 
 MakeCase = Callable[[str], Path]
 
@@ -75,6 +76,13 @@ def pytest_collection_finish() -> None:
     gc.freeze()
     gc.set_threshold(10_000)
     gc.enable()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _run_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Let instances share a template in the folder of this test run. A worker's own folder is below it."""
+    folder = tmp_path_factory.getbasetemp()
+    share_template(folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder)
 
 
 @pytest.fixture(scope="session")
