@@ -23,16 +23,25 @@ RECORDINGS = Path(os.environ.get("KLEINKRAM_RECORDINGS") or Path(__file__).paren
 # Scripts that make small inputs which once failed, one folder each.
 CASES = RECORDINGS.parent / "cases"
 
-# The longest files, which start first.
+# The longest files start first. Those that use the CPU, mostly browsers, alternate with those that mostly wait, for
+# rates, timeouts or leases: four workers on two cores should rarely run only one kind at the same time.
 _LONGEST = (
     "system/web/test_every_page.py",
-    "integration/access/test_matrix.py",
     "system/test_bad_link.py",
+    "integration/access/test_matrix.py",
     "system/test_kills.py",
-    "system/test_store_trouble.py",
     "system/web/test_runs.py",
+    "system/test_store_trouble.py",
     "integration/access/test_api_description.py",
     "system/test_lying_store.py",
+    "system/web/test_upload.py",
+    "system/test_clocks.py",
+    "system/web/test_people.py",
+    "integration/runner_loop/test_faults.py",
+    "system/web/test_missions.py",
+    "system/test_backup.py",
+    "system/web/test_lists.py",
+    "system/test_part_histories.py",
 )
 
 # A shell that runs the tests in the background ignores these signals, and child processes would inherit that.
