@@ -42,7 +42,7 @@ class _Attached:
     def __init__(self, planned: PlannedRule) -> None:
         self.planned = planned
         self.streams: list[tuple[AnyProbe, tuple[RecordedTopic, ...]]] = []
-        names = planned.family.check_names(planned.rule)
+        names = planned.names
         if planned.family.section == "clocks":
             self._add_clocks(names)
             return
@@ -87,7 +87,7 @@ class _Attached:
         planned = self.planned
         if planned.family.section != "clocks" or not planned.topics:
             return
-        names = planned.family.check_names(planned.rule)
+        names = planned.names
         of_stamps = tuple(name for name in names if name != _RECORDER_OFFSET)
         stamped = [probe for probe, _ in self.streams if isinstance(probe, StampProbe)]
         if stamped and not any(probe.is_exact or probe.has_stamps for probe in stamped):
