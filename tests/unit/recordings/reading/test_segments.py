@@ -49,7 +49,7 @@ def _all_messages(recording: Recording) -> list[tuple[str, int, bytes]]:
 
 
 @pytest.mark.parametrize("schema", ["dashing", "humble"])
-def test_the_segments_of_a_database_hold_each_message_once(schema: str, tmp_path: Path) -> None:
+def test_the_segments_of_a_database_have_each_message_once(schema: str, tmp_path: Path) -> None:
     path = make_database(tmp_path / "a.db3", schema=schema, messages=steady(3000, size=100))
     with Recording.open(path) as recording:
         assert len(recording.segments()) == 1  # below 1 MB
