@@ -26,7 +26,7 @@ from kleinkram.checks.document import (
     ValueRule,
 )
 from kleinkram.checks.facts import FileFacts, MissionFacts, RecordingFacts, TopicFacts
-from kleinkram.checks.globs import glob_matcher, matches
+from kleinkram.checks.globs import glob_matcher, path_matches
 from kleinkram.checks.outcomes import Measured, against, collect, failed, hertz, make_check, percent, seconds
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.recordings.model import Content, counted
@@ -143,8 +143,7 @@ class _Index:
     def __init__(self, facts: MissionFacts) -> None:
         self.facts = facts
         unread = [*(recording.name for recording in facts.recordings if recording.content in _UNREAD)]
-        named = ", ".join(unread[:_MAX_NAMED]) + (f" and {len(unread) - _MAX_NAMED} more" * (len(unread) > _MAX_NAMED))
-        self.unread = f"{named} {'was' if len(unread) == 1 else 'were'} not read" if unread else None
+        self.unread = f"{_enumeration(unread)} {'was' if len(unread) == 1 else 'were'} not read" if unread else None
         self.span_ns = (
             facts.end_ns - facts.start_ns
             if facts.start_ns is not None and facts.end_ns is not None and facts.end_ns > facts.start_ns
@@ -161,6 +160,7 @@ class _Index:
             for problem in recording.problems
             if problem.code == "gaps-upper-bound"
         }
+        self._recordings_by_name = {recording.name: recording for recording in facts.recordings}
         self._topics_by_name: dict[str, list[TopicFacts]] = {}
         for topic in facts.topics:
             self._topics_by_name.setdefault(topic.name, []).append(topic)
@@ -170,6 +170,11 @@ class _Index:
         if matcher is None:
             return self._topics_by_name.get(glob, [])
         return [topic for topic in self.facts.topics if matcher(topic.name)]
+
+    def is_in_recording(self, topic: TopicFacts, glob: str) -> bool:
+        """Return whether a recording that matches has messages of a topic."""
+        recordings = (self._recordings_by_name[name] for name in topic.recordings if name in self._recordings_by_name)
+        return any(_recording_matches(recording, glob) for recording in recordings)
 
     def clock_doubt(self, topic: TopicFacts) -> str | None:
         """Return why the times of a topic are unreliable."""
@@ -289,7 +294,7 @@ def _check_completeness(files: Sequence[FileFacts], rule: FileRule, all_files: _
 
 
 def _matching_files(glob: str, files: Sequence[FileFacts]) -> list[FileFacts]:
-    return [file for file in files if matches(file.path, glob)]
+    return [file for file in files if path_matches(file.path, glob)]
 
 
 def _match_text(number: int, noun: str, glob: str) -> str:
@@ -302,17 +307,28 @@ def _match_text(number: int, noun: str, glob: str) -> str:
 
 
 def _check_recordings(glob: str, rule: RecordingRule, index: _Index) -> Iterator[Check]:
-    matches = glob_matcher(glob)
-    recordings = [one for one in index.facts.recordings if (one.name == glob if matches is None else matches(one.name))]
+    recordings = [recording for recording in index.facts.recordings if _recording_matches(recording, glob)]
     outcomes = _Outcomes(rule, file=glob)
     if not recordings and rule.required:
-        yield outcomes.fails("recording.missing", f"no recording matches {glob}")
+        names = [recording.name for recording in index.facts.recordings]
+        there = f"; there {'is' if len(names) == 1 else 'are'} {_enumeration(names)}" if names else ""
+        yield outcomes.fails("recording.missing", f"no recording matches {glob}{there}")
         return
     yield outcomes.ok("recording.missing", _match_text(len(recordings), "recording", glob))
     if rule.count is not None:
         yield outcomes.count("recording.count", len(recordings), rule.count, "recording")
     for recording in recordings:
         yield from _check_recording(recording, rule, index)
+
+
+def _recording_matches(recording: RecordingFacts, glob: str) -> bool:
+    """Return whether its name or one of its files matches: the recording `nuc` has the file `nuc/nuc_0.mcap`."""
+    return any(path_matches(path, glob) for path in (recording.name, *recording.paths))
+
+
+def _enumeration(names: Sequence[str]) -> str:
+    more = len(names) - _MAX_NAMED
+    return ", ".join(names[:_MAX_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _check_recording(recording: RecordingFacts, rule: RecordingRule, index: _Index) -> Iterator[Check]:
@@ -358,7 +374,7 @@ def _check_recording_is_complete(recording: RecordingFacts, outcomes: _Outcomes)
 def _check_topics(glob: str, rule: TopicRule, index: _Index) -> Iterator[Check]:
     topics = index.topics_matching(glob)
     if rule.recording is not None:
-        topics = [topic for topic in topics if _is_in(topic, rule.recording)]
+        topics = [topic for topic in topics if index.is_in_recording(topic, rule.recording)]
     filled = [topic for topic in topics if topic.count != 0]
     outcomes = _Outcomes(rule, topic=glob)
     if not filled and rule.required:
@@ -371,10 +387,6 @@ def _check_topics(glob: str, rule: TopicRule, index: _Index) -> Iterator[Check]:
         for topic in topics:
             if topic.count == 0:
                 yield _Outcomes(rule, topic=topic.name).count("topic.count", 0, rule.count, "message", index.unread)
-
-
-def _is_in(topic: TopicFacts, glob: str) -> bool:
-    return any(matches(name, glob) for name in topic.recordings)
 
 
 def _why_missing(glob: str, rule: TopicRule, index: _Index) -> str:
@@ -390,9 +402,9 @@ def _why_missing(glob: str, rule: TopicRule, index: _Index) -> str:
 
 
 def _found_text(topics: Sequence[TopicFacts], glob: str) -> str:
-    if len(topics) == 1 and topics[0].name == glob:
-        count = topics[0].count
-        return "it is recorded" if count is None else counted(count, "message")
+    if topics and all(topic.name == glob for topic in topics):  # several, if its types differ
+        counts = [topic.count for topic in topics]
+        return "it is recorded" if None in counts else counted(sum(count or 0 for count in counts), "message")
     return _match_text(len(topics), "topic", glob)
 
 
