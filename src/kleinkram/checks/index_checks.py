@@ -7,24 +7,11 @@ A check that fails only because something is not known (a file that was not read
 recorded) is `not_made`, with the reason.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
 
-from kleinkram.checks.document import (
-    BatteryRule,
-    ClockRule,
-    CountRange,
-    FileRule,
-    ImageRule,
-    ImuRule,
-    PointCloudRule,
-    Profile,
-    RecordingRule,
-    Rule,
-    TopicRule,
-    ValueRule,
-)
+from kleinkram.checks.content.families import TopicOfRecording, planned_rules, unmade_checks, why_none
+from kleinkram.checks.document import ClockRule, CountRange, FileRule, Profile, RecordingRule, Rule, TopicRule
 from kleinkram.checks.facts import FileFacts, MissionFacts, RecordingFacts, TopicFacts
 from kleinkram.checks.globs import glob_matcher, path_matches
 from kleinkram.checks.outcomes import Measured, against, collect, failed, hertz, make_check, percent, seconds
@@ -63,73 +50,20 @@ def index_checks(profiles: Sequence[Profile], facts: MissionFacts) -> Iterator[C
 
 
 def checks_needing_content(profiles: Sequence[Profile], facts: MissionFacts) -> Iterator[Check]:
-    """Yield a row for each check that reads messages: `needs_content`, or `not_made` if no topic matches its rule."""
-    index = _Index(facts)
-    for profile in profiles:
-        for glob, _, names in content_rules(profile):
-            has_topic = bool(index.topics_matching(glob))
-            status = CheckStatus.needs_content if has_topic else CheckStatus.not_made
-            message = "it reads messages, and only the index was read" if has_topic else f"no topic matches {glob}"
-            if has_topic or index.unread is None:
-                for name in names:
-                    yield make_check(name, status, message, topic=glob)
-            else:
-                for name in names:
-                    yield make_check(name, status, f"{message}, but {index.unread}", topic=glob)
-
-
-def content_rules(profile: Profile) -> Iterator[tuple[str, Rule, list[str]]]:
-    """Yield each rule that reads messages with its glob, and the names of its checks."""
-    sections: tuple[Mapping[str, Sequence[Rule]], ...] = (
-        profile.clocks,
-        profile.images,
-        profile.imu,
-        profile.positions,
-        profile.point_clouds,
-        profile.transforms,
-        profile.odometry,
-        profile.batteries,
-        profile.values,
-    )
-    for glob, rules in chain.from_iterable(section.items() for section in sections):
-        for rule in rules:
-            if names := content_checks_of(rule):
-                yield glob, rule, names
-
-
-_CONTENT_CHECKS = {
-    "PositionRule": ["position.fix", "position.jump"],
-    "TransformRule": ["transform.connected"],
-    "OdometryRule": ["odometry.jump"],
-}
-
-
-def content_checks_of(rule: Rule) -> list[str]:
-    """Return the names of the checks of a rule that read messages: those whose bounds are set."""
-    if isinstance(rule, ClockRule):
-        optional = {
-            "clock.stamp_offset": rule.max_stamp_offset,
-            "clock.stamp_drift": rule.max_stamp_drift,
-            "clock.stamp_jump": rule.max_stamp_jump,
-            "clock.recorder_offset": rule.max_recorder_offset,
-        }
-        return [name for name, bound in optional.items() if bound is not None]
-    if isinstance(rule, ImageRule):
-        blurred = ["image.blurred"] if rule.min_sharpness is not None else []
-        return ["image.black", "image.overexposed", "image.frozen", *blurred]
-    if isinstance(rule, ImuRule):
-        tilt = ["imu.tilt"] if rule.up is not None else []
-        is_limited = rule.max_acceleration is not None or rule.max_turn_rate is not None
-        return ["imu.gravity", *tilt, *(["imu.saturated"] if is_limited else []), "imu.constant"]
-    if isinstance(rule, PointCloudRule):
-        has_range = rule.max_range is not None or rule.min_range > 0
-        return ["cloud.empty", *(["cloud.range"] if has_range else [])]
-    if isinstance(rule, BatteryRule):
-        return ["battery.low"] if rule.min_percentage is not None or rule.min_voltage is not None else []
-    if isinstance(rule, ValueRule):
-        constant = ["value.constant"] if rule.varies else []
-        return ["value.nan", *constant, *(["value.range"] if rule.min is not None or rule.max is not None else [])]
-    return _CONTENT_CHECKS.get(type(rule).__name__, [])
+    """Yield the checks that read messages: `needs_content`, or `not_made` if their rule applies to no topic."""
+    unread = _Index(facts).unread
+    topics = [
+        TopicOfRecording(recording, topic.name, topic.message_type or "")
+        for topic in facts.topics
+        for recording in topic.recordings
+    ]
+    for planned in planned_rules(profiles, topics):
+        if planned.topics:
+            message = "it reads messages, and only the index was read"
+            yield from unmade_checks(planned, CheckStatus.needs_content, message)
+        else:
+            message = why_none(planned, topics) + (f", but {unread}" if unread else "")
+            yield from unmade_checks(planned, CheckStatus.not_made, message)
 
 
 class _Index:

@@ -56,8 +56,8 @@ def check(
 ) -> Output:
     """Check local recordings of one mission by the rules of checks.yaml. Needs no server, unless -p names a project.
 
-    The exit code is 0 if the recordings are good, 1 if there are warnings and --strict, 2 if a check failed with an
-    error, and 3 if there was nothing to check. A check that could not be made counts as a warning.
+    The exit code is 0 if the recordings are good, 1 for warnings with --strict, 2 for errors, 3 if there are no rules
+    for them, 6 if checks.yaml is wrong, and 8 if a path does not exist. A check that could not be made is a warning.
     """
     loaded = load_checks(checks, project, paths[0])
     values = mission_metadata(metadata, where)
@@ -154,6 +154,9 @@ def mission_files(paths: Sequence[str], exclude: Sequence[str] = ()) -> MissionF
     """Return the files that an upload of these paths would send, also those that are still being recorded."""
     from kleinkram.client.transfer.plan import plan_upload
 
+    for path in paths:
+        if not Path(path).exists():
+            raise FileNotFoundError(f"{path}: there is no such file or folder")
     plan = plan_upload(paths, include_active=True, exclude=exclude)
     return MissionFiles({file.path: file.source for file in plan.files}, plan.left_out)
 

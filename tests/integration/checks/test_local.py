@@ -76,7 +76,7 @@ def test_silence_between_the_files_of_one_recording_is_a_gap(tmp_path: Path) -> 
 
 def test_a_recording_whose_clock_was_never_set_does_not_stretch_the_mission(tmp_path: Path) -> None:
     _mcap(tmp_path / "good.mcap", ("/a", 0), ("/a", 1000))
-    _mcap(tmp_path / "unset.mcap", ("/b", -T0 // MS), ("/b", -T0 // MS + 1000))
+    _mcap(tmp_path / "unset.mcap", ("/b", -T0 // MS + 1), ("/b", -T0 // MS + 1001))
     facts = read_mission(_files(tmp_path)).facts
     assert (facts.start_ns, facts.end_ns) == (T0, T0 + 1000 * MS)
     unset = _topic(facts, "/b")
