@@ -35,6 +35,7 @@ class ExitCode(enum.IntEnum):
     timed_out = 12
     no_room = 13
     run_failed = 14
+    verdict_bad = 15
     not_good = 16
     interrupted = 130
 
