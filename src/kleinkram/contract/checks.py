@@ -43,6 +43,13 @@ class CheckStatus(str, enum.Enum):
     needs_content = "needs_content"
 
 
+class CheckDepth(str, enum.Enum):
+    """What was read for checks: only the indexes of recordings, or also the messages that samples need."""
+
+    index = "index"  # type: ignore[assignment]  # hides str.index
+    content = "content"
+
+
 class Verdict(str, enum.Enum):
     """What the checks of a mission amount to.
 
