@@ -342,7 +342,8 @@ def test_empty_clouds_and_far_points(robot: str, good: dict[str, MissionTruth], 
 
 def ranges(cloud: Any) -> np.ndarray[Any, Any]:
     points = np.frombuffer(bytes(cloud.data), np.float32).reshape(-1, 4)
-    return np.linalg.norm(points[:, :3], axis=1)
+    distances: np.ndarray[Any, Any] = np.linalg.norm(points[:, :3], axis=1)
+    return distances
 
 
 @BOTH

@@ -28,7 +28,7 @@ _BUILDINGS = (
 )  # fmt: skip
 _RINGS, _LOWEST_DEG, _HIGHEST_DEG = 16, -22.0, 8.0
 _RANGE_NOISE_M = 0.01
-_NOISE_VALUES = 16_384
+_NOISE_VALUES, _INTENSITIES = 16_384, 65_536
 _FARTHEST_M = 100.0
 _FAR = 25.0
 _FAR_POINTS_EVERY = 4
@@ -85,9 +85,12 @@ class LidarView:
         self._cosines, self._sines = [math.cos(angle) for angle in angles], [math.sin(angle) for angle in angles]
         step_deg = (_HIGHEST_DEG - _LOWEST_DEG) / (_RINGS - 1)
         self._slopes = [math.tan(math.radians(_LOWEST_DEG + step_deg * ring)) for ring in range(_RINGS)]
-        repeats = 2 + self.points // _NOISE_VALUES  # so that each scan has its part in one piece, wherever it begins
-        self._noise = [chance.gauss(0, _RANGE_NOISE_M) for _ in range(_NOISE_VALUES)] * repeats
-        self._intensities = array("f", [255 * chance.random() for _ in range(_NOISE_VALUES)] * repeats)
+        # Repeated, so that a scan has its part in one piece, wherever that begins.
+        self._noise = [chance.gauss(0, _RANGE_NOISE_M) for _ in range(_NOISE_VALUES)]
+        self._noise *= 2 + self._azimuths // _NOISE_VALUES
+        # So many that no compressor finds one again within its window.
+        self._intensities = array("f", [255 * chance.random() for _ in range(_INTENSITIES)])
+        self._intensities *= 2 + self.points // _INTENSITIES
 
     def scan(self, number: int, state: MotionState) -> array[float]:
         """Return x, y, z and intensity of each point, in the order of the azimuths from -pi on.
@@ -110,7 +113,7 @@ class LidarView:
             scan[4 * ring :: stride] = array("f", list(map(mul, levels, self._cosines)))
             scan[4 * ring + 1 :: stride] = array("f", list(map(mul, levels, self._sines)))
             scan[4 * ring + 2 :: stride] = array("f", list(map(mul, levels, repeat(slope))))
-        at = offset % _NOISE_VALUES
+        at = offset % _INTENSITIES
         scan[3::4] = self._intensities[at : at + self.points]
         return scan
 
