@@ -12,18 +12,17 @@ from itertools import islice
 from kleinkram.checks.content.families import (
     PlannedRule,
     TopicOfRecording,
-    needing_content,
     planned_rules,
     unmade_checks,
     why_none,
 )
-from kleinkram.checks.content.rows import make_row
 from kleinkram.checks.document import Profile
+from kleinkram.checks.outcomes import LEFT_OUT, make_check
 from kleinkram.contract.checks import MAX_CHECKS, Check, CheckStatus
 from kleinkram.recordings.decoding import ReadingExtraMissing
 from kleinkram.recordings.recording import Recording
 
-__all__ = ["OpenRecording", "TopicOfRecording", "check_content", "needing_content"]
+__all__ = ["OpenRecording", "TopicOfRecording", "check_content"]
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,9 @@ class OpenRecording:
 def check_content(
     profiles: Sequence[Profile], recordings: Sequence[OpenRecording], *, budget_bytes: int | None = None
 ) -> list[Check]:
-    """Return the checks that read messages, in the order of the rules; at most `MAX_CHECKS` and one about the rest.
+    """Return the checks that read messages: first those that apply to no topic, then the others in their order.
+
+    At most `MAX_CHECKS` topics of rules are checked; a last row has the number of the others.
 
     Args:
         profiles: those that apply to the mission.
@@ -56,15 +57,11 @@ def check_content(
     ]
     rules, left_out = _bounded(planned_rules(profiles, topics))
     rows = list(islice(_unplanned(rules, topics, recordings), MAX_CHECKS))
-    applicable = [planned for planned in rules if planned.topics]
-    rows += _made(
-        applicable, {item.name: item.recording for item in recordings if item.recording is not None}, budget_bytes
-    )
-    left_out += max(0, len(rows) - MAX_CHECKS)
-    rows = rows[:MAX_CHECKS]
+    opened = {item.name: item.recording for item in recordings if item.recording is not None}
+    rows += _made([planned for planned in rules if planned.topics], opened, budget_bytes)
     if left_out:
-        message = f"{left_out} checks were left out: at most {MAX_CHECKS} are made"
-        rows.append(make_row("checks.limit", CheckStatus.not_made, message))
+        message = f"{left_out} topics of rules were left out: at most {MAX_CHECKS} are checked"
+        rows.append(make_check(LEFT_OUT, CheckStatus.not_made, message))
     return rows
 
 
