@@ -34,6 +34,7 @@ from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, prepare_statement
 from kleinkram.server.missions import queries
+from kleinkram.server.missions.judging import judge_again
 from kleinkram.server.missions.metadata import (
     MetadataValidator,
     carried_over,
@@ -48,6 +49,8 @@ from kleinkram.server.tables import mission
 from kleinkram.untrusted_yaml import Document
 
 _VALIDATED_AT_ONCE = 500
+# The verdict depends on these: rules apply by metadata, and are those of the project.
+_JUDGED = frozenset({"metadata", "project_id", "completed_at"})
 
 
 async def lock_mission(db: Connection, mission_id: uuid.UUID) -> bool:
@@ -181,6 +184,8 @@ async def update_mission(
         return old
     require_match(if_match, old.etag, resource_type="mission", name=old.name)
     await _change(db, queries.change_mission(mission_id, **values), name=changes.name or old.name)
+    if values.keys() & _JUDGED:
+        await judge_again(db, [mission_id])
     new = await get_mission(db, actor, mission_id)
     await audit(db, actor, *_change_events(old, new))
     return new
