@@ -1,4 +1,4 @@
-"""Generate the reference: OpenAPI, commands, settings, operations and plots. `--check` only compares."""
+"""Generate the reference: OpenAPI, commands, settings, operations, the schema of checks, plots. `--check` compares."""
 
 import json
 import sys
@@ -11,6 +11,7 @@ from fastapi.routing import APIRoute
 from plots import plots
 from pydantic_core import PydanticUndefined
 
+from kleinkram.checks.document import json_schema
 from kleinkram.cli.errors import EXIT_CODES, ExitCode
 from kleinkram.cli.main import app as cli
 from kleinkram.contract.access import Scope
@@ -34,6 +35,7 @@ def main() -> int:
         _HERE / "reference" / "cli.md": cli_reference(),
         _HERE / "reference" / "settings.md": settings_reference(),
         _HERE / "reference" / "operations.md": operations_reference(),
+        _HERE / "reference" / "checks.schema.json": json.dumps(json_schema(), indent=1, ensure_ascii=False) + "\n",
         **{_HERE / "plots" / name: text for name, text in plots().items()},
     }
     stale = [path for path, text in pages.items() if not path.exists() or path.read_text(encoding="utf-8") != text]

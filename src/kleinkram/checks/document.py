@@ -4,13 +4,24 @@ A document has profiles; each applies to the missions whose metadata match its `
 section, a rule belongs to the names that match a glob (`*` also matches `/`), and all matching rules apply.
 """
 
+import difflib
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar, get_args
 
-from pydantic import BeforeValidator, Field, FiniteFloat, JsonValue, StrictBool, ValidationError, model_validator
-from pydantic.json_schema import WithJsonSchema
-from pydantic_core import ErrorDetails
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    Field,
+    FiniteFloat,
+    GetJsonSchemaHandler,
+    JsonValue,
+    StrictBool,
+    ValidationError,
+    model_validator,
+)
+from pydantic.json_schema import JsonSchemaValue, WithJsonSchema
+from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
 from typing_extensions import Self
 
 from kleinkram.contract import units
@@ -63,7 +74,8 @@ def _size(value: object) -> object:
 
 
 def _one_or_several(value: object) -> object:
-    return value if isinstance(value, list) else [value]
+    """Return the rules of a name; one that says nothing has the defaults."""
+    return [{} if rule is None else rule for rule in (value if isinstance(value, list) else [value])]
 
 
 def _exact_count(value: object) -> object:
@@ -217,11 +229,19 @@ class ImageRule(SampledRule):
     max_brightness: Annotated[FiniteFloat, Field(ge=0, le=255)] = Field(
         243, description="A picture with a mean brightness above this is overexposed (0 to 255)."
     )
-    max_frozen: DurationNs = Field(2 * 10**9, description="Longest time with the same picture.")
+    max_frozen: DurationNs = Field(
+        2 * 10**9, description="Longest time with the same picture.", json_schema_extra={"default": "2s"}
+    )
     min_sharpness: Positive | None = Field(
         None, description="Smallest variance of the Laplacian of a picture scaled to 320 pixels width; none by default."
     )
     allowed: Share = Field(0.1, description="Share of the samples that may be bad.")
+
+    @model_validator(mode="after")
+    def _is_a_range(self) -> Self:
+        if self.max_brightness <= self.min_brightness:
+            raise ValueError("max_brightness must be more than min_brightness")
+        return self
 
 
 class ImuRule(SampledRule):
@@ -251,6 +271,12 @@ class PointCloudRule(SampledRule):
     min_range: Annotated[FiniteFloat, Field(ge=0)] = Field(0, description="Nearest plausible point, in metres.")
     max_range: Positive | None = Field(None, description="Farthest plausible point, in metres.")
     allowed: Share = Field(0.05, description="Share of the clouds that may be empty, and of the points outside.")
+
+    @model_validator(mode="after")
+    def _is_a_range(self) -> Self:
+        if self.max_range is not None and self.max_range <= self.min_range:
+            raise ValueError("max_range must be more than min_range")
+        return self
 
 
 class TransformRule(Rule):
@@ -286,11 +312,28 @@ class ValueRule(SampledRule):
     min: FiniteFloat | None = Field(None, description="Smallest value.")
     max: FiniteFloat | None = Field(None, description="Largest value.")
 
+    @model_validator(mode="after")
+    def _is_a_range(self) -> Self:
+        if self.min is not None and self.max is not None and self.max < self.min:
+            raise ValueError("max is smaller than min")
+        return self
+
+
+class _OneOrSeveral:
+    """Shows editors that a rule may stand alone instead of in a list."""
+
+    def __get_pydantic_json_schema__(self, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        several = handler(core_schema)
+        return {"anyOf": [several["items"], several, {"type": "null"}]}
+
 
 R = TypeVar("R", bound=Rule)
 # Of each glob, one rule or several.
 RulesOf = Annotated[
-    dict[Glob, Annotated[list[R], BeforeValidator(_one_or_several), Field(min_length=1, max_length=20)]],
+    dict[
+        Glob,
+        Annotated[list[R], BeforeValidator(_one_or_several), Field(min_length=1, max_length=20), _OneOrSeveral()],
+    ],
     Field(max_length=MAX_RULES),
 ]
 When = dict[Annotated[str, Field(max_length=200)], JsonValue]
@@ -320,17 +363,19 @@ class Profile(Request):
 
     def applies_to(self, metadata: Mapping[str, JsonValue]) -> bool:
         """Return whether a mission with these metadata is checked by this profile."""
-        return all(name in metadata and _matches(metadata[name], expected) for name, expected in self.when.items())
+        return all(name in metadata and value_matches(metadata[name], expected) for name, expected in self.when.items())
 
 
-def _matches(value: JsonValue, expected: JsonValue) -> bool:
+def value_matches(value: JsonValue, expected: JsonValue) -> bool:
+    """Return whether a metadata value is what a profile's `when` says."""
     if isinstance(expected, list):
-        return any(_matches(value, choice) for choice in expected)
+        return any(value_matches(value, choice) for choice in expected)
     if isinstance(value, list):
-        return any(_matches(item, expected) for item in value)
+        return any(value_matches(item, expected) for item in value)
     if isinstance(value, str) and isinstance(expected, str):
         return fnmatchcase(value, expected)
-    return type(value) is type(expected) and value == expected
+    # 1 is 1.0, but not true.
+    return isinstance(value, bool) is isinstance(expected, bool) and value == expected
 
 
 class ChecksDocument(Request):
@@ -342,14 +387,26 @@ class ChecksDocument(Request):
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
         names = [profile.name for profile in self.profiles]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"two profiles are named {name!r}; give each a name of its own")
+        for number, name in enumerate(names):
+            if name in names[:number]:
+                reason = f"two profiles are named {name!r}; give each a name of its own"
+                raise PydanticCustomError("profile_name", "{reason}", {"reason": reason, "at": ("profiles", number)})
         return self
 
     def applying_to(self, metadata: Mapping[str, JsonValue]) -> list[Profile]:
         """Return the profiles that apply to a mission with these metadata, in the order of the document."""
         return [profile for profile in self.profiles if profile.applies_to(metadata)]
+
+
+def json_schema() -> JsonSchemaValue:
+    """Return the JSON schema of a `checks.yaml`, for editors (draft 2020-12)."""
+    schema = ChecksDocument.model_json_schema()
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": SCHEMA_ID,
+        **schema,
+        "title": "checks.yaml of Kleinkram",
+    }
 
 
 def read_checks(text: str) -> ChecksDocument:
@@ -358,8 +415,10 @@ def read_checks(text: str) -> ChecksDocument:
     Raises YamlInvalid, with the line and column of the first problem.
     """
     if len(text) > MAX_CHECKS_CHARACTERS:
-        raise YamlInvalid(line=1, column=1, reason=f"it has more than {MAX_CHECKS_CHARACTERS} characters")
+        raise YamlInvalid(line=1, column=1, reason=f"it has more than {MAX_CHECKS_CHARACTERS:,} characters")
     document = read_yaml(text)
+    if document.value is None:
+        raise YamlInvalid(line=1, column=1, reason="it is empty; begin with `version: 1` and `profiles:`")
     try:
         return ChecksDocument.model_validate(document.value)
     except ValidationError as error:
@@ -370,11 +429,10 @@ def _invalid(document: Document, error: ValidationError) -> YamlInvalid:
     """Return the first problem in the order of the text, with its position and the path to it."""
     problems = []
     for problem in error.errors(include_url=False):
-        path = _path_in(document.value, problem["loc"])
+        path = _path_in(document.value, problem.get("ctx", {}).get("at", problem["loc"]))
         position = document.position(path)
         line, column = (position.line, position.column) if position else (1, 1)
-        reason = _reason(problem, path)
-        problems.append(YamlInvalid(line=line, column=column, reason=reason))
+        problems.append(YamlInvalid(line=line, column=column, reason=_reason(problem, path)))
     return min(problems, key=lambda invalid: (invalid.line, invalid.column))
 
 
@@ -393,4 +451,26 @@ def _path_in(value: JsonValue, location: tuple[int | str, ...]) -> Path:
 
 def _reason(problem: ErrorDetails, path: Path) -> str:
     where = ".".join(str(step) for step in path)
-    return f"{where}: {message_of(problem)}" if where else message_of(problem)
+    message = problem["ctx"]["reason"] if problem["type"] == "profile_name" else message_of(problem)
+    if problem["type"] == "extra_forbidden":
+        known = _known_names(problem["loc"])
+        close = difflib.get_close_matches(str(problem["loc"][-1]), known, n=1)
+        hint = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(known)}"
+        message = f"{message}; {hint}"
+    return f"{where}: {message}" if where else message
+
+
+def _known_names(location: tuple[int | str, ...]) -> list[str]:
+    """Return the keys that are allowed where pydantic found an unknown one."""
+    model: type[BaseModel] = ChecksDocument
+    for step in location[:-1]:
+        field = model.model_fields.get(step) if isinstance(step, str) else None
+        model = (_model_in(field.annotation) if field is not None else None) or model
+    return [*model.model_fields]
+
+
+def _model_in(annotation: object) -> type[BaseModel] | None:
+    """Return the model that an annotation such as `dict[str, list[Rule]]` contains."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((model for part in get_args(annotation) if (model := _model_in(part)) is not None), None)

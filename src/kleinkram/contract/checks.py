@@ -49,7 +49,7 @@ class CheckStatus(str, enum.Enum):
 class CheckDepth(str, enum.Enum):
     """What was read for checks: only the indexes of recordings, or also the messages that samples need."""
 
-    index = "index"
+    index = "index"  # type: ignore[assignment]  # hides str.index
     content = "content"
 
 

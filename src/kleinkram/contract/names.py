@@ -20,6 +20,7 @@ MAX_LABEL_CHARACTERS = 64
 MAX_TERM_CHARACTERS = 1024
 
 _BIDI_CONTROLS = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+_UNSTORABLE = re.compile("[\x00\ud800-\udfff]")
 _UUID = re.compile(r"[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}", re.IGNORECASE)
 
 
@@ -91,11 +92,9 @@ def check_label(label: str) -> str:
 
 def check_text(text: str) -> str:
     """Return a text that the database can store: without NUL and surrogates. Raises ValueError."""
-    for position, character in enumerate(text):
-        if character == "\x00" or "\ud800" <= character <= "\udfff":
-            raise ValueError(
-                f"contains the character U+{ord(character):04X} at position {position}, which cannot be stored"
-            )
+    if (unstorable := _UNSTORABLE.search(text)) is not None:
+        code, position = f"U+{ord(unstorable[0]):04X}", unstorable.start()
+        raise ValueError(f"contains the character {code} at position {position}, which cannot be stored")
     return text
 
 

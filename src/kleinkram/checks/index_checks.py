@@ -1,0 +1,514 @@
+"""Checks that read no message: what the indexes of the files say, against the rules of `checks.yaml`.
+
+Pure. The server makes them for all missions of a project whenever its file of checks changes, so a mission with 40
+topics must take a few milliseconds.
+
+A check that fails only because something is not known (a file that was not read, a clock that was set while it
+recorded) is `not_made`, with the reason.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+
+from kleinkram.checks.document import (
+    BatteryRule,
+    ClockRule,
+    CountRange,
+    FileRule,
+    ImageRule,
+    ImuRule,
+    PointCloudRule,
+    Profile,
+    RecordingRule,
+    Rule,
+    TopicRule,
+    ValueRule,
+)
+from kleinkram.checks.facts import FileFacts, MissionFacts, RecordingFacts, TopicFacts
+from kleinkram.checks.globs import glob_matcher, matches
+from kleinkram.checks.outcomes import Measured, against, collect, failed, hertz, make_check, percent, seconds
+from kleinkram.contract.checks import Check, CheckStatus
+from kleinkram.recordings.model import Content, counted
+
+_UNREAD = frozenset((None, Content.pending, Content.error))
+_DAMAGED = frozenset((Content.recovered, Content.broken))
+_MAX_NAMED = 3
+
+
+def check_index(profiles: Sequence[Profile], facts: MissionFacts) -> list[Check]:
+    """Return the outcomes of the checks that need no message, worst first, at most `MAX_CHECKS`.
+
+    `results.evaluate_index` adds the checks that need messages, and the verdict.
+    """
+    return collect(index_checks(profiles, facts)).checks
+
+
+def index_checks(profiles: Sequence[Profile], facts: MissionFacts) -> Iterator[Check]:
+    """Yield the outcomes of the checks that need no message, in the order of the rules; there may be very many."""
+    index = _Index(facts)
+    for profile in profiles:
+        for glob, file_rules in profile.files.items():
+            for file_rule in file_rules:
+                yield from _check_files(glob, file_rule, index)
+        for glob, recording_rules in profile.recordings.items():
+            for recording_rule in recording_rules:
+                yield from _check_recordings(glob, recording_rule, index)
+        for glob, topic_rules in profile.topics.items():
+            for topic_rule in topic_rules:
+                yield from _check_topics(glob, topic_rule, index)
+        for glob, clock_rules in profile.clocks.items():
+            for clock_rule in clock_rules:
+                yield from _check_clocks(glob, clock_rule, index)
+
+
+def checks_needing_content(profiles: Sequence[Profile], facts: MissionFacts) -> Iterator[Check]:
+    """Yield a row for each check that reads messages: `needs_content`, or `not_made` if no topic matches its rule."""
+    index = _Index(facts)
+    for profile in profiles:
+        for glob, _, names in content_rules(profile):
+            has_topic = bool(index.topics_matching(glob))
+            status = CheckStatus.needs_content if has_topic else CheckStatus.not_made
+            message = "it reads messages, and only the index was read" if has_topic else f"no topic matches {glob}"
+            if has_topic or index.unread is None:
+                for name in names:
+                    yield make_check(name, status, message, topic=glob)
+            else:
+                for name in names:
+                    yield make_check(name, status, f"{message}, but {index.unread}", topic=glob)
+
+
+def content_rules(profile: Profile) -> Iterator[tuple[str, Rule, list[str]]]:
+    """Yield each rule that reads messages with its glob, and the names of its checks."""
+    sections: tuple[Mapping[str, Sequence[Rule]], ...] = (
+        profile.clocks,
+        profile.images,
+        profile.imu,
+        profile.positions,
+        profile.point_clouds,
+        profile.transforms,
+        profile.odometry,
+        profile.batteries,
+        profile.values,
+    )
+    for glob, rules in chain.from_iterable(section.items() for section in sections):
+        for rule in rules:
+            if names := content_checks_of(rule):
+                yield glob, rule, names
+
+
+_CONTENT_CHECKS = {
+    "PositionRule": ["position.fix", "position.jump"],
+    "TransformRule": ["transform.connected"],
+    "OdometryRule": ["odometry.jump"],
+}
+
+
+def content_checks_of(rule: Rule) -> list[str]:
+    """Return the names of the checks of a rule that read messages: those whose bounds are set."""
+    if isinstance(rule, ClockRule):
+        optional = {
+            "clock.stamp_offset": rule.max_stamp_offset,
+            "clock.stamp_drift": rule.max_stamp_drift,
+            "clock.stamp_jump": rule.max_stamp_jump,
+            "clock.recorder_offset": rule.max_recorder_offset,
+        }
+        return [name for name, bound in optional.items() if bound is not None]
+    if isinstance(rule, ImageRule):
+        blurred = ["image.blurred"] if rule.min_sharpness is not None else []
+        return ["image.black", "image.overexposed", "image.frozen", *blurred]
+    if isinstance(rule, ImuRule):
+        tilt = ["imu.tilt"] if rule.up is not None else []
+        is_limited = rule.max_acceleration is not None or rule.max_turn_rate is not None
+        return ["imu.gravity", *tilt, *(["imu.saturated"] if is_limited else []), "imu.constant"]
+    if isinstance(rule, PointCloudRule):
+        has_range = rule.max_range is not None or rule.min_range > 0
+        return ["cloud.empty", *(["cloud.range"] if has_range else [])]
+    if isinstance(rule, BatteryRule):
+        return ["battery.low"] if rule.min_percentage is not None or rule.min_voltage is not None else []
+    if isinstance(rule, ValueRule):
+        constant = ["value.constant"] if rule.varies else []
+        return ["value.nan", *constant, *(["value.range"] if rule.min is not None or rule.max is not None else [])]
+    return _CONTENT_CHECKS.get(type(rule).__name__, [])
+
+
+class _Index:
+    """Facts of a mission, prepared for rules.
+
+    Attributes:
+        unread: which files were not read, as a part of a sentence; None if all were.
+        span_ns: of the mission; None if it is unknown or has no length.
+    """
+
+    def __init__(self, facts: MissionFacts) -> None:
+        self.facts = facts
+        unread = [*(recording.name for recording in facts.recordings if recording.content in _UNREAD)]
+        named = ", ".join(unread[:_MAX_NAMED]) + (f" and {len(unread) - _MAX_NAMED} more" * (len(unread) > _MAX_NAMED))
+        self.unread = f"{named} {'was' if len(unread) == 1 else 'were'} not read" if unread else None
+        self.span_ns = (
+            facts.end_ns - facts.start_ns
+            if facts.start_ns is not None and facts.end_ns is not None and facts.end_ns > facts.start_ns
+            else None
+        )
+        self._jumped = {
+            recording.name
+            for recording in facts.recordings
+            if any(problem.code == "clock-jump" for problem in recording.problems)
+        }
+        self._bounded_gaps = {
+            problem.where
+            for recording in facts.recordings
+            for problem in recording.problems
+            if problem.code == "gaps-upper-bound"
+        }
+        self._topics_by_name: dict[str, list[TopicFacts]] = {}
+        for topic in facts.topics:
+            self._topics_by_name.setdefault(topic.name, []).append(topic)
+
+    def topics_matching(self, glob: str) -> list[TopicFacts]:
+        matcher = glob_matcher(glob)
+        if matcher is None:
+            return self._topics_by_name.get(glob, [])
+        return [topic for topic in self.facts.topics if matcher(topic.name)]
+
+    def clock_doubt(self, topic: TopicFacts) -> str | None:
+        """Return why the times of a topic are unreliable."""
+        jumped = self._jumped.intersection(topic.recordings) if self._jumped else ()
+        return _set_clock(min(jumped)) if jumped else None
+
+    def recording_doubt(self, recording: RecordingFacts) -> str | None:
+        """Return why the times of a recording are unreliable."""
+        return _set_clock(recording.name) if recording.name in self._jumped else None
+
+    def gap_doubt(self, topic: TopicFacts) -> str | None:
+        """Return why the longest gap of a topic is unreliable."""
+        if topic.name in self._bounded_gaps:
+            return "the index gives only an upper bound, because the messages are far out of order"
+        return self.clock_doubt(topic)
+
+
+def _set_clock(recording: str) -> str:
+    return f"the clock was set while {recording} was recorded"
+
+
+@dataclass(frozen=True)
+class _Outcomes:
+    """Makes the rows of one rule about one subject."""
+
+    rule: Rule
+    topic: str | None = None
+    file: str | None = None
+
+    def ok(self, name: str, message: str, measured: Measured | None = None) -> Check:
+        return make_check(name, CheckStatus.ok, message, topic=self.topic, file=self.file, measured=measured)
+
+    def fails(self, name: str, message: str, doubt: str | None = None, measured: Measured | None = None) -> Check:
+        """Return a failed check; with `doubt`, one that could not be made."""
+        if doubt is not None:
+            return self.not_made(name, f"{message}, but {doubt}", measured=measured)
+        return make_check(
+            name, failed(self.rule.severity), message, topic=self.topic, file=self.file, measured=measured
+        )
+
+    def not_made(self, name: str, message: str, measured: Measured | None = None) -> Check:
+        return make_check(name, CheckStatus.not_made, message, topic=self.topic, file=self.file, measured=measured)
+
+    def count(self, name: str, number: int, allowed: CountRange, noun: str, doubt: str | None = None) -> Check:
+        """Compare a number with its range; `doubt`: why there may be more."""
+        text = counted(number, noun)
+        if number < allowed.min:
+            message = f"{text}; expected {_range_text(allowed)}"
+            return self.fails(name, message, doubt, measured=Measured(number, allowed.min))
+        if allowed.max is not None and number > allowed.max:
+            return self.fails(name, f"{text}; expected {_range_text(allowed)}", measured=Measured(number, allowed.max))
+        return self.ok(name, text, measured=Measured(number, allowed.min))
+
+    def span(self, name: str, span_ns: int, limit_ns: int, what: str, doubt: str | None = None) -> Check:
+        """Compare a span with its upper bound; `what` has `{}` for the span."""
+        measured = Measured(span_ns / 1e9, limit_ns / 1e9, "s")
+        if span_ns <= limit_ns:
+            return self.ok(name, what.format(seconds(span_ns)), measured=measured)
+        value, limit = against(span_ns, limit_ns, seconds, " ns")
+        return self.fails(name, f"{what.format(value)}; allowed are {limit}", doubt, measured=measured)
+
+    def coverage(self, name: str, share: float, smallest: float, what: str, doubt: str | None = None) -> Check:
+        measured = Measured(share, smallest)
+        if share >= smallest:
+            return self.ok(name, f"{what} {percent(share)} of the mission", measured=measured)
+        value, limit = against(share, smallest, percent)
+        return self.fails(name, f"{what} {value} of the mission; expected at least {limit}", doubt, measured=measured)
+
+
+def _range_text(allowed: CountRange) -> str:
+    if allowed.max is None:
+        return f"at least {allowed.min}"
+    return f"{allowed.min}" if allowed.min == allowed.max else f"{allowed.min} to {allowed.max}"
+
+
+# -- files ------------------------------------------------------------------------------------------------------------
+
+
+def _check_files(glob: str, rule: FileRule, index: _Index) -> Iterator[Check]:
+    files = _matching_files(glob, index.facts.files)
+    outcomes = _Outcomes(rule, file=glob)
+    if not files and rule.required:
+        yield outcomes.fails("file.missing", f"no file matches {glob}")
+        return
+    yield outcomes.ok("file.missing", _match_text(len(files), "file", glob))
+    if rule.count is not None:
+        yield outcomes.count("file.count", len(files), rule.count, "file")
+    if rule.complete:
+        yield from _check_completeness(files, rule, outcomes)
+    if rule.min_size is not None and files:
+        small = [file for file in files if file.size_bytes < rule.min_size]
+        for file in small:
+            message = f"{file.size_bytes} bytes; expected at least {rule.min_size}"
+            measured = Measured(file.size_bytes, rule.min_size, "B")
+            yield _Outcomes(rule, file=file.path).fails("file.size", message, measured=measured)
+        if not small:
+            smallest = min(file.size_bytes for file in files)
+            measured = Measured(smallest, rule.min_size, "B")
+            yield outcomes.ok("file.size", f"the smallest has {smallest} bytes", measured=measured)
+
+
+def _check_completeness(files: Sequence[FileFacts], rule: FileRule, all_files: _Outcomes) -> Iterator[Check]:
+    """Yield a row for each file that is not complete, or one for all."""
+    complete_count = other_count = 0
+    for file in files:
+        outcomes = _Outcomes(rule, file=file.path)
+        if file.content in _UNREAD:
+            yield outcomes.not_made("file.incomplete", file.reason or "it was not read")
+        elif file.content in _DAMAGED:
+            yield outcomes.fails("file.incomplete", file.reason or "it is damaged")
+        elif file.content is Content.indexed:
+            complete_count += 1
+        else:
+            other_count += 1
+    if complete_count + other_count == len(files):
+        yield all_files.ok("file.incomplete", f"{counted(complete_count, 'recording')} complete")
+
+
+def _matching_files(glob: str, files: Sequence[FileFacts]) -> list[FileFacts]:
+    return [file for file in files if matches(file.path, glob)]
+
+
+def _match_text(number: int, noun: str, glob: str) -> str:
+    if number == 0:
+        return f"no {noun} matches {glob}, and none is required"
+    return f"{counted(number, noun)} {'matches' if number == 1 else 'match'} {glob}"
+
+
+# -- recordings -------------------------------------------------------------------------------------------------------
+
+
+def _check_recordings(glob: str, rule: RecordingRule, index: _Index) -> Iterator[Check]:
+    matches = glob_matcher(glob)
+    recordings = [one for one in index.facts.recordings if (one.name == glob if matches is None else matches(one.name))]
+    outcomes = _Outcomes(rule, file=glob)
+    if not recordings and rule.required:
+        yield outcomes.fails("recording.missing", f"no recording matches {glob}")
+        return
+    yield outcomes.ok("recording.missing", _match_text(len(recordings), "recording", glob))
+    if rule.count is not None:
+        yield outcomes.count("recording.count", len(recordings), rule.count, "recording")
+    for recording in recordings:
+        yield from _check_recording(recording, rule, index)
+
+
+def _check_recording(recording: RecordingFacts, rule: RecordingRule, index: _Index) -> Iterator[Check]:
+    outcomes = _Outcomes(rule, file=recording.name)
+    if rule.complete:
+        yield _check_recording_is_complete(recording, outcomes)
+    facts = index.facts
+    bounds = {
+        "recording.coverage": rule.covers,
+        "recording.start_skew": rule.max_start_skew,
+        "recording.end_skew": rule.max_end_skew,
+    }
+    if recording.start_ns is None or recording.end_ns is None or facts.start_ns is None or facts.end_ns is None:
+        why = recording.reason or "it has no messages"
+        yield from (outcomes.not_made(name, why) for name, bound in bounds.items() if bound is not None)
+        return
+    doubt = index.recording_doubt(recording)
+    if rule.covers is not None:
+        shared_ns = min(recording.end_ns, facts.end_ns) - max(recording.start_ns, facts.start_ns)
+        share = max(0, shared_ns) / index.span_ns if index.span_ns else 1.0
+        yield outcomes.coverage("recording.coverage", share, rule.covers, "it covers", doubt)
+    if rule.max_start_skew is not None:
+        skew_ns = recording.start_ns - facts.start_ns
+        what = "it starts {} after the mission" if skew_ns >= 0 else "it starts {} before the mission: its clock is off"
+        yield outcomes.span("recording.start_skew", abs(skew_ns), rule.max_start_skew, what, doubt)
+    if rule.max_end_skew is not None:
+        skew_ns = facts.end_ns - recording.end_ns
+        what = "it ends {} before the mission" if skew_ns >= 0 else "it ends {} after the mission: its clock is off"
+        yield outcomes.span("recording.end_skew", abs(skew_ns), rule.max_end_skew, what, doubt)
+
+
+def _check_recording_is_complete(recording: RecordingFacts, outcomes: _Outcomes) -> Check:
+    if recording.content in _UNREAD:
+        return outcomes.not_made("recording.incomplete", recording.reason or "it was not read")
+    if recording.content is Content.indexed:
+        return outcomes.ok("recording.incomplete", "complete")
+    return outcomes.fails("recording.incomplete", recording.reason or "it is damaged")
+
+
+# -- topics -----------------------------------------------------------------------------------------------------------
+
+
+def _check_topics(glob: str, rule: TopicRule, index: _Index) -> Iterator[Check]:
+    topics = index.topics_matching(glob)
+    if rule.recording is not None:
+        topics = [topic for topic in topics if _is_in(topic, rule.recording)]
+    filled = [topic for topic in topics if topic.count != 0]
+    outcomes = _Outcomes(rule, topic=glob)
+    if not filled and rule.required:
+        yield outcomes.fails("topic.missing", _why_missing(glob, rule, index), index.unread)
+        return
+    yield outcomes.ok("topic.missing", _found_text(filled, glob))
+    for topic in topics if rule.required else filled:
+        yield from _check_topic(topic, rule, index)
+    if rule.count is not None and not rule.required:
+        for topic in topics:
+            if topic.count == 0:
+                yield _Outcomes(rule, topic=topic.name).count("topic.count", 0, rule.count, "message", index.unread)
+
+
+def _is_in(topic: TopicFacts, glob: str) -> bool:
+    return any(matches(name, glob) for name in topic.recordings)
+
+
+def _why_missing(glob: str, rule: TopicRule, index: _Index) -> str:
+    topics = index.topics_matching(glob)
+    recordings = dict.fromkeys(name for topic in topics for name in topic.recordings)
+    if rule.recording is not None and recordings:
+        return f"it is in {', '.join(recordings)}, but in no recording that matches {rule.recording}"
+    if topics and len({topic.name for topic in topics}) == 1:
+        return "it is defined, but has no message"
+    if topics:
+        return f"the topics that match {glob} have no message"
+    return "it is not recorded" if glob_matcher(glob) is None else f"no topic matches {glob}"
+
+
+def _found_text(topics: Sequence[TopicFacts], glob: str) -> str:
+    if len(topics) == 1 and topics[0].name == glob:
+        count = topics[0].count
+        return "it is recorded" if count is None else counted(count, "message")
+    return _match_text(len(topics), "topic", glob)
+
+
+def _check_topic(topic: TopicFacts, rule: TopicRule, index: _Index) -> Iterator[Check]:
+    outcomes = _Outcomes(rule, topic=topic.name)
+    doubt = index.clock_doubt(topic)
+    if rule.type is not None:
+        yield _check_type(topic, rule.type, outcomes)
+    if rule.rate is not None:
+        yield _check_rate(topic, rule.rate, rule.tolerance, outcomes, doubt)
+    if rule.max_gap is not None:
+        yield _check_gap(topic, rule.max_gap, outcomes, index)
+    if rule.count is not None:
+        if topic.count is None:
+            yield outcomes.not_made("topic.count", "its number of messages is not known")
+        else:
+            yield outcomes.count("topic.count", topic.count, rule.count, "message", index.unread)
+    yield from _check_times(topic, rule, outcomes, index)
+
+
+def _check_type(topic: TopicFacts, expected: str, outcomes: _Outcomes) -> Check:
+    if topic.message_type is None:
+        return outcomes.not_made("topic.type", "its type is not known")
+    if topic.message_type.replace("/msg/", "/") == expected.replace("/msg/", "/"):
+        return outcomes.ok("topic.type", topic.message_type)
+    return outcomes.fails("topic.type", f"its type is {topic.message_type}; expected {expected}")
+
+
+def _check_rate(
+    topic: TopicFacts, expected_hz: float, tolerance: float, outcomes: _Outcomes, doubt: str | None
+) -> Check:
+    lowest, highest = expected_hz * (1 - tolerance), expected_hz * (1 + tolerance)
+    expected = f"expected {hertz(expected_hz)} ± {percent(tolerance)}"
+    if topic.count is not None and topic.count < 2:
+        return outcomes.fails("topic.rate", f"{_count_text(topic.count)}; {expected}")
+    rate_hz = topic.rate_hz
+    if rate_hz is None:
+        return outcomes.not_made("topic.rate", f"its rate is not known; {expected}")
+    limit = lowest if rate_hz <= expected_hz else highest
+    measured = Measured(rate_hz, limit, "Hz")
+    # Rates are quotients; one that is at the bound must not fail by rounding.
+    if lowest * (1 - 1e-9) <= rate_hz <= highest * (1 + 1e-9):
+        return outcomes.ok("topic.rate", f"{hertz(rate_hz)}; {expected}", measured=measured)
+    return outcomes.fails("topic.rate", f"{hertz(rate_hz)}; {expected}", doubt, measured=measured)
+
+
+def _count_text(count: int) -> str:
+    return "no message" if count == 0 else counted(count, "message")
+
+
+def _check_gap(topic: TopicFacts, limit_ns: int, outcomes: _Outcomes, index: _Index) -> Check:
+    if topic.count == 0:
+        return outcomes.fails("topic.gap", f"no message; allowed are gaps of {seconds(limit_ns)}")
+    if topic.longest_gap_ns is not None:
+        return outcomes.span("topic.gap", topic.longest_gap_ns, limit_ns, "longest gap {}", index.gap_doubt(topic))
+    if topic.count == 1:
+        return outcomes.ok("topic.gap", "1 message")
+    return outcomes.not_made("topic.gap", "its longest gap is not known")
+
+
+def _check_times(topic: TopicFacts, rule: TopicRule, outcomes: _Outcomes, index: _Index) -> Iterator[Check]:
+    """Compare the first and last message with the mission's span."""
+    facts = index.facts
+    bounds = {
+        "topic.coverage": rule.covers,
+        "topic.silent_start": rule.max_silence_at_start,
+        "topic.silent_end": rule.max_silence_at_end,
+    }
+    names = [name for name, bound in bounds.items() if bound is not None]
+    if not names:
+        return
+    if topic.count == 0:
+        yield from (outcomes.fails(name, "no message", index.unread) for name in names)
+        return
+    if topic.first_ns is None or topic.last_ns is None or facts.start_ns is None or facts.end_ns is None:
+        yield from (outcomes.not_made(name, "its times are not known") for name in names)
+        return
+    doubt = index.clock_doubt(topic) or index.unread
+    if rule.covers is not None:
+        share = (topic.last_ns - topic.first_ns) / index.span_ns if index.span_ns else 1.0
+        yield outcomes.coverage("topic.coverage", share, rule.covers, "its messages cover", doubt)
+    if rule.max_silence_at_start is not None:
+        what = "first message {} after the start of the mission"
+        silence_ns = max(0, topic.first_ns - facts.start_ns)
+        yield outcomes.span("topic.silent_start", silence_ns, rule.max_silence_at_start, what, doubt)
+    if rule.max_silence_at_end is not None:
+        what = "last message {} before the end of the mission"
+        silence_ns = max(0, facts.end_ns - topic.last_ns)
+        yield outcomes.span("topic.silent_end", silence_ns, rule.max_silence_at_end, what, doubt)
+
+
+# -- clocks -----------------------------------------------------------------------------------------------------------
+
+
+def _check_clocks(glob: str, rule: ClockRule, index: _Index) -> Iterator[Check]:
+    """Yield a row for each recording that has topics of the rule."""
+    if not rule.no_jump:
+        return
+    topics = index.topics_matching(glob)
+    names = {name for topic in topics for name in topic.recordings}
+    topic_names = {topic.name for topic in index.facts.topics}
+    recordings = [recording for recording in index.facts.recordings if recording.name in names]
+    for recording in recordings:
+        outcomes = _Outcomes(rule, file=recording.name)
+        jumps = [problem for problem in recording.problems if problem.code == "clock-jump"]
+        # A problem is of one topic, or of several, or of all topics of a file.
+        ours = [
+            jump for jump in jumps if jump.where not in topic_names or any(topic.name == jump.where for topic in topics)
+        ]
+        if ours:
+            yield outcomes.fails("clock.jump", f"{ours[0].where}: {ours[0].message}")
+        elif recording.content in _UNREAD:
+            yield outcomes.not_made("clock.jump", recording.reason or "it was not read")
+        else:
+            yield outcomes.ok("clock.jump", "log times do not jump back")
+    if not recordings:
+        message = f"no topic with messages matches {glob}"
+        unread = f", but {index.unread}" if index.unread else ""
+        yield _Outcomes(rule, topic=glob).not_made("clock.jump", message + unread)

@@ -1,0 +1,150 @@
+"""Outcomes of checks: rows, their order and number, and quantities as text."""
+
+from collections.abc import Callable, Iterable
+from functools import lru_cache
+from typing import NamedTuple
+
+from kleinkram.contract.checks import MAX_CHECKS, Check, CheckSeverity, CheckStatus
+from kleinkram.contract.names import check_file_path
+from kleinkram.recordings.model import span_text
+
+_MAX_MESSAGE, _MAX_TOPIC = 2000, 1024
+_MAX_TIME_NS = 2**63
+_SEVERITIES = {CheckSeverity.warning: CheckStatus.warning, CheckSeverity.error: CheckStatus.error}
+
+
+def failed(severity: CheckSeverity) -> CheckStatus:
+    """Return the status of a check that fails under a rule of this severity."""
+    return _SEVERITIES[severity]
+
+
+class Measured(NamedTuple):
+    """What was measured and the bound that it is compared with, in one unit; finite numbers."""
+
+    value: float
+    limit: float | None = None
+    unit: str | None = None
+
+
+def make_check(
+    name: str,
+    status: CheckStatus,
+    message: str,
+    *,
+    topic: str | None = None,
+    file: str | None = None,
+    time_ns: int | None = None,
+    measured: Measured | None = None,
+) -> Check:
+    """Return the outcome of one check; names and messages from untrusted files are cut and cleaned.
+
+    `file` is left out if it is no path of a file, such as the recording "." of the top folder.
+    """
+    return Check(
+        name=name,
+        status=status,
+        message=_cut(storable(message), _MAX_MESSAGE) or "no reason is known",
+        topic=_cut(storable(topic), _MAX_TOPIC) or None if topic is not None else None,
+        file=_file(file),
+        time_ns=time_ns if time_ns is not None and 0 <= time_ns < _MAX_TIME_NS else None,
+        value=measured.value if measured else None,
+        limit=measured.limit if measured else None,
+        unit=measured.unit if measured else None,
+    )
+
+
+WORST_FIRST = (
+    CheckStatus.error,
+    CheckStatus.warning,
+    CheckStatus.not_made,
+    CheckStatus.ok,
+    CheckStatus.needs_content,
+)
+LEFT_OUT = "checks.left_out"
+"""Name of the row that says how many checks are not listed."""
+
+
+class CollectedChecks(NamedTuple):
+    """Checks, worst first, at most `MAX_CHECKS`; `counts` also has those that are not listed."""
+
+    checks: list[Check]
+    counts: dict[CheckStatus, int]
+
+
+def collect(checks: Iterable[Check], *, limit: int = MAX_CHECKS) -> CollectedChecks:
+    """Return checks worst first, each once, in their order within a status; holds `limit` of each status at most.
+
+    Of more than `limit`, the last row says how many are left out: not made if checks that failed are among them.
+    """
+    by_status: dict[CheckStatus, dict[Check, None]] = {status: {} for status in WORST_FIRST}
+    counts = dict.fromkeys(WORST_FIRST, 0)
+    for check in checks:
+        listed = by_status[check.status]
+        if check in listed:
+            continue
+        counts[check.status] += 1
+        if len(listed) < limit:
+            listed[check] = None
+    ordered = [check for status in WORST_FIRST for check in by_status[status]]
+    total = sum(counts.values())
+    if total > limit:
+        ordered = ordered[: limit - 1]
+        has_failed = ordered[-1].status in (CheckStatus.error, CheckStatus.warning, CheckStatus.not_made)
+        status = CheckStatus.not_made if has_failed else CheckStatus.ok
+        ordered.append(make_check(LEFT_OUT, status, f"{total - limit + 1} more checks are not listed"))
+        counts[status] += 1
+    return CollectedChecks(ordered, counts)
+
+
+def storable(text: str) -> str:
+    """Return a text without NUL and surrogates, which are written as escapes."""
+    if text.isprintable():  # the usual case, which must be fast
+        return text
+    return text.encode("utf-8", "backslashreplace").decode("utf-8").replace("\x00", "\\0")
+
+
+def _cut(text: str, length: int) -> str:
+    return text if len(text) <= length else f"{text[: length - 1]}…"
+
+
+@lru_cache(maxsize=1024)
+def _file(path: str | None) -> str | None:
+    if path is None:
+        return None
+    try:
+        return check_file_path(path)
+    except ValueError:
+        return None
+
+
+def seconds(span_ns: float) -> str:
+    """Return a span as text with the unit that suits it: µs, ms, s, minutes, days or years."""
+    size = abs(span_ns)
+    if 0 < size < 1e6:
+        return f"{span_ns / 1e3:.3g} µs"
+    if 0 < size < 1e9:
+        return f"{span_ns / 1e6:.3g} ms"
+    if size < 120e9:
+        return f"{span_ns / 1e9:.4g} s"
+    if size < 100 * 3600e9:
+        minutes, rest = divmod(round(size / 1e9), 60)
+        return f"{'-' if span_ns < 0 else ''}{minutes} min {rest:02d} s"
+    return span_text(int(span_ns))
+
+
+def hertz(rate_hz: float) -> str:
+    """Return a rate as text."""
+    return f"{rate_hz:.4g} Hz"
+
+
+def percent(share: float) -> str:
+    """Return a share from 0 to 1 as a percentage."""
+    return f"{share * 100:.3g}%"
+
+
+def against(value: float, limit: float, text_of: Callable[[float], str], unit: str = "") -> tuple[str, str]:
+    """Return value and limit as texts that differ if the numbers do: with all digits in `unit` where they must."""
+    value_text, limit_text = text_of(value), text_of(limit)
+    if value_text != limit_text or value == limit:
+        return value_text, limit_text
+    return f"{value!r}{unit}", f"{limit!r}{unit}"
