@@ -143,7 +143,13 @@ def test_json_is_checked_like_ros() -> None:
 
 def test_json_of_strangers_breaks_nothing() -> None:
     huge = b'{"a": 1' + b"0" * 4000 + b"}"
-    strange = [huge, b"{", {"transforms": 3}, {"transforms": {"a": 1}}, {"header": {"stamp": {"sec": 1e300, "nanosec": 0}}}]
+    strange = [
+        huge,
+        b"{",
+        {"transforms": 3},
+        {"transforms": {"a": 1}},
+        {"header": {"stamp": {"sec": 1e300, "nanosec": 0}}},
+    ]
     sections = {
         "clocks": "{max_stamp_offset: 1s, max_stamp_drift: 1, max_stamp_jump: 1s}", "images": "{}", "imu": "{}",
         "positions": "{}", "point_clouds": "{}", "transforms": "{}", "odometry": "{}",
