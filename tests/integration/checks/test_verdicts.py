@@ -77,7 +77,7 @@ def test_a_mission_without_recordings_lacks_its_topics(api: Api, project_id: str
     assert ("topic.missing", "error", "/imu") in failing(api, mission_id)
 
 
-def test_a_broken_recording_is_told_and_never_green(api: Api) -> None:
+def test_a_broken_recording_makes_a_mission_bad_with_the_reason(api: Api) -> None:
     project_id = checked_project(api, 'version: 1\nprofiles:\n  - recordings: {"*": {complete: true}}\n')
     mission_id = str(api.mission(project_id)["id"])
     put_file(api, mission_id, "run.mcap", GOOD, content="broken", content_reason="cut at byte 4711")

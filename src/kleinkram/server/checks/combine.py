@@ -77,7 +77,7 @@ class Sources:
 
 
 @dataclass
-class _Tally:
+class _Summary:
     counts: Counter[str] = field(default_factory=Counter)
     statuses: dict[str, CheckStatus] = field(default_factory=dict)
     failed: set[str] = field(default_factory=set)
@@ -100,12 +100,12 @@ def reads_content(name: str) -> bool:
 
 def combine(sources: Sources) -> CombinedChecks:
     """Return all checks and the verdict. An error that counts makes a mission bad, whatever is outdated or running."""
-    tally, by_status = _Tally(), {status: list[CheckRead]() for status in WORST_FIRST}
+    summary, by_status = _Summary(), {status: list[CheckRead]() for status in WORST_FIRST}
     for check in _accepted(_all_checks(sources), sources.acceptances):
-        tally.add(check)
+        summary.add(check)
         by_status[check.status].append(check)
-    made = {CheckStatus(name) for name, count in tally.counts.items() if count and name != "accepted"}
-    if tally.counts["accepted"]:
+    made = {CheckStatus(name) for name, count in summary.counts.items() if count and name != "accepted"}
+    if summary.counts["accepted"]:
         made.add(CheckStatus.ok)
     verdict = verdict_of(made)
     if verdict is not Verdict.bad and (sources.is_running or sources.is_outdated):
@@ -113,9 +113,9 @@ def combine(sources: Sources) -> CombinedChecks:
     return CombinedChecks(
         verdict=verdict,
         checks=_bounded([check for status in WORST_FIRST for check in by_status[status]]),
-        counts=dict(tally.counts),
-        statuses=tally.statuses,
-        failed=sorted(tally.failed),
+        counts=dict(summary.counts),
+        statuses=summary.statuses,
+        failed=sorted(summary.failed),
     )
 
 

@@ -37,7 +37,7 @@ from kleinkram.server.checks.facts import JudgedMission, read_missions
 from kleinkram.server.checks.judge import is_report_of
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.missions import service as missions
-from kleinkram.server.missions.judging import judge_again
+from kleinkram.server.missions.rejudge import judge_again
 from kleinkram.server.tables import check_acceptance, check_note, check_report, project_checks
 
 _MAX_NOTES = 10_000

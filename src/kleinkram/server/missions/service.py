@@ -34,7 +34,7 @@ from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, prepare_statement
 from kleinkram.server.missions import queries
-from kleinkram.server.missions.judging import judge_again
+from kleinkram.server.missions.rejudge import judge_again
 from kleinkram.server.missions.metadata import (
     MetadataValidator,
     carried_over,
