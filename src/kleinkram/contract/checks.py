@@ -86,7 +86,13 @@ class Check(Request):
     time_ns: LogTime | None = None
 
 
-_WORST_FIRST = (CheckStatus.error, CheckStatus.warning, CheckStatus.not_made, CheckStatus.ok)
+WORST_FIRST = (
+    CheckStatus.error,
+    CheckStatus.warning,
+    CheckStatus.not_made,
+    CheckStatus.ok,
+    CheckStatus.needs_content,
+)
 _VERDICTS = {
     CheckStatus.error: Verdict.bad,
     CheckStatus.warning: Verdict.warnings,
@@ -97,7 +103,7 @@ _VERDICTS = {
 
 def verdict_of(statuses: "set[CheckStatus]") -> Verdict:
     """Return what checks with these statuses amount to: good, warnings, bad, or unchecked where none was made."""
-    return next((_VERDICTS[status] for status in _WORST_FIRST if status in statuses), Verdict.unchecked)
+    return next((_VERDICTS[status] for status in WORST_FIRST[:4] if status in statuses), Verdict.unchecked)
 
 
 # -- checks and verdicts of the server --------------------------------------------------------------------------------
@@ -182,7 +188,7 @@ class CheckSource(str, enum.Enum):
     action = "action"
 
 
-class CheckRead(Response):
+class MissionCheck(Response):
     """The outcome of one check of a mission, as in `Check`.
 
     `action` and `run_id` name the run that made it. `acceptance_id`: a person accepted that it fails, so that it does
@@ -280,7 +286,7 @@ class MissionChecksRead(Response):
 
     verdict: Verdict
     counts: CheckCounts
-    checks: list[CheckRead]
+    checks: list[MissionCheck]
     checks_number: int
     profiles_applied: list[str]
     profiles_left_out: list[ProfileLeftOut]

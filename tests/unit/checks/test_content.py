@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.checks.content import OpenRecording, TopicOfRecording, check_content, needing_content
+from kleinkram.checks.content import OpenRecording, check_content
 from kleinkram.checks.content.segment_plan import plan_visits, sample_times
 from kleinkram.checks.document import read_checks
-from kleinkram.contract.checks import MAX_CHECKS, CheckStatus
+from kleinkram.contract.checks import MAX_CHECKS
 from kleinkram.recordings import Recording
 from kleinkram.recordings.formats.base import Segment
 from tests.recording_files.builders import Watched, mcap_of
@@ -70,15 +70,6 @@ def test_without_the_extra_reading_the_checks_say_so(monkeypatch: pytest.MonkeyP
     rows = run(IMU, ros2_mcap(imu()))
     assert {row.status for row in rows} == {NOT_MADE}
     assert {row.message for row in rows} == {"this needs numpy: run `pip install 'open-kleinkram[reading]'`"}
-
-
-def test_checks_that_need_content_are_listed_without_reading() -> None:
-    profiles = read_checks("version: 1\nprofiles: [{imu: {'/imu*': {up: z}}, images: {/camera: {}}}]").profiles
-    rows = list(needing_content(profiles, [TopicOfRecording("nuc", "/imu/a", "sensor_msgs/Imu")]))
-    assert {row.status for row in rows} == {CheckStatus.needs_content}
-    assert {row.name for row in rows} == {
-        "imu.gravity", "imu.tilt", "imu.constant", "image.black", "image.overexposed", "image.frozen",
-    }  # fmt: skip
 
 
 def test_all_rules_of_a_topic_apply() -> None:
@@ -162,15 +153,12 @@ def test_broken_recordings_break_nothing(damage: str) -> None:
 
 
 def test_many_topics_are_bounded() -> None:
-    profiles = read_checks(
-        "version: 1\nprofiles: [{clocks: {'*': {max_stamp_offset: 1s, max_stamp_jump: 1s}}}]"
-    ).profiles
+    rules = "clocks: {'*': [{max_stamp_offset: 1s}, {max_stamp_jump: 1s}]}"
     topics = [TimedMessage(f"/t{number}", "sensor_msgs/Imu", T0 + number, {}, T0) for number in range(6000)]
-    with Recording.open(ros2_mcap(topics, chunk_bytes=2**20)) as recording:
-        rows = check_content(profiles, [OpenRecording("a", recording)])
+    rows = run(rules, ros2_mcap(topics, chunk_bytes=2**20))
     assert len(rows) == MAX_CHECKS + 1
     assert rows[-1].status is NOT_MADE
-    assert rows[-1].message == f"2000 checks were left out: at most {MAX_CHECKS} are made"
+    assert rows[-1].message == f"2000 topics of rules were left out: at most {MAX_CHECKS} are checked"
 
 
 def test_names_that_cannot_be_stored_are_left_out() -> None:

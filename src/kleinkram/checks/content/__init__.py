@@ -4,26 +4,29 @@ Only the segments (chunks) that samples need are read, each once. The memory is 
 the messages. Reading needs the extra `reading`; without it, every check is not made and says so.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import islice
+from typing import TYPE_CHECKING
 
 from kleinkram.checks.content.families import (
     PlannedRule,
     TopicOfRecording,
-    needing_content,
     planned_rules,
     unmade_checks,
     why_none,
 )
-from kleinkram.checks.content.rows import make_row
 from kleinkram.checks.document import Profile
+from kleinkram.checks.outcomes import LEFT_OUT, make_check
 from kleinkram.contract.checks import MAX_CHECKS, Check, CheckStatus
-from kleinkram.recordings.decoding import ReadingExtraMissing
-from kleinkram.recordings.recording import Recording
 
-__all__ = ["OpenRecording", "TopicOfRecording", "check_content", "needing_content"]
+if TYPE_CHECKING:
+    from kleinkram.recordings.recording import Recording
+
+__all__ = ["OpenRecording", "TopicOfRecording", "check_content"]
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,9 @@ class OpenRecording:
 def check_content(
     profiles: Sequence[Profile], recordings: Sequence[OpenRecording], *, budget_bytes: int | None = None
 ) -> list[Check]:
-    """Return the checks that read messages, in the order of the rules; at most `MAX_CHECKS` and one about the rest.
+    """Return the checks that read messages: first those that apply to no topic, then the others in their order.
+
+    At most `MAX_CHECKS` topics of rules are checked; a last row has the number of the others.
 
     Args:
         profiles: those that apply to the mission.
@@ -56,15 +61,11 @@ def check_content(
     ]
     rules, left_out = _bounded(planned_rules(profiles, topics))
     rows = list(islice(_unplanned(rules, topics, recordings), MAX_CHECKS))
-    applicable = [planned for planned in rules if planned.topics]
-    rows += _made(
-        applicable, {item.name: item.recording for item in recordings if item.recording is not None}, budget_bytes
-    )
-    left_out += max(0, len(rows) - MAX_CHECKS)
-    rows = rows[:MAX_CHECKS]
+    opened = {item.name: item.recording for item in recordings if item.recording is not None}
+    rows += _made([planned for planned in rules if planned.topics], opened, budget_bytes)
     if left_out:
-        message = f"{left_out} checks were left out: at most {MAX_CHECKS} are made"
-        rows.append(make_row("checks.limit", CheckStatus.not_made, message))
+        message = f"{left_out} topics of rules were left out: at most {MAX_CHECKS} are checked"
+        rows.append(make_check(LEFT_OUT, CheckStatus.not_made, message))
     return rows
 
 
@@ -75,6 +76,8 @@ def _made(rules: Sequence[PlannedRule], recordings: dict[str, Recording], budget
         for library in ("numpy", "PIL"):
             import_module(library)
     except ImportError as error:
+        from kleinkram.recordings.decoding import ReadingExtraMissing  # reading is not needed to list checks
+
         message = str(ReadingExtraMissing("pillow" if error.name == "PIL" else error.name or "numpy"))
         return [row for rule in rules for row in unmade_checks(rule, CheckStatus.not_made, message)]
     from kleinkram.checks.content.run import run_checks  # imports numpy

@@ -10,8 +10,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from kleinkram.checks.content.probe import Probe, SampledMessage
-from kleinkram.checks.content.rows import number
+from kleinkram.checks.content.probe import Probe, SampledMessage, number
 from kleinkram.checks.document import BatteryRule
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.recordings.decoding import DecodeError
@@ -41,9 +40,6 @@ class BatteryProbe(Probe[BatteryRule]):
     def results(self) -> Iterator[Check]:
         """Yield the check of each quantity with a limit."""
         limits = {"percentage": self.rule.min_percentage, "voltage": self.rule.min_voltage}
-        if not any(limit is not None for limit in limits.values()):
-            reason = "the rule sets neither min_percentage nor min_voltage"
-            yield self.row("battery.low", CheckStatus.not_made, reason)
         for field, limit in limits.items():
             if limit is None:
                 continue

@@ -15,10 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kleinkram.checks.content.probe import FollowUp, Probe, RecordedTopic, SampledMessage, checked_stamp
-from kleinkram.checks.content.rows import make_row, number, seconds, status_of
+from kleinkram.checks.content.probe import (
+    FollowUp,
+    Probe,
+    RecordedTopic,
+    SampledMessage,
+    checked_stamp,
+    measured,
+    number,
+)
 from kleinkram.checks.content.transforms import transforms_of
 from kleinkram.checks.document import ClockRule
+from kleinkram.checks.outcomes import failed, make_check, seconds
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.recordings.decoding import DecodeError
 
@@ -235,7 +243,7 @@ class RecorderProbe(Probe[ClockRule]):
                 f"{name} recorded it {seconds(abs(offset_ns))} {side} than {self.stream.recording} "
                 f"(median of {len(offsets)} messages)"
             )
-            status = status_of(self.rule.severity) if fails else CheckStatus.ok
+            status = failed(self.rule.severity) if fails else CheckStatus.ok
             time_ns = min(log_ns for log_ns, _ in offsets) if fails else None
             yield self._row_of(name, status, message, value=offset_ns / 1e9, time_ns=time_ns)
 
@@ -250,18 +258,15 @@ class RecorderProbe(Probe[ClockRule]):
     def _row_of(
         self, recording: str, status: CheckStatus, message: str, value: float | None = None, time_ns: int | None = None
     ) -> Check:
-        limit = (self.rule.max_recorder_offset or 0) / 1e9 if value is not None else None
-        unit = "s" if value is not None else None
-        return make_row(
+        limit = (self.rule.max_recorder_offset or 0) / 1e9
+        return make_check(
             self.names[0],
             status,
             message,
             topic=self.stream.topic,
             file=recording,
-            value=value,
-            limit=limit,
-            unit=unit,
             time_ns=time_ns,
+            measured=measured(value, limit, "s"),
         )
 
 

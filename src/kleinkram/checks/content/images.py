@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kleinkram.checks.content.probe import Probe, SampledMessage
-from kleinkram.checks.content.rows import number, seconds
+from kleinkram.checks.content.probe import Probe, SampledMessage, number
 from kleinkram.checks.document import ImageRule
+from kleinkram.checks.outcomes import seconds
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.recordings.decoding import ReadingExtraMissing, image
 from kleinkram.recordings.decoding.types import DecodeError

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kleinkram.checks.content.probe import Probe, SampledMessage
-from kleinkram.checks.content.rows import number
+from kleinkram.checks.content.probe import Probe, SampledMessage, number
 from kleinkram.checks.document import ImuRule
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.recordings.decoding import DecodeError

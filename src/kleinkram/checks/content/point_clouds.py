@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from kleinkram.checks.content.probe import Probe, SampledMessage
-from kleinkram.checks.content.rows import number
+from kleinkram.checks.content.probe import Probe, SampledMessage, number
 from kleinkram.checks.document import PointCloudRule
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.recordings.decoding import DecodeError, points

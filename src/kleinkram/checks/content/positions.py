@@ -9,8 +9,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from kleinkram.checks.content.probe import Probe, SampledMessage
-from kleinkram.checks.content.rows import number
+from kleinkram.checks.content.probe import Probe, SampledMessage, number
 from kleinkram.checks.document import PositionRule
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.recordings.decoding import DecodeError

@@ -3,13 +3,14 @@
 A probe keeps numbers of the messages, never the messages; its memory is bounded.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from functools import cached_property
 from typing import Generic, NamedTuple, TypeVar
 
-from kleinkram.checks.content.rows import make_row, status_of
 from kleinkram.checks.document import Rule
+from kleinkram.checks.outcomes import Measured, failed, make_check
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.recordings.decoding import DecodeError, stamp_ns
 from kleinkram.recordings.decoding.values import type_name
@@ -62,6 +63,16 @@ def checked_stamp(value: object) -> int | None:
     if stamp is not None and not -_LATEST_NS <= stamp <= _LATEST_NS:
         raise DecodeError(type_name(value), "its stamp is not a time")
     return stamp
+
+
+def measured(value: float | None, limit: float | None, unit: str | None) -> Measured | None:
+    """Return what was measured; None without a finite value."""
+    return Measured(value, limit, unit) if value is not None and math.isfinite(value) else None
+
+
+def number(value: float) -> str:
+    """Return a number as text, with at most four digits."""
+    return f"{value:.4g}"
 
 
 class FollowUp(NamedTuple):
@@ -140,16 +151,14 @@ class Probe(ABC, Generic[R_co]):
         time_ns: int | None = None,
     ) -> Check:
         """Return a row about the topic."""
-        return make_row(
+        return make_check(
             name,
             status,
             message,
             topic=self.stream.topic,
             file=self.stream.recording,
-            value=value,
-            limit=limit,
-            unit=unit,
             time_ns=time_ns,
+            measured=measured(value, limit, unit),
         )
 
     def outcome(
@@ -164,5 +173,5 @@ class Probe(ABC, Generic[R_co]):
         time_ns: int | None = None,
     ) -> Check:
         """Return the row of a check that was made; `time_ns` is left out if it passed."""
-        status = status_of(self.rule.severity) if fails else CheckStatus.ok
+        status = failed(self.rule.severity) if fails else CheckStatus.ok
         return self.row(name, status, message, value=value, limit=limit, unit=unit, time_ns=time_ns if fails else None)

@@ -42,7 +42,7 @@ class _Attached:
     def __init__(self, planned: PlannedRule) -> None:
         self.planned = planned
         self.streams: list[tuple[AnyProbe, tuple[RecordedTopic, ...]]] = []
-        names = planned.family.check_names(planned.rule)
+        names = planned.names
         if planned.family.section == "clocks":
             self._add_clocks(names)
             return
@@ -76,26 +76,34 @@ class _Attached:
     def checks(self) -> Iterator[Check]:
         """Yield the rows of the rule.
 
-        Of a glob, topics to which a check does not apply have none; a check that applies to no topic is not made.
+        Of a glob, topics to which its checks do not apply have none; checks that apply to no topic are not made.
         """
-        yield from self._not_applicable()
-        for probe, _ in self.streams:
-            if probe.is_exact or not isinstance(probe, StampProbe) or probe.has_stamps:
-                yield from probe.checks()
+        probes = [probe for probe, _ in self.streams]
+        applicable = [probe for probe in probes if _is_applicable(probe)]
+        for kind, reason in _INAPPLICABLE.items():
+            of_kind = [probe for probe in probes if isinstance(probe, kind)]
+            if of_kind and not any(isinstance(probe, kind) for probe in applicable):
+                yield from _rows_of_rule(self.planned, of_kind[0].names, reason.format(self.planned.pattern))
+        if _RECORDER_OFFSET in self.planned.names and not any(isinstance(probe, RecorderProbe) for probe in probes):
+            reason = f"no two recordings have a topic that matches {self.planned.pattern}"
+            yield from _rows_of_rule(self.planned, (_RECORDER_OFFSET,), reason)
+        for probe in applicable:
+            yield from probe.checks()
 
-    def _not_applicable(self) -> Iterator[Check]:
-        planned = self.planned
-        if planned.family.section != "clocks" or not planned.topics:
-            return
-        names = planned.family.check_names(planned.rule)
-        of_stamps = tuple(name for name in names if name != _RECORDER_OFFSET)
-        stamped = [probe for probe, _ in self.streams if isinstance(probe, StampProbe)]
-        if stamped and not any(probe.is_exact or probe.has_stamps for probe in stamped):
-            reason = f"no message of a topic that matches {planned.pattern} has a header stamp"
-            yield from _rows_of_rule(planned, of_stamps, reason)
-        if _RECORDER_OFFSET in names and not any(isinstance(probe, RecorderProbe) for probe, _ in self.streams):
-            reason = f"no two recordings have a topic that matches {planned.pattern}"
-            yield from _rows_of_rule(planned, (_RECORDER_OFFSET,), reason)
+
+_INAPPLICABLE: Mapping[type[AnyProbe], str] = {
+    StampProbe: "no message of a topic that matches {} has a header stamp",
+    ValueProbe: "no topic that matches {} has such a numeric field",
+}
+
+
+def _is_applicable(probe: AnyProbe) -> bool:
+    """Return whether the topic has what the checks are about, or the rule names it."""
+    if probe.is_exact:
+        return True
+    if isinstance(probe, StampProbe):
+        return probe.has_stamps
+    return probe.has_fields if isinstance(probe, ValueProbe) else True
 
 
 def _rows_of_rule(planned: PlannedRule, names: tuple[str, ...], reason: str) -> Iterator[Check]:

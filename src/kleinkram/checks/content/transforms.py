@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from kleinkram.checks.content.probe import Probe, RecordedTopic, SampledMessage
-from kleinkram.checks.content.rows import make_row, status_of
+from kleinkram.checks.content.probe import Probe, RecordedTopic, SampledMessage, measured
 from kleinkram.checks.document import TransformRule
+from kleinkram.checks.outcomes import failed, make_check
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.recordings.decoding import DecodeError
 from kleinkram.recordings.decoding.values import part, type_name
@@ -54,13 +54,12 @@ class TransformProbe(Probe[TransformRule]):
         else:
             message = f"{len(parts[0])} frames make one tree"
         fails = bool(missing) or len(parts) > 1
-        status = status_of(self.rule.severity) if fails else CheckStatus.ok
+        status = failed(self.rule.severity) if fails else CheckStatus.ok
         yield self._row(status, message, value=len(parts) + len(missing))
 
     def _row(self, status: CheckStatus, message: str, value: float | None = None) -> Check:
-        limit, unit = (1, "trees") if value is not None else (None, None)
         topic = ", ".join(self._topics)
-        return make_row(self.names[0], status, message, topic=topic, value=value, limit=limit, unit=unit)
+        return make_check(self.names[0], status, message, topic=topic, measured=measured(value, 1, "trees"))
 
     def _root(self, frame: str) -> str:
         """Return the representative of the frames that are connected with a frame."""

@@ -9,9 +9,9 @@ from kleinkram.checks.outcomes import LEFT_OUT, WORST_FIRST
 from kleinkram.contract.checks import (
     MAX_CHECKS,
     Check,
-    CheckRead,
     CheckSource,
     CheckStatus,
+    MissionCheck,
     Verdict,
     verdict_of,
 )
@@ -50,7 +50,7 @@ class CombinedChecks:
     """
 
     verdict: Verdict
-    checks: list[CheckRead]
+    checks: list[MissionCheck]
     counts: dict[str, int]
     statuses: dict[str, CheckStatus]
     failed: list[str]
@@ -70,7 +70,7 @@ class Sources:
 
     index: Sequence[Check] | None = None
     reports: Sequence[UploaderReport] = ()
-    actions: Sequence[CheckRead] = ()
+    actions: Sequence[MissionCheck] = ()
     acceptances: Sequence[Acceptance] = ()
     is_running: bool = False
     is_outdated: bool = False
@@ -82,7 +82,7 @@ class _Summary:
     statuses: dict[str, CheckStatus] = field(default_factory=dict)
     failed: set[str] = field(default_factory=set)
 
-    def add(self, check: CheckRead) -> None:
+    def add(self, check: MissionCheck) -> None:
         is_accepted = check.acceptance_id is not None
         self.counts["accepted" if is_accepted else check.status.value] += 1
         status = CheckStatus.ok if is_accepted else check.status
@@ -100,7 +100,7 @@ def reads_content(name: str) -> bool:
 
 def combine(sources: Sources) -> CombinedChecks:
     """Return all checks and the verdict. An error that counts makes a mission bad, whatever is outdated or running."""
-    summary, by_status = _Summary(), {status: list[CheckRead]() for status in WORST_FIRST}
+    summary, by_status = _Summary(), {status: list[MissionCheck]() for status in WORST_FIRST}
     for check in _accepted(_all_checks(sources), sources.acceptances):
         summary.add(check)
         by_status[check.status].append(check)
@@ -126,7 +126,7 @@ def is_content_outdated(sources: Sources) -> bool:
     return needs_content and bool(by_content) and not any(report.is_by_present_rules for report in by_content)
 
 
-def _all_checks(sources: Sources) -> Iterable[CheckRead]:
+def _all_checks(sources: Sources) -> Iterable[MissionCheck]:
     """Yield the checks that count: from the index by the server, from the content by the latest valid report."""
     valid = [report for report in sources.reports if report.is_by_present_rules]
     content = next((report for report in valid if report.has_content), None)
@@ -143,11 +143,11 @@ def _all_checks(sources: Sources) -> Iterable[CheckRead]:
     yield from sources.actions
 
 
-def _read(check: Check, source: CheckSource) -> CheckRead:
-    return CheckRead.model_construct(**check.__dict__, source=source)
+def _read(check: Check, source: CheckSource) -> MissionCheck:
+    return MissionCheck.model_construct(**check.__dict__, source=source)
 
 
-def _accepted(checks: Iterable[CheckRead], acceptances: Sequence[Acceptance]) -> Iterable[CheckRead]:
+def _accepted(checks: Iterable[MissionCheck], acceptances: Sequence[Acceptance]) -> Iterable[MissionCheck]:
     by_name: dict[str, list[Acceptance]] = {}
     for acceptance in acceptances:
         by_name.setdefault(acceptance.check, []).append(acceptance)
@@ -157,9 +157,9 @@ def _accepted(checks: Iterable[CheckRead], acceptances: Sequence[Acceptance]) ->
         yield check if applied is None else check.model_copy(update={"acceptance_id": applied.id})
 
 
-def _bounded(checks: list[CheckRead]) -> list[CheckRead]:
+def _bounded(checks: list[MissionCheck]) -> list[MissionCheck]:
     if len(checks) <= MAX_CHECKS:
         return checks
     listed, left_out = checks[: MAX_CHECKS - 1], len(checks) - MAX_CHECKS + 1
     message = f"{left_out} more checks are not listed"
-    return [*listed, CheckRead(name=LEFT_OUT, status=CheckStatus.not_made, message=message)]
+    return [*listed, MissionCheck(name=LEFT_OUT, status=CheckStatus.not_made, message=message)]

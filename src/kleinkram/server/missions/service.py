@@ -34,7 +34,6 @@ from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, prepare_statement
 from kleinkram.server.missions import queries
-from kleinkram.server.missions.rejudge import judge_again
 from kleinkram.server.missions.metadata import (
     MetadataValidator,
     carried_over,
@@ -43,6 +42,7 @@ from kleinkram.server.missions.metadata import (
     satisfying,
     write_template,
 )
+from kleinkram.server.missions.rejudge import judge_again
 from kleinkram.server.pagination import PageRequest, read_listing
 from kleinkram.server.quotas import require_room_for_mission
 from kleinkram.server.tables import mission

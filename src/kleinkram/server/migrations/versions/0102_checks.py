@@ -4,10 +4,10 @@ from pathlib import Path
 
 from alembic import context, op
 
-revision = "0101"
-down_revision = "0100"
+revision = "0102"
+down_revision = "0101"
 # Programs of that schema do not know the new tables, and need not.
-compatible_from = "0100"
+compatible_from = "0101"
 branch_labels = None
 depends_on = None
 
