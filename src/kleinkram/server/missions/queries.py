@@ -45,6 +45,7 @@ from kleinkram.server.db import among, by_name
 from kleinkram.server.filters.files import metadata_key
 from kleinkram.server.filters.missions import filter_missions, filter_missions_by_files
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
+from kleinkram.server.filters.verdicts import join_checks, shown_counts, shown_verdict
 from kleinkram.server.pagination import Order, PagedQuery
 from kleinkram.server.tables import DERIVED_ORIGIN, blob, file, mission, person, project, recording
 
@@ -63,8 +64,10 @@ def mission_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
         start_ns.label("shown_start_ns"),
         end_ns.label("shown_end_ns"),
         mission_totals(actor).label("totals"),
+        shown_verdict(actor).label("verdict"),
+        shown_counts(actor).label("checks"),
     )
-    return stmt.add_columns(*extra).join(person, person.c.id == mission.c.created_by_id)
+    return join_checks(stmt).add_columns(*extra).join(person, person.c.id == mission.c.created_by_id)
 
 
 def to_missions(rows: Sequence[Row[Any]]) -> list[MissionRead]:
@@ -94,7 +97,7 @@ def mission_ref(mission_id: uuid.UUID, name: str, project_id: uuid.UUID, project
 
 # Content too expensive to summarise is read by the verification; damaged bytes are never read.
 _UNREAD = blob.c.summarised_at.is_(None) | (blob.c.content == ContentState.pending.value)
-_PENDING = blob.c.summarised_at.is_(None) | (
+AWAITS_READING = blob.c.summarised_at.is_(None) | (
     (blob.c.content == ContentState.pending.value) & (blob.c.state == BlobState.stored.value)
 )
 # Files that runs made count as files and bytes, which they are in the store, and not as messages and hours.
@@ -127,7 +130,7 @@ def _stored_or_added_totals() -> ColumnElement[Any]:
 
 def _added_totals(shown: ColumnElement[bool]) -> ColumnElement[Any]:
     messages = func.sum(blob.c.message_count).filter(_IS_RECORDED)
-    numbers = (func.count(), func.sum(blob.c.size_bytes), messages, func.count().filter(_PENDING))
+    numbers = (func.count(), func.sum(blob.c.size_bytes), messages, func.count().filter(AWAITS_READING))
     return _of_files(shown, _as_integers(*numbers))
 
 
