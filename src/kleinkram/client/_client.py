@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     AnyPath = str | os.PathLike[str]
 
-    from kleinkram.client.actions import Actions
+    from kleinkram.client.actions import Actions, ProjectActions
     from kleinkram.client.files import Files, Recordings, Uploads
     from kleinkram.client.missions import Missions, Projects
     from kleinkram.client.people import Access, Groups, People
@@ -42,6 +42,7 @@ _MODULES = {
     "access": "people",
     "groups": "people",
     "projects": "missions",
+    "project_actions": "actions",
     "recordings": "files",
     "runners": "runs",
     "shares": "tokens",
@@ -63,6 +64,7 @@ class Client:
     recordings: "Recordings"
     uploads: "Uploads"
     actions: "Actions"
+    project_actions: "ProjectActions"
     runs: "Runs"
     runners: "Runners"
     access: "Access"
