@@ -41,6 +41,7 @@ export const texts = {
     timeline: "Timeline",
     views: "Show missions as",
     name: "Mission",
+    verdict: "Checks",
     recorded: "Recorded",
     span: "Span",
     files: "Files",
