@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.requirements import missing
+from tests.template_instance import share_template
 
 MakeCase = Callable[[str], Path]
 
@@ -22,16 +23,25 @@ RECORDINGS = Path(os.environ.get("KLEINKRAM_RECORDINGS") or Path(__file__).paren
 # Scripts that make small inputs which once failed, one folder each.
 CASES = RECORDINGS.parent / "cases"
 
-# The longest files, which start first.
+# The longest files start first. Those that use the CPU, mostly browsers, alternate with those that mostly wait, for
+# rates, timeouts or leases: four workers on two cores should rarely run only one kind at the same time.
 _LONGEST = (
     "system/web/test_every_page.py",
-    "integration/access/test_matrix.py",
     "system/test_bad_link.py",
+    "integration/access/test_matrix.py",
     "system/test_kills.py",
-    "system/test_store_trouble.py",
     "system/web/test_runs.py",
+    "system/test_store_trouble.py",
     "integration/access/test_api_description.py",
     "system/test_lying_store.py",
+    "system/web/test_upload.py",
+    "system/test_clocks.py",
+    "system/web/test_people.py",
+    "integration/runner_loop/test_faults.py",
+    "system/web/test_missions.py",
+    "system/test_backup.py",
+    "system/web/test_lists.py",
+    "system/test_part_histories.py",
 )
 
 # A shell that runs the tests in the background ignores these signals, and child processes would inherit that.
@@ -75,6 +85,13 @@ def pytest_collection_finish() -> None:
     gc.freeze()
     gc.set_threshold(10_000)
     gc.enable()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _run_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Let instances share a template in the folder of this test run. A worker's own folder is below it."""
+    folder = tmp_path_factory.getbasetemp()
+    share_template(folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder)
 
 
 @pytest.fixture(scope="session")

@@ -18,6 +18,7 @@ import pytest
 import urllib3
 
 from tests.ports import choose_port
+from tests.template_instance import copy_template
 
 from .browser import Browser
 
@@ -117,6 +118,7 @@ def instance(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instance]:
 @contextmanager
 def running_instance(home: Path, **settings: str) -> Iterator[Instance]:
     """Run `klein up` in an empty folder; `settings` are additional environment variables."""
+    copy_template(home / "data")
     short = {"KLEINKRAM_PART_URL_S": "4", "KLEINKRAM_DOWNLOAD_URL_S": "4"}  # so that slow transfers outlive them
     often = {"KLEINKRAM_SIGN_INS_PER_MINUTE": "1000"}  # all stories come from one address
     environment = {**_environment(home, home / "data"), **short, **often, **settings}

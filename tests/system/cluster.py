@@ -13,6 +13,7 @@ import pytest
 from kleinkram.standalone.processes import marked_processes
 from tests.acceptance.conftest import KLEIN, Terminal, wait_until
 from tests.ports import choose_port
+from tests.template_instance import copy_template
 
 START_TIMEOUT_S = 90
 
@@ -47,7 +48,8 @@ class Cluster:
         return Terminal(self.home, environment(self.home, KLEINKRAM_DATA_DIR=str(self.data_dir)))
 
     def start(self) -> None:
-        """Run `klein up` and wait for its line."""
+        """Run `klein up` and wait for its line. A new data directory begins with a migrated database."""
+        copy_template(self.data_dir)
         command = [*self.inside, str(KLEIN), "up", "--data-dir", str(self.data_dir), "--port", str(self.port)]
         command += ["--s3-port", str(self.s3_port), *self.options]
         output = self.home / "up.out"

@@ -2,14 +2,17 @@
 
 import fcntl
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeVar
 
 from pydantic import BaseModel, JsonValue, ValidationError
+from pydantic_core import ErrorDetails
 
 from kleinkram.action import run_files
 from kleinkram.contract import reports
-from kleinkram.contract.problems import first_message
+from kleinkram.contract.checks import Check
+from kleinkram.contract.problems import message_of
 
 T = TypeVar("T", bound=BaseModel)
 AnyPath = str | os.PathLike[str]
@@ -17,6 +20,40 @@ AnyPath = str | os.PathLike[str]
 
 class Reporting:
     """The class of `report`. Threads and processes of one run can use it concurrently."""
+
+    def check(
+        self,
+        name: str,
+        status: str,
+        message: str,
+        *,
+        value: float | None = None,
+        limit: float | None = None,
+        unit: str | None = None,
+        topic: str | None = None,
+        file: AnyPath | None = None,
+        time_ns: int | None = None,
+    ) -> None:
+        """Report the outcome of a check: `status` is ok, warning, error or not_made; `name` such as `imu.gravity`.
+
+        `value` was measured and `limit` is the bound that it is compared with, in `unit`. `file` is one of the inputs;
+        `time_ns` a log time, in ns since 1970. Each call is one check.
+
+        Raises:
+            ReportRefused: the name is not of two to four parts of lower-case letters, digits and `_ -`, joined by dots;
+                or a number is NaN or infinite: leave it out, and say so in the message.
+        """
+        path = None if file is None else _within(file, run_files.in_dir)
+        place = {"topic": topic, "file": path, "time_ns": time_ns}
+        numbers = {"value": value, "limit": limit, "unit": unit}
+        _append(check=_validated(Check, name=name, status=status, message=message, **numbers, **place))
+
+    def verdict(self, verdict: str) -> None:
+        """Report what the run concludes: good, warnings or bad. The last call counts.
+
+        Without it, and where they are worse, the checks and findings of the run decide.
+        """
+        _append(verdict=_validated(_Verdict, verdict=verdict).verdict)
 
     def finding(
         self,
@@ -38,15 +75,28 @@ class Reporting:
         )
         _append(finding=finding)
 
-    def metric(self, name: str, value: float, *, unit: str | None = None, file: AnyPath | None = None) -> None:
-        """Report a number, such as `metric("ate_rmse", 0.12, unit="m")`. A later value replaces an earlier one.
+    def metric(
+        self,
+        name: str,
+        value: float,
+        *,
+        unit: str | None = None,
+        file: AnyPath | None = None,
+        topic: str | None = None,
+        labels: Mapping[str, str] | None = None,
+    ) -> None:
+        """Report a number: `metric("rate", 199.6, unit="Hz", topic="/imu/data")`.
+
+        `labels` distinguish numbers of one name: `metric("ate_rmse", 0.12, unit="m", labels={"alignment": "se3"})`. A
+        later value of the same name, file, topic and labels replaces an earlier one.
 
         Raises:
             ReportRefused: the name is not of at most 64 lower-case letters, digits and `_ . -`, beginning with a
-                letter; or the number is NaN or infinite, which a finding can report.
+                letter; or the number is NaN or infinite, which a finding or a check can report.
         """
         path = None if file is None else _within(file, run_files.in_dir)
-        _append(metric=_validated(reports.Metric, name=name, value=value, unit=unit, file=path))
+        place = {"file": path, "topic": topic, "labels": dict(labels or {})}
+        _append(metric=_validated(reports.Metric, name=name, value=value, unit=unit, **place))
 
     def preview(self, path: AnyPath, title: str = "") -> None:
         """Show an artifact with the run: PNG, JPEG, SVG, CSV or GeoJSON under `/out`."""
@@ -71,6 +121,10 @@ def progress(fraction: float, message: str = "") -> None:
     _append(progress=_validated(reports.Progress, fraction=fraction, message=message))
 
 
+class _Verdict(BaseModel):
+    verdict: reports.ReportedVerdict
+
+
 class ReportRefused(ValueError):
     """A report is invalid; the message contains the field and the reason."""
 
@@ -79,11 +133,32 @@ def _validated(kind: type[T], **fields: object) -> T:
     try:
         return kind.model_validate(fields)
     except ValidationError as error:
-        name = str(error.errors(include_url=False)[0]["loc"][0])
-        reason = first_message(error)
-        if name in {"name", "code"}:
-            reason = "use at most 64 lower-case letters, digits and _ . -, beginning with a letter: 'rate.imu.data'"
-        raise ReportRefused(f"the {name} {fields.get(name)!r} of a {kind.__name__.lower()}: {reason}") from None
+        raise ReportRefused(_reason(kind, fields, error.errors(include_url=False)[0])) from None
+
+
+def _reason(kind: type[BaseModel], fields: Mapping[str, object], problem: ErrorDetails) -> str:
+    """Return a sentence that names the field, its value, and the check, metric or finding that it belongs to."""
+    field = str(problem["loc"][0]) if problem["loc"] else ""
+    what = kind.__name__.strip("_").lower()
+    if problem["type"] == "finite_number":
+        code = fields.get("name")
+        return (
+            f"the {field} of the {what} {code!r} is {problem['input']}, which is not a finite number: "
+            "report it as a finding or a failed check, or leave it out"
+        )
+    if field in _NAME_RULES.get(kind, {}):
+        return f"the {field} {fields.get(field)!r} of a {what}: {_NAME_RULES[kind][field]}"
+    value = "" if field == what else f" of a {what}"
+    return f"the {field} {fields.get(field)!r}{value}: {message_of(problem)}"
+
+
+_CODE_RULE = "use at most 64 lower-case letters, digits and _ . -, beginning with a letter: 'rate.imu.data'"
+_CHECK_RULE = "use two to four parts of lower-case letters, digits and _ -, joined by dots: 'imu.gravity'"
+_NAME_RULES: dict[type[BaseModel], dict[str, str]] = {
+    reports.Finding: {"code": _CODE_RULE},
+    reports.Metric: {"name": _CODE_RULE},
+    Check: {"name": _CHECK_RULE},
+}
 
 
 def _within(path: AnyPath, folder: Path) -> str:

@@ -25,12 +25,13 @@ from kleinkram.client.actions import MANIFEST, read_manifest
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.access import Right
 from kleinkram.contract.actions import ParameterValues
+from kleinkram.contract.checks import CheckStatus, Verdict
 from kleinkram.contract.files import BlobState, ContentState, FileRead
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionRead, MissionRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.reports import EVENTS_FILE, REPORT_FILE, Report, ReportEvent
+from kleinkram.contract.reports import EVENTS_FILE, REPORT_FILE, Report, ReportEvent, verdict_of_report
 from kleinkram.contract.runs import CONTEXT_FILE, ActionRef, Cause, RunContext
 
 _NOBODY = PersonRef(id=uuid.UUID(int=1), name="nobody")
@@ -47,13 +48,25 @@ class TryOutResult:
     out: Path
     report: Report
 
-    def metric(self, name: str, file: str | None = None) -> float:
+    def metric(
+        self, name: str, file: str | None = None, *, topic: str | None = None, labels: Mapping[str, str] | None = None
+    ) -> float:
         """Return the last value of a metric, by default of the whole run.
 
         Raises:
             KeyError: it was not reported.
         """
-        return {(entry.name, entry.file): entry.value for entry in self.report.metrics}[name, file]
+        key = (name, file, topic, tuple(sorted((labels or {}).items())))
+        return {entry.key: entry.value for entry in self.report.metrics}[key]
+
+    def statuses(self, name: str) -> set[CheckStatus]:
+        """Return the statuses of the checks of this name."""
+        return {entry.status for entry in self.report.checks if entry.name == name}
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """The worst of what it reported: verdict, checks and findings; None where it judged nothing."""
+        return verdict_of_report(self.report)
 
     def codes(self) -> set[str]:
         """Return the codes of all findings."""
@@ -142,7 +155,10 @@ def _read_report(out: Path) -> Report:
     events = [ReportEvent.model_validate_json(line) for line in lines]
     last = Report.model_validate_json(report_file.read_bytes()) if report_file.exists() else Report()
     metadata = {name: value for event in events for name, value in (event.metadata or {}).items()}
+    verdicts = [*(event.verdict for event in events if event.verdict), *([last.verdict] if last.verdict else [])]
     return Report(
+        checks=[*(event.check for event in events if event.check), *last.checks],
+        verdict=verdicts[-1] if verdicts else None,
         findings=[*(event.finding for event in events if event.finding), *last.findings],
         metrics=[*(event.metric for event in events if event.metric), *last.metrics],
         previews=[*(event.preview for event in events if event.preview), *last.previews],

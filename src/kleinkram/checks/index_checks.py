@@ -7,26 +7,13 @@ A check that fails only because something is not known (a file that was not read
 recorded) is `not_made`, with the reason.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
 
-from kleinkram.checks.document import (
-    BatteryRule,
-    ClockRule,
-    CountRange,
-    FileRule,
-    ImageRule,
-    ImuRule,
-    PointCloudRule,
-    Profile,
-    RecordingRule,
-    Rule,
-    TopicRule,
-    ValueRule,
-)
+from kleinkram.checks.content.families import TopicOfRecording, planned_rules, unmade_checks, why_none
+from kleinkram.checks.document import ClockRule, CountRange, FileRule, Profile, RecordingRule, Rule, TopicRule
 from kleinkram.checks.facts import FileFacts, MissionFacts, RecordingFacts, TopicFacts
-from kleinkram.checks.globs import glob_matcher, matches
+from kleinkram.checks.globs import glob_matcher, path_matches
 from kleinkram.checks.outcomes import Measured, against, collect, failed, hertz, make_check, percent, seconds
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.recordings.model import Content, counted
@@ -63,73 +50,20 @@ def index_checks(profiles: Sequence[Profile], facts: MissionFacts) -> Iterator[C
 
 
 def checks_needing_content(profiles: Sequence[Profile], facts: MissionFacts) -> Iterator[Check]:
-    """Yield a row for each check that reads messages: `needs_content`, or `not_made` if no topic matches its rule."""
-    index = _Index(facts)
-    for profile in profiles:
-        for glob, _, names in content_rules(profile):
-            has_topic = bool(index.topics_matching(glob))
-            status = CheckStatus.needs_content if has_topic else CheckStatus.not_made
-            message = "it reads messages, and only the index was read" if has_topic else f"no topic matches {glob}"
-            if has_topic or index.unread is None:
-                for name in names:
-                    yield make_check(name, status, message, topic=glob)
-            else:
-                for name in names:
-                    yield make_check(name, status, f"{message}, but {index.unread}", topic=glob)
-
-
-def content_rules(profile: Profile) -> Iterator[tuple[str, Rule, list[str]]]:
-    """Yield each rule that reads messages with its glob, and the names of its checks."""
-    sections: tuple[Mapping[str, Sequence[Rule]], ...] = (
-        profile.clocks,
-        profile.images,
-        profile.imu,
-        profile.positions,
-        profile.point_clouds,
-        profile.transforms,
-        profile.odometry,
-        profile.batteries,
-        profile.values,
-    )
-    for glob, rules in chain.from_iterable(section.items() for section in sections):
-        for rule in rules:
-            if names := content_checks_of(rule):
-                yield glob, rule, names
-
-
-_CONTENT_CHECKS = {
-    "PositionRule": ["position.fix", "position.jump"],
-    "TransformRule": ["transform.connected"],
-    "OdometryRule": ["odometry.jump"],
-}
-
-
-def content_checks_of(rule: Rule) -> list[str]:
-    """Return the names of the checks of a rule that read messages: those whose bounds are set."""
-    if isinstance(rule, ClockRule):
-        optional = {
-            "clock.stamp_offset": rule.max_stamp_offset,
-            "clock.stamp_drift": rule.max_stamp_drift,
-            "clock.stamp_jump": rule.max_stamp_jump,
-            "clock.recorder_offset": rule.max_recorder_offset,
-        }
-        return [name for name, bound in optional.items() if bound is not None]
-    if isinstance(rule, ImageRule):
-        blurred = ["image.blurred"] if rule.min_sharpness is not None else []
-        return ["image.black", "image.overexposed", "image.frozen", *blurred]
-    if isinstance(rule, ImuRule):
-        tilt = ["imu.tilt"] if rule.up is not None else []
-        is_limited = rule.max_acceleration is not None or rule.max_turn_rate is not None
-        return ["imu.gravity", *tilt, *(["imu.saturated"] if is_limited else []), "imu.constant"]
-    if isinstance(rule, PointCloudRule):
-        has_range = rule.max_range is not None or rule.min_range > 0
-        return ["cloud.empty", *(["cloud.range"] if has_range else [])]
-    if isinstance(rule, BatteryRule):
-        return ["battery.low"] if rule.min_percentage is not None or rule.min_voltage is not None else []
-    if isinstance(rule, ValueRule):
-        constant = ["value.constant"] if rule.varies else []
-        return ["value.nan", *constant, *(["value.range"] if rule.min is not None or rule.max is not None else [])]
-    return _CONTENT_CHECKS.get(type(rule).__name__, [])
+    """Yield the checks that read messages: `needs_content`, or `not_made` if their rule applies to no topic."""
+    unread = _Index(facts).unread
+    topics = [
+        TopicOfRecording(recording, topic.name, topic.message_type or "")
+        for topic in facts.topics
+        for recording in topic.recordings
+    ]
+    for planned in planned_rules(profiles, topics):
+        if planned.topics:
+            message = "it reads messages, and only the index was read"
+            yield from unmade_checks(planned, CheckStatus.needs_content, message)
+        else:
+            message = why_none(planned, topics) + (f", but {unread}" if unread else "")
+            yield from unmade_checks(planned, CheckStatus.not_made, message)
 
 
 class _Index:
@@ -143,8 +77,7 @@ class _Index:
     def __init__(self, facts: MissionFacts) -> None:
         self.facts = facts
         unread = [*(recording.name for recording in facts.recordings if recording.content in _UNREAD)]
-        named = ", ".join(unread[:_MAX_NAMED]) + (f" and {len(unread) - _MAX_NAMED} more" * (len(unread) > _MAX_NAMED))
-        self.unread = f"{named} {'was' if len(unread) == 1 else 'were'} not read" if unread else None
+        self.unread = f"{_enumeration(unread)} {'was' if len(unread) == 1 else 'were'} not read" if unread else None
         self.span_ns = (
             facts.end_ns - facts.start_ns
             if facts.start_ns is not None and facts.end_ns is not None and facts.end_ns > facts.start_ns
@@ -161,6 +94,7 @@ class _Index:
             for problem in recording.problems
             if problem.code == "gaps-upper-bound"
         }
+        self._recordings_by_name = {recording.name: recording for recording in facts.recordings}
         self._topics_by_name: dict[str, list[TopicFacts]] = {}
         for topic in facts.topics:
             self._topics_by_name.setdefault(topic.name, []).append(topic)
@@ -170,6 +104,11 @@ class _Index:
         if matcher is None:
             return self._topics_by_name.get(glob, [])
         return [topic for topic in self.facts.topics if matcher(topic.name)]
+
+    def is_in_recording(self, topic: TopicFacts, glob: str) -> bool:
+        """Return whether a recording that matches has messages of a topic."""
+        recordings = (self._recordings_by_name[name] for name in topic.recordings if name in self._recordings_by_name)
+        return any(_recording_matches(recording, glob) for recording in recordings)
 
     def clock_doubt(self, topic: TopicFacts) -> str | None:
         """Return why the times of a topic are unreliable."""
@@ -289,7 +228,7 @@ def _check_completeness(files: Sequence[FileFacts], rule: FileRule, all_files: _
 
 
 def _matching_files(glob: str, files: Sequence[FileFacts]) -> list[FileFacts]:
-    return [file for file in files if matches(file.path, glob)]
+    return [file for file in files if path_matches(file.path, glob)]
 
 
 def _match_text(number: int, noun: str, glob: str) -> str:
@@ -302,17 +241,28 @@ def _match_text(number: int, noun: str, glob: str) -> str:
 
 
 def _check_recordings(glob: str, rule: RecordingRule, index: _Index) -> Iterator[Check]:
-    matches = glob_matcher(glob)
-    recordings = [one for one in index.facts.recordings if (one.name == glob if matches is None else matches(one.name))]
+    recordings = [recording for recording in index.facts.recordings if _recording_matches(recording, glob)]
     outcomes = _Outcomes(rule, file=glob)
     if not recordings and rule.required:
-        yield outcomes.fails("recording.missing", f"no recording matches {glob}")
+        names = [recording.name for recording in index.facts.recordings]
+        there = f"; there {'is' if len(names) == 1 else 'are'} {_enumeration(names)}" if names else ""
+        yield outcomes.fails("recording.missing", f"no recording matches {glob}{there}")
         return
     yield outcomes.ok("recording.missing", _match_text(len(recordings), "recording", glob))
     if rule.count is not None:
         yield outcomes.count("recording.count", len(recordings), rule.count, "recording")
     for recording in recordings:
         yield from _check_recording(recording, rule, index)
+
+
+def _recording_matches(recording: RecordingFacts, glob: str) -> bool:
+    """Return whether its name or one of its files matches: the recording `nuc` has the file `nuc/nuc_0.mcap`."""
+    return any(path_matches(path, glob) for path in (recording.name, *recording.paths))
+
+
+def _enumeration(names: Sequence[str]) -> str:
+    more = len(names) - _MAX_NAMED
+    return ", ".join(names[:_MAX_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _check_recording(recording: RecordingFacts, rule: RecordingRule, index: _Index) -> Iterator[Check]:
@@ -358,7 +308,7 @@ def _check_recording_is_complete(recording: RecordingFacts, outcomes: _Outcomes)
 def _check_topics(glob: str, rule: TopicRule, index: _Index) -> Iterator[Check]:
     topics = index.topics_matching(glob)
     if rule.recording is not None:
-        topics = [topic for topic in topics if _is_in(topic, rule.recording)]
+        topics = [topic for topic in topics if index.is_in_recording(topic, rule.recording)]
     filled = [topic for topic in topics if topic.count != 0]
     outcomes = _Outcomes(rule, topic=glob)
     if not filled and rule.required:
@@ -371,10 +321,6 @@ def _check_topics(glob: str, rule: TopicRule, index: _Index) -> Iterator[Check]:
         for topic in topics:
             if topic.count == 0:
                 yield _Outcomes(rule, topic=topic.name).count("topic.count", 0, rule.count, "message", index.unread)
-
-
-def _is_in(topic: TopicFacts, glob: str) -> bool:
-    return any(matches(name, glob) for name in topic.recordings)
 
 
 def _why_missing(glob: str, rule: TopicRule, index: _Index) -> str:
@@ -390,9 +336,9 @@ def _why_missing(glob: str, rule: TopicRule, index: _Index) -> str:
 
 
 def _found_text(topics: Sequence[TopicFacts], glob: str) -> str:
-    if len(topics) == 1 and topics[0].name == glob:
-        count = topics[0].count
-        return "it is recorded" if count is None else counted(count, "message")
+    if topics and all(topic.name == glob for topic in topics):  # several, if its types differ
+        counts = [topic.count for topic in topics]
+        return "it is recorded" if None in counts else counted(sum(count or 0 for count in counts), "message")
     return _match_text(len(topics), "topic", glob)
 
 

@@ -1,16 +1,24 @@
 """What the checks of a mission amount to: its verdict, with the checks, their numbers and the profiles applied."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import chain
+from typing import TYPE_CHECKING
 
 from pydantic import JsonValue
 
+from kleinkram.checks.content.families import planned_rules
 from kleinkram.checks.document import ChecksDocument, Profile, value_matches
 from kleinkram.checks.facts import MissionFacts
 from kleinkram.checks.index_checks import checks_needing_content, index_checks
+from kleinkram.checks.local import LocalMission, LocalRecording
 from kleinkram.checks.outcomes import WORST_FIRST, collect
 from kleinkram.contract.checks import Check, CheckDepth, CheckStatus, Verdict, verdict_of
+from kleinkram.recordings.errors import RecordingError
+
+if TYPE_CHECKING:
+    from kleinkram.checks.content import OpenRecording
 
 
 @dataclass(frozen=True)
@@ -56,6 +64,39 @@ def evaluate_index(document: ChecksDocument, facts: MissionFacts) -> CheckResult
     profiles = document.applying_to(facts.metadata)
     checks = chain(index_checks(profiles, facts), checks_needing_content(profiles, facts))
     return to_results(document, facts.metadata, checks, CheckDepth.index)
+
+
+def evaluate(
+    document: ChecksDocument, mission: LocalMission, depth: CheckDepth, *, more: Iterable[Check] = ()
+) -> CheckResults:
+    """Check local files by their indexes and, with `CheckDepth.content`, by samples of their messages.
+
+    `more`: other checks that count.
+    """
+    profiles = document.applying_to(mission.facts.metadata)
+    by_content = _content_checks(profiles, mission) if depth is CheckDepth.content else None
+    others = checks_needing_content(profiles, mission.facts) if by_content is None else by_content
+    checks = chain(more, index_checks(profiles, mission.facts), others)
+    return to_results(document, mission.facts.metadata, checks, depth)
+
+
+def _content_checks(profiles: Sequence[Profile], mission: LocalMission) -> list[Check]:
+    """Open the recordings and check samples of their messages."""
+    if next(planned_rules(profiles, ()), None) is None:
+        return []
+    from kleinkram.checks.content import check_content
+
+    with ExitStack() as stack:
+        return check_content(profiles, [_opened(recording, stack) for recording in mission.recordings])
+
+
+def _opened(recording: LocalRecording, stack: ExitStack) -> "OpenRecording":
+    from kleinkram.checks.content import OpenRecording
+
+    try:
+        return OpenRecording(recording.name, stack.enter_context(recording.open()))
+    except (RecordingError, OSError) as error:
+        return OpenRecording(recording.name, None, str(error))
 
 
 def to_results(

@@ -14,13 +14,16 @@ from kleinkram.cli import options
 from kleinkram.cli.commands import Subcommands, argument, flag, option
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.render import Output, as_list, as_table, details, line, note, table
-from kleinkram.cli.run import SetOption, launch, parameter_values, split_version
-from kleinkram.cli.run_view import show_findings, show_metrics, write_log
+from kleinkram.cli.run import SetOption, launch, parameter_values
+from kleinkram.cli.run_reports import split_version
+from kleinkram.cli.run_view import show_results, write_log
 from kleinkram.cli.units import duration, size
 from kleinkram.client import Client
 from kleinkram.client.actions import read_manifest
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import ActionDefinition, ActionRead, ActionVersionRead, Inputs
+from kleinkram.contract.checks import Verdict
+from kleinkram.contract.reports import verdict_of_report
 from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
 
@@ -51,11 +54,12 @@ def run_local(
     parameters: SetOption = None,
     out: Annotated[Path, option("--out", "DIR", "Write results to DIR, which must be empty or new.")] = Path("out"),
     no_build: Annotated[bool, flag("--no-build", "Use the existing image, even if there is a Dockerfile.")] = False,
+    ignore_verdict: Annotated[bool, flag("--ignore-verdict", "Exit with 0 also if the verdict is bad.")] = False,
 ) -> Output:
     """Run an action on this machine, on a mission, with the same /in and /out as on a runner. Nothing is stored.
 
     An action with an image runs in a container. The image is built first if a Dockerfile is beside the manifest. Other
-    actions run as a process.
+    actions run as a process. The exit code is 15 if the run says that the mission is bad.
     """
     from kleinkram.cli.transfer import watching
     from kleinkram.runner.local_run import run_locally
@@ -81,7 +85,7 @@ def run_local(
             show=lambda data: write_log(data.decode(errors="replace"), sys.stderr),
             watcher=watcher,
         )
-    return _local_output(ran)
+    return _local_output(ran, ignore_verdict=ignore_verdict)
 
 
 def _executor(definition: ActionDefinition) -> "Executor":
@@ -123,31 +127,33 @@ def _pinned(executor: "Executor", definition: ActionDefinition, image: str) -> A
         raise typer.Exit(ExitCode.run_failed) from None
 
 
-def _local_output(ran: "LocalRun") -> Output:
+def _local_output(ran: "LocalRun", *, ignore_verdict: bool) -> Output:
     report = ran.results.report
     for problem in ran.results.problems:
         note(problem)
 
     def show() -> None:
-        if report.metrics:
-            show_metrics(report.metrics)
-        if report.findings:
-            show_findings(report.findings)
+        show_results(report.checks, report.metrics, report.findings)
         for name, value in report.metadata.items():
             line(f"proposed {name}: {value}")
         note(f"{len(ran.results.artifacts)} artifacts in {ran.out}.")
 
     is_done = ran.ending.reason is EndReason.done
+    verdict = verdict_of_report(report) if is_done else None
     if not is_done:
         note(ran.ending.message)
+    elif verdict in {Verdict.warnings, Verdict.bad}:
+        note(f"The verdict is {verdict.value}.")
     document = {
         "reason": ran.ending.reason.value,
         "message": ran.ending.message,
         "exit_code": ran.ending.exit_code,
         "artifacts": [vars(artifact) for artifact in ran.results.artifacts],
+        "verdict": verdict,
         "report": report,
     }
-    return Output(document, show, 0 if is_done else ExitCode.run_failed)
+    exit_code = 0 if is_done else ExitCode.run_failed
+    return Output(document, show, ExitCode.verdict_bad if verdict is Verdict.bad and not ignore_verdict else exit_code)
 
 
 @app.command("create")

@@ -35,6 +35,8 @@ class ExitCode(enum.IntEnum):
     timed_out = 12
     no_room = 13
     run_failed = 14
+    verdict_bad = 15
+    not_good = 16
     interrupted = 130
 
 
@@ -61,7 +63,14 @@ _CLASSES: dict[ExitCode, tuple[type[KleinkramError], ...]] = {
         local.ReadingMissing,
         NotConfirmed,
     ),
-    ExitCode.not_found: (remote.NotFound, remote.UploadGone, remote.NoInputs, local.NoSuchEndpoint, local.NothingToDo),
+    ExitCode.not_found: (
+        remote.NotFound,
+        remote.UploadGone,
+        remote.NoInputs,
+        local.NoSuchEndpoint,
+        local.NothingToDo,
+        local.NoChecks,
+    ),
     ExitCode.not_allowed: (
         remote.NotAuthenticated,
         remote.SignInPending,
@@ -95,7 +104,7 @@ _CLASSES: dict[ExitCode, tuple[type[KleinkramError], ...]] = {
         local.PathsCollide,
         local.UploadElsewhere,
     ),
-    ExitCode.metadata: (remote.YamlInvalid, remote.FieldsInvalid, remote.MetadataInvalid),
+    ExitCode.metadata: (remote.YamlInvalid, remote.FieldsInvalid, remote.MetadataInvalid, local.ChecksInvalid),
     ExitCode.unreachable: (
         remote.ProviderUnavailable,
         remote.RateLimited,
@@ -123,6 +132,7 @@ _CLASSES: dict[ExitCode, tuple[type[KleinkramError], ...]] = {
     ExitCode.destination: (local.DestinationRefused, local.DestinationDiffers, local.DiskFull),
     ExitCode.timed_out: (remote.SignInExpired, remote.CodeGone, local.TimedOut),
     ExitCode.no_room: (remote.QuotaExceeded,),
+    ExitCode.not_good: (local.MissionNotGood,),
     ExitCode.interrupted: (Interrupted,),
 }
 EXIT_CODES = {error: code for code, errors in _CLASSES.items() for error in errors}

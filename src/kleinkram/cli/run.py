@@ -1,5 +1,6 @@
 """`klein action run` and `klein run …`: launch, follow and list runs, and get their results."""
 
+import enum
 import sys
 from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
@@ -8,26 +9,30 @@ from typing import Annotated
 
 import typer
 
-from kleinkram.cli import options
+from kleinkram.cli import options, run_reports
 from kleinkram.cli.commands import AsJson, Many, Subcommands, Text, argument, flag, option
 from kleinkram.cli.errors import ExitCode, exit_code_of
 from kleinkram.cli.filters import Choice, WhereOption, filter_of, find_missions, ids_of, mission_query
 from kleinkram.cli.render import Output, as_list, as_table, as_total, note, show_json
+from kleinkram.cli.run_reports import split_version
 from kleinkram.cli.run_view import action_name, follow, mission_name, show_results, show_run, show_runs, write_log
 from kleinkram.cli.transfer import run_transfer, transfer_output
 from kleinkram.cli.units import count as count_of
-from kleinkram.cli.units import instant, size
+from kleinkram.cli.units import size
 from kleinkram.client import Client
 from kleinkram.client.actions import read_manifest
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.contract import runs as contract
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
+from kleinkram.contract.checks import CheckStatus, Verdict
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.problems import from_problem
-from kleinkram.contract.reports import Severity
 
 SetOption = Annotated[Many, option("--set", "NAME=VALUE", "Set a parameter; repeatable.")]
 ForceOption = Annotated[bool, flag("--force", "Run again, even if an identical run has results.")]
+IgnoreVerdictOption = Annotated[
+    bool, flag("--ignore-verdict", "With --follow, exit with 0 also if a run is done and its verdict is bad.")
+]
 FollowOption = Annotated[bool, flag("--follow -f", "Show the log until the run ends, then the results.")]
 _MAX_NAMES = 10
 _SHOWN = 50
@@ -43,13 +48,15 @@ def launch(
     parameters: SetOption = None,
     force: ForceOption = False,
     follow_it: FollowOption = False,
+    ignore_verdict: IgnoreVerdictOption = False,
     dry_run: options.DryRun = False,
     yes: options.Yes = False,
     as_json: AsJson = False,
 ) -> None:
     """Run an action on one mission, on several, or on each that a search finds.
 
-    With --follow, the exit code is 0 only if all runs succeed. Ctrl-C stops following; the runs continue.
+    With --follow, the exit code is 0 only if all runs succeed, and 15 if one of them says that its mission is bad.
+    Ctrl-C stops following; the runs continue.
     """
     targets = _missions(client, missions or [], Choice(query=query, project=project, where=where))
     path = Path(action)
@@ -81,7 +88,8 @@ def launch(
         parameters=values,
         force=force,
     )
-    _show_launched(client, targets, outcomes, follow_them=follow_it, as_json=as_json)
+    verdict = Counted.state_alone if ignore_verdict else Counted.verdict
+    _show_launched(client, targets, outcomes, counted=verdict if follow_it else None, as_json=as_json)
 
 
 def parameter_values(definition: ActionDefinition, assignments: Iterable[str]) -> ParameterValues:
@@ -98,12 +106,6 @@ def parameter_values(definition: ActionDefinition, assignments: Iterable[str]) -
     except ValueError as error:
         raise InvalidInput(what="The parameters", reason=str(error)) from None
     return values
-
-
-def split_version(ref: str) -> tuple[str, int | None]:
-    """Return the name and the number of `NAME@NUMBER`; any other reference is itself, without a number."""
-    name, _, number = ref.rpartition("@")
-    return (name, int(number)) if name and number.isdecimal() and number.isascii() else (ref, None)
 
 
 def _missions(client: Client, names: Sequence[str], choice: Choice) -> list[MissionRead]:
@@ -124,9 +126,10 @@ def _show_launched(
     missions: Sequence[MissionRead],
     outcomes: Sequence[contract.RunCreated | contract.RunRefused],
     *,
-    follow_them: bool,
+    counted: "Counted | None",
     as_json: bool,
 ) -> None:
+    """Show the outcomes; with `counted`, follow the runs, and exit by what counts of them."""
     made = [outcome.run for outcome in outcomes if isinstance(outcome, contract.RunCreated)]
     names = {mission.id: f"{mission.project.name}/{mission.name}" for mission in missions}
     failures = []
@@ -134,7 +137,7 @@ def _show_launched(
         if isinstance(outcome, contract.RunRefused):
             failures.append(from_problem(outcome.problem))
             note(f"{names[outcome.mission_id]}: {failures[-1]}")
-    if follow_them:
+    if counted is not None:
         made = [*_follow_all(client, made, as_json=as_json)]
     elif made:
         if not as_json:
@@ -151,7 +154,7 @@ def _show_launched(
             for item in outcomes
         ]
         show_json({"items": items})
-    if code := exit_code_of(failures) or (_exit_code(made) if follow_them else 0):
+    if code := exit_code_of(failures) or (0 if counted is None else _exit_code(made, counted)):
         raise typer.Exit(code)
 
 
@@ -165,21 +168,37 @@ def _follow_all(client: Client, runs: Sequence[contract.RunRead], *, as_json: bo
     if not as_json:
         show_runs(ended)
     if len(ended) == 1 and not as_json:
-        matching = contract.ReportFilter(run_id=ended[0].id)
-        show_results([*client.runs.metrics(matching)], [*client.runs.findings(matching)])
+        _show_reported(client, ended[0])
     if len(ended) == 1 and ended[0].artifact_count:
         note(f"`klein run artifacts {ended[0].id} --download DIR` downloads its artifacts.")
     return ended
 
 
-def _exit_code(runs: Iterable[contract.RunRead]) -> int:
-    return 0 if all(run.state is contract.RunState.done for run in runs) else ExitCode.run_failed
+def _show_reported(client: Client, run: contract.RunDetail) -> None:
+    """Show what a run reported; of checks those that failed."""
+    failed = {CheckStatus.error, CheckStatus.warning, CheckStatus.not_made}
+    checks = client.runs.checks(contract.CheckFilter(run_id=run.id, status=[*failed])) if run.check_counts else []
+    metrics = client.runs.metrics(contract.MetricFilter(run_id=run.id))
+    findings = client.runs.findings(contract.FindingFilter(run_id=run.id))
+    show_results([row.check for row in checks], [row.metric for row in metrics], [row.finding for row in findings])
+
+
+class Counted(enum.Enum):
+    """What counts for the exit code of runs that were followed: their states alone, or their verdicts too."""
+
+    state_alone = enum.auto()
+    verdict = enum.auto()
+
+
+def _exit_code(runs: Sequence[contract.RunRead], counted: Counted) -> int:
+    if any(run.state is not contract.RunState.done for run in runs):
+        return ExitCode.run_failed
+    is_bad = counted is Counted.verdict and any(run.verdict is Verdict.bad for run in runs)
+    return ExitCode.verdict_bad if is_bad else 0
 
 
 app = Subcommands("Manage runs of actions on missions.")
 RunArgument = Annotated[str, argument("RUN", "Id of the run.")]
-RunFilterArgument = Annotated[Text, argument("RUN", "Id of a run.")]
-CodeOption = Annotated[Text, option("--name", "GLOB", "Select by name, such as 'imu.*'.")]
 
 
 @app.command("list")
@@ -189,6 +208,9 @@ def list_(
     mission: options.MissionsOption = None,
     action: Annotated[Text, option("--action", "GLOB", "Select runs of actions with a matching name.")] = None,
     state: Annotated[list[contract.RunState] | None, option("--state", None, "Select by state; repeatable.")] = None,
+    verdict: Annotated[
+        list[Verdict] | None, option("--verdict", None, "Select by verdict: good, warnings or bad; repeatable.")
+    ] = None,
     active: Annotated[bool, flag("--active", "Select only runs that have not ended.")] = False,
     mine: Annotated[bool, flag("--mine", "Select only your own runs.")] = False,
     limit: options.Limit = None,
@@ -196,6 +218,7 @@ def list_(
 ) -> Output:
     """List runs, latest first."""
     criteria: dict[str, object] = {"action": action, "state": state, "active": active, "mine": mine}
+    criteria["verdict"] = verdict
     criteria |= ids_of(client, project, mission)
     matching = filter_of(contract.RunFilter, criteria)
     if count:
@@ -218,6 +241,7 @@ def logs(
     client: Client,
     run: RunArgument,
     follow_it: Annotated[bool, flag("--follow -f", "Print until the run ends, and exit as it ended.")] = False,
+    ignore_verdict: IgnoreVerdictOption = False,
     as_json: AsJson = False,
 ) -> None:
     """Print the log of a run."""
@@ -232,7 +256,7 @@ def logs(
         for piece in client.runs.log(selected.id):
             write_log(piece.text, sys.stdout)
     if follow_it:
-        raise typer.Exit(_exit_code([selected]))
+        raise typer.Exit(_exit_code([selected], Counted.state_alone if ignore_verdict else Counted.verdict))
 
 
 @app.command("cancel")
@@ -248,6 +272,7 @@ def retry(
     run: RunArgument,
     force: ForceOption = False,
     follow_it: FollowOption = False,
+    ignore_verdict: IgnoreVerdictOption = False,
     as_json: AsJson = False,
 ) -> None:
     """Run the same version again, as a new run with the same parameters on the same mission."""
@@ -259,7 +284,7 @@ def retry(
     elif not follow_it:
         show_runs([made])
     if follow_it:
-        raise typer.Exit(_exit_code([made]))
+        raise typer.Exit(_exit_code([made], Counted.state_alone if ignore_verdict else Counted.verdict))
 
 
 @app.command("artifacts")
@@ -289,51 +314,6 @@ def artifacts(
     return transfer_output(report, elapsed_s)
 
 
-@app.command("findings")
-def findings(
-    client: Client,
-    run: RunFilterArgument = None,
-    project: options.ProjectsOption = None,
-    mission: options.MissionsOption = None,
-    name: CodeOption = None,
-    severity: Annotated[list[Severity] | None, option("--severity", None, "Select by severity; repeatable.")] = None,
-    limit: options.Limit = None,
-) -> Output:
-    """List the findings of one run, a mission, a project, or of all."""
-    matching = _report_filter(client, run, project, mission, code=name, severity=severity)
-    headers = ["mission", "action", "severity", "finding", "message", "file", "topic", "at", "run"]
-    return as_table(client.runs.findings(matching, limit=limit), headers, _finding_cells)
-
-
-def _finding_cells(row: contract.FindingRead) -> tuple[object, ...]:
-    finding = row.finding
-    what = (finding.severity.value, finding.code, finding.message, finding.file, finding.topic)
-    return row.mission.name, action_name(row.action), *what, instant(finding.time_ns), row.run_id
-
-
-@app.command("metrics")
-def metrics(
-    client: Client,
-    run: RunFilterArgument = None,
-    project: options.ProjectsOption = None,
-    mission: options.MissionsOption = None,
-    name: CodeOption = None,
-    limit: options.Limit = None,
-) -> Output:
-    """List the metrics of one run, a mission, a project, or of all."""
-    matching = _report_filter(client, run, project, mission, code=name)
-    headers = ["mission", "action", "metric", "value", "unit", "file", "run"]
-    return as_table(client.runs.metrics(matching, limit=limit), headers, _metric_cells)
-
-
-def _metric_cells(row: contract.MetricRead) -> tuple[object, ...]:
-    metric = row.metric
-    what = (metric.name, metric.value, metric.unit, metric.file)
-    return row.mission.name, action_name(row.action), *what, row.run_id
-
-
-def _report_filter(client: Client, run: Text, project: Many, mission: Many, **more: object) -> contract.ReportFilter:
-    criteria: dict[str, object] = {**more, **ids_of(client, project, mission)}
-    if run is not None:
-        criteria["run_id"] = client.runs.get(run).id
-    return filter_of(contract.ReportFilter, criteria)
+app.command("checks")(run_reports.checks)
+app.command("findings")(run_reports.findings)
+app.command("metrics")(run_reports.metrics)

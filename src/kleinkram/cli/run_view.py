@@ -5,7 +5,7 @@ import re
 import sys
 import threading
 import uuid
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, TextIO
 
 import typer
@@ -14,15 +14,23 @@ from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.render import details, escape, line, note, table
 from kleinkram.cli.units import count, duration, instant, size
 from kleinkram.client import Client
+from kleinkram.contract.checks import Check, CheckStatus, Verdict
 from kleinkram.contract.errors import KleinkramError
-from kleinkram.contract.reports import Finding, Metric
-from kleinkram.contract.runs import ActionRef, FindingRead, MetricRead, RunDetail, RunRead, RunState
+from kleinkram.contract.reports import Finding, Metric, Severity
+from kleinkram.contract.runs import ActionRef, RunDetail, RunRead, RunState
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.status import Status
 
 _NS = 10**9
+# Whole numbers of a double are exact below.
+_WHOLE_BELOW = 2**53
+_VERDICT_TEXTS = {
+    Verdict.warnings: "The run is done. It says of the mission {mission}: warnings.",
+    Verdict.bad: "The run is done. It says that the mission {mission} is bad.",
+}
+_STATUS_TEXTS = {status: status.value.replace("_", " ") for status in CheckStatus}
 _REST_OF_LOG_S = 30.0  # the maximum time to wait for the rest of the log of a run that has ended
 # Source: ECMA-48, section 8.3.117, SGR: colours and weights of letters.
 _COLOUR = re.compile(r"(\x1b\[[0-9;]*m)")
@@ -40,13 +48,14 @@ def mission_name(run: RunRead) -> str:
 
 
 def status_text(run: RunRead) -> str:
-    """Return the state of a run with its progress or its reason."""
+    """Return the state of a run with its progress, its reason, or its verdict where that is not good."""
     if run.state is RunState.queued:
         return f"queued: {run.waits_for}" if run.waits_for else "queued"
     if run.state is RunState.failed and run.reason is not None:
         return f"failed: {run.reason.value}" + ("" if run.exit_code is None else f" {run.exit_code}")
-    if run.state is RunState.done and run.reuses_id is not None:
-        return "done: reused"
+    if run.state is RunState.done:
+        verdict = "" if run.verdict in {None, Verdict.good} else f": {run.verdict.value}"
+        return f"done{verdict}" + (" (reused)" if run.reuses_id is not None else "")
     if run.state is RunState.running and run.progress is not None:
         return f"running {run.progress.fraction:.0%} {run.progress.message}".rstrip()
     if run.state is RunState.collecting and run.progress is not None and run.progress.message:
@@ -83,6 +92,7 @@ def show_run(run: RunDetail) -> None:
     usage = run.usage
     person = f" by {run.cause.person.name}" if run.cause.person else ""
     _, metrics, artifacts = _counts(run)
+    checks = ", ".join(f"{number} {_STATUS_TEXTS[status]}" for status, number in run.check_counts.items())
     details(
         [
             ("run", run.id),
@@ -105,26 +115,70 @@ def show_run(run: RunDetail) -> None:
             ("used", usage and f"{usage.cpu_s:.1f} s of cores, {size(usage.peak_memory_bytes)} of memory at most"),
             ("artifacts", artifacts),
             ("metrics", metrics),
-            ("findings", ", ".join(f"{number} {severity.value}" for severity, number in run.finding_counts.items())),
+            ("verdict", run.verdict and run.verdict.value),
+            ("checks", checks),
+            ("findings", _findings_text(run)),
             *((f"proposed {name}", value) for name, value in run.metadata.items()),
             *(("problem", problem) for problem in run.problems),
         ]
     )
 
 
-def show_results(metrics: Sequence[MetricRead], findings: Sequence[FindingRead]) -> None:
-    """Print the metrics and findings of one run."""
+def show_results(checks: Sequence[Check], metrics: Sequence[Metric], findings: Sequence[Finding]) -> None:
+    """Print the checks, metrics and findings of one run, an empty line before each table."""
+    if checks:
+        line("")
+        show_checks(checks)
     if metrics:
         line("")
-        show_metrics([entry.metric for entry in metrics])
+        show_metrics(metrics)
     if findings:
         line("")
-        show_findings([entry.finding for entry in findings])
+        show_findings(findings)
+
+
+def show_checks(checks: Iterable[Check]) -> None:
+    """Print the checks of one run as a table."""
+    table(
+        ["check", "status", "message", "value", "limit", "unit", "topic", "file", "time"],
+        [
+            (
+                *(entry.name, _STATUS_TEXTS[entry.status], entry.message),
+                *(number_text(entry.value), number_text(entry.limit), entry.unit),
+                *(entry.topic, entry.file, instant(entry.time_ns)),
+            )
+            for entry in checks
+        ],
+    )
 
 
 def show_metrics(metrics: Iterable[Metric]) -> None:
     """Print the metrics of one run as a table."""
-    table(["metric", "value", "unit", "file"], [(entry.name, entry.value, entry.unit, entry.file) for entry in metrics])
+    table(
+        ["metric", "value", "unit", "topic", "labels", "file"],
+        [
+            (entry.name, number_text(entry.value), entry.unit, entry.topic, labels_text(entry.labels), entry.file)
+            for entry in metrics
+        ],
+    )
+
+
+def number_text(value: float | None) -> str | None:
+    """Return a number with six digits, whole numbers with all of theirs."""
+    if value is None:
+        return None
+    return f"{value:.0f}" if value.is_integer() and abs(value) < _WHOLE_BELOW else f"{value:.6g}"
+
+
+def labels_text(labels: Mapping[str, object]) -> str | None:
+    """Return names and values, such as `method=kiss-icp`; None for none."""
+    return ", ".join(f"{name}={value}" for name, value in labels.items()) or None
+
+
+def _findings_text(run: RunRead) -> str:
+    """Return the number of findings by severity, the worst first."""
+    counts = [(severity, run.finding_counts.get(severity, 0)) for severity in reversed(Severity)]
+    return ", ".join(f"{number} {severity.value}" for severity, number in counts if number)
 
 
 def show_findings(findings: Iterable[Finding]) -> None:
@@ -138,11 +192,11 @@ def show_findings(findings: Iterable[Finding]) -> None:
     )
 
 
-def _counts(run: RunRead) -> tuple[int | None, int | None, int | None]:
+def _counts(run: RunRead) -> tuple[str | None, int | None, int | None]:
     """Return the counts of findings, metrics and artifacts; none for a run that reuses the results of another."""
     if run.reuses_id is not None:
         return None, None, None
-    return sum(run.finding_counts.values()), run.metric_count, run.artifact_count
+    return _findings_text(run) or "0", run.metric_count, run.artifact_count
 
 
 def _took(run: RunRead) -> str | None:
@@ -213,6 +267,8 @@ def follow(client: Client, run_id: uuid.UUID) -> RunDetail:
         note(problem)
     if run.reuses_id is not None:
         note(f"These are the results of run {run.reuses_id}: same version, parameters, inputs. --force runs it again.")
+    if run.verdict in {Verdict.warnings, Verdict.bad}:
+        note(_VERDICT_TEXTS[run.verdict].format(mission=mission_name(run)))
     if run.state is not RunState.done:
         note(f"{run.state.value}: {run.message}" if run.message else run.state.value)
     return run

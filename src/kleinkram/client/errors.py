@@ -162,6 +162,27 @@ class UploadElsewhere(ClientError):
     path: str
 
 
+class NoChecks(ClientError):
+    """There is no checks.yaml beside {path!r}. `klein checks init GOOD_MISSION -o checks.yaml` makes one from a mission that is known to be good; --checks names a file, and -p a project that has one."""  # noqa: E501  one sentence
+
+    path: str
+
+
+class ChecksInvalid(ClientError):
+    """{source}, line {line}, column {column}: {reason}"""
+
+    source: str
+    line: int
+    column: int
+    reason: str
+
+
+class MissionNotGood(ClientError):
+    """Nothing was uploaded, because the verdict of the checks is {verdict} and --require-good was given."""
+
+    verdict: str
+
+
 class DestinationRefused(ClientError):
     """{path!r} was not written: {reason}."""
 

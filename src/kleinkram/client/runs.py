@@ -20,6 +20,7 @@ from kleinkram.client.files import Uploads
 from kleinkram.client.missions import Missions, Projects
 from kleinkram.contract import runners, runs
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
+from kleinkram.contract.checks import CheckStatus, Verdict
 from kleinkram.contract.files import BlobState, DownloadLink
 from kleinkram.contract.reports import Severity
 from kleinkram.contract.uploads import UploadDecisions, UploadFile
@@ -45,21 +46,47 @@ class RunFields(TypedDict, total=False):
     mission: Ref | Sequence[Ref]
     action: str
     state: runs.RunState | str | Sequence[runs.RunState | str]
+    verdict: Verdict | str | Sequence[Verdict | str]
     active: bool
     mine: bool
 
 
 class ReportFields(TypedDict, total=False):
-    """The keywords that select findings or metrics: those of `ReportFilter`; projects and missions as above."""
+    """The keywords that select checks, findings and metrics alike; projects and missions as above.
+
+    `latest`: only of the latest run that is done, of each mission and action with the same parameters.
+    """
 
     run: Ref
     project: Ref | Sequence[Ref]
     mission: Ref | Sequence[Ref]
+    action: str
+    version: int
+    topic: str
+    latest: bool
+
+
+class CheckFields(ReportFields, total=False):
+    """The keywords that select checks: those of `CheckFilter`. `name` may be a glob."""
+
+    name: str
+    status: CheckStatus | str | Sequence[CheckStatus | str]
+
+
+class FindingFields(ReportFields, total=False):
+    """The keywords that select findings: those of `FindingFilter`. `code` may be a glob."""
+
     code: str
     severity: Severity | str | Sequence[Severity | str]
 
 
-FilterKind = TypeVar("FilterKind", runs.RunFilter, runs.ReportFilter)
+class MetricFields(ReportFields, total=False):
+    """The keywords that select metrics: those of `MetricFilter`. `name` may be a glob."""
+
+    name: str
+
+
+FilterKind = TypeVar("FilterKind", runs.RunFilter, runs.CheckFilter, runs.FindingFilter, runs.MetricFilter)
 
 
 class Runs(ApiResource):
@@ -112,7 +139,10 @@ class Runs(ApiResource):
     def wait(
         self, run_id: Ref, *, timeout_s: float | None = None, seen: Callable[[runs.RunDetail], None] | None = None
     ) -> runs.RunDetail:
-        """Return a run once it has ended; `seen` is called with each state. On TimedOut the run goes on."""
+        """Return a run once it has ended; `seen` is called with each state. On TimedOut the run goes on.
+
+        `state` says whether it ended well, and `verdict` what it says of the mission, which may be bad.
+        """
         began_at, pause_s = time.monotonic(), _FIRST_LOOK_S
         while True:
             run = self.get(run_id)
@@ -174,18 +204,25 @@ class Runs(ApiResource):
 
         return fetch(links, self._api.endpoint.url, plan, overwrite=overwrite, watcher=watcher)
 
+    def checks(
+        self, matching: runs.CheckFilter | None = None, *, limit: int | None = None, **fields: Unpack[CheckFields]
+    ) -> Listing[runs.CheckRead]:
+        """Yield the checks that runs reported: `checks(mission=mission, status=["warning", "error"], latest=True)`."""
+        query = query_of(self._filter(runs.CheckFilter, matching, fields))
+        return pages(self._api, "/run-checks", runs.CheckRead, query, limit=limit)
+
     def findings(
-        self, matching: runs.ReportFilter | None = None, *, limit: int | None = None, **fields: Unpack[ReportFields]
+        self, matching: runs.FindingFilter | None = None, *, limit: int | None = None, **fields: Unpack[FindingFields]
     ) -> Listing[runs.FindingRead]:
-        """Yield the findings of runs."""
-        query = query_of(self._filter(runs.ReportFilter, matching, fields))
+        """Yield the findings of runs: `findings(project="alpine", code="imu.*", latest=True)`."""
+        query = query_of(self._filter(runs.FindingFilter, matching, fields))
         return pages(self._api, "/findings", runs.FindingRead, query, limit=limit)
 
     def metrics(
-        self, matching: runs.ReportFilter | None = None, *, limit: int | None = None, **fields: Unpack[ReportFields]
+        self, matching: runs.MetricFilter | None = None, *, limit: int | None = None, **fields: Unpack[MetricFields]
     ) -> Listing[runs.MetricRead]:
-        """Yield the metrics of runs; the filter's `code` is the name of a metric."""
-        query = query_of(self._filter(runs.ReportFilter, matching, fields))
+        """Yield the metrics of runs, with parameters and version: `metrics(name="ate_rmse", latest=True)`."""
+        query = query_of(self._filter(runs.MetricFilter, matching, fields))
         return pages(self._api, "/run-metrics", runs.MetricRead, query, limit=limit)
 
     def log(self, run_id: Ref, *, follow: bool = False) -> Iterator[runs.LogChunkRead]:
@@ -230,7 +267,7 @@ class Runs(ApiResource):
             selected["mission_ids"] = ids
         if (run := selected.pop("run", None)) is not None:
             selected["run_id"] = known_id(cast(Ref, run), "run") or run
-        for name in ("state", "severity"):
+        for name in ("state", "severity", "status", "verdict"):
             if isinstance(selected.get(name), str):
                 selected[name] = [selected[name]]
         requested = matching.model_dump(exclude_defaults=True) if matching else {}

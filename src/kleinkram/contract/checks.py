@@ -83,7 +83,13 @@ class Check(Request):
     time_ns: LogTime | None = None
 
 
-_WORST_FIRST = (CheckStatus.error, CheckStatus.warning, CheckStatus.not_made, CheckStatus.ok)
+WORST_FIRST = (
+    CheckStatus.error,
+    CheckStatus.warning,
+    CheckStatus.not_made,
+    CheckStatus.ok,
+    CheckStatus.needs_content,
+)
 _VERDICTS = {
     CheckStatus.error: Verdict.bad,
     CheckStatus.warning: Verdict.warnings,
@@ -94,4 +100,4 @@ _VERDICTS = {
 
 def verdict_of(statuses: "set[CheckStatus]") -> Verdict:
     """Return what checks with these statuses amount to: good, warnings, bad, or unchecked where none was made."""
-    return next((_VERDICTS[status] for status in _WORST_FIRST if status in statuses), Verdict.unchecked)
+    return next((_VERDICTS[status] for status in WORST_FIRST[:4] if status in statuses), Verdict.unchecked)

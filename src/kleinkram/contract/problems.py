@@ -1,5 +1,6 @@
 """Errors as problem documents (RFC 9457) and back, and messages for fields that fail validation."""
 
+import re
 from dataclasses import fields
 from typing import Any
 
@@ -72,6 +73,7 @@ _WORDS = {
     "json_invalid": "it is not valid JSON",
     "url_scheme": "it must be an address that begins with {expected_schemes}",
 }
+_MEMBER = re.compile(r"<\w+\.\w+: ('[^']*')>")
 # Prefixes of types of pydantic errors, and their messages.
 _KINDS = {
     "string": "it must be text",
@@ -115,5 +117,6 @@ def message_of(problem: ErrorDetails) -> str:
     if kind in {"value_error", "assertion_error"}:
         return problem["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     if kind in _WORDS:
-        return _WORDS[kind].format(**problem.get("ctx", {}))
+        # Of literals that are members of an enum, pydantic shows the members, and not their values.
+        return _MEMBER.sub(r"\1", _WORDS[kind].format(**problem.get("ctx", {})))
     return next((words for begins, words in _KINDS.items() if kind.startswith(begins)), "it is invalid")

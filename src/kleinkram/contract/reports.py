@@ -1,21 +1,23 @@
-"""The report of a run: findings, metrics, previews, and metadata that it proposes for the mission.
+"""The report of a run: checks, findings, metrics, previews, and metadata that it proposes for the mission.
 
 `/out/report.json` contains a `Report`; during a run, each line of `/out/.kleinkram/events.jsonl` is a `ReportEvent`.
 """
 
 import enum
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 from typing_extensions import Self
 
 from kleinkram.contract.base import Request
+from kleinkram.contract.checks import MAX_CHECKS, Check, CheckStatus, Verdict, verdict_of
 from kleinkram.contract.metadata import BoundedMetadata
 from kleinkram.contract.names import FilePath, check_text
 
 MAX_FINDINGS = 10_000
 MAX_METRICS = 10_000
 MAX_PREVIEWS = 100
+MAX_METRIC_LABELS = 20
 MAX_REPORT_BYTES = 16 * 2**20
 MAX_EVENT_BYTES = 64 * 2**10
 
@@ -26,6 +28,10 @@ Code = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_.-]{0,63}$")]
 Sentence = Annotated[str, AfterValidator(check_text), Field(min_length=1, max_length=2000)]
 TopicName = Annotated[str, AfterValidator(check_text), Field(min_length=1, max_length=1024)]
 LogTime = Annotated[int, Field(ge=0, lt=2**63)]
+LabelName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_.-]{0,63}$")]
+LabelValue = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(check_text)]
+ReportedVerdict = Literal[Verdict.good, Verdict.warnings, Verdict.bad]
+"""What a report can say of a mission."""
 
 
 class Severity(str, enum.Enum):
@@ -48,12 +54,23 @@ class Finding(Request):
 
 
 class Metric(Request):
-    """A number that a run measured. A later one of the same name and file replaces an earlier one."""
+    """A number that a run measured, of the whole mission or of a file or topic.
+
+    `labels` distinguish numbers of one name, such as `{"method": "kiss-icp"}`. A later one of the same name, file,
+    topic and labels replaces an earlier one.
+    """
 
     name: Code
     value: FiniteFloat
     unit: Annotated[str, Field(max_length=32)] | None = None
     file: FilePath | None = None
+    topic: TopicName | None = None
+    labels: Annotated[dict[LabelName, LabelValue], Field(max_length=MAX_METRIC_LABELS)] = {}
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What identifies the metric within its run."""
+        return self.name, self.file, self.topic, tuple(sorted(self.labels.items()))
 
 
 class Preview(Request):
@@ -72,8 +89,13 @@ class MissionFile(Request):
 
 
 class Report(Request):
-    """The report of a run. `metadata` is a proposal; a person accepts or ignores it."""
+    """The report of a run. `metadata` is a proposal; a person accepts or ignores it.
 
+    `verdict` is what the run concludes; a failed check or an error among the findings makes it worse, never better.
+    """
+
+    checks: Annotated[list[Check], Field(max_length=MAX_CHECKS)] = []
+    verdict: ReportedVerdict | None = None
     findings: Annotated[list[Finding], Field(max_length=MAX_FINDINGS)] = []
     metrics: Annotated[list[Metric], Field(max_length=MAX_METRICS)] = []
     previews: Annotated[list[Preview], Field(max_length=MAX_PREVIEWS)] = []
@@ -91,6 +113,8 @@ class Progress(Request):
 class ReportEvent(Request):
     """A single report during a run: exactly one field is set."""
 
+    check: Check | None = None
+    verdict: ReportedVerdict | None = None
     finding: Finding | None = None
     metric: Metric | None = None
     progress: Progress | None = None
@@ -103,3 +127,26 @@ class ReportEvent(Request):
         if len(self.model_fields_set) != 1:
             raise ValueError("an event has exactly one field")
         return self
+
+
+_STATUS_OF_SEVERITY = {Severity.warning: CheckStatus.warning, Severity.error: CheckStatus.error}
+_STATUS_OF_VERDICT = {
+    Verdict.good: CheckStatus.ok,
+    Verdict.warnings: CheckStatus.warning,
+    Verdict.bad: CheckStatus.error,
+}
+
+
+def verdict_of_report(report: Report) -> Verdict | None:
+    """Return the worst of what a report says: its verdict, its checks, and its findings; None where it judges nothing.
+
+    A check that could not be made counts as a warning, and findings of severity `info` do not count.
+    """
+    statuses = {entry.status for entry in report.checks}
+    statuses |= {
+        _STATUS_OF_SEVERITY[entry.severity] for entry in report.findings if entry.severity is not Severity.info
+    }
+    if report.verdict is not None:
+        statuses.add(_STATUS_OF_VERDICT[report.verdict])
+    verdict = verdict_of(statuses)
+    return None if verdict is Verdict.unchecked else verdict

@@ -10,13 +10,14 @@ from typing_extensions import Self
 
 from kleinkram.contract.actions import ActionDefinition, Network, ParameterValues
 from kleinkram.contract.base import Request, Response
+from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.contract.files import FileRead, RecordingRead, TopicRead
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import LocationFilter, MissionRead, MissionRef
 from kleinkram.contract.names import Term
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.problems import ProblemDocument
-from kleinkram.contract.reports import Finding, Metric, Preview, Progress, Severity
+from kleinkram.contract.reports import Finding, Metric, Preview, Progress, ReportedVerdict, Severity
 
 CONTEXT_FILE = "mission.json"
 MAX_LAUNCHED = 1000
@@ -135,8 +136,9 @@ class RunRead(Response):
 
     `reason`, `message` and `exit_code` describe how it ended, `waits_for` why it is still queued. `image_digest` is of
     the image that was run. `reuses_id` is the earlier run whose results this run reuses; it has none of its own.
-    `metrics` are the first reported ones, those of the run before those of single files; empty in a lineage.
-    `may_cancel`: the caller may cancel it, and it has not ended.
+    `verdict` is the worst of what its report says: its verdict, checks and findings. Null where it is not `done`, and
+    where it judged nothing. `metrics` are the first reported ones, those of the run before those of single files; empty
+    in a lineage. `may_cancel`: the caller may cancel it, and it has not ended.
     """
 
     id: uuid.UUID
@@ -159,6 +161,8 @@ class RunRead(Response):
     input_count: int
     input_bytes: int
     artifact_count: int
+    verdict: ReportedVerdict | None = None
+    check_counts: dict[CheckStatus, int] = {}
     finding_counts: dict[Severity, int]
     metric_count: int
     metrics: Annotated[list[Metric], Field(max_length=MAX_LISTED_METRICS)] = []
@@ -208,12 +212,13 @@ class RunsCreated(Response):
 class RunFilter(LocationFilter):
     """A filter for runs: all criteria must match. `action` may be a glob of the name.
 
-    Of several projects or missions, any may match.
+    Of several projects, missions, states or verdicts, any may match.
     """
 
     action_id: uuid.UUID | None = None
     action: Term | None = None
     state: Annotated[list[RunState], Field(max_length=len(RunState))] = []
+    verdict: Annotated[list[ReportedVerdict], Field(max_length=3)] = []
     active: bool | None = None
     mine: bool = False
 
@@ -263,26 +268,60 @@ class _FromRun(Response):
     run_id: uuid.UUID
     mission: MissionRef
     action: ActionRef
+    parameters: ParameterValues
+    ended_at: datetime.datetime | None
+
+
+class CheckRead(_FromRun):
+    """A check, and the run that reported it with its parameters."""
+
+    check: Check
 
 
 class FindingRead(_FromRun):
-    """A finding and the run that reported it."""
+    """A finding, and the run that reported it with its parameters."""
 
     finding: Finding
 
 
 class MetricRead(_FromRun):
-    """A metric and the run that reported it."""
+    """A metric, and the run that reported it with its parameters."""
 
     metric: Metric
 
 
 class ReportFilter(LocationFilter):
-    """A filter for findings or metrics. `code` (or a metric's name) may be a glob."""
+    """What filters for checks, findings and metrics have in common. `action` and `topic` may be globs.
+
+    `latest`: only of the latest run that is done, of each mission and action with the same parameters.
+    """
 
     run_id: uuid.UUID | None = None
+    action_id: uuid.UUID | None = None
+    action: Term | None = None
+    version: Annotated[int, Field(ge=1, lt=2**31)] | None = None
+    topic: Term | None = None
+    latest: bool = False
+
+
+class CheckFilter(ReportFilter):
+    """A filter for the checks that runs reported. `name` may be a glob."""
+
+    name: Term | None = None
+    status: Annotated[list[CheckStatus], Field(max_length=len(CheckStatus))] = []
+
+
+class FindingFilter(ReportFilter):
+    """A filter for findings. `code` may be a glob."""
+
     code: Term | None = None
     severity: Annotated[list[Severity], Field(max_length=len(Severity))] = []
+
+
+class MetricFilter(ReportFilter):
+    """A filter for metrics. `name` may be a glob."""
+
+    name: Term | None = None
 
 
 class LogChunkRead(Response):

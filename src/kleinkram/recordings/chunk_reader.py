@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kleinkram.recordings.chunk_index_check import IndexCheck, ReadMessageIndex, contradicts_itself
-from kleinkram.recordings.chunk_table import ChunkHead, ChunkTable, Int64Table, Row
+from kleinkram.recordings.chunk_table import ANY_CHANNEL, ChunkHead, ChunkTable, Int64Table, Row
 from kleinkram.recordings.compression import Buffer, decompress, decompress_beginning, unreadable_chunk
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.formats.base import MemberContents
+from kleinkram.recordings.formats.base import MemberContents, Segment
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_READ
 from kleinkram.recordings.merge_messages import OVERHEAD_BYTES, MessagePiece, MessageRun, merge
 from kleinkram.recordings.messages import Block, Channel, Selection
@@ -104,6 +104,22 @@ class ChunkedMember:
         """Yield the chunks that may hold selected messages, by first time. Open them in this order."""
         reader = _ChunkReader(self, selection)
         yield from reader.pieces(reader.select(), order)
+
+    def segments(self, selection: Selection, file_number: int) -> Iterator[Segment]:
+        """Yield the chunks that may hold selected messages, by first time."""
+        numbers = _ChunkReader(self, selection).select()
+        topics = {number: channel.topic for number, channel in self.contents.channels.items()}
+        in_sets = [
+            None if number == ANY_CHANNEL else frozenset(topics[member] for member in members if member in topics)
+            for number, members in enumerate(self.table.sets.members)
+        ]
+        for number in numbers:
+            row = self.table.rows[number]
+            yield Segment(row.first_ns, row.last_ns, row.length, in_sets[row.channels], (file_number, number))
+
+    def segment_pieces(self, segment: Segment, selection: Selection) -> Iterator[MessagePiece]:
+        """Yield one chunk."""
+        return _ChunkReader(self, selection).pieces([segment.order[1]], segment.order)
 
 
 class _ChunkReader:

@@ -20,7 +20,7 @@ from kleinkram.recordings.compression import unpack_message
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable
 from kleinkram.recordings.errors import Malformed, NoSuchTopic, SourceError
-from kleinkram.recordings.formats.base import MemberContents
+from kleinkram.recordings.formats.base import MemberContents, Segment
 from kleinkram.recordings.formats.ulog import as_ros1_definition
 from kleinkram.recordings.merge_messages import merge
 from kleinkram.recordings.messages import (
@@ -159,6 +159,27 @@ class Recording:
         """
         return _decode_blocks(self._blocks(self._select(topics, start, end)), self._problem_log)
 
+    def segments(self, topics: Topics | None = None) -> list[Segment]:
+        """Return the parts of the recording that may hold messages of these topics, by first time.
+
+        A segment is read as a whole: to look into a large recording, read some of its segments. Reads the index only.
+
+        Raises:
+            NoSuchTopic: a name that is no glob is not among the topics.
+            SourceError: the bytes cannot be read.
+        """
+        selection = self._select(topics, None, None)
+        parts = (member.segments(selection, number) for number, member in enumerate(self._members))
+        return list(heapq.merge(*parts, key=lambda segment: segment.first_ns))
+
+    def segment_messages(self, segment: Segment, topics: Topics | None = None) -> Iterator[list[RawMessage]]:
+        """Yield the messages of one segment of this recording, in lists that follow each other in time.
+
+        Errors are those of `raw_messages`.
+        """
+        selection = self._select(topics, None, None)
+        return self._decompressed_blocks(merge(self._members[segment.order[0]].segment_pieces(segment, selection)))
+
     def to_arrow(
         self,
         topic: str,
@@ -253,20 +274,24 @@ class Recording:
     def _select(self, topics: Topics | None, start: Time | None, end: Time | None) -> Selection:
         if topics is None:
             return Selection(None, *_span(start, end))
-        names = [topic.name for topic in self.topics]
+        names = {topic.name: None for topic in self.topics}
         selected: set[str] = set()
         for pattern in [topics] if isinstance(topics, str) else topics:
             is_glob = pattern not in names and any(sign in pattern for sign in "*?[")
-            hits = [name for name in names if (fnmatchcase(name, pattern) if is_glob else name == pattern)]
-            if not hits and not is_glob:
-                raise NoSuchTopic(pattern, names)
-            selected.update(hits)
+            if not is_glob and pattern not in names:
+                raise NoSuchTopic(pattern, list(names))
+            selected.update([name for name in names if fnmatchcase(name, pattern)] if is_glob else [pattern])
         return Selection(frozenset(selected), *_span(start, end))
 
     def _blocks(self, selection: Selection) -> Iterator[Block]:
         """Yield the messages as lists that follow each other in time."""
         pieces = [member.pieces(selection, (number,)) for number, member in enumerate(self._members)]
-        blocks = merge(heapq.merge(*pieces, key=lambda piece: piece.first_ns), self._problem_log.note_late)
+        return self._decompressed_blocks(
+            merge(heapq.merge(*pieces, key=lambda piece: piece.first_ns), self._problem_log.note_late)
+        )
+
+    def _decompressed_blocks(self, blocks: Iterator[Block]) -> Iterator[Block]:
+        """Decompress messages that are compressed one by one."""
         channels = (channel for member in self._members for channel in member.contents.channels.values())
         if any(channel.message_compression for channel in channels):
             return ([one for one in map(self._decompressed, block) if one is not None] for block in blocks)
@@ -304,6 +329,18 @@ def _decode_blocks(blocks: Iterable[Block], problem_log: ProblemLog) -> Iterator
                 except DecodeError as error:
                     problem_log.add("message-undecodable", topic, f"a message stays bytes: {error}")
             yield new(Message, (topic, log_ns, publish_ns, sequence, value, channel))
+
+
+def decode(message: RawMessage) -> object:
+    """Return the value of a message, as `Recording.messages` does.
+
+    Raises:
+        DecodeError: it cannot be decoded.
+    """
+    decoder = _decoder_of(message.channel.message_encoding, message.channel.schema)
+    if isinstance(decoder, Undecodable):
+        raise DecodeError(decoder.type_name, decoder.reason)
+    return decoder.decode(message.data)
 
 
 def _decoder_of(message_encoding: str, schema: Schema) -> Decoder | Undecodable:

@@ -25,6 +25,7 @@ from kleinkram.client.transfer.plan import LocalFile, identity_of
 from kleinkram.client.transfer.report import Watcher
 from kleinkram.client.transfer.upload import Uploader
 from kleinkram.contract import errors, reports
+from kleinkram.contract.checks import MAX_CHECKS, WORST_FIRST, Check
 from kleinkram.contract.metadata import check_values
 from kleinkram.contract.names import check_file_path
 from kleinkram.contract.problems import first_message
@@ -37,8 +38,9 @@ from kleinkram.runner.state_directory import RunnerContext, StopSignal
 
 MAX_ARTIFACTS = 100_000
 _MAX_PROBLEMS = 100
-_MAX_EVENTS_BYTES = (reports.MAX_FINDINGS + reports.MAX_METRICS) * reports.MAX_EVENT_BYTES // 16
+_MAX_EVENTS_BYTES = (MAX_CHECKS + reports.MAX_FINDINGS + reports.MAX_METRICS) * reports.MAX_EVENT_BYTES // 16
 _PROGRESS_BYTES = 2**20
+_SEVERITIES = [*reports.Severity]
 # The limit of all entries, links and directories included, so that a job cannot keep the runner busy.
 _MAX_ENTRIES = 10 * MAX_ARTIFACTS
 _REDACTED_LOG = "log.redacted"
@@ -245,10 +247,12 @@ def _events(out: Path, problems: _Problems) -> list[reports.ReportEvent]:
 
 
 def _merged(events: list[reports.ReportEvent], report: reports.Report, problems: _Problems) -> reports.Report:
-    """Merge the events with the report, which comes last; the last value of a metric counts."""
+    """Merge the events with the report, which comes last; the last value of a metric counts, and the last verdict."""
+    checks: list[Check] = [event.check for event in events if event.check] + report.checks
+    verdicts = [event.verdict for event in events if event.verdict] + [report.verdict] * (report.verdict is not None)
     findings: list[reports.Finding] = [event.finding for event in events if event.finding] + report.findings
     all_metrics = [event.metric for event in events if event.metric] + report.metrics
-    metrics = list({(metric.name, metric.file): metric for metric in all_metrics}.values())
+    metrics = list({metric.key: metric for metric in all_metrics}.values())
     previews = {one.path: one for one in [event.preview for event in events] + [*report.previews] if one}
     mission_files = {one.to: one for one in [event.mission_file for event in events] + [*report.mission_files] if one}
     metadata = {name: value for event in events if event.metadata for name, value in event.metadata.items()}
@@ -258,11 +262,17 @@ def _merged(events: list[reports.ReportEvent], report: reports.Report, problems:
     except ValueError as error:
         problems.add(f"The proposed metadata {error}: left out.")
         metadata = {}
+    if len(checks) > MAX_CHECKS:
+        problems.add(f"It reported {len(checks)} checks; only the {MAX_CHECKS} worst are stored.")
+        checks = sorted(checks, key=lambda check: WORST_FIRST.index(check.status))
     if len(findings) > reports.MAX_FINDINGS:
-        problems.add(f"It reported {len(findings)} findings; only the first {reports.MAX_FINDINGS} are stored.")
+        problems.add(f"It reported {len(findings)} findings; only the {reports.MAX_FINDINGS} worst are stored.")
+        findings = sorted(findings, key=lambda finding: -_SEVERITIES.index(finding.severity))
     if len(metrics) > reports.MAX_METRICS:
         problems.add(f"It reported {len(metrics)} metrics; only the first {reports.MAX_METRICS} are stored.")
     return reports.Report.model_construct(
+        checks=checks[:MAX_CHECKS],
+        verdict=verdicts[-1] if verdicts else None,
         findings=findings[: reports.MAX_FINDINGS],
         metrics=metrics[: reports.MAX_METRICS],
         previews=list(previews.values()),

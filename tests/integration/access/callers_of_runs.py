@@ -76,6 +76,7 @@ RUN_OPERATIONS: dict[str, tuple[Caller, ...]] = {
         ),
     ),
     "get_run_log": (Caller(get("/runs/{run}/log"), Target.mission),),
+    "list_run_checks": (Caller(get("/run-checks", mission_id="{mission}"), Target.mission, shows=has_items),),
     "list_findings": (Caller(get("/findings", mission_id="{mission}"), Target.mission, shows=has_items),),
     "list_run_metrics": (Caller(get("/run-metrics", mission_id="{mission}"), Target.mission, shows=has_items),),
     "get_lineage": (Caller(get("/files/{file}/lineage"), Target.file),),

@@ -155,6 +155,7 @@ def _create_run(api: Api, project_id: str, mission_id: str, file_id: str) -> tup
         "INSERT INTO run_artifact (id, run_id, path, blob_id) SELECT %s, %s, 'left', blob_id FROM file WHERE id = %s",
         *(artifact, run, file_id),
     )
+    api.sql("INSERT INTO run_check (run_id, name, status, message) VALUES (%s, 'a.check', 'ok', 'A check.')", run)
     api.sql("INSERT INTO run_finding (run_id, severity, code, message) VALUES (%s, 'info', 'code', 'A finding.')", run)
     api.sql("INSERT INTO run_metric (run_id, name, value) VALUES (%s, 'count', 1)", run)
     return made["id"], run, artifact

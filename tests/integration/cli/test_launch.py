@@ -10,13 +10,16 @@ from typer.testing import CliRunner, Result
 
 from kleinkram.cli.errors import ExitCode, NotConfirmed
 from kleinkram.cli.main import app
-from kleinkram.cli.run import parameter_values, split_version
+from kleinkram.cli.run import parameter_values
+from kleinkram.cli.run_reports import split_version
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import ActionDefinition, Parameter, ParameterType
 from kleinkram.contract.base import Page
+from kleinkram.contract.checks import Verdict
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.problems import to_problem
-from kleinkram.contract.runs import LogChunkRead, RunCreated, RunRead, RunRefused, RunsCreated, RunState
+from kleinkram.contract.reports import Metric
+from kleinkram.contract.runs import LogChunkRead, MetricRead, RunCreated, RunRead, RunRefused, RunsCreated, RunState
 from tests.api_objects import action_read, mission_read, run_detail
 from tests.scripted_server import Scripted, scripted
 
@@ -53,6 +56,42 @@ def test_an_unpublished_action_is_run_and_followed(tmp_path: Path) -> None:
     assert "hello" in ran.stderr
     assert "exit code 3" in ran.stderr
     assert script.requests[1].body["definition"]["script"] == "print('hello')"
+
+
+@pytest.mark.parametrize(("arguments", "exit_code"), [([], ExitCode.verdict_bad), (["--ignore-verdict"], 0)])
+def test_a_run_that_is_done_and_bad_has_an_exit_code_of_its_own(
+    tmp_path: Path, arguments: list[str], exit_code: int
+) -> None:
+    (tmp_path / "look.py").write_text("print('hello')")
+    run = run_detail(RunState.queued)
+    done = run.model_copy(update={"state": RunState.done, "verdict": Verdict.bad})
+    log = LogChunkRead(attempt=1, offset=0, next_offset=6, text="hello\n", is_over=True)
+    with scripted(page(MISSION), made(run), by_path={"/log": log, f"/runs/{run.id}": done}) as script:
+        ran = klein(script, "action", "run", tmp_path / "look.py", "-m", "day", "--follow", "--json", *arguments)
+    assert ran.exit_code == exit_code
+    assert "The run is done. It says that the mission alps/day is bad." in ran.stderr
+
+
+def test_metrics_as_csv_have_columns_of_parameters_and_labels() -> None:
+    run = run_detail(RunState.done)
+    where = {"run_id": run.id, "mission": run.mission, "action": run.action, "ended_at": run.created_at}
+    rows = [
+        MetricRead(id=1, parameters={"rate": 10}, metric=Metric(name="ate", value=0.1 + 0.2, unit="m"), **where),
+        MetricRead(
+            id=2, parameters={}, metric=Metric(name="ate", value=7, topic="/a", labels={"kind": "x, y"}), **where
+        ),
+    ]
+    with scripted(page(*rows)) as script:
+        ran = klein(script, "run", "metrics", "--action", "look@1", "--latest", "--csv")
+    assert ran.exit_code == 0, ran
+    assert "action=look&version=1&latest=true" in script.requests[0].path
+    lines = ran.stdout.splitlines()
+    assert lines[0] == (
+        "project,mission,action,version,name,value,unit,file,topic,run,ended_at,label.kind,parameter.rate"
+    )
+    assert lines[1].startswith("alps,day,look,1,ate,0.30000000000000004,m,,,")
+    assert lines[1].endswith("Z,,10")
+    assert lines[2].endswith('Z,"x, y",')
 
 
 def test_a_version_of_an_action_can_be_run() -> None:

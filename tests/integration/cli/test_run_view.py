@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 from kleinkram.cli.main import app
 from kleinkram.cli.run_view import status_text
 from kleinkram.contract.base import Page
+from kleinkram.contract.checks import CheckStatus, Verdict
 from kleinkram.contract.reports import Progress, Severity
 from kleinkram.contract.runs import EndReason, LineageFile, LineageRead, LineageRun, RunRead, RunState
 from tests.api_objects import action_read, file_read, run_detail
@@ -30,7 +31,11 @@ def shown(script: Scripted, *arguments: object) -> str:
         (RunState.collecting, {"progress": Progress(fraction=1)}, "collecting"),
         (RunState.failed, {"reason": EndReason.exit_code, "exit_code": 3}, "failed: exit_code 3"),
         (RunState.failed, {"reason": EndReason.memory}, "failed: memory"),
-        (RunState.done, {"reuses_id": uuid.uuid4()}, "done: reused"),
+        (RunState.done, {}, "done"),
+        (RunState.done, {"verdict": Verdict.good}, "done"),
+        (RunState.done, {"verdict": Verdict.bad}, "done: bad"),
+        (RunState.done, {"reuses_id": uuid.uuid4()}, "done (reused)"),
+        (RunState.done, {"reuses_id": uuid.uuid4(), "verdict": Verdict.warnings}, "done: warnings (reused)"),
     ],
 )
 def test_the_state_of_a_run_is_described_briefly(state: RunState, more: dict[str, object], text: str) -> None:
@@ -44,7 +49,9 @@ def test_all_fields_of_a_run_are_shown_and_names_are_escaped() -> None:
         message="It took longer than 60 s.",
         problems=["\x1b[2J is a link: left out."],
         metadata={"sensors": ["imu"]},
-        finding_counts={Severity.warning: 2},
+        finding_counts={Severity.warning: 2, Severity.error: 1},
+        check_counts={CheckStatus.not_made: 1},
+        verdict=Verdict.bad,
     )
     with scripted(run) as script:
         text = shown(script, "run", "info", run.id)
@@ -54,6 +61,9 @@ def test_all_fields_of_a_run_are_shown_and_names_are_escaped() -> None:
         "\\x1b[2J is a link",
         "proposed sensors: imu",
         "alps/day",
+        "verdict:          bad",
+        "findings:         1 error, 2 warning",
+        "checks:           1 not made",
     ):
         assert part in text
     assert "\x1b" not in text

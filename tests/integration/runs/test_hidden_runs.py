@@ -44,7 +44,8 @@ def _world(lab: Api, runner: FakeRunner, place: Place) -> World:
     mission_files = [
         {"path": "result.bin", "to": "wexford-output.bin", "derived_from": ["drive.bin", "wexford-input.bin"]}
     ]
-    report = {"mission_files": mission_files, "findings": [values], "metrics": [metric]}
+    check = {"name": "file.size", "status": "error", "message": "odd", "file": "wexford-input.bin"}
+    report = {"mission_files": mission_files, "findings": [values], "metrics": [metric], "checks": [check]}
     runner.finish(claim, report=report).ok()
     made = {entry["path"]: entry["id"] for entry in lab.all("/files", {"mission_id": mission})}["wexford-output.bin"]
     for file_id, path in ((moving["id"], "wexford-input.bin"), (made, "renamed-zanzibar.bin")):
@@ -109,6 +110,8 @@ def test_lineage_still_shows_visible_files(world: World) -> None:
     assert (artifact["path"], artifact["file_id"]) == ("result.bin", None)
     (finding,) = world.reader.get("/findings", {"run_id": world.run_id}).ok()["items"]
     assert (finding["finding"]["message"], finding["finding"]["file"]) == ("odd", None)
+    (check,) = world.reader.get("/run-checks", {"run_id": world.run_id}).ok()["items"]
+    assert (check["check"]["message"], check["check"]["file"]) == ("odd", None)
     deleted = world.reader.delete(f"/files/{world.visible_file_id}", {"dry_run": "true"}).ok()
     assert (deleted["read_by_runs"], deleted["made_from_it"]) == (1, [])
 

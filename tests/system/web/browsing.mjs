@@ -2,6 +2,7 @@
 // pages as they load; axe runs here on what only clicks open.
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
+import { launchBrowser } from "./chromium.mjs";
 import { isEnvironmentError } from "./console_errors.mjs";
 
 const TIMEOUT_MS = 60_000;
@@ -14,9 +15,8 @@ const WITH_PICTURES = process.env.KLEINKRAM_TEST_PICTURES === "1";
 /** Starts the browser. `web` is the folder with playwright-core and axe-core, `pictures` the folder for screenshots. */
 export async function openBrowser(web, executablePath, pictures) {
   const require = createRequire(`${web}/package.json`);
-  const { chromium } = require("playwright-core");
   const axe = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
-  const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
+  const browser = await launchBrowser(web, executablePath);
   const results = { consoleErrors: [], axe: [], overflowing: [], executed: [] };
 
   /** Opens a page with its own cookies. The server may refuse requests while `expectsErrors` returns true. */

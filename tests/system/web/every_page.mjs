@@ -4,12 +4,12 @@
 // objects, the texts that pages must show, and whether to use all views.
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
+import { launchBrowser } from "./chromium.mjs";
 import { isEnvironmentError } from "./console_errors.mjs";
 
 const [web, executablePath, link, address, pictures, input] = process.argv.slice(2);
 const { invitation, unused, share, ids, texts, store, allViews } = JSON.parse(input);
 const require = createRequire(`${web}/package.json`);
-const { chromium } = require("playwright-core");
 const axe = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
 const TIMEOUT_MS = 60_000;
 const MAX_TRIES = 4;
@@ -29,7 +29,7 @@ const WINDOW_NOT_CLOSED = /^Scripts may close only the windows/;
 const WITH_PICTURES = process.env.KLEINKRAM_TEST_PICTURES === "1";
 const MAX_HEIGHT = 2400;
 
-const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
+const browser = await launchBrowser(web, executablePath);
 const results = { consoleErrors: [], cspViolations: [], executed: [], foreignRequests: [], axe: [], overflowing: [], missingTexts: [], policies: {}, visitedPages: [] };
 let currentPage = "";
 let expectedErrors = NO_ERRORS;

@@ -1,13 +1,12 @@
 // Takes the screenshots of the README and the tour: a mission, a search, the preview of a recording. Prints an empty
 // object. Arguments: the folder with playwright-core, the browser, a sign-in link, the server's address, the folder for
 // screenshots, the ids of a mission and of a recording, a search query.
-import { createRequire } from "node:module";
+import { launchBrowser } from "./chromium.mjs";
 
 const [web, executablePath, link, address, pictures, mission, recording, query] = process.argv.slice(2);
-const { chromium } = createRequire(`${web}/package.json`)("playwright-core");
 const TIMEOUT_MS = 60_000;
 
-const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
+const browser = await launchBrowser(web, executablePath);
 const context = await browser.newContext({ viewport: { width: 1280, height: 800 }, reducedMotion: "reduce", colorScheme: "light" });
 const page = await context.newPage();
 page.setDefaultTimeout(TIMEOUT_MS);

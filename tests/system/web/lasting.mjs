@@ -2,15 +2,14 @@
 // continues. Prints the results as JSON. Arguments: the folder with playwright-core, the browser, a sign-in link of the
 // owner (unused), the server's address, an invitation, the id of a mission, the process id of the API, a file to upload,
 // the folder for screenshots.
-import { createRequire } from "node:module";
+import { launchBrowser } from "./chromium.mjs";
 
 const [web, executablePath, , address, invitation, mission, api, file, pictures] = process.argv.slice(2);
-const { chromium } = createRequire(`${web}/package.json`)("playwright-core");
 const TIMEOUT_MS = 60_000;
 const PASSWORD = "a long enough password";
 const EMAIL = "ada@lab.example";
 
-const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
+const browser = await launchBrowser(web, executablePath);
 const context = await browser.newContext({ viewport: { width: 1280, height: 900 }, reducedMotion: "reduce" });
 const page = await context.newPage();
 page.setDefaultTimeout(TIMEOUT_MS);

@@ -3,13 +3,12 @@
 // screenshots.
 import { createHash } from "node:crypto";
 import { readFile } from "node:fs/promises";
-import { createRequire } from "node:module";
+import { launchBrowser } from "./chromium.mjs";
 
 const [web, executablePath, link, address, file, pictures] = process.argv.slice(2);
-const { chromium } = createRequire(`${web}/package.json`)("playwright-core");
 const TIMEOUT_MS = 60_000;
 
-const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
+const browser = await launchBrowser(web, executablePath);
 const page = await (await browser.newContext({ viewport: { width: 1280, height: 900 }, acceptDownloads: true })).newPage();
 page.setDefaultTimeout(TIMEOUT_MS);
 const results = { consoleErrors: [] };

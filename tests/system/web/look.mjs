@@ -2,14 +2,13 @@
 // Prints the results as JSON. Arguments: the folder with playwright-core, the browser, a sign-in link, the server's
 // address, the ids of an intact MCAP, a bag and a truncated MCAP.
 import { readFile } from "node:fs/promises";
-import { createRequire } from "node:module";
+import { launchBrowser } from "./chromium.mjs";
 import { isEnvironmentError } from "./console_errors.mjs";
 
 const [web, executablePath, link, address, mcap, bag, cut] = process.argv.slice(2);
-const { chromium } = createRequire(`${web}/package.json`)("playwright-core");
 const TIMEOUT_MS = 60_000;
 
-const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
+const browser = await launchBrowser(web, executablePath);
 const page = await (await browser.newContext({ acceptDownloads: true })).newPage();
 page.setDefaultTimeout(TIMEOUT_MS);
 await page.goto(link);

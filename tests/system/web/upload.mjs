@@ -5,15 +5,15 @@
 import { appendFile } from "node:fs/promises";
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
+import { launchBrowser } from "./chromium.mjs";
 import { isEnvironmentError } from "./console_errors.mjs";
 
 const [web, executablePath, link, address, folder, other, pictures] = process.argv.slice(2);
 const require = createRequire(`${web}/package.json`);
-const { chromium } = require("playwright-core");
 const axe = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
 const TIMEOUT_MS = 60_000;
 
-const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
+const browser = await launchBrowser(web, executablePath);
 const context = await browser.newContext({ viewport: { width: 1280, height: 900 } });
 const page = await context.newPage();
 page.setDefaultTimeout(TIMEOUT_MS);

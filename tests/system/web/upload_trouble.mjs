@@ -3,14 +3,13 @@
 // link, the server's address, the folder to upload, a file to change, the folder for screenshots, the process id of the
 // API.
 import { appendFile } from "node:fs/promises";
-import { createRequire } from "node:module";
+import { launchBrowser } from "./chromium.mjs";
 
 const [web, executablePath, link, address, folder, changing, pictures, api] = process.argv.slice(2);
-const { chromium } = createRequire(`${web}/package.json`)("playwright-core");
 const TIMEOUT_MS = 60_000;
 const SLOW = 12e6;
 
-const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
+const browser = await launchBrowser(web, executablePath);
 const context = await browser.newContext({ viewport: { width: 1280, height: 900 } });
 const page = await context.newPage();
 page.setDefaultTimeout(TIMEOUT_MS);

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 from kleinkram.action import progress, report, run_files
+from kleinkram.action.events import ReportRefused
+from kleinkram.contract.checks import Check, CheckStatus, Verdict
 from kleinkram.contract.reports import EVENTS_FILE, ReportEvent, Severity
 
 
@@ -40,6 +42,62 @@ def test_each_report_is_one_event() -> None:
     assert (created.mission_file.path, created.mission_file.to) == ("a/slam.bag", "a/slam.bag")
     assert half.progress is not None
     assert half.progress.fraction == 0.5
+
+
+def test_checks_verdicts_and_metrics_of_topics_are_events() -> None:
+    report.check("imu.gravity", "error", "9.1 instead of 9.81 m/s²", value=9.1, limit=9.81, unit="m/s²", topic="/imu")
+    report.verdict("bad")
+    report.metric("rate", 200, unit="Hz", topic="/imu/data", labels={"clock": "log"})
+    check, verdict, metric = values()
+    assert check.check == Check(
+        name="imu.gravity",
+        status=CheckStatus.error,
+        message="9.1 instead of 9.81 m/s²",
+        value=9.1,
+        limit=9.81,
+        unit="m/s²",
+        topic="/imu",
+    )
+    assert verdict.verdict is Verdict.bad
+    assert metric.metric is not None
+    assert (metric.metric.topic, metric.metric.labels) == ("/imu/data", {"clock": "log"})
+
+
+@pytest.mark.parametrize(
+    ("say", "sentence"),
+    [
+        (
+            lambda: report.metric("ate_rmse", float("nan")),
+            "the value of the metric 'ate_rmse' is nan, which is not a finite number: "
+            "report it as a finding or a failed check, or leave it out",
+        ),
+        (
+            lambda: report.check("imu.gravity", "ok", "m", value=1, limit=float("-inf")),
+            "the limit of the check 'imu.gravity' is -inf, which is not a finite number: "
+            "report it as a finding or a failed check, or leave it out",
+        ),
+        (
+            lambda: report.metric("rate/imu/data", 1),
+            "the name 'rate/imu/data' of a metric: use at most 64 lower-case letters, digits and _ . -, beginning with "
+            "a letter: 'rate.imu.data'",
+        ),
+        (
+            lambda: report.check("gravity", "ok", "m"),
+            "the name 'gravity' of a check: use two to four parts of lower-case letters, digits and _ -, joined by "
+            "dots: 'imu.gravity'",
+        ),
+        (lambda: report.verdict("outdated"), "the verdict 'outdated': it is one of 'good', 'warnings' or 'bad'"),
+        (
+            lambda: report.metric("rate", 1, labels={"a": "x" * 300}),
+            "the labels {'a': '" + "x" * 300 + "'} of a metric: it has more than 200 characters",
+        ),
+    ],
+)
+def test_a_refused_report_says_which_and_why(say: Callable[[], None], sentence: str) -> None:
+    with pytest.raises(ReportRefused) as caught:
+        say()
+    assert str(caught.value) == sentence
+    assert not (run_files.out / EVENTS_FILE).exists()
 
 
 def test_invalid_reports_are_refused_in_the_script() -> None:

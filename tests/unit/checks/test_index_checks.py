@@ -96,8 +96,21 @@ def test_a_computer_whose_recording_is_missing() -> None:
     facts = mission_facts()
     assert _status("recordings", "nuc/*", "{}", facts, "recording.missing")[0] is CheckStatus.ok
     status, message = _status("recordings", "jetson/*", "{}", facts, "recording.missing")
-    assert (status, message) == (CheckStatus.error, "no recording matches jetson/*")
+    assert (status, message) == (CheckStatus.error, "no recording matches jetson/*; there is nuc/drive.mcap")
     assert _status("recordings", "*", "{count: 4}", facts, "recording.count")[1] == "1 recording; expected 4"
+
+
+def test_folders_above_that_of_the_computer_do_not_matter() -> None:
+    name, path = "day1/run2/nuc", "day1/run2/nuc/nuc_0.mcap"  # a rosbag2 folder
+    facts = mission_facts(
+        topic_facts(recordings=(name,)), recordings=(recording_facts(name, paths=(path,)),), files=(file_facts(path),)
+    )
+    assert _status("recordings", "nuc/*", "{}", facts, "recording.missing")[0] is CheckStatus.ok
+    assert _status("files", "nuc/*.mcap", "{}", facts, "file.missing")[0] is CheckStatus.ok
+    assert _status("topics", "/imu/data", "{recording: nuc/*}", facts, "topic.missing")[0] is CheckStatus.ok
+    assert _status("recordings", "uc/*", "{}", facts, "recording.missing")[0] is CheckStatus.error
+    assert _status("files", "/nuc/*.mcap", "{}", facts, "file.missing")[0] is CheckStatus.error
+    assert _status("files", "/day1/*.mcap", "{}", facts, "file.missing")[0] is CheckStatus.ok
 
 
 @pytest.mark.parametrize(

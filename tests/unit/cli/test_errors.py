@@ -34,6 +34,8 @@ def test_numbers_never_change() -> None:
         "timed_out": 12,
         "no_room": 13,
         "run_failed": 14,
+        "verdict_bad": 15,
+        "not_good": 16,
         "interrupted": 130,
     }
 

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.contract.reports import EVENTS_FILE
+from kleinkram.contract import reports
+from kleinkram.contract.checks import Verdict
+from kleinkram.contract.reports import EVENTS_FILE, verdict_of_report
 from kleinkram.runner import results
 from kleinkram.runner.results import collect_results
 
@@ -41,6 +43,51 @@ def test_events_and_report_are_merged(tmp_path: Path) -> None:
         "Line 2 of events.jsonl is no event",
         "Line 4 of events.jsonl is no event",
         "It reports the artifact gone.png, which does not exist.",
+    ]
+
+
+def test_checks_and_verdicts_are_merged_and_metrics_differ_by_topic_and_labels(tmp_path: Path) -> None:
+    (tmp_path / ".kleinkram").mkdir()
+    (tmp_path / EVENTS_FILE).write_text(
+        '{"check": {"name": "imu.gravity", "status": "ok", "message": "9.81"}}\n{"verdict": "good"}\n'
+        '{"metric": {"name": "rate", "value": 1, "topic": "/a"}}\n'
+        '{"metric": {"name": "rate", "value": 2, "topic": "/b"}}\n'
+        '{"metric": {"name": "rate", "value": 3, "topic": "/b"}}\n'
+        '{"metric": {"name": "rate", "value": 4, "labels": {"method": "x"}}}\n'
+    )
+    (tmp_path / "report.json").write_text(
+        '{"verdict": "warnings", "checks": [{"name": "topic.gap", "status": "error", "message": "2 s"}]}'
+    )
+    result = collect_results(tmp_path)
+    assert result.problems == []
+    assert [check.name for check in result.report.checks] == ["imu.gravity", "topic.gap"]
+    assert [metric.value for metric in result.report.metrics] == [1, 3, 4]
+    assert result.report.verdict is Verdict.warnings
+    assert verdict_of_report(result.report) is Verdict.bad
+
+
+def test_nan_in_a_report_is_answered_with_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "report.json").write_text('{"metrics": [{"name": "ate", "value": NaN}]}')
+    assert collect_results(tmp_path).report_error == (
+        'report.json is not a report: "metrics.0.value": it must be a finite number.'
+    )
+
+
+def test_the_worst_of_too_many_checks_and_findings_are_stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "MAX_CHECKS", 100)
+    monkeypatch.setattr(reports, "MAX_FINDINGS", 100)
+    (tmp_path / ".kleinkram").mkdir()
+    fine = '{"check": {"name": "topic.gap", "status": "ok", "message": "m"}}\n'
+    info = '{"finding": {"severity": "info", "code": "a", "message": "m"}}\n'
+    bad = '{"check": {"name": "topic.rate", "status": "error", "message": "m"}}\n'
+    error = '{"finding": {"severity": "error", "code": "b", "message": "m"}}\n'
+    (tmp_path / EVENTS_FILE).write_text(fine * 100 + bad + info * 100 + error)
+    result = collect_results(tmp_path)
+    assert (len(result.report.checks), result.report.checks[0].name) == (100, "topic.rate")
+    assert (len(result.report.findings), result.report.findings[0].code) == (100, "b")
+    assert result.problems == [
+        "It reported 101 checks; only the 100 worst are stored.",
+        "It reported 101 findings; only the 100 worst are stored.",
     ]
 
 

@@ -1798,6 +1798,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/run-checks": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Run Checks
+         * @description List the checks that runs reported, latest first.
+         */
+        get: operations["list_run_checks"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/run-metrics": {
         parameters: {
             query?: never;
@@ -2980,6 +3000,63 @@ export interface components {
             retry_of_id?: string | null;
         };
         /**
+         * Check
+         * @description The outcome of one check.
+         *
+         *     `value` was measured and `limit` is the bound that it is compared with, both in `unit`. `topic`, `file` (or the
+         *     name of a recording) and `time_ns` (log time, ns since 1970) say where; null where they do not apply.
+         */
+        Check: {
+            /** File */
+            file?: string | null;
+            /** Limit */
+            limit?: number | null;
+            /** Message */
+            message: string;
+            /** Name */
+            name: string;
+            status: components["schemas"]["CheckStatus"];
+            /** Time Ns */
+            time_ns?: number | null;
+            /** Topic */
+            topic?: string | null;
+            /** Unit */
+            unit?: string | null;
+            /** Value */
+            value?: number | null;
+        };
+        /**
+         * CheckRead
+         * @description A check, and the run that reported it with its parameters.
+         */
+        CheckRead: {
+            action: components["schemas"]["ActionRef"];
+            check: components["schemas"]["Check"];
+            /** Ended At */
+            ended_at: string | null;
+            /** Id */
+            id: number;
+            mission: components["schemas"]["MissionRef"];
+            /** Parameters */
+            parameters: {
+                [key: string]: boolean | number | string;
+            };
+            /**
+             * Run Id
+             * Format: uuid
+             */
+            run_id: string;
+        };
+        /**
+         * CheckStatus
+         * @description Outcome of one check.
+         *
+         *     not_made: it could not be made, with the reason in its message; counts as a warning. needs_content: it reads the
+         *     messages themselves, and only the index was read; counts neither as passed nor as failed.
+         * @enum {string}
+         */
+        CheckStatus: "ok" | "warning" | "error" | "not_made" | "needs_content";
+        /**
          * ChecksumKind
          * @description Method by which the store verifies received bytes, as probed when the server started.
          *
@@ -3673,14 +3750,20 @@ export interface components {
         };
         /**
          * FindingRead
-         * @description A finding and the run that reported it.
+         * @description A finding, and the run that reported it with its parameters.
          */
         FindingRead: {
             action: components["schemas"]["ActionRef"];
+            /** Ended At */
+            ended_at: string | null;
             finding: components["schemas"]["Finding"];
             /** Id */
             id: number;
             mission: components["schemas"]["MissionRef"];
+            /** Parameters */
+            parameters: {
+                [key: string]: boolean | number | string;
+            };
             /**
              * Run Id
              * Format: uuid
@@ -4292,13 +4375,25 @@ export interface components {
         };
         /**
          * Metric
-         * @description A number that a run measured. A later one of the same name and file replaces an earlier one.
+         * @description A number that a run measured, of the whole mission or of a file or topic.
+         *
+         *     `labels` distinguish numbers of one name, such as `{"method": "kiss-icp"}`. A later one of the same name, file,
+         *     topic and labels replaces an earlier one.
          */
         Metric: {
             /** File */
             file?: string | null;
+            /**
+             * Labels
+             * @default {}
+             */
+            labels: {
+                [key: string]: string;
+            };
             /** Name */
             name: string;
+            /** Topic */
+            topic?: string | null;
             /** Unit */
             unit?: string | null;
             /** Value */
@@ -4306,14 +4401,20 @@ export interface components {
         };
         /**
          * MetricRead
-         * @description A metric and the run that reported it.
+         * @description A metric, and the run that reported it with its parameters.
          */
         MetricRead: {
             action: components["schemas"]["ActionRef"];
+            /** Ended At */
+            ended_at: string | null;
             /** Id */
             id: number;
             metric: components["schemas"]["Metric"];
             mission: components["schemas"]["MissionRef"];
+            /** Parameters */
+            parameters: {
+                [key: string]: boolean | number | string;
+            };
             /**
              * Run Id
              * Format: uuid
@@ -4651,6 +4752,15 @@ export interface components {
         Page_AuditRead_: {
             /** Items */
             items: components["schemas"]["AuditRead"][];
+            /** Next */
+            next?: string | null;
+            /** Total */
+            total?: number | null;
+        };
+        /** Page[CheckRead] */
+        Page_CheckRead_: {
+            /** Items */
+            items: components["schemas"]["CheckRead"][];
             /** Next */
             next?: string | null;
             /** Total */
@@ -5257,8 +5367,15 @@ export interface components {
         /**
          * Report
          * @description The report of a run. `metadata` is a proposal; a person accepts or ignores it.
+         *
+         *     `verdict` is what the run concludes; a failed check or an error among the findings makes it worse, never better.
          */
         Report: {
+            /**
+             * Checks
+             * @default []
+             */
+            checks: components["schemas"]["Check"][];
             /**
              * Findings
              * @default []
@@ -5286,6 +5403,8 @@ export interface components {
              * @default []
              */
             previews: components["schemas"]["Preview"][];
+            /** Verdict */
+            verdict?: ("good" | "warnings" | "bad") | null;
         };
         /**
          * Resources
@@ -5462,6 +5581,13 @@ export interface components {
             /** Cancel Requested At */
             cancel_requested_at: string | null;
             cause: components["schemas"]["Cause"];
+            /**
+             * Check Counts
+             * @default {}
+             */
+            check_counts: {
+                [key: string]: number;
+            };
             /** Claimed At */
             claimed_at: string | null;
             /**
@@ -5526,6 +5652,8 @@ export interface components {
             started_at: string | null;
             state: components["schemas"]["RunState"];
             usage: components["schemas"]["Usage"] | null;
+            /** Verdict */
+            verdict?: ("good" | "warnings" | "bad") | null;
             /**
              * Version Id
              * Format: uuid
@@ -5555,6 +5683,7 @@ export interface components {
             reason: components["schemas"]["EndReason"];
             /**
              * @default {
+             *       "checks": [],
              *       "findings": [],
              *       "metadata": {},
              *       "metrics": [],
@@ -5673,8 +5802,9 @@ export interface components {
          *
          *     `reason`, `message` and `exit_code` describe how it ended, `waits_for` why it is still queued. `image_digest` is of
          *     the image that was run. `reuses_id` is the earlier run whose results this run reuses; it has none of its own.
-         *     `metrics` are the first reported ones, those of the run before those of single files; empty in a lineage.
-         *     `may_cancel`: the caller may cancel it, and it has not ended.
+         *     `verdict` is the worst of what its report says: its verdict, checks and findings. Null where it is not `done`, and
+         *     where it judged nothing. `metrics` are the first reported ones, those of the run before those of single files; empty
+         *     in a lineage. `may_cancel`: the caller may cancel it, and it has not ended.
          */
         RunRead: {
             action: components["schemas"]["ActionRef"];
@@ -5685,6 +5815,13 @@ export interface components {
             /** Cancel Requested At */
             cancel_requested_at: string | null;
             cause: components["schemas"]["Cause"];
+            /**
+             * Check Counts
+             * @default {}
+             */
+            check_counts: {
+                [key: string]: number;
+            };
             /** Claimed At */
             claimed_at: string | null;
             /**
@@ -5738,6 +5875,8 @@ export interface components {
             started_at: string | null;
             state: components["schemas"]["RunState"];
             usage: components["schemas"]["Usage"] | null;
+            /** Verdict */
+            verdict?: ("good" | "warnings" | "bad") | null;
             /**
              * Version Id
              * Format: uuid
@@ -8297,9 +8436,12 @@ export interface operations {
     list_findings: {
         parameters: {
             query?: {
+                action?: string | null;
+                action_id?: string | null;
                 code?: string | null;
                 count?: boolean;
                 cursor?: string | null;
+                latest?: boolean;
                 limit?: number;
                 mission_id?: string | null;
                 mission_ids?: string[];
@@ -8307,6 +8449,8 @@ export interface operations {
                 project_ids?: string[];
                 run_id?: string | null;
                 severity?: components["schemas"]["Severity"][];
+                topic?: string | null;
+                version?: number | null;
             };
             header?: never;
             path?: never;
@@ -10296,19 +10440,68 @@ export interface operations {
             };
         };
     };
-    list_run_metrics: {
+    list_run_checks: {
         parameters: {
             query?: {
-                code?: string | null;
+                action?: string | null;
+                action_id?: string | null;
                 count?: boolean;
                 cursor?: string | null;
+                latest?: boolean;
                 limit?: number;
                 mission_id?: string | null;
                 mission_ids?: string[];
+                name?: string | null;
                 project_id?: string | null;
                 project_ids?: string[];
                 run_id?: string | null;
-                severity?: components["schemas"]["Severity"][];
+                status?: components["schemas"]["CheckStatus"][];
+                topic?: string | null;
+                version?: number | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_CheckRead_"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_run_metrics: {
+        parameters: {
+            query?: {
+                action?: string | null;
+                action_id?: string | null;
+                count?: boolean;
+                cursor?: string | null;
+                latest?: boolean;
+                limit?: number;
+                mission_id?: string | null;
+                mission_ids?: string[];
+                name?: string | null;
+                project_id?: string | null;
+                project_ids?: string[];
+                run_id?: string | null;
+                topic?: string | null;
+                version?: number | null;
             };
             header?: never;
             path?: never;
@@ -10692,6 +10885,7 @@ export interface operations {
                 project_id?: string | null;
                 project_ids?: string[];
                 state?: components["schemas"]["RunState"][];
+                verdict?: ("good" | "warnings" | "bad")[];
             };
             header?: never;
             path?: never;

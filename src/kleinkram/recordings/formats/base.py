@@ -124,6 +124,24 @@ class MemberContents:
         }
 
 
+class Segment(NamedTuple):
+    """A part of a recording that is read as a whole: a chunk, or a slice of a database.
+
+    Attributes:
+        first_ns: earliest log time that it may contain, inclusive.
+        last_ns: latest log time that it may contain, inclusive.
+        size_bytes: about the bytes that reading it takes.
+        topics: with messages in it; None if the index does not say.
+        order: number of the file, and of the segment in it.
+    """
+
+    first_ns: int
+    last_ns: int
+    size_bytes: int
+    topics: frozenset[str] | None
+    order: tuple[int, int]
+
+
 class OpenedFile(Protocol):
     """One file of a recording."""
 
@@ -137,3 +155,9 @@ class OpenedFile(Protocol):
 
     def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
         """Yield the parts that may hold selected messages, by first time."""
+
+    def segments(self, selection: Selection, file_number: int) -> Iterator[Segment]:
+        """Yield the segments that may hold selected messages, by first time."""
+
+    def segment_pieces(self, segment: Segment, selection: Selection) -> Iterator[MessagePiece]:
+        """Yield the selected messages of one segment."""

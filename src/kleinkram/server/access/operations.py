@@ -122,6 +122,7 @@ OPERATIONS: dict[str, Permission] = {
     "list_artifacts": Permission(ResourceKind.mission, Right.read, _READ),
     "download_artifacts": Permission(ResourceKind.mission, Right.read, _READ),
     "get_run_log": Permission(ResourceKind.mission, Right.read, _READ),
+    "list_run_checks": _visible(guests=False),
     "list_findings": _visible(guests=False),
     "list_run_metrics": _visible(guests=False),
     "get_lineage": Permission(ResourceKind.mission, Right.read, _READ),

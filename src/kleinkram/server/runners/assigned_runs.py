@@ -10,9 +10,10 @@ from sqlalchemy import ColumnElement, func, insert, select, update
 
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.audit import ChangeKind
+from kleinkram.contract.checks import CheckStatus
 from kleinkram.contract.errors import Forbidden, NotFound, RunGone
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.reports import Severity
+from kleinkram.contract.reports import Severity, verdict_of_report
 from kleinkram.contract.runners import (
     LEASE_S,
     ArtifactUploadsCreate,
@@ -61,6 +62,7 @@ from kleinkram.server.tables import (
     project,
     run,
     run_artifact,
+    run_check,
     run_finding,
     run_input,
     run_metric,
@@ -365,10 +367,13 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
     await _pin_image(db, row, finish.image_digest)
     findings = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in finish.report.findings]
     metrics = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in finish.report.metrics]
-    for table, rows in ((run_finding, findings), (run_metric, metrics)):
+    checks = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in finish.report.checks]
+    for table, rows in ((run_check, checks), (run_finding, findings), (run_metric, metrics)):
         for first in range(0, len(rows), _BATCH):
             await db.execute(insert(table), rows[first : first + _BATCH])
     counts = Counter(entry.severity for entry in finish.report.findings)
+    check_counts = Counter(entry.status for entry in finish.report.checks)
+    verdict = verdict_of_report(finish.report) if finish.reason is EndReason.done else None
     values = {
         "problems": problems[:200],
         "exit_code": finish.exit_code,
@@ -376,6 +381,8 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
         "previews": [entry.model_dump(mode="json") for entry in finish.report.previews if entry.path in artifacts],
         "artifact_count": len(artifacts),
         "metric_count": len(finish.report.metrics),
+        "verdict": verdict and verdict.value,
+        "check_counts": {status.value: check_counts[status] for status in CheckStatus if check_counts[status]},
         "finding_counts": {severity.value: counts[severity] for severity in Severity if counts[severity]},
         "image_digest": row.image_digest or finish.image_digest,
         "samples": _thinned(row.samples, finish.samples),
@@ -384,6 +391,8 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
     await end_run(db, run_id, finish.reason, finish.message, **values)
     state = (await db.execute(select(run.c.state).where(run.c.id == run_id))).scalar_one()
     after: Metadata = {"reason": finish.reason.value, "artifacts": len(artifacts)}
+    if verdict is not None:
+        after["verdict"] = verdict.value
     event = Event("run.end", "run", run_id, row.definition.name, row.project_id, after=after, mission_id=row.mission_id)
     await audit(db, actor, event)
     return RunFinished(state=RunState(state))

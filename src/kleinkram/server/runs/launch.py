@@ -46,7 +46,7 @@ from kleinkram.server.tables import action, action_version, blob, file, mission,
 # The columns that a run takes over from the run whose results it reuses.
 _REUSED_COLUMNS = (
     *("exit_code", "image_digest", "problems", "proposed", "previews"),
-    *("artifact_count", "metric_count", "finding_counts"),
+    *("artifact_count", "metric_count", "finding_counts", "check_counts", "verdict"),
 )
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 # Names in `/in` that runners use themselves.

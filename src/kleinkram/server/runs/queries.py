@@ -4,10 +4,18 @@ import uuid
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import Column, ColumnElement, Select, Table, case, exists, false, func, select
+from sqlalchemy import Column, ColumnElement, Select, Table, Text, case, exists, false, func, select
 
 from kleinkram.contract.access import Scope
-from kleinkram.contract.runs import MAX_LISTED_METRICS, ReportFilter, RunFilter
+from kleinkram.contract.runs import (
+    MAX_LISTED_METRICS,
+    CheckFilter,
+    FindingFilter,
+    MetricFilter,
+    ReportFilter,
+    RunFilter,
+    RunState,
+)
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import level_on_mission, visible_files, visible_missions
 from kleinkram.server.db import among, matches, matches_key
@@ -22,6 +30,7 @@ from kleinkram.server.tables import (
     project,
     run,
     run_artifact,
+    run_check,
     run_finding,
     run_input,
     run_metric,
@@ -33,6 +42,7 @@ from kleinkram.server.tables.runs import ACTIVE
 RUN_ORDER = Order([run.c.created_at, run.c.id], descending=True)
 INPUT_ORDER = Order([run_input.c.path])
 ARTIFACT_ORDER = Order([run_artifact.c.path, run_artifact.c.id])
+CHECK_ORDER = Order([run_check.c.id], descending=True)
 FINDING_ORDER = Order([run_finding.c.id], descending=True)
 METRIC_ORDER = Order([run_metric.c.id], descending=True)
 _file = file.alias("moved_file")
@@ -41,9 +51,11 @@ _MISSION = (
     mission.c.project_id.label("project_id"),
     project.c.name.label("project_name"),
 )
+_ACTION_NAME = action_version.c.definition["name"].astext
+_OF_RUN = (run.c.mission_id, run.c.parameters, run.c.ended_at)
 _ACTION = (
     action.c.id.label("action_id"),
-    func.coalesce(action.c.name, action_version.c.definition["name"].astext).label("action_name"),
+    func.coalesce(action.c.name, _ACTION_NAME).label("action_name"),
     action_version.c.number.label("action_number"),
 )
 
@@ -87,14 +99,11 @@ def one_run(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
 
 def filter_runs(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[Any]:
     """Apply a filter to a select of runs."""
-    conditions = _of_missions(matching)
-    if matching.action_id is not None:
-        conditions.append(action_version.c.action_id == matching.action_id)
-    if matching.action is not None:
-        published = matches_key(action.c.name_key, matching.action)
-        conditions.append(published | matches(action_version.c.definition["name"].astext, matching.action))
+    conditions = [*_of_missions(matching), *_of_actions(matching)]
     if matching.state:
         conditions.append(run.c.state.in_([state.value for state in matching.state]))
+    if matching.verdict:
+        conditions.append(run.c.verdict.in_([verdict.value for verdict in matching.verdict]))
     if matching.active is not None:
         conditions.append(run.c.state.in_(ACTIVE) == matching.active)
     if matching.mine:
@@ -134,7 +143,15 @@ def artifacts_of(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
     return joined.where(run_artifact.c.run_id == run_id)
 
 
-def findings(actor: Actor, matching: ReportFilter) -> Select[Any]:
+def checks(actor: Actor, matching: CheckFilter) -> Select[Any]:
+    """Return the checks of visible runs, with columns `reported_…`."""
+    stmt = _reported_by_runs(actor, run_check, matching)
+    if matching.status:
+        stmt = stmt.where(run_check.c.status.in_([status.value for status in matching.status]))
+    return stmt if matching.name is None else stmt.where(matches(run_check.c.name, matching.name))
+
+
+def findings(actor: Actor, matching: FindingFilter) -> Select[Any]:
     """Return the findings of visible runs, with columns `reported_…`."""
     stmt = _reported_by_runs(actor, run_finding, matching)
     if matching.severity:
@@ -142,10 +159,10 @@ def findings(actor: Actor, matching: ReportFilter) -> Select[Any]:
     return stmt if matching.code is None else stmt.where(matches(run_finding.c.code, matching.code))
 
 
-def metrics(actor: Actor, matching: ReportFilter) -> Select[Any]:
+def metrics(actor: Actor, matching: MetricFilter) -> Select[Any]:
     """Return the metrics of visible runs, with columns `reported_…`."""
     stmt = _reported_by_runs(actor, run_metric, matching)
-    return stmt if matching.code is None else stmt.where(matches(run_metric.c.name, matching.code))
+    return stmt if matching.name is None else stmt.where(matches(run_metric.c.name, matching.name))
 
 
 def first_metrics(actor: Actor, run_ids: Sequence[uuid.UUID]) -> Select[Any]:
@@ -169,13 +186,42 @@ def _reported_by_runs(actor: Actor, table: Table, matching: ReportFilter) -> Sel
         run_input.c.run_id == run.c.id, run_input.c.path == table.c.file, is_hidden(actor, run_input.c.file_id)
     )
     chosen.append(case((~its_input, table.c.file)).label("reported_file"))
-    stmt = visible_runs(actor).with_only_columns(
-        *chosen, run.c.mission_id, *_MISSION, *_ACTION, maintain_column_froms=True
-    )
+    stmt = visible_runs(actor).with_only_columns(*chosen, *_OF_RUN, *_MISSION, *_ACTION, maintain_column_froms=True)
     stmt = stmt.join(table, table.c.run_id == run.c.id)
     if matching.run_id is not None:
         stmt = stmt.where(run.c.id == matching.run_id)
-    return stmt.where(*_of_missions(matching))
+    if matching.version is not None:
+        stmt = stmt.where(action_version.c.number == matching.version)
+    if matching.topic is not None:
+        stmt = stmt.where(matches(table.c.topic, matching.topic))
+    if matching.latest:
+        stmt = stmt.where(run.c.id.in_(_latest_results(matching)))
+    return stmt.where(*_of_missions(matching), *_of_actions(matching))
+
+
+def _latest_results(matching: ReportFilter) -> Select[Any]:
+    """Return the runs with the results of the latest run that is done, of each mission, action and parameters."""
+    of = (run.c.mission_id, func.coalesce(action.c.id.cast(Text), _ACTION_NAME), run.c.parameters)
+    joined = (
+        select(func.coalesce(run.c.reuses_id, run.c.id))
+        .join(mission, mission.c.id == run.c.mission_id)
+        .join(action_version, action_version.c.id == run.c.version_id)
+        .outerjoin(action, action.c.id == action_version.c.action_id)
+    )
+    done = joined.where(run.c.state == RunState.done.value, *_of_missions(matching), *_of_actions(matching))
+    latest = done.distinct(*of).order_by(*of, run.c.created_at.desc(), run.c.id.desc())
+    # Its own tables, not those of the select around it.
+    return latest.correlate(None)
+
+
+def _of_actions(matching: RunFilter | ReportFilter) -> list[ColumnElement[bool]]:
+    conditions = []
+    if matching.action_id is not None:
+        conditions.append(action_version.c.action_id == matching.action_id)
+    if matching.action is not None:
+        published = matches_key(action.c.name_key, matching.action)
+        conditions.append(published | matches(_ACTION_NAME, matching.action))
+    return conditions
 
 
 def _of_missions(matching: RunFilter | ReportFilter) -> list[ColumnElement[bool]]:

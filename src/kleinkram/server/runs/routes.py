@@ -19,8 +19,16 @@ class RunListQuery(runs.RunFilter, CountedPageQuery):
     """The query of a list of runs."""
 
 
-class ReportListQuery(runs.ReportFilter, CountedPageQuery):
-    """The query of a list of findings or metrics."""
+class CheckListQuery(runs.CheckFilter, CountedPageQuery):
+    """The query of a list of checks."""
+
+
+class FindingListQuery(runs.FindingFilter, CountedPageQuery):
+    """The query of a list of findings."""
+
+
+class MetricListQuery(runs.MetricFilter, CountedPageQuery):
+    """The query of a list of metrics."""
 
 
 class LogQuery(BaseModel):
@@ -100,9 +108,17 @@ async def get_run_log(
     return await logs.read_log(context, hub, actor, run_id=run_id, offset=query.offset, wait_s=query.wait_s)
 
 
+@router.get("/run-checks", operation_id="list_run_checks")
+async def list_run_checks(
+    query: Annotated[CheckListQuery, Query()], db: Reading, actor: CurrentActor
+) -> Page[runs.CheckRead]:
+    """List the checks that runs reported, latest first."""
+    return await service.list_checks(db, actor, matching=query, page=query.page)
+
+
 @router.get("/findings", operation_id="list_findings")
 async def list_findings(
-    query: Annotated[ReportListQuery, Query()], db: Reading, actor: CurrentActor
+    query: Annotated[FindingListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[runs.FindingRead]:
     """List findings, latest first."""
     return await service.list_findings(db, actor, matching=query, page=query.page)
@@ -110,7 +126,7 @@ async def list_findings(
 
 @router.get("/run-metrics", operation_id="list_run_metrics")
 async def list_run_metrics(
-    query: Annotated[ReportListQuery, Query()], db: Reading, actor: CurrentActor
+    query: Annotated[MetricListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[runs.MetricRead]:
     """List metrics, latest first."""
     return await service.list_metrics(db, actor, matching=query, page=query.page)

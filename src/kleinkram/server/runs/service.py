@@ -3,7 +3,7 @@
 import datetime
 import uuid
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from sqlalchemy import ColumnElement, RowMapping, or_, select
 
@@ -11,6 +11,7 @@ from kleinkram.contract import runs
 from kleinkram.contract.access import Right, Scope
 from kleinkram.contract.actions import ActionDefinition
 from kleinkram.contract.base import Page
+from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.contract.errors import FileUnavailable, NotFound
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.metadata import Metadata
@@ -36,7 +37,17 @@ _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 _SAME = (
     *("id", "version_id", "network", "parameters", "state", "reason", "message", "exit_code", "progress"),
     *("attempt", "image_digest", "usage", "input_count", "input_bytes", "artifact_count", "metric_count"),
-    *("finding_counts", "reuses_id", "created_at", "claimed_at", "started_at", "ended_at", "cancel_requested_at"),
+    *(
+        "finding_counts",
+        "check_counts",
+        "verdict",
+        "reuses_id",
+        "created_at",
+        "claimed_at",
+        "started_at",
+        "ended_at",
+        "cancel_requested_at",
+    ),
 )
 
 
@@ -145,7 +156,7 @@ async def _complete(db: Connection, actor: Actor, visible: Sequence[VisibleRun])
     metrics: dict[uuid.UUID, list[Metric]] = {}
     if with_metrics := {entry.results_id for entry in visible if entry.run.metric_count > 0}:
         for row in await db.execute(queries.first_metrics(actor, [*with_metrics])):
-            metric = Metric.model_construct(name=row.name, value=row.value, unit=row.unit, file=row.file)
+            metric = Metric.model_construct(**{name: getattr(row, name) for name in Metric.model_fields})
             metrics.setdefault(row.run_id, []).append(metric)
     return [
         entry.run.model_copy(
@@ -223,8 +234,29 @@ async def link_artifacts(
     ]
 
 
+async def list_checks(
+    db: Connection, actor: Actor, *, matching: runs.CheckFilter, page: PageRequest
+) -> Page[runs.CheckRead]:
+    """Return a page of the checks that runs reported, latest first.
+
+    Raises:
+        NotFound: a run is named that is not there, or not for this actor.
+        InvalidCursor: the cursor is not of this list.
+    """
+    stmt = queries.checks(actor, await _of_results(db, actor, matching))
+    return await read_page(db, stmt, queries.CHECK_ORDER, page, lambda row: _to_check(row._mapping))
+
+
+def _to_check(row: RowMapping) -> runs.CheckRead:
+    names = Check.model_fields.keys() - {"status"}
+    reported = Check.model_construct(
+        status=CheckStatus(row["reported_status"]), **{name: row[f"reported_{name}"] for name in names}
+    )
+    return runs.CheckRead(**_reported_where(row), check=reported)
+
+
 async def list_findings(
-    db: Connection, actor: Actor, *, matching: runs.ReportFilter, page: PageRequest
+    db: Connection, actor: Actor, *, matching: runs.FindingFilter, page: PageRequest
 ) -> Page[runs.FindingRead]:
     """Return a page of findings, latest first.
 
@@ -245,7 +277,7 @@ def _to_finding(row: RowMapping) -> runs.FindingRead:
 
 
 async def list_metrics(
-    db: Connection, actor: Actor, *, matching: runs.ReportFilter, page: PageRequest
+    db: Connection, actor: Actor, *, matching: runs.MetricFilter, page: PageRequest
 ) -> Page[runs.MetricRead]:
     """Return a page of metrics, latest first.
 
@@ -258,16 +290,20 @@ async def list_metrics(
 
 
 def _to_metric(row: RowMapping) -> runs.MetricRead:
-    reported = Metric.model_construct(**{name: row[f"reported_{name}"] for name in ("name", "value", "unit", "file")})
+    reported = Metric.model_construct(**{name: row[f"reported_{name}"] for name in Metric.model_fields})
     return runs.MetricRead(**_reported_where(row), metric=reported)
 
 
 def _reported_where(row: RowMapping) -> dict[str, Any]:
     ids = {"id": row["reported_id"], "run_id": row["reported_run_id"]}
-    return {**ids, "mission": _to_mission(row), "action": _to_action(row)}
+    of_run = {"parameters": row["parameters"], "ended_at": row["ended_at"]}
+    return {**ids, **of_run, "mission": _to_mission(row), "action": _to_action(row)}
 
 
-async def _of_results(db: Connection, actor: Actor, matching: runs.ReportFilter) -> runs.ReportFilter:
+_FilterT = TypeVar("_FilterT", bound=runs.ReportFilter)
+
+
+async def _of_results(db: Connection, actor: Actor, matching: _FilterT) -> _FilterT:
     if matching.run_id is None:
         return matching
     return matching.model_copy(update={"run_id": (await find_run(db, actor, matching.run_id)).results_id})

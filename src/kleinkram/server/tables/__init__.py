@@ -32,6 +32,7 @@ from kleinkram.server.tables.runs import (
     log_chunk,
     run,
     run_artifact,
+    run_check,
     run_finding,
     run_input,
     run_metric,

@@ -8,6 +8,7 @@ import sqlalchemy as sa
 from sqlalchemy.dialects.postgresql import JSONB
 
 from kleinkram.contract.actions import Network
+from kleinkram.contract.checks import CheckStatus, Verdict
 from kleinkram.contract.reports import Severity
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
@@ -118,6 +119,10 @@ run = sa.Table(
     sa.Column("input_bytes", sa.BigInteger, nullable=False),
     sa.Column("artifact_count", sa.Integer, nullable=False, server_default="0"),
     sa.Column("metric_count", sa.Integer, nullable=False, server_default="0"),
+    # Good, warnings or bad, of a run that is done; null where it judged nothing.
+    sa.Column("verdict", sa.Text),
+    # By status.
+    sa.Column("check_counts", JSONB, nullable=False, server_default="{}"),
     # By severity.
     sa.Column("finding_counts", JSONB, nullable=False, server_default="{}"),
     sa.Column("log_blob_id", sa.Uuid, sa.ForeignKey("blob.id"), index=True),
@@ -129,6 +134,7 @@ run = sa.Table(
     one_of("state", RunState),
     one_of("reason", EndReason),
     one_of("network", Network),
+    one_of("verdict", Verdict),
     sa.CheckConstraint(
         "(ended_at IS NULL) = (state IN ('queued', 'preparing', 'running', 'collecting'))", name="ended"
     ),
@@ -190,6 +196,25 @@ run_finding = sa.Table(
     sa.Index("ix_run_finding_code", "code", "id"),
 )
 
+run_check = sa.Table(
+    "run_check",
+    metadata,
+    sa.Column("id", sa.BigInteger, sa.Identity(always=True), primary_key=True),
+    sa.Column("run_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="CASCADE"), nullable=False),
+    sorted_text("name"),
+    sa.Column("status", sa.Text, nullable=False),
+    sa.Column("message", sa.Text, nullable=False),
+    sa.Column("value", sa.Double),
+    sa.Column("limit", sa.Double),
+    sa.Column("unit", sa.Text),
+    sa.Column("topic", sa.Text),
+    sa.Column("file", sa.Text),
+    sa.Column("time_ns", sa.BigInteger),
+    one_of("status", CheckStatus),
+    sa.Index("ix_run_check_run_id", "run_id", "id"),
+    sa.Index("ix_run_check_name", "name", "id"),
+)
+
 run_metric = sa.Table(
     "run_metric",
     metadata,
@@ -199,6 +224,8 @@ run_metric = sa.Table(
     sa.Column("value", sa.Double, nullable=False),
     sa.Column("unit", sa.Text),
     sa.Column("file", sa.Text),
+    sa.Column("topic", sa.Text),
+    sa.Column("labels", JSONB, nullable=False, server_default="{}"),
     sa.Index("ix_run_metric_run_id", "run_id", "id"),
     sa.Index("ix_run_metric_name", "name", "id"),
 )

@@ -91,13 +91,13 @@ it("counts findings by severity, the worst first", () => {
 });
 
 it("writes large numbers without rounding their digits away", () => {
-  const text = (value: number) => metricText(run([{ name: "n", value, unit: null, file: null }]), "n");
+  const text = (value: number) => metricText(run([{ name: "n", value, unit: null, file: null, labels: {} }]), "n");
   expect([text(123_456), text(123_456.789), text(-1_234_567), text(9_999.94), text(0.000123456)]).toEqual(["123,456", "123,457", "-1,234,567", "9,999.9", "0.00012346"]);
 });
 
 it("names the metrics that most runs have first, and writes them with their unit", () => {
-  const one = run([{ name: "ate_rmse", value: 0.1234567, unit: "m", file: null }, { name: "hz", value: 20, unit: null, file: "a.bag" }]);
-  const two = run([{ name: "ate_rmse", value: 1, unit: null, file: null }, { name: "of_files", value: 1, file: "a" }, { name: "of_files", value: 2, file: "b" }]);
+  const one = run([{ name: "ate_rmse", value: 0.1234567, unit: "m", file: null, labels: {} }, { name: "hz", value: 20, unit: null, file: "a.bag", labels: {} }]);
+  const two = run([{ name: "ate_rmse", value: 1, unit: null, file: null, labels: {} }, { name: "of_files", value: 1, file: "a", labels: {} }, { name: "of_files", value: 2, file: "b", labels: {} }]);
   expect(metricNames([two, one])).toEqual(["ate_rmse", "hz", "of_files"]);
   expect([metricText(one, "ate_rmse"), metricText(one, "hz"), metricText(two, "of_files"), metricText(two, "hz")]).toEqual(["0.12346 m", "20", "2 files", ""]);
 });

@@ -13,7 +13,7 @@ from array import array
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, pairwise
 from operator import le
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.file_summary import TopicType, bounded, build_summary, pending
 from kleinkram.recordings.formats import base
-from kleinkram.recordings.formats.base import Format, MemberContents, OpenedFile
+from kleinkram.recordings.formats.base import Format, MemberContents, OpenedFile, Segment
 from kleinkram.recordings.formats.rosbag2 import database as db
 from kleinkram.recordings.formats.rosbag2.database import LOG_SUFFIXES, MessageRow, Origin, TopicRow
 from kleinkram.recordings.formats.rosbag2.recovery import Recovery, open_recovered
@@ -215,6 +215,7 @@ def _recover(path: Path, name: str, depth: Depth, error: str) -> RecordingSummar
 _LATEST_NS = 2**63 - 1
 _BLOCK_BYTES = 4 * 2**20
 _BLOCK_ROWS = 2000
+_SLICE_BYTES, _MAX_SLICES = 2**20, 1_000_000
 _DATA = f"CASE WHEN length(data) <= {MAX_MESSAGE} THEN data END"
 _WHERE = "FROM messages WHERE timestamp >= ? AND timestamp < ?"
 _BY_INDEX = f"SELECT topic_id, timestamp, {_DATA} {_WHERE} ORDER BY timestamp, rowid"  # our words
@@ -266,6 +267,31 @@ class DatabaseMember:
         if channels := self.contents.select(selection):
             first_ns = max(selection.start_ns, self.contents.start_ns or 0)
             yield MessagePiece(first_ns, order, lambda: MessageRun([], 0, self._blocks(channels, selection)))
+
+    def segments(self, selection: Selection, file_number: int) -> Iterator[Segment]:
+        """Yield slices of equal time, of about 1 MB each; without an index of times, the whole database."""
+        if self._recovered is not None:
+            yield from self._recovered.segments(selection, file_number)
+            return
+        if not self.contents.select(selection):
+            return
+        start_ns, end_ns, size_bytes = self.contents.start_ns, self.contents.end_ns, self._path.stat().st_size
+        if start_ns is None or end_ns is None:
+            if self.contents.message_count != 0:
+                yield Segment(0, _LATEST_NS, size_bytes, None, (file_number, 0))
+            return
+        count = min(_MAX_SLICES, max(1, size_bytes // _SLICE_BYTES), end_ns - start_ns + 1)
+        edges = [start_ns + (end_ns + 1 - start_ns) * number // count for number in range(count + 1)]
+        for number, (first_ns, after_ns) in enumerate(pairwise(edges)):
+            if first_ns < selection.end_ns and after_ns > selection.start_ns:
+                yield Segment(first_ns, after_ns - 1, size_bytes // count, None, (file_number, number))
+
+    def segment_pieces(self, segment: Segment, selection: Selection) -> Iterator[MessagePiece]:
+        """Yield one slice."""
+        if self._recovered is not None:
+            return self._recovered.segment_pieces(segment, selection)
+        start_ns, end_ns = max(selection.start_ns, segment.first_ns), min(selection.end_ns, segment.last_ns + 1)
+        return self.pieces(Selection(selection.topics, start_ns, end_ns), segment.order)
 
     def _blocks(self, channels: dict[int, Channel], selection: Selection) -> Iterator[Block]:
         """Yield messages from SQLite; if it fails, the later ones from the recovery."""

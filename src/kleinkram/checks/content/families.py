@@ -1,0 +1,134 @@
+"""The sections of a `checks.yaml` that need the content of messages: which topics and checks each of them has.
+
+Needs no library of the extra `reading`, so that the checks that were not made can be listed without it.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from kleinkram.checks.document import Profile, Rule, SampledRule
+from kleinkram.checks.globs import matches
+from kleinkram.checks.index_checks import content_checks_of
+from kleinkram.checks.outcomes import make_check
+from kleinkram.contract.checks import Check, CheckStatus
+
+DEFAULT_SAMPLES = 20
+
+
+class TopicOfRecording(NamedTuple):
+    """A topic with messages, in one recording."""
+
+    recording: str
+    topic: str
+    message_type: str
+
+
+@dataclass(frozen=True)
+class Family:
+    """One section.
+
+    Attributes:
+        section: its key.
+        rules_of: the rules of the section, by glob.
+        types: message types, without package, that a glob selects; None: any. A full name selects whatever it names.
+        noun: what its messages are, in the plural.
+    """
+
+    section: str
+    rules_of: Callable[[Profile], Mapping[str, Sequence[Rule]]]
+    types: frozenset[str] | None
+    noun: str
+
+
+class PlannedRule(NamedTuple):
+    """A rule, the names of its checks, and the topics that it applies to."""
+
+    family: Family
+    pattern: str
+    rule: Rule
+    names: tuple[str, ...]
+    topics: list[TopicOfRecording]
+
+    @property
+    def samples(self) -> int:
+        """How many messages are read of each topic."""
+        return self.rule.samples if isinstance(self.rule, SampledRule) else DEFAULT_SAMPLES
+
+
+_POSES = ("Odometry", "PoseStamped", "PoseWithCovarianceStamped", "PoseInFrame", "TransformStamped")
+FAMILIES = (
+    Family("clocks", lambda profile: profile.clocks, None, "messages"),
+    Family(
+        "images",
+        lambda profile: profile.images,
+        frozenset(("Image", "CompressedImage", "RawImage")),
+        "images",
+    ),
+    Family("imu", lambda profile: profile.imu, frozenset(("Imu",)), "inertial measurements"),
+    Family(
+        "positions",
+        lambda profile: profile.positions,
+        frozenset(("NavSatFix", "LocationFix")),
+        "positions",
+    ),
+    Family(
+        "point_clouds",
+        lambda profile: profile.point_clouds,
+        frozenset(("PointCloud2", "PointCloud")),
+        "point clouds",
+    ),
+    Family(
+        "transforms",
+        lambda profile: profile.transforms,
+        frozenset(("TFMessage", "tfMessage", "FrameTransform", "FrameTransforms")),
+        "transforms",
+    ),
+    Family("odometry", lambda profile: profile.odometry, frozenset(_POSES), "poses"),
+    Family(
+        "batteries",
+        lambda profile: profile.batteries,
+        frozenset(("BatteryState",)),
+        "battery states",
+    ),
+    Family("values", lambda profile: profile.values, None, "messages"),
+)
+
+
+def planned_rules(profiles: Sequence[Profile], topics: Sequence[TopicOfRecording]) -> Iterator[PlannedRule]:
+    """Yield the rules that need content, each with its topics, in the order of the document."""
+    for profile in profiles:
+        for family in FAMILIES:
+            for pattern, rules in family.rules_of(profile).items():
+                matching = [topic for topic in topics if _applies(family, pattern, topic)]
+                for rule in rules:
+                    if names := content_checks_of(rule):
+                        yield PlannedRule(family, pattern, rule, tuple(names), matching)
+
+
+def unmade_checks(planned: PlannedRule, status: CheckStatus, message: str, file: str | None = None) -> Iterator[Check]:
+    """Yield the checks of a rule that are not made for one reason: of each topic, or of the rule if it has none."""
+    for name in planned.names:
+        for topic in planned.topics:
+            yield make_check(name, status, message, topic=topic.topic, file=topic.recording)
+        if not planned.topics:
+            yield make_check(name, status, message, topic=planned.pattern, file=file)
+
+
+def why_none(planned: PlannedRule, topics: Sequence[TopicOfRecording]) -> str:
+    """Return why a rule applies to no topic."""
+    others = [topic for topic in topics if matches(topic.topic, planned.pattern)]
+    if others:
+        return (
+            f"no topic that matches {planned.pattern} has {planned.family.noun}: "
+            f"{others[0].topic} has {others[0].message_type or 'no type'}"
+        )
+    return f"no topic matches {planned.pattern}"
+
+
+def _applies(family: Family, pattern: str, topic: TopicOfRecording) -> bool:
+    if topic.topic == pattern:
+        return True
+    if not matches(topic.topic, pattern):
+        return False
+    return family.types is None or topic.message_type.replace(".", "/").rpartition("/")[2] in family.types
