@@ -115,3 +115,72 @@ export const texts = {
     removeNote: (name: string) => `Delete note by ${name}`,
   },
 } as const;
+
+export const matrixTexts = {
+  label: "Checks of the missions",
+  mission: "Mission",
+  legend: "Statuses",
+  cell: (name: string, status: string) => `${name}: ${status}`,
+  notChecked: (name: string) => `${name}: not checked`,
+  explained: "Details of the cell",
+  hint: "Point at a cell, or move with the arrow keys, to see what was measured. Enter opens the mission.",
+  more: (count: number) => `and ${formatCount(count)} more`,
+  none: "No missions checked yet",
+  noneWhy: "Each mission becomes a row, and each check a column, once the project has a checks.yaml.",
+  noMissions: "No missions yet.",
+} as const;
+
+export const trendTexts = {
+  title: "Verdicts over time",
+  by: "Bars",
+  steps: { week: "Weeks", day: "Days" },
+  bar: (by: "week" | "day", day: string, what: string) => (by === "week" ? `Week of ${day}: ${what}` : `${day}: ${what}`),
+  none: "no missions",
+  empty: "No missions yet.",
+  legend: "Verdicts",
+} as const;
+
+export const rulesTexts = {
+  label: "checks.yaml",
+  why: "The rules that all missions of this project are checked by. Saving checks every mission again from its index; no data is read.",
+  readOnly: "Only people who can edit the project can change them.",
+  none: "No checks.yaml yet",
+  noneWhy: "Let klein write the first one from good missions on your machine, then send it here:",
+  begin: "Write it here",
+  starter: `version: 1
+profiles:
+  - name: every mission
+    # when: {robot: anymal}
+    topics:
+      "/imu/*":
+        rate: 200 Hz
+        max_gap: 100ms
+      "/camera/*":
+        covers: 95%
+        severity: warning
+`,
+  version: (number: number) => `Version ${number}`,
+  save: "Save and check all missions",
+  saved: (number: number) => `Version ${number} saved. The missions are being checked.`,
+  removed: "checks.yaml removed.",
+  reset: "Discard changes",
+  dirty: "Unsaved changes.",
+  willRemove: "Saving an empty text removes checks.yaml.",
+  changedMeanwhile: "Someone else has saved another version. Discard your changes to load it.",
+  at: (line: number, column: number) => `Line ${line}, column ${column}:`,
+  goTo: "Go to the line",
+  history: "Versions",
+  current: "Current",
+  removal: "Removed",
+  againstCurrent: "Compare with the current version",
+  restore: "Edit this version",
+  noDifferences: "No differences.",
+  differences: "Differences",
+  skipped: (count: number) => counted(count, "unchanged line"),
+  kinds: { same: "Unchanged:", added: "Added:", removed: "Removed:" },
+  more: "Show more",
+} as const;
+
+export const projectTexts = {
+  parts: { label: "Views of the checks", missions: "Missions", rules: "Rules", actions: "Actions" },
+} as const;

@@ -1,8 +1,10 @@
 import { describe, expect, it } from "vitest";
 import { canBeAccepted, categories, failedCount, filtered, keyOf, measured, notesOf } from "./checks";
 import { diffLines, folded } from "./diff";
+import { positionOf, textErrorOf } from "./rules";
 import { barsOf, cellAfter, columnsOf, MAX_BARS, worstOf } from "./matrix";
 import type { Check, MatrixRow, Note } from "./queries";
+import { Problem } from "@/api/problem";
 import { countsText } from "@/texts/checks";
 
 function check(name: string, status: Check["status"], more: Partial<Check> = {}): Check {
@@ -40,7 +42,7 @@ describe("checks of a mission", () => {
     expect(keyOf(rate)).toBe(keyOf({ ...rate, status: "ok", message: "made again" }));
   });
   it("have the notes on their topic, and those on all topics", () => {
-    const note = (id: string, name: string, topic: string | null) => ({ id, check: name, topic, text: id, created_at: "", created_by: { id: "", name: "" } }) as Note;
+    const note = (id: string, name: string, topic: string | null) => ({ id, check: name, topic, text: id, created_at: "", created_by: { id: "", name: "" } }) satisfies Note;
     const notes = [note("one", "topic.rate", "/imu"), note("all", "topic.rate", null), note("other", "topic.rate", "/lidar"), note("gap", "topic.gap", "/imu")];
     expect(notesOf(rate, notes).map(({ id }) => id)).toEqual(["one", "all"]);
   });
@@ -138,5 +140,22 @@ describe("differences between two texts", () => {
     const before = Array.from({ length: 20 }, (_, at) => String(at)).join("\n");
     const lines = folded(diffLines(before, before.replace("10", "ten")), 2);
     expect(lines.map((line) => (line.kind === "skipped" ? `${line.count} skipped` : line.text))).toEqual(["8 skipped", "8", "9", "10", "ten", "11", "12", "7 skipped"]);
+  });
+});
+
+describe("the text of a checks.yaml", () => {
+  it("has its error at a line and column", () => {
+    const problem = new Problem("yaml_invalid", 422, "", "", null, { line: 3, column: 5, reason: "unknown key" });
+    expect(textErrorOf(problem)).toEqual({ line: 3, column: 5, reason: "unknown key" });
+    expect(textErrorOf(new Problem("forbidden", 403, "", ""))).toBeNull();
+    expect(textErrorOf(new Problem("yaml_invalid", 422, "", ""))).toBeNull();
+    expect(textErrorOf(null)).toBeNull();
+  });
+  it("is entered at that position, which may be beyond its end, and after characters of two units", () => {
+    expect(positionOf("a\nbcd\ne", 2, 3)).toBe(4);
+    expect(positionOf("a\nbcd\ne", 2, 99)).toBe(5);
+    expect(positionOf("a\nb", 99, 1)).toBe(2);
+    expect(positionOf("\u{1F916}x", 1, 2)).toBe(2);
+    expect(positionOf("", 1, 1)).toBe(0);
   });
 });
