@@ -1,6 +1,7 @@
 """`klein inspect` and `klein sample`: local recordings, without a server."""
 
 import contextlib
+import enum
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,6 +26,13 @@ _CONTENTS = {
     Content.opaque: "not a recording",
     Content.error: "could not be read",
 }
+
+
+class Rig(str, enum.Enum):
+    """A robot whose sample missions can be made."""
+
+    vehicle = "vehicle"
+    legged = "legged"
 
 
 @contextlib.contextmanager
@@ -150,23 +158,56 @@ def _lost(summary: RecordingSummary) -> str | None:
 
 def sample(
     directory: Annotated[Path, argument("DIR", "Folder to create the files in.")],
-    size_: Annotated[str, option("--size", "SIZE", "Set the size of all files together.")] = "50MB",
+    size_: Annotated[str, option("--size", "SIZE", "Set the size of all files of the vehicle together.")] = "50MB",
+    duration_s: Annotated[
+        float | None, option("--duration", "SECONDS", "Set how long the robot drives or walks.", min=0.1)
+    ] = None,
     seed: Annotated[int, option("--seed", None, "Set the seed. The same seed gives the same bytes.")] = 1,
     formats: Annotated[Many, option("--format", None, "Create mcap, bag or db3 files; repeatable.")] = None,
+    rig: Annotated[
+        Rig, option("--rig", None, "Choose a small vehicle, or a legged robot with four computers.")
+    ] = Rig.vehicle,
+    defects: Annotated[Many, option("--defect", "NAME", "Add this defect; repeatable.")] = None,
     drop_topic: Annotated[Text, option("--drop-topic", None, "Omit this topic.")] = None,
     truncate: Annotated[
         float | None, option("--truncate", None, "Truncate each file to this fraction of it.", min=0.01, max=0.99)
     ] = None,
 ) -> Output:
-    """Create a sample mission of a small vehicle: camera, lidar, IMU, GPS, odometry and transforms."""
-    from kleinkram.recordings.sample import Faults, SampleFormat, generate_mission
+    """Create a sample mission of a small vehicle or a legged robot, with the defects that you choose.
+
+    The vehicle has a camera, a lidar, an IMU, GPS, odometry and transforms. The legged robot has twelve cameras, two
+    lidars, five IMUs, GNSS, joints and a battery; each of its four computers records one file (--format, mcap by
+    default).
+
+    Defects: gap wrong-rate dropped-topic wrong-type repeated-static silent-start silent-end clock-jump stamp-offset
+    stamp-drift stamp-jump black-camera overexposed-camera frozen-camera blurred-camera tilted-gravity wrong-gravity
+    saturated-imu constant-imu no-fix position-jump empty-clouds far-points disconnected-tf odometry-jump nan truncated.
+    Of the legged robot only: stuck-value value-range low-battery missing-computer late-computer early-end
+    empty-recording recorder-offset missing-file.
+    """
+    from kleinkram.recordings.sample import Defect, Faults, SampleFormat, generate_mission, generate_rig
 
     what = f"The folder {str(directory)!r}"
     size_bytes = parse_size(size_)
-    faults = Faults(dropped_topic=drop_topic, truncate_to=truncate)
     try:
         kinds = [SampleFormat(name) for name in formats] if formats else [*SampleFormat]
-        truth = generate_mission(directory, size_bytes=size_bytes, seed=seed, formats=kinds, faults=faults)
+        faults = Faults(
+            dropped_topic=drop_topic, truncate_to=truncate, defects=frozenset(Defect(name) for name in defects or ())
+        )
+        if rig is Rig.vehicle:
+            truth = generate_mission(
+                directory,
+                size_bytes=None if duration_s else size_bytes,
+                duration_s=duration_s,
+                seed=seed,
+                formats=kinds,
+                faults=faults,
+            )
+        elif formats and len(kinds) > 1:
+            raise ValueError("a legged robot records in one format")
+        else:
+            kind = kinds[0] if formats else SampleFormat.mcap
+            truth = generate_rig(directory, duration_s=duration_s or 10, seed=seed, kind=kind, faults=faults)
     except FileExistsError as error:
         raise InvalidInput(what=what, reason=str(error)) from None
     except ValueError as error:

@@ -189,7 +189,7 @@ def test_pictures_can_be_decoded(tmp_path: Path) -> None:
         ]
     bright = [tiles_of(picture) for picture in pictures]
     assert len(bright) == 10
-    assert all(len(tiles) == 80 * 60 and max(tiles) == 235 for tiles in bright)
+    assert all(len(tiles) == 80 * 60 and max(tiles) > 190 and min(tiles) < 60 for tiles in bright)
     assert len(pictures[0]) == pytest.approx(80_000, rel=0.01)
 
 

@@ -45,6 +45,7 @@ from kleinkram.server.db import among, by_name
 from kleinkram.server.filters.files import metadata_key
 from kleinkram.server.filters.missions import filter_missions, filter_missions_by_files
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
+from kleinkram.server.filters.verdicts import join_checks, shown_counts, shown_verdict
 from kleinkram.server.pagination import Order, PagedQuery
 from kleinkram.server.tables import blob, file, mission, person, project, recording
 
@@ -63,8 +64,10 @@ def mission_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
         start_ns.label("shown_start_ns"),
         end_ns.label("shown_end_ns"),
         mission_totals(actor).label("totals"),
+        shown_verdict(actor).label("verdict"),
+        shown_counts(actor).label("checks"),
     )
-    return stmt.add_columns(*extra).join(person, person.c.id == mission.c.created_by_id)
+    return join_checks(stmt).add_columns(*extra).join(person, person.c.id == mission.c.created_by_id)
 
 
 def to_missions(rows: Sequence[Row[Any]]) -> list[MissionRead]:
@@ -94,7 +97,7 @@ def mission_ref(mission_id: uuid.UUID, name: str, project_id: uuid.UUID, project
 
 # Content too expensive to summarise is read by the verification; damaged bytes are never read.
 _UNREAD = blob.c.summarised_at.is_(None) | (blob.c.content == ContentState.pending.value)
-_PENDING = blob.c.summarised_at.is_(None) | (
+AWAITS_READING = blob.c.summarised_at.is_(None) | (
     (blob.c.content == ContentState.pending.value) & (blob.c.state == BlobState.stored.value)
 )
 _STORED = ("file_count", "size_bytes", "message_count", "unread_count")
@@ -122,7 +125,12 @@ def _stored_or_added_totals() -> ColumnElement[Any]:
 
 
 def _added_totals(shown: ColumnElement[bool]) -> ColumnElement[Any]:
-    numbers = (func.count(), func.sum(blob.c.size_bytes), func.sum(blob.c.message_count), func.count().filter(_PENDING))
+    numbers = (
+        func.count(),
+        func.sum(blob.c.size_bytes),
+        func.sum(blob.c.message_count),
+        func.count().filter(AWAITS_READING),
+    )
     return _of_files(shown, _as_integers(*numbers))
 
 

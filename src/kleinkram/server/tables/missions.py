@@ -25,6 +25,8 @@ project = sa.Table(
     # Null for no quota.
     sa.Column("quota_bytes", sa.BigInteger),
     sa.Column("quota_files", sa.BigInteger),
+    # The version of its `checks.yaml` that applies; 0 for none.
+    sa.Column("checks_number", sa.Integer, nullable=False, server_default="0"),
     created_at_column(),
     sa.Column("created_by_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False),
     sa.Column("deleted_at", sa.DateTime(timezone=True)),
