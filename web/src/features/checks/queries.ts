@@ -6,7 +6,7 @@ import { keys, useList } from "@/api/queries";
 import type { components } from "@/api/schema";
 
 type Schemas = components["schemas"];
-export type Check = Schemas["CheckRead"];
+export type Check = Schemas["MissionCheck"];
 export type MissionChecks = Schemas["MissionChecksRead"];
 export type Acceptance = Schemas["CheckAcceptanceRead"];
 export type Note = Schemas["CheckNoteRead"];

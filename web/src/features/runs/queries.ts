@@ -9,7 +9,7 @@ import type { Artifact, RunState } from "@/api/types";
 type Schemas = components["schemas"];
 export type RunQuery = NonNullable<operations["list_runs"]["parameters"]["query"]>;
 export type Finding = Schemas["FindingRead"];
-export type RunCheck = Schemas["RunCheckRead"];
+export type RunCheck = Schemas["CheckRead"];
 export type Metric = Schemas["MetricRead"];
 export type Input = Schemas["RunInput"];
 export type Preview = Schemas["Preview"];
