@@ -117,7 +117,7 @@ def test_a_link_to_one_file_shows_no_checks(api: Api, bad_id: str) -> None:
     assert whole.get(f"/missions/{bad_id}/checks").ok()["verdict"] == "bad"
 
 
-def test_a_report_of_an_uploader_adds_what_only_the_content_tells(api: Api) -> None:
+def test_a_report_of_an_uploader_adds_the_checks_of_content(api: Api) -> None:
     mission_id = judged_mission(api, checked_project(api, _IMAGES), *GOOD)
     assert verdict(api, mission_id) == "good"
     assert api.get(f"/missions/{mission_id}").ok()["checks"]["needs_content"] > 0

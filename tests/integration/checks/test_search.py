@@ -25,7 +25,7 @@ def _missions(api: Api) -> dict[str, str]:
     return missions
 
 
-def _found(api: Api, missions: dict[str, str], query: str) -> set[str]:
+def _names_matching(api: Api, missions: dict[str, str], query: str) -> set[str]:
     names = {mission_id: name for name, mission_id in missions.items()}
     within = [("sort", "name"), ("limit", "500")]
     items = api.get("/missions", [("query", query), *within]).ok()["items"]
@@ -53,13 +53,13 @@ def _found(api: Api, missions: dict[str, str], query: str) -> set[str]:
 def test_missions_and_files_are_found_by_verdict_and_check(
     api: Api, missions: dict[str, str], query: str, expected: set[str]
 ) -> None:
-    assert _found(api, missions, query) == expected
+    assert _names_matching(api, missions, query) == expected
     assert api.get("/search", {"query": query}).ok()["query"] == query.replace("BAD", "bad")
 
 
 def test_unchecked_missions_are_found_too(api: Api, missions: dict[str, str]) -> None:
-    found = _found(api, missions, "verdict:unchecked topic:/imu")
-    assert found == {"unchecked"}
+    names = _names_matching(api, missions, "verdict:unchecked topic:/imu")
+    assert names == {"unchecked"}
 
 
 def _run(api: Api, mission_id: str, finding: str, metric: float, *, name: str = "slam") -> str:
@@ -76,12 +76,12 @@ def _run(api: Api, mission_id: str, finding: str, metric: float, *, name: str = 
 def test_missions_are_found_by_the_latest_results_of_runs(api: Api, missions: dict[str, str]) -> None:
     _run(api, missions["good"], "clock.jump", 0.9)
     _run(api, missions["bad"], "clock.jump", 0.9)
-    assert _found(api, missions, "finding:clock.*") == {"good", "bad"}
+    assert _names_matching(api, missions, "finding:clock.*") == {"good", "bad"}
     _run(api, missions["good"], "none", 0.1)
-    assert _found(api, missions, "finding:clock.*") == {"bad"}
-    assert _found(api, missions, "metric.ate_rmse>0.5") == {"bad"}
-    assert _found(api, missions, "metric.ate_rmse<=0.1") == {"good"}
-    assert _found(api, missions, "metric.ate_rmse:0.9 verdict:bad") == {"bad"}
+    assert _names_matching(api, missions, "finding:clock.*") == {"bad"}
+    assert _names_matching(api, missions, "metric.ate_rmse>0.5") == {"bad"}
+    assert _names_matching(api, missions, "metric.ate_rmse<=0.1") == {"good"}
+    assert _names_matching(api, missions, "metric.ate_rmse:0.9 verdict:bad") == {"bad"}
     assert api.get("/search", {"query": "metric.ate_rmse>0.5"}).ok()["query"] == "metric.ate_rmse>0.5"
 
 
