@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     AnyPath = str | os.PathLike[str]
 
     from kleinkram.client.actions import Actions, ProjectActions
+    from kleinkram.client.actions import Actions
+    from kleinkram.client.checks import Checks
     from kleinkram.client.files import Files, Recordings, Uploads
     from kleinkram.client.missions import Missions, Projects
     from kleinkram.client.people import Access, Groups, People
@@ -63,6 +65,7 @@ class Client:
     files: "Files"
     recordings: "Recordings"
     uploads: "Uploads"
+    checks: "Checks"
     actions: "Actions"
     project_actions: "ProjectActions"
     runs: "Runs"
