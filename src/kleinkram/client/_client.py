@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     AnyPath = str | os.PathLike[str]
 
     from kleinkram.client.actions import Actions, ProjectActions
-    from kleinkram.client.actions import Actions
     from kleinkram.client.checks import Checks
     from kleinkram.client.files import Files, Recordings, Uploads
     from kleinkram.client.missions import Missions, Projects

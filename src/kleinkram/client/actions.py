@@ -126,7 +126,7 @@ class ProjectActions(ApiResource):
 
     def list(self, project: Ref) -> list[ProjectActionRead]:
         """Return the actions that a project names, by name."""
-        return [*self._api.get(self._path(project), contract.ProjectActions).items]
+        return [*self._api.get(self._path(project), contract.ProjectActionList).items]
 
     def add(
         self,
@@ -142,8 +142,7 @@ class ProjectActions(ApiResource):
         It acts for you, with your rights at that time.
         """
         project_id = Projects(self._api).id_of(project)
-        found = Actions(self._api)
-        action_id = known_id(action, "action") or found.get(action, project=project_id).id
+        action_id = known_id(action, "action") or Actions(self._api).get(action, project=project_id).id
         fields = {"action_id": action_id, "on": on, "idle_s": idle_s, "parameters": parameters or {}}
         body = checked(ProjectActionAdd, "The action", **fields)
         return self._api.send("POST", self._path(project_id), ProjectActionRead, body)

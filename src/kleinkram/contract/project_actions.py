@@ -57,7 +57,7 @@ class ProjectActionRead(Response):
     problem_count: int
 
 
-class ProjectActions(Response):
+class ProjectActionList(Response):
     """The actions that a project names, by name."""
 
     items: list[ProjectActionRead]

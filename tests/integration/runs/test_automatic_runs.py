@@ -38,7 +38,7 @@ def runs(lab: Api, mission: Any) -> list[Any]:
     return lab.all("/runs", {"mission_id": mission["id"]})
 
 
-def sweep(lab: Api) -> None:
+def maintain(lab: Api) -> None:
     """Do what the maintenance does each minute, and all jobs."""
     run_jobs(lab)
     on_site(lab, maintain_runs)
@@ -51,7 +51,7 @@ def test_an_action_runs_once_when_a_mission_is_complete(lab: Api, runner: FakeRu
     added = add(lab, place.project, action)
     assert (added["on"], added["idle_s"], added["action"]["version"]) == ("complete", None, 1)
     assert lab.get(f"/projects/{place.project['id']}/actions").ok()["items"] == [added]
-    sweep(lab)
+    maintain(lab)
     assert runs(lab, place.mission) == [], "it is not complete"
     complete(lab, place.mission)
     run_jobs(lab)
@@ -61,10 +61,10 @@ def test_an_action_runs_once_when_a_mission_is_complete(lab: Api, runner: FakeRu
         "queued",
         added["added_by"]["name"],
     )
-    sweep(lab)
+    maintain(lab)
     complete(lab, place.mission, False)
     complete(lab, place.mission)
-    sweep(lab)
+    maintain(lab)
     assert [run["id"] for run in runs(lab, place.mission)] == [made["id"]], "the same files, the same version"
     upload(lab, place.mission["id"], "more.bin", b"more")
     run_jobs(lab)
@@ -78,7 +78,7 @@ def test_a_new_version_runs_on_demand_only(lab: Api, runner: FakeRunner, place: 
     run_jobs(lab)
     changed = action["latest"]["definition"] | {"description": "better"}
     lab.post(f"/actions/{action['id']}/versions", {"definition": changed}).ok(201)
-    sweep(lab)
+    maintain(lab)
     assert [run["action"]["version"] for run in runs(lab, place.mission)] == [1]
 
 
@@ -86,7 +86,7 @@ def test_missions_that_were_complete_before_are_left_alone(lab: Api, runner: Fak
     complete(lab, place.mission)
     run_jobs(lab)
     add(lab, place.project, publish(lab, runner, place.project))
-    sweep(lab)
+    maintain(lab)
     assert runs(lab, place.mission) == []
 
 
@@ -95,13 +95,13 @@ def test_an_action_runs_once_files_are_idle(lab: Api, runner: FakeRunner, place:
     mission = lab.mission(place.project["id"])
     upload(lab, mission["id"], "a.bin", uuid.uuid4().bytes)
     run_jobs(lab)
-    sweep(lab)
+    maintain(lab)
     assert runs(lab, mission) == []
     later = "UPDATE file SET created_at = created_at - interval '61 seconds' WHERE mission_id = %s"
     lab.sql(later, uuid.UUID(mission["id"]))
     lab.sql("UPDATE project_action SET created_at = created_at - interval '90 seconds'")
-    sweep(lab)
-    sweep(lab)
+    maintain(lab)
+    maintain(lab)
     assert len(runs(lab, mission)) == 1
     assert runs(lab, place.mission) == []
 
@@ -117,7 +117,7 @@ def test_what_a_run_put_back_starts_nothing(lab: Api, runner: FakeRunner, place:
     runner.upload_artifact(claim, "clean.bin", b"cleaned")
     runner.finish(claim, report={"mission_files": [{"path": "clean.bin", "to": "clean/drive.bin"}]}).ok()
     run_jobs(lab)
-    sweep(lab)
+    maintain(lab)
     assert len(runs(lab, place.mission)) == 1
     assert len(lab.all("/files", {"mission_id": place.mission["id"]})) == 3
 
@@ -141,7 +141,7 @@ def test_it_acts_for_who_added_it_and_says_so_once_they_may_not(lab: Api, runner
     assert listed["problem"].startswith(f"{added['added_by']['name']}, who added {action['name']}, may not run it here")
     people.grant(lab, member, Right.write, project_id=place.project["id"])
     lab.sql("UPDATE project_action_mission SET retry_at = now()")
-    sweep(lab)
+    maintain(lab)
     (made,) = runs(lab, place.mission)
     assert made["cause"]["person"]["id"] == member.id
     assert lab.get(f"/projects/{place.project['id']}/actions").ok()["items"][0]["problem"] is None
@@ -193,7 +193,7 @@ def test_a_removed_action_runs_no_more(lab: Api, runner: FakeRunner, place: Plac
     add(lab, place.project, action)
     lab.delete(f"/projects/{place.project['id']}/actions/{action['id']}").ok(204)
     complete(lab, place.mission)
-    sweep(lab)
+    maintain(lab)
     assert runs(lab, place.mission) == []
     operations = [event["operation"] for event in lab.events(place.project["id"])]
     assert operations[:2] == ["project.remove_action", "project.add_action"]

@@ -29,13 +29,13 @@ def test_the_latest_result_on_the_present_files_makes_the_verdict(lab: Api, runn
     action = publish(lab, runner, place.project)
     assert verdict(lab, place.mission) == ("unchecked", {})
     add(lab, place.project, action)
-    assert verdict(lab, place.mission) == ("unchecked", {"run.missing": "needs_content"})
+    assert verdict(lab, place.mission) == ("unchecked", {"results.missing": "needs_content"})
     complete(lab, place.mission)
     assert verdict(lab, place.mission) == ("running", {})
     finish(runner, checks=[GRAVITY], findings=[GAP, GAP | {"severity": "info", "code": "note"}])
     assert verdict(lab, place.mission) == (
         "bad",
-        {"topic.gap": "error", "imu.gravity": "warning", "run.done": "ok"},
+        {"topic.gap": "error", "imu.gravity": "warning", "results.verdict": "ok"},
     )
     (check,) = [
         check
@@ -54,11 +54,11 @@ def test_the_latest_result_on_the_present_files_makes_the_verdict(lab: Api, runn
     lab.post("/runs", body).ok()
     assert verdict(lab, place.mission)[0] == "running"
     finish(runner)
-    assert verdict(lab, place.mission) == ("good", {"run.done": "ok"})
+    assert verdict(lab, place.mission) == ("good", {"results.verdict": "ok"})
 
     lab.post("/runs", body | {"force": True}).ok()
     finish(runner, "exit_code")
-    assert verdict(lab, place.mission) == ("warnings", {"run.failed": "not_made"})
+    assert verdict(lab, place.mission) == ("warnings", {"results.failed": "not_made"})
 
     complete(lab, place.mission, False)
     upload(lab, place.mission["id"], "more.bin", b"more")
@@ -73,7 +73,7 @@ def test_the_reported_verdict_counts_without_checks(lab: Api, runner: FakeRunner
     complete(lab, place.mission)
     run_jobs(lab)
     finish(runner, verdict="bad")
-    assert verdict(lab, place.mission) == ("bad", {"run.done": "error"})
+    assert verdict(lab, place.mission) == ("bad", {"results.verdict": "error"})
 
 
 def test_an_action_without_inputs_in_a_mission_is_left_out(lab: Api, runner: FakeRunner, place: Place) -> None:

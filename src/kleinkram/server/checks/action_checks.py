@@ -13,23 +13,23 @@ _VERDICTS = {Verdict.warnings: CheckStatus.warning, Verdict.bad: CheckStatus.err
 def checks_of_result(result: ActionResult, is_complete: bool) -> Iterator[MissionCheck]:
     """Yield the checks that an action reported, its warnings and errors as checks named by their codes, and its end.
 
-    `run.missing`: it has not run, which counts only once the mission is complete. `run.failed`: it could not judge the
-    mission. `run.done`: it ended well, with what it concludes beyond its checks and findings.
+    `results.missing`: it has not run, which counts only once the mission is complete. `results.failed`: it could not judge the
+    mission. `results.verdict`: it ended well, with what it concludes beyond its checks and findings.
     """
     name = f"{result.name}@{result.version}"
     if result.state is ResultState.missing:
         status = CheckStatus.not_made if is_complete else CheckStatus.needs_content
-        yield _check(result, "run.missing", status, f"{name} has not run on these files")
+        yield _check(result, "results.missing", status, f"{name} has not run on these files")
     elif result.state is ResultState.failed:
-        yield _check(result, "run.failed", CheckStatus.not_made, f"{name} failed: {result.message}"[:2000])
+        yield _check(result, "results.failed", CheckStatus.not_made, f"{name} failed: {result.message}"[:2000])
     elif result.state is ResultState.done:
         worst = {check.status for check in result.checks} | {_STATUSES[entry.severity] for entry in result.findings}
         status = _VERDICTS.get(result.verdict or Verdict.good, CheckStatus.ok)
-        # What is said by a check or a finding is not said twice.
-        is_said = status in worst or (status is CheckStatus.warning and bool(worst & {CheckStatus.not_made}))
-        end = CheckStatus.ok if is_said else status
-        said = "" if end is CheckStatus.ok or result.verdict is None else f", and says: {result.verdict.value}"
-        yield _check(result, "run.done", end, f"{name} ended{said}")
+        # What a check or a finding reports is not repeated.
+        is_reported = status in worst or (status is CheckStatus.warning and bool(worst & {CheckStatus.not_made}))
+        end = CheckStatus.ok if is_reported else status
+        conclusion = "" if end is CheckStatus.ok or result.verdict is None else f", and says: {result.verdict.value}"
+        yield _check(result, "results.verdict", end, f"{name} ended{conclusion}")
         for check in result.checks:
             yield _of_run(result, check)
         for finding in result.findings:

@@ -13,8 +13,8 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.contract.project_actions import (
     DEFAULT_IDLE_S,
     ProjectActionAdd,
+    ProjectActionList,
     ProjectActionRead,
-    ProjectActions,
     RunTrigger,
 )
 from kleinkram.contract.runs import ActionRef
@@ -27,7 +27,7 @@ from kleinkram.server.missions.rejudge import judge_project_again
 from kleinkram.server.tables import action, action_version, person, project, project_action, project_action_mission
 
 
-async def list_project_actions(db: Connection, actor: Actor, *, project_id: uuid.UUID) -> ProjectActions:
+async def list_project_actions(db: Connection, actor: Actor, *, project_id: uuid.UUID) -> ProjectActionList:
     """Return the actions that a project names, by name.
 
     Raises:
@@ -35,7 +35,7 @@ async def list_project_actions(db: Connection, actor: Actor, *, project_id: uuid
     """
     await require_project(db, actor, "list_project_actions", project_id)
     rows = await db.execute(_rows(project_id).order_by(action.c.name, action.c.id))
-    return ProjectActions(items=[_to_read(row) for row in rows])
+    return ProjectActionList(items=[_to_read(row) for row in rows])
 
 
 async def add_project_action(
@@ -68,7 +68,8 @@ async def add_project_action(
     added = _to_read((await db.execute(_rows(project_id, requested.action_id))).one())
     await judge_project_again(db, project_id)
     after: Metadata = {"action": name, "on": requested.on.value}
-    await _record(db, actor, "project.add_action", project_id, after=after)
+    name = await _name_of(db, project_id)
+    await audit(db, actor, Event("project.add_action", "project", project_id, name, project_id, after=after))
     return added
 
 
@@ -87,26 +88,19 @@ async def remove_project_action(db: Connection, actor: Actor, *, project_id: uui
     await db.execute(delete(project_action).where(*own))
     await judge_project_again(db, project_id)
     before: Metadata = {"action": row.name, "on": row.trigger}
-    await _record(db, actor, "project.remove_action", project_id, before=before)
+    name = await _name_of(db, project_id)
+    await audit(db, actor, Event("project.remove_action", "project", project_id, name, project_id, before))
 
 
-async def _record(
-    db: Connection,
-    actor: Actor,
-    operation: str,
-    project_id: uuid.UUID,
-    *,
-    before: Metadata | None = None,
-    after: Metadata | None = None,
-) -> None:
-    name = (await db.execute(select(project.c.name).where(project.c.id == project_id))).scalar_one()
-    await audit(db, actor, Event(operation, "project", project_id, name, project_id, before or {}, after or {}))
+async def _name_of(db: Connection, project_id: uuid.UUID) -> str:
+    name: str = (await db.execute(select(project.c.name).where(project.c.id == project_id))).scalar_one()
+    return name
 
 
 async def _project_of(db: Connection, action_id: uuid.UUID) -> uuid.UUID | None:
     of_action = select(action.c.project_id).where(action.c.id == action_id)
-    found: uuid.UUID | None = (await db.execute(of_action)).scalar_one()
-    return found
+    project_id: uuid.UUID | None = (await db.execute(of_action)).scalar_one()
+    return project_id
 
 
 def _rows(project_id: uuid.UUID, action_id: uuid.UUID | None = None) -> Select[Any]:

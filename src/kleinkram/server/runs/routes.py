@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kleinkram.contract import runs
 from kleinkram.contract.base import Page
-from kleinkram.contract.project_actions import ProjectActionAdd, ProjectActionRead, ProjectActions
+from kleinkram.contract.project_actions import ProjectActionAdd, ProjectActionList, ProjectActionRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
 from kleinkram.server.pagination import CountedPageQuery, PageQuery
 from kleinkram.server.runs import launch, lifecycle, logs, project_actions, service
@@ -72,7 +72,7 @@ async def retry_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor, for
 
 
 @router.get("/projects/{project_id}/actions", operation_id="list_project_actions")
-async def list_project_actions(project_id: uuid.UUID, db: Reading, actor: CurrentActor) -> ProjectActions:
+async def list_project_actions(project_id: uuid.UUID, db: Reading, actor: CurrentActor) -> ProjectActionList:
     """List the actions that a project names: they run by themselves, and count for its verdicts."""
     return await project_actions.list_project_actions(db, actor, project_id=project_id)
 
