@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     AnyPath = str | os.PathLike[str]
 
     from kleinkram.client.actions import Actions
+    from kleinkram.client.checks import Checks
     from kleinkram.client.files import Files, Recordings, Uploads
     from kleinkram.client.missions import Missions, Projects
     from kleinkram.client.people import Access, Groups, People
@@ -63,6 +64,7 @@ class Client:
     recordings: "Recordings"
     uploads: "Uploads"
     actions: "Actions"
+    checks: "Checks"
     runs: "Runs"
     runners: "Runners"
     access: "Access"
