@@ -2810,6 +2810,7 @@ export interface components {
             image?: string | null;
             /**
              * @default {
+             *       "derived": false,
              *       "message_types": [],
              *       "paths": [],
              *       "topics": []
@@ -4098,7 +4099,8 @@ export interface components {
          *
          *     `sha256` is as reported by the uploader until `state` is `verified`; `md5` is null until then. `summarised_at` and
          *     `depth` are null until the server has read the content. `damaged_at` is when the file was found to be lost or
-         *     corrupt, `state_reason` how. `etag` covers the path and the labels.
+         *     corrupt, `state_reason` how. `origin` is upload, link (to stored bytes), or run: a file that a run made is derived,
+         *     and in no sum of what was recorded. `etag` covers the path and the labels.
          */
         FileRead: {
             /** Compression */
@@ -4482,8 +4484,15 @@ export interface components {
         /**
          * Inputs
          * @description The input files of an action: those that match all three lists of globs; an empty list matches all.
+         *
+         *     Files that runs made are inputs only with `derived`.
          */
         Inputs: {
+            /**
+             * Derived
+             * @default false
+             */
+            derived: boolean;
             /**
              * Message Types
              * @default []
@@ -5902,7 +5911,7 @@ export interface components {
          * @description A recording of one or more files. `missing` are files that its metadata lists and the mission does not have.
          *
          *     `content` is of all files together: `recovered` if only a part can be read. `problems` are those of the recording;
-         *     each file has its own.
+         *     each file has its own. `is_derived`: runs made its files, so it is in no sum of what was recorded.
          */
         RecordingRead: {
             content: components["schemas"]["ContentState"];
@@ -5917,6 +5926,11 @@ export interface components {
              * Format: uuid
              */
             id: string;
+            /**
+             * Is Derived
+             * @default false
+             */
+            is_derived: boolean;
             /** Kind */
             kind: string;
             lost: components["schemas"]["FileLoss"] | null;
@@ -12396,6 +12410,7 @@ export interface operations {
             query?: {
                 by?: string;
                 content?: components["schemas"]["ContentState"][];
+                derived?: boolean;
                 format?: string[];
                 label?: string[];
                 max_duration_ns?: number | null;

@@ -167,10 +167,15 @@ recording = sa.Table(
     sa.Column("content", sa.Text, nullable=False, server_default=ContentState.pending.value),
     sa.Column("content_reason", sa.Text),
     sa.Column("lost", JSONB(none_as_null=True)),
-    sa.UniqueConstraint("mission_id", "name", "kind"),
+    # Made of files that runs made; not part of the mission's span and sums.
+    sa.Column("is_derived", sa.Boolean, nullable=False, server_default=sa.text("false")),
+    sa.UniqueConstraint("mission_id", "name", "kind", "is_derived"),
     one_of("content", ContentState),
     sa.CheckConstraint("start_ns <= end_ns", name="span"),
 )
+
+DERIVED_ORIGIN = "run"
+"""Of a `file` that a run made from others of its mission. It is in no sum of what was recorded."""
 
 file = sa.Table(
     "file",
