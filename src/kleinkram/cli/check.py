@@ -1,7 +1,5 @@
 """`klein check` and `klein checks …`: the rules of `checks.yaml`, applied to local recordings without a server."""
 
-import difflib
-import itertools
 import json
 import os
 import shutil
@@ -383,7 +381,7 @@ def get(
 ) -> Output:
     """Print the checks of a project, or write them to a file, such as on a robot."""
     target = client.projects.get(project)
-    checks = client.checks.get(target.id, number=number)
+    checks = client.checks.get(target.id) if number is None else client.checks.version(target.id, number)
     if not checks.text:
         raise NothingToDo(reason=f"The project {target.name} has no checks; `klein checks set` sets them")
     if output is None:
@@ -413,25 +411,22 @@ def diff(
 ) -> Output:
     """Show how a file differs from the checks of a project: what `klein checks set` would change."""
     target = client.projects.get(project)
-    old, text = client.checks.get(target.id, number=number), options.read_text(file) or ""
-    names = f"{target.name} (number {old.number})", str(file)
-    lines = [*difflib.unified_diff(old.text.splitlines(), text.splitlines(), *names, lineterm="")]
+    difference = client.checks.diff(target.id, options.read_text(file) or "", number=number)
 
     def show() -> None:
-        for text in lines:
+        for text in difference.splitlines():
             line(text)
-        if not lines:
+        if not difference:
             note(f"{file} does not differ from the checks of {target.name}.")
 
-    return Output({"number": old.number, "differs": old.text != text, "diff": "\n".join(lines)}, show)
+    return Output({"differs": bool(difference), "diff": difference}, show)
 
 
 @app.command("history")
 def history(client: Client, project: _Project, limit: options.Limit = None) -> Output:
     """List the versions of a project's checks, latest first."""
-    versions = itertools.islice(client.checks.history(project), limit)
     return as_table(
-        versions,
+        client.checks.history(project, limit=limit),
         ["number", "set at", "by", "removed", "sha256"],
         lambda row: (row.number, row.created_at, row.created_by.name, row.is_removal or None, row.sha256[:12]),
     )

@@ -1,5 +1,6 @@
 """The checks of `klein upload --check`: made before anything is sent, and stored with the mission afterwards."""
 
+import hashlib
 import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from kleinkram.cli.render import note
 from kleinkram.client import Client
 from kleinkram.client.errors import MissionNotGood, NothingToDo
 from kleinkram.client.transfer import TransferReport, UploadPlan
-from kleinkram.contract.checks import CheckDepth, Verdict
+from kleinkram.contract.checks import CheckDepth, CheckReportCreate, Verdict
 from kleinkram.contract.missions import MissionRead
 
 
@@ -82,7 +83,11 @@ class CheckedUpload:
         if not files or len(files) < len(paths) or not self.results.checks:
             note("The outcome of the checks was not stored, because not all checked recordings were uploaded.")
             return
-        client.checks.report(
-            mission_id, self.results.checks, depth=self.results.depth, rules=self.rules.text, files=files
+        outcome = CheckReportCreate(
+            checks=[*self.results.checks],
+            depth=self.results.depth,
+            document_sha256=hashlib.sha256(self.rules.text.encode()).hexdigest(),
+            files=files,
         )
+        client.checks.report(mission_id, outcome)
         note("Stored the outcome of the checks with the mission.")

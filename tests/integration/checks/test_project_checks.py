@@ -183,9 +183,14 @@ def _server_facts(api: Api, mission_id: str) -> MissionFacts:
 
 
 def _comparable(facts: MissionFacts) -> MissionFacts:
-    """Return facts without what the order of rows decides."""
+    """Return facts without the order of rows, and with those problems that checks use: the server also read all bytes."""
+    used = ("clock-jump", "gaps-upper-bound")
     recordings = (
-        replace(one, paths=tuple(sorted(one.paths)), problems=tuple(sorted(set(one.problems), key=str)))
+        replace(
+            one,
+            paths=tuple(sorted(one.paths)),
+            problems=tuple(sorted({problem for problem in one.problems if problem.code in used}, key=str)),
+        )
         for one in facts.recordings
     )
     topics = (replace(one, recordings=tuple(sorted(one.recordings))) for one in facts.topics)
@@ -213,4 +218,5 @@ def test_local_files_and_a_server_give_the_same_facts(
     root = source if source.is_dir() else source.parent
     files = [*source.rglob("*")] if source.is_dir() else [source]
     local = read_mission({path.relative_to(root).as_posix(): path for path in files if path.is_file()}).facts
-    assert _comparable(_server_facts(api, mission_id)) == _comparable(local)
+    server = _server_facts(api, mission_id)
+    assert _comparable(server) == _comparable(local)
