@@ -183,7 +183,7 @@ def _server_facts(api: Api, mission_id: str) -> MissionFacts:
 
 
 def _comparable(facts: MissionFacts) -> MissionFacts:
-    """Return facts without the order of rows, and with those problems that checks use: the server also read all bytes."""
+    """Return facts without the order of rows, and only with problems that checks use: the server read all bytes."""
     used = ("clock-jump", "gaps-upper-bound")
     recordings = (
         replace(
