@@ -4,10 +4,13 @@ Only the segments (chunks) that samples need are read, each once. The memory is 
 the messages. Reading needs the extra `reading`; without it, every check is not made and says so.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import islice
+from typing import TYPE_CHECKING
 
 from kleinkram.checks.content.families import (
     PlannedRule,
@@ -19,8 +22,9 @@ from kleinkram.checks.content.families import (
 from kleinkram.checks.document import Profile
 from kleinkram.checks.outcomes import LEFT_OUT, make_check
 from kleinkram.contract.checks import MAX_CHECKS, Check, CheckStatus
-from kleinkram.recordings.decoding import ReadingExtraMissing
-from kleinkram.recordings.recording import Recording
+
+if TYPE_CHECKING:
+    from kleinkram.recordings.recording import Recording
 
 __all__ = ["OpenRecording", "TopicOfRecording", "check_content"]
 
@@ -72,6 +76,8 @@ def _made(rules: Sequence[PlannedRule], recordings: dict[str, Recording], budget
         for library in ("numpy", "PIL"):
             import_module(library)
     except ImportError as error:
+        from kleinkram.recordings.decoding import ReadingExtraMissing  # reading is not needed to list checks
+
         message = str(ReadingExtraMissing("pillow" if error.name == "PIL" else error.name or "numpy"))
         return [row for rule in rules for row in unmade_checks(rule, CheckStatus.not_made, message)]
     from kleinkram.checks.content.run import run_checks  # imports numpy

@@ -7,9 +7,21 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from kleinkram.checks.document import Profile, Rule, SampledRule
+from kleinkram.checks.document import (
+    BatteryRule,
+    ClockRule,
+    ImageRule,
+    ImuRule,
+    OdometryRule,
+    PointCloudRule,
+    PositionRule,
+    Profile,
+    Rule,
+    SampledRule,
+    TransformRule,
+    ValueRule,
+)
 from kleinkram.checks.globs import matches
-from kleinkram.checks.index_checks import content_checks_of
 from kleinkram.checks.outcomes import make_check
 from kleinkram.contract.checks import Check, CheckStatus
 
@@ -95,6 +107,40 @@ FAMILIES = (
 )
 
 
+def content_checks_of(rule: Rule) -> tuple[str, ...]:
+    """Return the names of the checks of a rule that read messages: those whose bounds are set."""
+    names: dict[str, object] = {}
+    if isinstance(rule, ClockRule):
+        names = {
+            "clock.stamp_offset": rule.max_stamp_offset,
+            "clock.stamp_drift": rule.max_stamp_drift,
+            "clock.stamp_jump": rule.max_stamp_jump,
+            "clock.recorder_offset": rule.max_recorder_offset,
+        }
+    elif isinstance(rule, ImageRule):
+        names = {"image.black": 0, "image.overexposed": 0, "image.frozen": 0, "image.blurred": rule.min_sharpness}
+    elif isinstance(rule, ImuRule):
+        limit = rule.max_acceleration or rule.max_turn_rate
+        names = {"imu.gravity": 0, "imu.tilt": rule.up, "imu.saturated": limit, "imu.constant": 0}
+    elif isinstance(rule, PointCloudRule):
+        names = {"cloud.empty": 0, "cloud.range": rule.max_range or rule.min_range or None}
+    elif isinstance(rule, ValueRule):
+        limit = rule.min if rule.max is None else rule.max
+        names = {"value.nan": 0, "value.constant": rule.varies or None, "value.range": limit}
+    elif isinstance(rule, BatteryRule):
+        names = {"battery.low": rule.min_voltage if rule.min_percentage is None else rule.min_percentage}
+    else:
+        names = dict.fromkeys(_UNBOUNDED.get(type(rule), ()), 0)
+    return tuple(name for name, bound in names.items() if bound is not None)
+
+
+_UNBOUNDED: Mapping[type[Rule], tuple[str, ...]] = {
+    PositionRule: ("position.fix", "position.jump"),
+    TransformRule: ("transform.connected",),
+    OdometryRule: ("odometry.jump",),
+}
+
+
 def planned_rules(profiles: Sequence[Profile], topics: Sequence[TopicOfRecording]) -> Iterator[PlannedRule]:
     """Yield the rules that need content, each with its topics, in the order of the document."""
     for profile in profiles:
@@ -103,7 +149,7 @@ def planned_rules(profiles: Sequence[Profile], topics: Sequence[TopicOfRecording
                 matching = [topic for topic in topics if _applies(family, pattern, topic)]
                 for rule in rules:
                     if names := content_checks_of(rule):
-                        yield PlannedRule(family, pattern, rule, tuple(names), matching)
+                        yield PlannedRule(family, pattern, rule, names, matching)
 
 
 def unmade_checks(planned: PlannedRule, status: CheckStatus, message: str, file: str | None = None) -> Iterator[Check]:
