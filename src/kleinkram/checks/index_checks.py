@@ -167,7 +167,7 @@ class _Outcomes:
         measured = Measured(span_ns / 1e9, limit_ns / 1e9, "s")
         if span_ns <= limit_ns:
             return self.ok(name, what.format(seconds(span_ns)), measured=measured)
-        value, limit = against(span_ns, limit_ns, seconds, " ns")
+        value, limit = against(span_ns, limit_ns, seconds)
         return self.fails(name, f"{what.format(value)}; allowed are {limit}", doubt, measured=measured)
 
     def coverage(self, name: str, share: float, smallest: float, what: str, doubt: str | None = None) -> Check:

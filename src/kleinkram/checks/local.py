@@ -167,7 +167,7 @@ def _file_facts(path: str, local: Path, summary: RecordingSummary) -> FileFacts:
 def _recording_facts(one: RecordingGroup, summary: RecordingSummary) -> RecordingFacts:
     return RecordingFacts(
         name=one.name,
-        paths=one.members,
+        paths=(*one.members, *([one.metadata_path] if one.metadata_path else [])),
         content=summary.content,
         reason=summary.reason,
         start_ns=summary.start_ns,

@@ -1,8 +1,8 @@
 """Outcomes of checks: rows, their order and number, and quantities as text."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from kleinkram.contract.checks import MAX_CHECKS, Check, CheckSeverity, CheckStatus
 from kleinkram.contract.names import check_file_path
@@ -117,34 +117,43 @@ def _file(path: str | None) -> str | None:
         return None
 
 
-def seconds(span_ns: float) -> str:
+def seconds(span_ns: float, digits: int = 4) -> str:
     """Return a span as text with the unit that suits it: µs, ms, s, minutes, days or years."""
     size = abs(span_ns)
     if 0 < size < 1e6:
-        return f"{span_ns / 1e3:.3g} µs"
+        return f"{span_ns / 1e3:.{digits}g} µs"
     if 0 < size < 1e9:
-        return f"{span_ns / 1e6:.3g} ms"
-    if size < 120e9:
-        return f"{span_ns / 1e9:.4g} s"
+        return f"{span_ns / 1e6:.{digits}g} ms"
+    if size < 120e9 or digits > 4:
+        return f"{span_ns / 1e9:.{digits}g} s"
     if size < 100 * 3600e9:
         minutes, rest = divmod(round(size / 1e9), 60)
         return f"{'-' if span_ns < 0 else ''}{minutes} min {rest:02d} s"
     return span_text(int(span_ns))
 
 
-def hertz(rate_hz: float) -> str:
+def hertz(rate_hz: float, digits: int = 4) -> str:
     """Return a rate as text."""
-    return f"{rate_hz:.4g} Hz"
+    return f"{rate_hz:.{digits}g} Hz"
 
 
-def percent(share: float) -> str:
+def percent(share: float, digits: int = 3) -> str:
     """Return a share from 0 to 1 as a percentage."""
-    return f"{share * 100:.3g}%"
+    return f"{share * 100:.{digits}g}%"
 
 
-def against(value: float, limit: float, text_of: Callable[[float], str], unit: str = "") -> tuple[str, str]:
-    """Return value and limit as texts that differ if the numbers do: with all digits in `unit` where they must."""
-    value_text, limit_text = text_of(value), text_of(limit)
-    if value_text != limit_text or value == limit:
-        return value_text, limit_text
-    return f"{value!r}{unit}", f"{limit!r}{unit}"
+class FormatQuantity(Protocol):
+    """Writes a number as text with about so many digits."""
+
+    def __call__(self, value: float, /, digits: int = ...) -> str:
+        """Return the text."""
+
+
+def against(value: float, limit: float, text_of: FormatQuantity) -> tuple[str, str]:
+    """Return value and limit as texts, with as many digits as it takes to see which is greater."""
+    texts = text_of(value), text_of(limit)
+    digits = 5
+    while texts[0] == texts[1] and value != limit and digits < 20:
+        texts = text_of(value, digits), text_of(limit, digits)
+        digits += 1
+    return texts
