@@ -10,7 +10,7 @@ import math
 import random
 from array import array
 from collections.abc import Iterator, Sequence
-from itertools import repeat
+from itertools import pairwise
 from operator import add, mul
 from typing import NamedTuple
 
@@ -26,12 +26,11 @@ _BUILDINGS = (
     (-34.0, -22.0, -27.0, -16.0), (-8.0, 28.0, -2.0, 31.0), (6.0, -32.0, 13.0, -28.0), (30.0, 2.0, 33.0, 6.0),
     (-33.0, -6.0, -30.0, 1.0),
 )  # fmt: skip
-# The elevations of the rings, in degrees: denser near the horizon, as those of many lidars.
-_ELEVATIONS_DEG = (-15, -11, -8, -6, -4, -2.5, -1, 0, 1, 2, 3, 4, 5, 6, 7, 8)
-_SLOPES = tuple(math.tan(math.radians(elevation)) for elevation in _ELEVATIONS_DEG)
-_RINGS = len(_SLOPES)
+# The rings are bands of elevations, in degrees, denser near the horizon. Half of them are below it.
+_BANDS_DEG = (-16, -12, -9, -7, -5, -3.5, -2, -1, 0, 1, 2, 3, 4, 5, 6, 7, 8)
+_RINGS = len(_BANDS_DEG) - 1
 _RANGE_NOISE_M = 0.01
-_PATTERNS = 16
+_PATTERNS, _SLOPES = 16, 2048
 _NOISE_VALUES, _INTENSITIES = 16_384, 65_536
 _FARTHEST_M = 100.0
 _FAR = 25.0
@@ -95,15 +94,20 @@ class _Pattern(NamedTuple):
 class LidarView:
     """Scans of one lidar: `points` in 16 rings, all measured at the same instant; frame of the lidar, level.
 
-    The azimuths differ from scan to scan, as those of a motor that is not synchronised: a scan with the same azimuths
-    as the one before would match it best where the robot has not moved.
+    The rays have no fixed pattern: with one, a scan would match the one before best where the robot has not moved, and
+    odometry by scan matching would stand still.
     """
 
     def __init__(self, points: int, chance: random.Random) -> None:
         self._azimuths = max(1, points // _RINGS)
         self.points = self._azimuths * _RINGS
         self._patterns = [_Pattern.of(self._azimuths, phase / _PATTERNS) for phase in range(_PATTERNS)]
-        # Repeated, so that a scan has its part in one piece, wherever that begins.
+        # All tables are repeated, so that a scan has its part in one piece, wherever that begins.
+        self._slopes = [
+            [math.tan(math.radians(low + chance.random() * (high - low))) for _ in range(_SLOPES)]
+            * (2 + self._azimuths // _SLOPES)
+            for low, high in pairwise(_BANDS_DEG)
+        ]
         self._noise = [chance.gauss(0, _RANGE_NOISE_M) for _ in range(_NOISE_VALUES)]
         self._noise *= 2 + self._azimuths // _NOISE_VALUES
         # So many that no compressor finds one again within its window.
@@ -120,18 +124,20 @@ class LidarView:
         scan = array("f", bytes(self.points * 16))
         stride = 4 * _RINGS
         offset = number * 7919 * _RINGS
-        for ring, slope in enumerate(_SLOPES):
+        for ring, table in enumerate(self._slopes):
+            at = (offset + ring * 31) % _SLOPES
+            slopes = table[at : at + self._azimuths]
             levels = distances
-            if slope < 0:
-                floor_m = -state.up_m / slope
-                levels = [distance if distance < floor_m else floor_m for distance in distances]
+            if _BANDS_DEG[ring] < 0:
+                height_m = -state.up_m
+                levels = list(map(min, distances, [height_m / slope for slope in slopes]))
             at = (offset + ring * self._azimuths) % _NOISE_VALUES
             noise = self._noise[at : at + self._azimuths]
             levels = list(map(add, levels, noise))
             # An array is made faster from a list than from an iterator.
             scan[4 * ring :: stride] = array("f", list(map(mul, levels, pattern.cosines)))
             scan[4 * ring + 1 :: stride] = array("f", list(map(mul, levels, pattern.sines)))
-            scan[4 * ring + 2 :: stride] = array("f", list(map(mul, levels, repeat(slope))))
+            scan[4 * ring + 2 :: stride] = array("f", list(map(mul, levels, slopes)))
         at = offset % _INTENSITIES
         scan[3::4] = self._intensities[at : at + self.points]
         return scan
