@@ -250,7 +250,7 @@ def show_files(files: Iterable[FileRead], *, to_stderr: bool = False) -> None:
     """Print files of any missions as a table."""
     cells = []
     for row in files:
-        location = (row.mission.project.name, row.mission.name, row.path)
+        location = (row.mission.project.name, row.mission.name, f"{row.path} (derived)" if row.is_derived else row.path)
         content = (row.content.value, row.message_count)
         cells.append((*location, size(row.size_bytes), row.state.value, *content, *_times(row), row.id))
     headers = ["project", "mission", "path", "size", "bytes", "content", "messages", "start", "span", "id"]
@@ -268,7 +268,8 @@ def _show_recordings(recordings: Iterable[RecordingRead]) -> None:
     cells = []
     for row in rows:
         content = (row.content.value, row.message_count)
-        cells.append((row.name, row.kind, len(row.file_ids), *content, *_times(row), size(row.size_bytes)))
+        name = f"{row.name} (derived)" if row.is_derived else row.name
+        cells.append((name, row.kind, len(row.file_ids), *content, *_times(row), size(row.size_bytes)))
     table(["recording", "kind", "files", "content", "messages", "start", "span", "size"], cells)
     warnings = [
         *((row.name, row.content.value, row.content_reason) for row in rows if row.content_reason),

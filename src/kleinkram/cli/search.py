@@ -96,14 +96,15 @@ def stats(
     by: Annotated[
         str, option("--by", "GROUP", "Group by project, mission, topic, type, month, format or a metadata FIELD.")
     ] = "project",
+    derived: Annotated[bool, flag("--derived", "Count also files that runs made from others.")] = False,
     as_csv: Annotated[bool, flag("--csv", "Print CSV on stdout.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Count the hours, bytes, files, messages and missions of all files, or of those that the options select."""
+    """Count the hours, bytes, files, messages and missions of what was recorded, or of what the options select."""
     if as_csv and as_json:
         raise InvalidInput(what="The command", reason="specify --csv or --json, not both")
     group = by if by in _GROUPS or by.startswith("metadata.") else f"metadata.{by}"
-    read = client.stats.get(group, file_filter(client, choice))
+    read = client.stats.get(group, file_filter(client, choice), derived=derived)
     if as_json:
         show_json(read)
     elif as_csv:

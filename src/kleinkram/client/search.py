@@ -160,12 +160,19 @@ class Search(ApiResource):
 class Stats(ApiResource):
     """`client.stats`."""
 
-    def get(self, by: str = "project", matching: Condition = None, **fields: Unpack[FileFields]) -> StatsRead:
-        """Return hours, bytes, files and messages of the matching files.
+    def get(
+        self,
+        by: str = "project",
+        matching: Condition = None,
+        *,
+        derived: bool = False,
+        **fields: Unpack[FileFields],
+    ) -> StatsRead:
+        """Return hours, bytes, files and messages of the matching files; with `derived`, also of those that runs made.
 
         `by` is `project`, `mission`, `topic`, `type`, `month`, `format` or `metadata.FIELD`.
         """
-        return self._api.get("/stats", StatsRead, query_of(as_filter(matching, fields), by=by))
+        return self._api.get("/stats", StatsRead, query_of(as_filter(matching, fields), by=by, derived=derived))
 
     def overview(self, by: str = "month", *, project: Ref | None = None, max_buckets: int = 20) -> Overview:
         """Return the totals of a project, or of all that one may see, in at most `max_buckets` buckets.

@@ -118,11 +118,15 @@ class Network(str, enum.Enum):
 
 
 class Inputs(Request):
-    """The input files of an action: those that match all three lists of globs; an empty list matches all."""
+    """The input files of an action: those that match all three lists of globs; an empty list matches all.
+
+    Files that runs made are inputs only with `derived`.
+    """
 
     paths: Globs = []
     topics: Globs = []
     message_types: Globs = []
+    derived: bool = False
 
 
 def _size(value: object) -> object:

@@ -4,13 +4,16 @@ A check has a dotted name such as `topic.rate`. The rules come from `checks.yaml
 action that reports checks, or from the report of an uploader.
 """
 
+import datetime
 import enum
-from typing import Annotated
+import uuid
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, FiniteFloat
 
-from kleinkram.contract.base import Request
+from kleinkram.contract.base import ETag, NamedRef, Request, Response, etag_of
 from kleinkram.contract.names import FilePath, check_text
+from kleinkram.contract.people import PersonRef
 
 MAX_CHECKS = 10_000
 MAX_CHECKS_CHARACTERS = 200_000
@@ -101,3 +104,235 @@ _VERDICTS = {
 def verdict_of(statuses: "set[CheckStatus]") -> Verdict:
     """Return what checks with these statuses amount to: good, warnings, bad, or unchecked where none was made."""
     return next((_VERDICTS[status] for status in WORST_FIRST[:4] if status in statuses), Verdict.unchecked)
+
+
+# -- checks and verdicts of the server --------------------------------------------------------------------------------
+
+MAX_REPORT_FILES = 20_000
+MAX_REASON_CHARACTERS = 2000
+
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Reason = Annotated[str, AfterValidator(check_text), Field(min_length=1, max_length=MAX_REASON_CHARACTERS)]
+
+
+class ProjectChecksUpdate(Request):
+    """The new `checks.yaml` of a project; an empty text removes it."""
+
+    text: Annotated[str, AfterValidator(check_text), Field(max_length=MAX_CHECKS_CHARACTERS)]
+
+
+def _checks_etag(values: dict[str, Any]) -> str:
+    return etag_of(values["number"], values["text"])
+
+
+class ProjectChecksRead(Response):
+    """The `checks.yaml` of a project: `text` is empty while there is none, and `number` is that of its version.
+
+    `sha256` is the hash of the text in UTF-8, by which reports name the file that they were made by. `created_at` and
+    `created_by` are null where there never was a file; `number` is 0 then.
+    """
+
+    text: str
+    number: int
+    sha256: str
+    created_at: datetime.datetime | None
+    created_by: PersonRef | None
+    etag: ETag = Field(default_factory=_checks_etag)
+
+
+class ChecksVersionRead(Response):
+    """A version of a project's `checks.yaml`. `is_removal`: its text is empty."""
+
+    number: int
+    sha256: str
+    is_removal: bool
+    created_at: datetime.datetime
+    created_by: PersonRef
+
+
+class CheckReportCreate(Request):
+    """Checks that an uploader made, by the `checks.yaml` with this hash, of these files (SHA-256 by path).
+
+    They count while exactly these are the recorded files of the mission.
+    """
+
+    checks: Annotated[list[Check], Field(max_length=MAX_CHECKS)]
+    depth: CheckDepth
+    document_sha256: Sha256
+    files: Annotated[dict[FilePath, Sha256], Field(min_length=1, max_length=MAX_REPORT_FILES)]
+
+
+class CheckReportRead(Response):
+    """A report of checks by an uploader, without the checks.
+
+    `is_current`: it was made of the present files and by the present `checks.yaml` (by any, while the project has
+    none), so that it counts.
+    """
+
+    id: uuid.UUID
+    verdict: Verdict
+    depth: CheckDepth
+    document_sha256: str
+    check_count: int
+    file_count: int
+    is_current: bool
+    created_at: datetime.datetime
+    created_by: PersonRef
+
+
+class CheckSource(str, enum.Enum):
+    """Who made a check: the server, from the index; an uploader; or an action of the project."""
+
+    server = "server"
+    report = "report"
+    action = "action"
+
+
+class MissionCheck(Response):
+    """The outcome of one check of a mission, as in `Check`.
+
+    `action` and `run_id` name the run that made it. `acceptance_id`: a person accepted that it fails, so that it does
+    not count.
+    """
+
+    name: str
+    status: CheckStatus
+    message: str
+    value: float | None = None
+    limit: float | None = None
+    unit: str | None = None
+    topic: str | None = None
+    file: str | None = None
+    time_ns: int | None = None
+    source: CheckSource = CheckSource.server
+    action: str | None = None
+    run_id: uuid.UUID | None = None
+    acceptance_id: uuid.UUID | None = None
+
+
+class CheckCounts(Response):
+    """The number of checks of a mission by status. Accepted ones are only in `accepted`."""
+
+    error: int = 0
+    warning: int = 0
+    not_made: int = 0
+    ok: int = 0
+    needs_content: int = 0
+    accepted: int = 0
+
+
+class ProfileLeftOut(Response):
+    """A profile of `checks.yaml` that does not apply to a mission, and why."""
+
+    name: str
+    reason: str
+
+
+class CheckAcceptanceCreate(Request):
+    """Accept that a check of a mission fails. Without a topic, on all topics."""
+
+    check: CheckName
+    topic: CheckedTopic | None = None
+    because: Reason
+
+
+class AcceptanceEnd(str, enum.Enum):
+    """Why an acceptance ended: a person withdrew it, or the files that it was about changed."""
+
+    withdrawn = "withdrawn"
+    files_changed = "files_changed"
+
+
+class CheckAcceptanceRead(Response):
+    """A person's decision that a failing check of a mission does not count. `ended` is null while it applies."""
+
+    id: uuid.UUID
+    check: str
+    topic: str | None
+    because: str
+    created_at: datetime.datetime
+    created_by: PersonRef
+    ended: AcceptanceEnd | None
+    ended_at: datetime.datetime | None
+    ended_by: PersonRef | None
+
+
+class CheckNoteCreate(Request):
+    """A note on a check of a mission; without a topic, on all topics."""
+
+    check: CheckName
+    topic: CheckedTopic | None = None
+    text: Reason
+
+
+class CheckNoteRead(Response):
+    """A person's note on a check of a mission."""
+
+    id: uuid.UUID
+    check: str
+    topic: str | None
+    text: str
+    created_at: datetime.datetime
+    created_by: PersonRef
+
+
+class MissionChecksRead(Response):
+    """The checks of a mission, worst first, and its verdict.
+
+    `evaluated_at` is null while nothing was checked. `is_current`: the checks are of the present files and by the
+    present `checks.yaml`, whose version is `checks_number` (0 for none). `bad_since` is when the mission became bad.
+    With `all`, acceptances that ended are listed too.
+    """
+
+    verdict: Verdict
+    counts: CheckCounts
+    checks: list[MissionCheck]
+    checks_number: int
+    profiles_applied: list[str]
+    profiles_left_out: list[ProfileLeftOut]
+    is_current: bool
+    evaluated_at: datetime.datetime | None
+    bad_since: datetime.datetime | None
+    acceptances: list[CheckAcceptanceRead]
+    notes: list[CheckNoteRead]
+    reports: list[CheckReportRead]
+
+
+class CheckMatrixRow(Response):
+    """One mission of the matrix: of each check that was made, the worst status over its topics."""
+
+    mission: NamedRef
+    start_ns: int | None
+    verdict: Verdict
+    counts: CheckCounts
+    cells: dict[str, CheckStatus]
+
+
+class CheckMatrix(Response):
+    """One page of a project's missions, latest first, and the names of all checks in it, by how often they fail."""
+
+    checks: list[str]
+    items: list[CheckMatrixRow]
+    next: str | None = None
+    total: int | None = None
+
+
+class TrendStep(str, enum.Enum):
+    """The width of the buckets of a trend. Weeks begin on Monday, in UTC."""
+
+    day = "day"
+    week = "week"
+
+
+class TrendBucket(Response):
+    """The number of missions by verdict that were recorded in one day or week (created, where nothing is recorded)."""
+
+    start: datetime.date
+    verdicts: dict[Verdict, int]
+
+
+class CheckTrend(Response):
+    """The verdicts of a project's missions over time; days or weeks without missions are left out."""
+
+    by: TrendStep
+    buckets: list[TrendBucket]

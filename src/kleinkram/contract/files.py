@@ -85,7 +85,8 @@ class FileRead(Response):
 
     `sha256` is as reported by the uploader until `state` is `verified`; `md5` is null until then. `summarised_at` and
     `depth` are null until the server has read the content. `damaged_at` is when the file was found to be lost or
-    corrupt, `state_reason` how. `etag` covers the path and the labels.
+    corrupt, `state_reason` how. `origin` is upload, link (to stored bytes), or run: a file that a run made is derived,
+    and in no sum of what was recorded. `etag` covers the path and the labels.
     """
 
     id: uuid.UUID
@@ -117,6 +118,11 @@ class FileRead(Response):
     lost: FileLoss | None
     facts: list[FileFact]
     etag: ETag = Field(default_factory=_etag)
+
+    @property
+    def is_derived(self) -> bool:
+        """Whether a run made it from other files."""
+        return self.origin == "run"
 
 
 class FileUpdate(Request):
@@ -155,7 +161,7 @@ class RecordingRead(Response):
     """A recording of one or more files. `missing` are files that its metadata lists and the mission does not have.
 
     `content` is of all files together: `recovered` if only a part can be read. `problems` are those of the recording;
-    each file has its own.
+    each file has its own. `is_derived`: runs made its files, so it is in no sum of what was recorded.
     """
 
     id: uuid.UUID
@@ -174,6 +180,7 @@ class RecordingRead(Response):
     end_ns: int | None
     message_count: int | None
     size_bytes: int
+    is_derived: bool = False
 
 
 class FileSort(str, enum.Enum):

@@ -10,6 +10,7 @@ from typing_extensions import Self
 
 from kleinkram.contract.access import Right
 from kleinkram.contract.base import ETag, Request, Response, etag_of
+from kleinkram.contract.checks import CheckCounts, Verdict
 from kleinkram.contract.errors import FieldProblem
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, BoundedMetadata, Metadata, MetadataFields
 from kleinkram.contract.names import Ids, Name, Term, Terms, check_text
@@ -74,8 +75,9 @@ class MissionRead(Response):
 
     `start_ns` and `end_ns` (log time, ns since 1970) span its recordings without implausible timestamps.
     `metadata_problems` is what does not satisfy the project's fields. `pending_file_count` is the number of files whose
-    content the server has not read yet. `recordings_current`: recordings and span reflect the current files. `right` is
-    the caller's. `etag` covers the edited fields: a change with an outdated one is refused.
+    content the server has not read yet. `recordings_current`: recordings and span reflect the current files. `verdict`
+    and `checks`: what its checks amount to, and their number by status. `right` is the caller's. `etag` covers the
+    edited fields: a change with an outdated one is refused.
     """
 
     id: uuid.UUID
@@ -95,6 +97,8 @@ class MissionRead(Response):
     message_count: int
     pending_file_count: int
     recordings_current: bool
+    verdict: Verdict = Verdict.unchecked
+    checks: CheckCounts = CheckCounts()
     right: Right
     etag: ETag = Field(default_factory=_etag)
 

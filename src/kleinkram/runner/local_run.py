@@ -94,7 +94,7 @@ def _download_inputs(
     matching = FileFilter(
         mission_id=mission.id, path=inputs.paths, topic=inputs.topics, message_type=inputs.message_types
     )
-    files = list(client.files.list(matching))
+    files = [file for file in client.files.list(matching) if inputs.derived or not file.is_derived]
     if not files:
         raise NothingToDo(reason=f"No file of the mission {mission.name} is an input of {action.name}")
     for file in files:

@@ -19,6 +19,7 @@ from kleinkram.server.auth.local_accounts import PasswordHasher
 from kleinkram.server.auth.pages import router as sign_in_pages
 from kleinkram.server.auth.routes import me_router, people_router
 from kleinkram.server.auth.routes import router as auth
+from kleinkram.server.checks.routes import router as checks
 from kleinkram.server.db import open_database
 from kleinkram.server.events.hub import open_hub
 from kleinkram.server.events.routes import router as events
@@ -60,6 +61,7 @@ ROUTERS = (
     files,
     recordings,
     overviews,
+    checks,
     uploads,
     search,
     actions,

@@ -5,6 +5,7 @@ from sqlalchemy import delete, func, or_, select, text
 
 from kleinkram.server.auth.one_time_codes import delete_expired_codes
 from kleinkram.server.blobs import garbage_collection, scrub, service
+from kleinkram.server.checks.jobs import judge_forgotten
 from kleinkram.server.context import AppContext
 from kleinkram.server.http.rate_limit import delete_expired_counts
 from kleinkram.server.jobs.execution import app_context
@@ -69,6 +70,7 @@ async def collect_garbage(context: AppContext) -> None:
     async with context.database.begin() as db:
         await service.requeue_unfinished(db, store_id=store_id, limit=_BATCH)
         await derive_forgotten(db, limit=_BATCH)
+        await judge_forgotten(db, limit=_BATCH)
     async with context.database.begin() as db:
         days = settings.reverify_days
         await service.verify_old(db, store_id=store_id, older_than_days=days, limit=_MAX_REVERIFIED)

@@ -21,6 +21,7 @@ import kleinkram
 from kleinkram.server import maintenance as _maintenance
 from kleinkram.server.blobs import jobs as _blob_jobs
 from kleinkram.server.blobs.readers import ReaderProcesses
+from kleinkram.server.checks import jobs as _check_jobs
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Database, open_database
 from kleinkram.server.health.metrics_server import serve_metrics
@@ -44,7 +45,7 @@ _STEADY_S = 30.0
 # The database is away, refuses connections, or closed one. psycopg's own errors come from opening the pool.
 _DATABASE_AWAY = (ConnectorException, psycopg.OperationalError)
 # Importing the jobs of a feature registers them with the queue.
-JOB_MODULES = (_blob_jobs, _maintenance, _derivation_jobs, _upload_jobs)
+JOB_MODULES = (_blob_jobs, _maintenance, _derivation_jobs, _check_jobs, _upload_jobs)
 
 
 async def run_worker(settings: Settings) -> None:

@@ -90,6 +90,11 @@ def post(path: str, body: Callable[[Principal], Any] = lambda _: None) -> Callab
     return lambda principal: Request("POST", fill(path, principal), body(principal))
 
 
+def put(path: str, body: Callable[[Principal], Any]) -> Callable[[Principal], Request]:
+    """Return a PUT request."""
+    return lambda principal: Request("PUT", fill(path, principal), body(principal))
+
+
 def fill(text: str, principal: Principal) -> str:
     """Insert the ids of a principal's objects into a text."""
     return text.format(upload=principal.upload, **vars(principal.objects))

@@ -4,7 +4,7 @@ import random
 from collections.abc import Callable
 from typing import Any
 
-from tests.integration.access.call import Caller, delete, get, has_items, lists, new_name, patch, post, sets
+from tests.integration.access.call import Caller, delete, get, has_items, lists, new_name, patch, post, put, sets
 from tests.integration.access.expectations import Target
 from tests.integration.access.world import Principal, trash
 
@@ -29,6 +29,14 @@ def _completion(principal: Principal) -> Any:
 
 def _move_back_to_trash(table: str, attribute: str) -> Callable[[Principal], None]:
     return lambda principal: trash(principal.api, table, getattr(principal.objects, attribute))
+
+
+_CHECK_REPORT = {
+    "checks": [{"name": "topic.gap", "status": "ok", "message": "No gap."}],
+    "depth": "index",
+    "document_sha256": "0" * 64,
+    "files": {"one.mcap": "0" * 64},
+}
 
 
 OBJECT_OPERATIONS: dict[str, tuple[Caller, ...]] = {
@@ -74,6 +82,51 @@ OBJECT_OPERATIONS: dict[str, tuple[Caller, ...]] = {
     "list_mission_topics": (Caller(get("/missions/{mission}/topics"), Target.mission),),
     "get_mission_timeline": (Caller(get("/missions/{mission}/timeline"), Target.mission),),
     "get_recording": (Caller(get("/recordings/{recording}"), Target.file),),
+    "get_project_checks": (Caller(get("/projects/{project}/checks"), Target.project),),
+    "set_project_checks": (Caller(put("/projects/{project}/checks", lambda _: {"text": ""}), Target.project),),
+    "list_checks_versions": (Caller(get("/projects/{project}/checks/versions"), Target.project),),
+    "get_checks_version": (Caller(get("/projects/{project}/checks/versions/1"), Target.project),),
+    "get_check_matrix": (Caller(get("/projects/{project}/checks/matrix"), Target.project),),
+    "get_check_trend": (Caller(get("/projects/{project}/checks/trend"), Target.project),),
+    "get_mission_checks": (Caller(get("/missions/{mission}/checks"), Target.mission),),
+    "create_check_report": (
+        Caller(post("/missions/{mission}/check-reports", lambda _: _CHECK_REPORT), Target.mission),
+    ),
+    "accept_check": (
+        # No check of the mission fails.
+        Caller(
+            post("/missions/{mission}/check-acceptances", lambda _: {"check": "topic.rate", "because": "A reason."}),
+            Target.mission,
+            accepted_code="invalid_request",
+        ),
+    ),
+    "withdraw_acceptance": (
+        Caller(
+            delete("/missions/{mission}/check-acceptances/{acceptance}"),
+            Target.mission,
+            undo=sets(
+                "UPDATE check_acceptance SET ended = NULL, ended_at = NULL, ended_by_id = NULL WHERE id = %s",
+                "acceptance",
+            ),
+        ),
+    ),
+    "create_check_note": (
+        Caller(
+            post("/missions/{mission}/check-notes", lambda _: {"check": "topic.gap", "text": new_name()}),
+            Target.mission,
+        ),
+    ),
+    "delete_check_note": (
+        Caller(
+            delete("/missions/{mission}/check-notes/{note}"),
+            Target.mission,
+            undo=sets(
+                "INSERT INTO check_note (id, mission_id, check_name, text, created_by_id)"
+                " SELECT %s, id, 'topic.gap', 'x', created_by_id FROM mission WHERE id = %s",
+                *("note", "mission"),
+            ),
+        ),
+    ),
     "list_files": (Caller(get("/files", project_id="{project}"), Target.file, shows=lists("file")),),
     "get_file": (Caller(get("/files/{file}"), Target.file),),
     "download_files": (

@@ -52,6 +52,9 @@ class Objects:
     action: str
     run: str
     artifact: str
+    # An acceptance of a failing check of the mission, and a note on one.
+    acceptance: str
+    note: str
     # A person who shares no group or project with anybody.
     unrelated_person: str
     unrelated_person_name: str
@@ -113,6 +116,7 @@ def create_objects(api: Api, *, is_public: bool) -> Objects:
     )
     unrelated_person = people.person(api)
     action, run, artifact = _create_run(api, project["id"], mission["id"], file)
+    acceptance, note = _create_checks(api, project["id"], mission["id"])
     items = Objects(
         project=project["id"],
         project_name=project["name"],
@@ -130,6 +134,8 @@ def create_objects(api: Api, *, is_public: bool) -> Objects:
         action=action,
         run=run,
         artifact=artifact,
+        acceptance=acceptance,
+        note=note,
         unrelated_person=unrelated_person.id,
         unrelated_person_name=unrelated_person.name,
     )
@@ -159,6 +165,26 @@ def _create_run(api: Api, project_id: str, mission_id: str, file_id: str) -> tup
     api.sql("INSERT INTO run_finding (run_id, severity, code, message) VALUES (%s, 'info', 'code', 'A finding.')", run)
     api.sql("INSERT INTO run_metric (run_id, name, value) VALUES (%s, 'count', 1)", run)
     return made["id"], run, artifact
+
+
+def _create_checks(api: Api, project_id: str, mission_id: str) -> tuple[str, str]:
+    """Insert a version of a project's checks, an acceptance and a note; return the ids of the last two."""
+    acceptance, note, hash_ = str(uuid.uuid4()), str(uuid.uuid4()), bytes(32)
+    api.sql(
+        "INSERT INTO project_checks (project_id, number, text, sha256, created_by_id) VALUES (%s, 1, '', %s, %s)",
+        *(project_id, hash_, OWNER_ID),
+    )
+    api.sql(
+        "INSERT INTO check_acceptance (id, mission_id, check_name, because, inputs_sha256, created_by_id)"
+        " VALUES (%s, %s, 'topic.gap', 'A reason.', %s, %s)",
+        *(acceptance, mission_id, hash_, OWNER_ID),
+    )
+    api.sql(
+        "INSERT INTO check_note (id, mission_id, check_name, text, created_by_id)"
+        " VALUES (%s, %s, 'topic.gap', 'x', %s)",
+        *(note, mission_id, OWNER_ID),
+    )
+    return acceptance, note
 
 
 def trash(api: Api, table: str, ref: str) -> None:

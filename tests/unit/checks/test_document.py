@@ -176,3 +176,12 @@ def test_every_field_of_a_rule_is_described_for_editors() -> None:
 def test_the_schema_in_the_docs_is_the_one_of_the_models() -> None:
     path = Path(__file__).parents[3] / "docs" / "reference" / "checks.schema.json"
     assert json.loads(path.read_text(encoding="utf-8")) == json_schema()
+
+
+def test_the_example_of_a_legged_robot_is_valid() -> None:
+    path = Path(__file__).parents[3] / "examples" / "checks" / "legged-robot.yaml"
+    (profile,) = read_checks(path.read_text(encoding="utf-8")).profiles
+    sections = [name for name, rules in profile if isinstance(rules, dict) and rules and name != "when"]
+    assert set(sections) == set(Profile.model_fields) - {"name", "when"}
+    cameras = [name for name in profile.topics if name.startswith("/camera/") and "*" not in name]
+    assert (len(profile.recordings), len(cameras)) == (4, 12)

@@ -55,6 +55,8 @@ export const keys = {
   missions: (query: Query = {}) => ["missions", "list", query],
   mission: (id: string) => ["missions", "one", id],
   missionGrants: (id: string) => ["access", "mission", id, "grants"],
+  missionChecks: (id: string) => ["missions", "one", id, "checks"],
+  projectChecks: (id: string) => ["projects", "one", id, "checks"],
   missionAccess: (id: string) => ["access", "mission", id, "who"],
   recordings: (missionId: string) => ["missions", "one", missionId, "recordings"],
   uploads: (missionId: string) => ["missions", "one", missionId, "uploads"],

@@ -1262,6 +1262,126 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/missions/{mission_id}/check-acceptances": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Accept Check
+         * @description Accept that a check fails, until the mission's files change.
+         */
+        post: operations["accept_check"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/missions/{mission_id}/check-acceptances/{acceptance_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /**
+         * Withdraw Acceptance
+         * @description Withdraw an acceptance: the check counts again.
+         */
+        delete: operations["withdraw_acceptance"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/missions/{mission_id}/check-notes": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Create Check Note
+         * @description Add a note to a check of a mission.
+         */
+        post: operations["create_check_note"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/missions/{mission_id}/check-notes/{note_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /**
+         * Delete Check Note
+         * @description Delete a note.
+         */
+        delete: operations["delete_check_note"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/missions/{mission_id}/check-reports": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Create Check Report
+         * @description Store the checks that an uploader made of a mission's files.
+         */
+        post: operations["create_check_report"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/missions/{mission_id}/checks": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Mission Checks
+         * @description Return the checks of a mission and its verdict; with `all`, also what no longer counts.
+         */
+        get: operations["get_mission_checks"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/missions/{mission_id}/grants": {
         parameters: {
             query?: never;
@@ -1662,6 +1782,110 @@ export interface paths {
          * @description List who has a right on a project now, and why; without WRITE there, only your own access.
          */
         get: operations["get_project_access"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/projects/{project_id}/checks": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Project Checks
+         * @description Return the `checks.yaml` of a project.
+         */
+        get: operations["get_project_checks"];
+        /**
+         * Set Project Checks
+         * @description Set the `checks.yaml` of a project and judge its missions by it; an empty text removes it.
+         */
+        put: operations["set_project_checks"];
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/projects/{project_id}/checks/matrix": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Check Matrix
+         * @description Return a page of a project's missions, latest first, with the worst status of each check.
+         */
+        get: operations["get_check_matrix"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/projects/{project_id}/checks/trend": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Check Trend
+         * @description Return the verdicts of a project's missions by the day or week of their recordings.
+         */
+        get: operations["get_check_trend"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/projects/{project_id}/checks/versions": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Checks Versions
+         * @description List the versions of a project's `checks.yaml`, latest first.
+         */
+        get: operations["list_checks_versions"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/projects/{project_id}/checks/versions/{number}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Checks Version
+         * @description Return one version of a project's `checks.yaml`.
+         */
+        get: operations["get_checks_version"];
         put?: never;
         post?: never;
         delete?: never;
@@ -2499,6 +2723,12 @@ export type webhooks = Record<string, never>;
 export interface components {
     schemas: {
         /**
+         * AcceptanceEnd
+         * @description Why an acceptance ended: a person withdrew it, or the files that it was about changed.
+         * @enum {string}
+         */
+        AcceptanceEnd: "withdrawn" | "files_changed";
+        /**
          * AccessRead
          * @description A right that somebody has now, and its source; of several, the highest counts.
          *
@@ -2580,6 +2810,7 @@ export interface components {
             image?: string | null;
             /**
              * @default {
+             *       "derived": false,
              *       "message_types": [],
              *       "paths": [],
              *       "topics": []
@@ -3026,6 +3257,151 @@ export interface components {
             value?: number | null;
         };
         /**
+         * CheckAcceptanceCreate
+         * @description Accept that a check of a mission fails. Without a topic, on all topics.
+         */
+        CheckAcceptanceCreate: {
+            /** Because */
+            because: string;
+            /** Check */
+            check: string;
+            /** Topic */
+            topic?: string | null;
+        };
+        /**
+         * CheckAcceptanceRead
+         * @description A person's decision that a failing check of a mission does not count. `ended` is null while it applies.
+         */
+        CheckAcceptanceRead: {
+            /** Because */
+            because: string;
+            /** Check */
+            check: string;
+            /**
+             * Created At
+             * Format: date-time
+             */
+            created_at: string;
+            created_by: components["schemas"]["PersonRef"];
+            ended: components["schemas"]["AcceptanceEnd"] | null;
+            /** Ended At */
+            ended_at: string | null;
+            ended_by: components["schemas"]["PersonRef"] | null;
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Topic */
+            topic: string | null;
+        };
+        /**
+         * CheckCounts
+         * @description The number of checks of a mission by status. Accepted ones are only in `accepted`.
+         */
+        CheckCounts: {
+            /**
+             * Accepted
+             * @default 0
+             */
+            accepted: number;
+            /**
+             * Error
+             * @default 0
+             */
+            error: number;
+            /**
+             * Needs Content
+             * @default 0
+             */
+            needs_content: number;
+            /**
+             * Not Made
+             * @default 0
+             */
+            not_made: number;
+            /**
+             * Ok
+             * @default 0
+             */
+            ok: number;
+            /**
+             * Warning
+             * @default 0
+             */
+            warning: number;
+        };
+        /**
+         * CheckDepth
+         * @description What was read for checks: only the indexes of recordings, or also the messages that samples need.
+         * @enum {string}
+         */
+        CheckDepth: "index" | "content";
+        /**
+         * CheckMatrix
+         * @description One page of a project's missions, latest first, and the names of all checks in it, by how often they fail.
+         */
+        CheckMatrix: {
+            /** Checks */
+            checks: string[];
+            /** Items */
+            items: components["schemas"]["CheckMatrixRow"][];
+            /** Next */
+            next?: string | null;
+            /** Total */
+            total?: number | null;
+        };
+        /**
+         * CheckMatrixRow
+         * @description One mission of the matrix: of each check that was made, the worst status over its topics.
+         */
+        CheckMatrixRow: {
+            /** Cells */
+            cells: {
+                [key: string]: components["schemas"]["CheckStatus"];
+            };
+            counts: components["schemas"]["CheckCounts"];
+            mission: components["schemas"]["NamedRef"];
+            /** Start Ns */
+            start_ns: number | null;
+            verdict: components["schemas"]["Verdict"];
+        };
+        /**
+         * CheckNoteCreate
+         * @description A note on a check of a mission; without a topic, on all topics.
+         */
+        CheckNoteCreate: {
+            /** Check */
+            check: string;
+            /** Text */
+            text: string;
+            /** Topic */
+            topic?: string | null;
+        };
+        /**
+         * CheckNoteRead
+         * @description A person's note on a check of a mission.
+         */
+        CheckNoteRead: {
+            /** Check */
+            check: string;
+            /**
+             * Created At
+             * Format: date-time
+             */
+            created_at: string;
+            created_by: components["schemas"]["PersonRef"];
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Text */
+            text: string;
+            /** Topic */
+            topic: string | null;
+        };
+        /**
          * CheckRead
          * @description A check, and the run that reported it with its parameters.
          */
@@ -3048,6 +3424,59 @@ export interface components {
             run_id: string;
         };
         /**
+         * CheckReportCreate
+         * @description Checks that an uploader made, by the `checks.yaml` with this hash, of these files (SHA-256 by path).
+         *
+         *     They count while exactly these are the recorded files of the mission.
+         */
+        CheckReportCreate: {
+            /** Checks */
+            checks: components["schemas"]["Check"][];
+            depth: components["schemas"]["CheckDepth"];
+            /** Document Sha256 */
+            document_sha256: string;
+            /** Files */
+            files: {
+                [key: string]: string;
+            };
+        };
+        /**
+         * CheckReportRead
+         * @description A report of checks by an uploader, without the checks.
+         *
+         *     `is_current`: it was made of the present files and by the present `checks.yaml` (by any, while the project has
+         *     none), so that it counts.
+         */
+        CheckReportRead: {
+            /** Check Count */
+            check_count: number;
+            /**
+             * Created At
+             * Format: date-time
+             */
+            created_at: string;
+            created_by: components["schemas"]["PersonRef"];
+            depth: components["schemas"]["CheckDepth"];
+            /** Document Sha256 */
+            document_sha256: string;
+            /** File Count */
+            file_count: number;
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Is Current */
+            is_current: boolean;
+            verdict: components["schemas"]["Verdict"];
+        };
+        /**
+         * CheckSource
+         * @description Who made a check: the server, from the index; an uploader; or an action of the project.
+         * @enum {string}
+         */
+        CheckSource: "server" | "report" | "action";
+        /**
          * CheckStatus
          * @description Outcome of one check.
          *
@@ -3065,6 +3494,33 @@ export interface components {
          * @enum {string}
          */
         ChecksumKind: "crc64nvme" | "sha256" | "md5";
+        /**
+         * ChecksVersionRead
+         * @description A version of a project's `checks.yaml`. `is_removal`: its text is empty.
+         */
+        ChecksVersionRead: {
+            /**
+             * Created At
+             * Format: date-time
+             */
+            created_at: string;
+            created_by: components["schemas"]["PersonRef"];
+            /** Is Removal */
+            is_removal: boolean;
+            /** Number */
+            number: number;
+            /** Sha256 */
+            sha256: string;
+        };
+        /**
+         * CheckTrend
+         * @description The verdicts of a project's missions over time; days or weeks without missions are left out.
+         */
+        CheckTrend: {
+            /** Buckets */
+            buckets: components["schemas"]["TrendBucket"][];
+            by: components["schemas"]["TrendStep"];
+        };
         /**
          * ClaimReply
          * @description The answer to a claim; `run` is null where no run fits.
@@ -3643,7 +4099,8 @@ export interface components {
          *
          *     `sha256` is as reported by the uploader until `state` is `verified`; `md5` is null until then. `summarised_at` and
          *     `depth` are null until the server has read the content. `damaged_at` is when the file was found to be lost or
-         *     corrupt, `state_reason` how. `etag` covers the path and the labels.
+         *     corrupt, `state_reason` how. `origin` is upload, link (to stored bytes), or run: a file that a run made is derived,
+         *     and in no sum of what was recorded. `etag` covers the path and the labels.
          */
         FileRead: {
             /** Compression */
@@ -4027,8 +4484,15 @@ export interface components {
         /**
          * Inputs
          * @description The input files of an action: those that match all three lists of globs; an empty list matches all.
+         *
+         *     Files that runs made are inputs only with `derived`.
          */
         Inputs: {
+            /**
+             * Derived
+             * @default false
+             */
+            derived: boolean;
             /**
              * Message Types
              * @default []
@@ -4422,6 +4886,72 @@ export interface components {
             run_id: string;
         };
         /**
+         * MissionCheck
+         * @description The outcome of one check of a mission, as in `Check`.
+         *
+         *     `action` and `run_id` name the run that made it. `acceptance_id`: a person accepted that it fails, so that it does
+         *     not count.
+         */
+        MissionCheck: {
+            /** Acceptance Id */
+            acceptance_id?: string | null;
+            /** Action */
+            action?: string | null;
+            /** File */
+            file?: string | null;
+            /** Limit */
+            limit?: number | null;
+            /** Message */
+            message: string;
+            /** Name */
+            name: string;
+            /** Run Id */
+            run_id?: string | null;
+            /** @default server */
+            source: components["schemas"]["CheckSource"];
+            status: components["schemas"]["CheckStatus"];
+            /** Time Ns */
+            time_ns?: number | null;
+            /** Topic */
+            topic?: string | null;
+            /** Unit */
+            unit?: string | null;
+            /** Value */
+            value?: number | null;
+        };
+        /**
+         * MissionChecksRead
+         * @description The checks of a mission, worst first, and its verdict.
+         *
+         *     `evaluated_at` is null while nothing was checked. `is_current`: the checks are of the present files and by the
+         *     present `checks.yaml`, whose version is `checks_number` (0 for none). `bad_since` is when the mission became bad.
+         *     With `all`, acceptances that ended are listed too.
+         */
+        MissionChecksRead: {
+            /** Acceptances */
+            acceptances: components["schemas"]["CheckAcceptanceRead"][];
+            /** Bad Since */
+            bad_since: string | null;
+            /** Checks */
+            checks: components["schemas"]["MissionCheck"][];
+            /** Checks Number */
+            checks_number: number;
+            counts: components["schemas"]["CheckCounts"];
+            /** Evaluated At */
+            evaluated_at: string | null;
+            /** Is Current */
+            is_current: boolean;
+            /** Notes */
+            notes: components["schemas"]["CheckNoteRead"][];
+            /** Profiles Applied */
+            profiles_applied: string[];
+            /** Profiles Left Out */
+            profiles_left_out: components["schemas"]["ProfileLeftOut"][];
+            /** Reports */
+            reports: components["schemas"]["CheckReportRead"][];
+            verdict: components["schemas"]["Verdict"];
+        };
+        /**
          * MissionCreate
          * @description A mission to create, whose metadata must satisfy the project's fields.
          *
@@ -4463,10 +4993,22 @@ export interface components {
          *
          *     `start_ns` and `end_ns` (log time, ns since 1970) span its recordings without implausible timestamps.
          *     `metadata_problems` is what does not satisfy the project's fields. `pending_file_count` is the number of files whose
-         *     content the server has not read yet. `recordings_current`: recordings and span reflect the current files. `right` is
-         *     the caller's. `etag` covers the edited fields: a change with an outdated one is refused.
+         *     content the server has not read yet. `recordings_current`: recordings and span reflect the current files. `verdict`
+         *     and `checks`: what its checks amount to, and their number by status. `right` is the caller's. `etag` covers the
+         *     edited fields: a change with an outdated one is refused.
          */
         MissionRead: {
+            /**
+             * @default {
+             *       "accepted": 0,
+             *       "error": 0,
+             *       "needs_content": 0,
+             *       "not_made": 0,
+             *       "ok": 0,
+             *       "warning": 0
+             *     }
+             */
+            checks: components["schemas"]["CheckCounts"];
             /** Completed At */
             completed_at: string | null;
             /**
@@ -4510,6 +5052,8 @@ export interface components {
             size_bytes: number;
             /** Start Ns */
             start_ns: number | null;
+            /** @default unchecked */
+            verdict: components["schemas"]["Verdict"];
         };
         /**
          * MissionRef
@@ -4655,6 +5199,19 @@ export interface components {
             project_id?: string | null;
         };
         /**
+         * NamedRef
+         * @description The id and name of an object.
+         */
+        NamedRef: {
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Name */
+            name: string;
+        };
+        /**
          * Network
          * @description Network access of a run: none, the API and the store with its own token, or that of its machine.
          * @enum {string}
@@ -4761,6 +5318,15 @@ export interface components {
         Page_CheckRead_: {
             /** Items */
             items: components["schemas"]["CheckRead"][];
+            /** Next */
+            next?: string | null;
+            /** Total */
+            total?: number | null;
+        };
+        /** Page[ChecksVersionRead] */
+        Page_ChecksVersionRead_: {
+            /** Items */
+            items: components["schemas"]["ChecksVersionRead"][];
             /** Next */
             next?: string | null;
             /** Total */
@@ -5115,6 +5681,16 @@ export interface components {
             [key: string]: unknown;
         };
         /**
+         * ProfileLeftOut
+         * @description A profile of `checks.yaml` that does not apply to a mission, and why.
+         */
+        ProfileLeftOut: {
+            /** Name */
+            name: string;
+            /** Reason */
+            reason: string;
+        };
+        /**
          * Progress
          * @description The progress of a run: `fraction` from 0 to 1, and a message.
          */
@@ -5126,6 +5702,34 @@ export interface components {
              * @default
              */
             message: string;
+        };
+        /**
+         * ProjectChecksRead
+         * @description The `checks.yaml` of a project: `text` is empty while there is none, and `number` is that of its version.
+         *
+         *     `sha256` is the hash of the text in UTF-8, by which reports name the file that they were made by. `created_at` and
+         *     `created_by` are null where there never was a file; `number` is 0 then.
+         */
+        ProjectChecksRead: {
+            /** Created At */
+            created_at: string | null;
+            created_by: components["schemas"]["PersonRef"] | null;
+            /** Etag */
+            etag?: string;
+            /** Number */
+            number: number;
+            /** Sha256 */
+            sha256: string;
+            /** Text */
+            text: string;
+        };
+        /**
+         * ProjectChecksUpdate
+         * @description The new `checks.yaml` of a project; an empty text removes it.
+         */
+        ProjectChecksUpdate: {
+            /** Text */
+            text: string;
         };
         /**
          * ProjectCreate
@@ -5307,7 +5911,7 @@ export interface components {
          * @description A recording of one or more files. `missing` are files that its metadata lists and the mission does not have.
          *
          *     `content` is of all files together: `recovered` if only a part can be read. `problems` are those of the recording;
-         *     each file has its own.
+         *     each file has its own. `is_derived`: runs made its files, so it is in no sum of what was recorded.
          */
         RecordingRead: {
             content: components["schemas"]["ContentState"];
@@ -5322,6 +5926,11 @@ export interface components {
              * Format: uuid
              */
             id: string;
+            /**
+             * Is Derived
+             * @default false
+             */
+            is_derived: boolean;
             /** Kind */
             kind: string;
             lost: components["schemas"]["FileLoss"] | null;
@@ -6627,6 +7236,27 @@ export interface components {
          */
         TrashResourceType: "project" | "mission" | "file";
         /**
+         * TrendBucket
+         * @description The number of missions by verdict that were recorded in one day or week (created, where nothing is recorded).
+         */
+        TrendBucket: {
+            /**
+             * Start
+             * Format: date
+             */
+            start: string;
+            /** Verdicts */
+            verdicts: {
+                [key: string]: number;
+            };
+        };
+        /**
+         * TrendStep
+         * @description The width of the buckets of a trend. Weeks begin on Monday, in UTC.
+         * @enum {string}
+         */
+        TrendStep: "day" | "week";
+        /**
          * Undeclared
          * @description Treatment of metadata keys that no field declares.
          * @enum {string}
@@ -6829,6 +7459,15 @@ export interface components {
             at_s: number;
             usage: components["schemas"]["Usage"];
         };
+        /**
+         * Verdict
+         * @description What the checks of a mission amount to.
+         *
+         *     outdated: files, the file of checks, or the version of an action are newer than the results. running: checks are
+         *     being made. unchecked: there are none.
+         * @enum {string}
+         */
+        Verdict: "good" | "warnings" | "bad" | "outdated" | "running" | "unchecked";
         /**
          * VersionCreate
          * @description A further version of an action; the name is unchanged.
@@ -9311,6 +9950,206 @@ export interface operations {
             };
         };
     };
+    accept_check: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                mission_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["CheckAcceptanceCreate"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CheckAcceptanceRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    withdraw_acceptance: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                acceptance_id: string;
+                mission_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CheckAcceptanceRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    create_check_note: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                mission_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["CheckNoteCreate"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CheckNoteRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    delete_check_note: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                mission_id: string;
+                note_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    create_check_report: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                mission_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["CheckReportCreate"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CheckReportRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_mission_checks: {
+        parameters: {
+            query?: {
+                all?: boolean;
+            };
+            header?: never;
+            path: {
+                mission_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MissionChecksRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
     list_mission_grants: {
         parameters: {
             query?: {
@@ -10161,6 +11000,209 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Page_AccessRead_"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_project_checks: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ProjectChecksRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    set_project_checks: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description The `etag` of the object that was edited, in quotes. */
+                "If-Match"?: string | null;
+            };
+            path: {
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ProjectChecksUpdate"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ProjectChecksRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_check_matrix: {
+        parameters: {
+            query?: {
+                count?: boolean;
+                cursor?: string | null;
+                limit?: number;
+            };
+            header?: never;
+            path: {
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CheckMatrix"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_check_trend: {
+        parameters: {
+            query?: {
+                by?: components["schemas"]["TrendStep"];
+            };
+            header?: never;
+            path: {
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CheckTrend"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_checks_versions: {
+        parameters: {
+            query?: {
+                cursor?: string | null;
+                limit?: number;
+            };
+            header?: never;
+            path: {
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_ChecksVersionRead_"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_checks_version: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                number: number;
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ProjectChecksRead"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */
@@ -11368,6 +12410,7 @@ export interface operations {
             query?: {
                 by?: string;
                 content?: components["schemas"]["ContentState"][];
+                derived?: boolean;
                 format?: string[];
                 label?: string[];
                 max_duration_ns?: number | null;

@@ -34,6 +34,9 @@ export type Run = Schemas["RunRead"];
 export type RunDetail = Schemas["RunDetail"];
 export type RunState = Schemas["RunState"];
 export type Artifact = Schemas["ArtifactRead"];
+export type Verdict = Schemas["Verdict"];
+export type CheckStatus = Schemas["CheckStatus"];
+export type CheckCounts = Schemas["CheckCounts"];
 export type Json = Schemas["JsonValue"];
 
 /** One page of a list; `next` continues it, null at its end. */

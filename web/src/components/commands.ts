@@ -78,3 +78,8 @@ export function runCommands(run: Run): Commands {
     sdk: sdk(`run = client.runs.get(${JSON.stringify(run.id)})`, "print(run.state, run.message)"),
   };
 }
+
+/** The commands that write a first `checks.yaml` from good recordings, and set it for a project. */
+export function rulesCommands(project: string): string {
+  return ["klein checks init GOOD_MISSION/ -o checks.yaml", `klein checks set checks.yaml -p ${quoted(project)}`].join("\n");
+}

@@ -17,3 +17,4 @@ export { default as SizeText } from "./SizeText.vue";
 export { default as SkeletonBlock } from "./SkeletonBlock.vue";
 export { default as StateChip } from "./StateChip.vue";
 export { default as TimeText } from "./TimeText.vue";
+export { default as VerdictChip } from "./VerdictChip.vue";

@@ -1,6 +1,6 @@
 // Tones of states, and their icon and color.
-import { iconAttention, iconBad, iconGood } from "./icons";
-import type { BlobState, ContentState } from "@/api/types";
+import { iconAttention, iconBad, iconGood, iconNone, iconOutdated, iconProgress, iconUnknown } from "./icons";
+import type { BlobState, CheckStatus, ContentState, Verdict } from "@/api/types";
 
 export type Tone = "plain" | "accent" | "good" | "attention" | "bad";
 
@@ -26,4 +26,38 @@ export const blobTones: Readonly<Record<BlobState, Tone>> = {
   verified: "good",
   lost: "bad",
   corrupt: "bad",
+};
+
+export const verdictTones: Readonly<Record<Verdict, Tone>> = {
+  good: "good",
+  warnings: "attention",
+  bad: "bad",
+  outdated: "plain",
+  running: "accent",
+  unchecked: "plain",
+};
+
+export const verdictIcons: Readonly<Record<Verdict, string>> = {
+  good: iconGood,
+  warnings: iconAttention,
+  bad: iconBad,
+  outdated: iconOutdated,
+  running: iconProgress,
+  unchecked: iconNone,
+};
+
+export const statusTones: Readonly<Record<CheckStatus, Tone>> = {
+  ok: "good",
+  warning: "attention",
+  error: "bad",
+  not_made: "attention",
+  needs_content: "plain",
+};
+
+export const statusIcons: Readonly<Record<CheckStatus, string>> = {
+  ok: iconGood,
+  warning: iconAttention,
+  error: iconBad,
+  not_made: iconUnknown,
+  needs_content: iconNone,
 };

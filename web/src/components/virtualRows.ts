@@ -6,7 +6,7 @@ import { drawnAfter, inSight } from "./table";
 
 const MAX_A_FRAME = 6;
 const REST_MS = 150;
-/** What the head of a table covers of the rows beneath it. */
+/** The height of the sticky head of most tables, in pixels. */
 const HEAD = 37;
 
 export interface VirtualRows {
@@ -29,10 +29,12 @@ export interface VirtualOptions {
   readonly isOwnScroller: boolean;
   /** How much higher than the others the one open row is, in pixels. */
   readonly extra: () => number;
+  /** The height of a sticky head that covers rows, in pixels. */
+  readonly head?: () => number;
 }
 
 /** Returns the rows to render. */
-export function useVirtualRows({ body, scroller, count, pinned, rowHeight, isOwnScroller, extra }: VirtualOptions): VirtualRows {
+export function useVirtualRows({ body, scroller, count, pinned, rowHeight, isOwnScroller, extra, head = () => HEAD }: VirtualOptions): VirtualRows {
   const width = ref(1024);
   const drawn = shallowRef<readonly number[]>([]);
   const isMoving = ref(false);
@@ -80,7 +82,7 @@ export function useVirtualRows({ body, scroller, count, pinned, rowHeight, isOwn
   function reveal(index: number): void {
     const { top, height } = seen();
     const [from, to] = [index * rowHeight(), (index + 1) * rowHeight()];
-    const by = from < top + HEAD ? from - top - HEAD : Math.max(0, to - top - height);
+    const by = from < top + head() ? from - top - head() : Math.max(0, to - top - height);
     if (by !== 0) moving()?.scrollBy({ top: by });
   }
 

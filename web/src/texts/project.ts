@@ -27,7 +27,7 @@ export const texts = {
     make: "Create project",
     why: "You own the project. Only you and admins can see it until you grant access.",
   },
-  tabs: { label: "Views of the project", missions: "Missions", stats: "Statistics", fields: "Metadata fields", access: "Access", activity: "Activity", settings: "Settings" },
+  tabs: { label: "Views of the project", missions: "Missions", checks: "Checks", stats: "Statistics", fields: "Metadata fields", access: "Access", activity: "Activity", settings: "Settings" },
   public: "Public",
   publicWhy: "Anyone can read it without an account.",
   lead: (missions: number, files: number, bytes: number, durationNs: number) =>
@@ -41,6 +41,7 @@ export const texts = {
     timeline: "Timeline",
     views: "Show missions as",
     name: "Mission",
+    verdict: "Checks",
     recorded: "Recorded",
     span: "Span",
     files: "Files",

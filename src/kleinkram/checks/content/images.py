@@ -116,11 +116,12 @@ class ImageProbe(Probe[ImageRule]):
         colours = picture[..., :3]
         mean, brightest = float(np.mean(colours)), float(np.max(colours))
         self._exposures.append(Exposure(time_ns, mean, brightest, picture.dtype == np.uint8))
-        if self.rule.min_sharpness is not None:
+        shows_motion = brightest > float(np.min(colours))
+        if picture.dtype == np.uint8:
+            shows_motion = self.rule.min_brightness <= mean <= self.rule.max_brightness
+        if self.rule.min_sharpness is not None and shows_motion:
             self._sharpness.append((sharpness(_grey(colours, is_mosaic=encoding.startswith("bayer"))), time_ns))
-        if picture.dtype != np.uint8:
-            return brightest > float(np.min(colours))
-        return self.rule.min_brightness <= mean <= self.rule.max_brightness
+        return shows_motion
 
     def _compare(self, digest: int, time_ns: int, *, shows_motion: bool) -> None:
         self._showing += shows_motion
@@ -168,7 +169,8 @@ class ImageProbe(Probe[ImageRule]):
 
     def _blurred(self, limit: float) -> Check:
         if not self._sharpness:
-            return self.row("image.blurred", CheckStatus.not_made, "depth images have no sharpness")
+            what = "black or overexposed pictures" if self._has_exposure else "depth images"
+            return self.row("image.blurred", CheckStatus.not_made, f"{what} have no sharpness")
         blurred = [time_ns for value, time_ns in self._sharpness if value < limit]
         decisive = _decisive([value for value, _ in self._sharpness], self.rule.allowed)
         message = (

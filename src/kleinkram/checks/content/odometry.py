@@ -42,7 +42,7 @@ class OdometryProbe(Probe[OdometryRule]):
         if previous is None:
             return
         self._steps += 1
-        duration_s = max(_SHORTEST_S, (pose.time_ns - previous.time_ns) / 1e9)
+        duration_s = max(_SHORTEST_S, abs(pose.time_ns - previous.time_ns) / 1e9)  # log times may jump back
         self._note("m/s", math.dist(pose.position, previous.position) / duration_s, sample.log_time_ns)
         if pose.orientation is not None and previous.orientation is not None:
             angle = _angle_between(pose.orientation, previous.orientation)

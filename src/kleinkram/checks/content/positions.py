@@ -40,7 +40,7 @@ class PositionProbe(Probe[PositionRule]):
             return
         self._fixes += 1
         if self._previous is not None:
-            duration_s = max(_SHORTEST_S, (sample.time_ns - self._previous[0]) / 1e9)
+            duration_s = max(_SHORTEST_S, abs(sample.time_ns - self._previous[0]) / 1e9)
             speed = distance_m(self._previous[1], self._previous[2], latitude, longitude) / duration_s
             self._steps += 1
             if speed > self._fastest:

@@ -1,7 +1,7 @@
 """Checks of numeric fields of any message type: NaN and infinity, constant values, ranges.
 
-Fields have dotted names; the elements of a list share the name of the list. Left out are bytes, and fields of the
-header unless a glob names them.
+Fields have dotted names; the elements of a list share the name of the list. Left out are bytes, and fields of
+headers unless a glob names them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from kleinkram.recordings.decoding import DecodeError, Value, to_plain
 _MAX_FIELDS, _MAX_ITEMS, _SHOWN = 2000, 1000, 5
 _SMALL_MESSAGE_BYTES, _MAX_MESSAGES = 4096, 100_000
 _BUFFERED_MESSAGES, _BUFFERED_ELEMENTS = 1024, 1_000_000
-_HEADER = "header."
+_HEADER = "header"
 
 
 @dataclass
@@ -182,8 +182,7 @@ class ValueProbe(Probe[ValueRule]):
     def _is_selected(self, name: str) -> bool:
         if name not in self._selected and len(self._selected) < _MAX_FIELDS:
             self._selected[name] = any(
-                matches(name, glob) and (not name.startswith(_HEADER) or glob.startswith("header"))
-                for glob in self.rule.fields
+                matches(name, glob) and (_HEADER not in name.split(".") or _HEADER in glob) for glob in self.rule.fields
             )
         return self._selected.get(name, False)
 

@@ -17,6 +17,7 @@ from kleinkram.contract.access import GroupKind, Right, Scope
 from kleinkram.server.access.actor import Actor, ActorKind, unexpired
 from kleinkram.server.db import among
 from kleinkram.server.tables import (
+    DERIVED_ORIGIN,
     access_grant,
     access_group,
     blob,
@@ -145,10 +146,11 @@ def shown_recordings(actor: Actor) -> sa.ColumnElement[bool]:
 
 
 def shown_span(actor: Actor) -> tuple[sa.ColumnElement[int | None], sa.ColumnElement[int | None]]:
-    """Return start and end, in ns of the log clock, of the shown files of each `mission` of a select."""
+    """Return start and end, in ns of the log clock, of what the shown files of each `mission` of a select recorded."""
     if sees_whole_missions(actor):
         return mission.c.start_ns, mission.c.end_ns
-    inside = (file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown_files(actor))
+    is_recorded = file.c.origin != DERIVED_ORIGIN
+    inside = (file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), is_recorded, shown_files(actor))
     ends = (sa.func.min(blob.c.start_ns), sa.func.max(blob.c.end_ns))
     first, last = (
         sa.select(end).join_from(file, blob, blob.c.id == file.c.blob_id).where(*inside).correlate(mission)

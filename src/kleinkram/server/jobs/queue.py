@@ -18,6 +18,8 @@ class Job(str, enum.Enum):
     verify_blob = "verify_blob"
     summarise_and_verify_blob = "examine_blob"
     derive_recordings = "group_recordings"
+    judge_mission = "judge_mission"
+    judge_project = "judge_project"
     finish_uploads = "finish_uploads"
     maintain_runs = "maintain_runs"
     collect_garbage = "collect_garbage"
@@ -106,6 +108,17 @@ async def waiting_ids(db: Connection, job: Job, *, most: int) -> list[uuid.UUID]
 async def delete_waiting(db: Connection, job: Job, ids: Iterable[uuid.UUID]) -> None:
     """Delete waiting jobs whose work the caller's transaction does."""
     await db.execute(_DELETE_WAITING, {"task": job.value, "refs": [str(job_id) for job_id in ids]})
+
+
+_WITH_WAITING = text(
+    "SELECT args ->> 'ref' FROM procrastinate_jobs WHERE task_name = :task AND status = 'todo'"
+    " AND args ->> 'ref' = ANY(:refs)"
+)
+
+
+async def with_waiting_job(db: Connection, job: Job, refs: Sequence[str]) -> set[str]:
+    """Return those of some ids for which a job waits."""
+    return set((await db.execute(_WITH_WAITING, {"task": job.value, "refs": [*refs]})).scalars())
 
 
 _ENQUEUED_AT = text("SELECT min(at) FROM procrastinate_events WHERE job_id = :id")

@@ -45,8 +45,9 @@ from kleinkram.server.db import among, by_name
 from kleinkram.server.filters.files import metadata_key
 from kleinkram.server.filters.missions import filter_missions, filter_missions_by_files
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
+from kleinkram.server.filters.verdicts import join_checks, shown_counts, shown_verdict
 from kleinkram.server.pagination import Order, PagedQuery
-from kleinkram.server.tables import blob, file, mission, person, project, recording
+from kleinkram.server.tables import DERIVED_ORIGIN, blob, file, mission, person, project, recording
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
 _TOTALS = ("file_count", "size_bytes", "message_count", "pending_file_count")
@@ -63,8 +64,10 @@ def mission_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
         start_ns.label("shown_start_ns"),
         end_ns.label("shown_end_ns"),
         mission_totals(actor).label("totals"),
+        shown_verdict(actor).label("verdict"),
+        shown_counts(actor).label("checks"),
     )
-    return stmt.add_columns(*extra).join(person, person.c.id == mission.c.created_by_id)
+    return join_checks(stmt).add_columns(*extra).join(person, person.c.id == mission.c.created_by_id)
 
 
 def to_missions(rows: Sequence[Row[Any]]) -> list[MissionRead]:
@@ -94,9 +97,11 @@ def mission_ref(mission_id: uuid.UUID, name: str, project_id: uuid.UUID, project
 
 # Content too expensive to summarise is read by the verification; damaged bytes are never read.
 _UNREAD = blob.c.summarised_at.is_(None) | (blob.c.content == ContentState.pending.value)
-_PENDING = blob.c.summarised_at.is_(None) | (
+AWAITS_READING = blob.c.summarised_at.is_(None) | (
     (blob.c.content == ContentState.pending.value) & (blob.c.state == BlobState.stored.value)
 )
+# Files that runs made count as files and bytes, which they are in the store, and not as messages and hours.
+_IS_RECORDED = file.c.origin != DERIVED_ORIGIN
 _STORED = ("file_count", "size_bytes", "message_count", "unread_count")
 # The totals of a mission without files.
 NO_TOTALS = {"file_count": 0, "size_bytes": 0, "message_count": 0, "unread_count": 0, "duration_ns": 0}
@@ -105,7 +110,9 @@ _IS_STORED = mission.c.file_count.is_not(None)
 
 
 def mission_totals(actor: Actor) -> ColumnElement[Any]:
-    """Return number, bytes and messages of each `mission`'s files, and the number of unread ones, as one array.
+    """Return number and bytes of each `mission`'s files, messages of the recorded ones, and how many are unread.
+
+    One array.
 
     They are stored when recordings are derived. A trigger clears the number of files when these change; until it is
     stored again, the totals are added up from the files. So they are always current, and a list of a thousand missions
@@ -122,7 +129,8 @@ def _stored_or_added_totals() -> ColumnElement[Any]:
 
 
 def _added_totals(shown: ColumnElement[bool]) -> ColumnElement[Any]:
-    numbers = (func.count(), func.sum(blob.c.size_bytes), func.sum(blob.c.message_count), func.count().filter(_PENDING))
+    messages = func.sum(blob.c.message_count).filter(_IS_RECORDED)
+    numbers = (func.count(), func.sum(blob.c.size_bytes), messages, func.count().filter(AWAITS_READING))
     return _of_files(shown, _as_integers(*numbers))
 
 
@@ -139,9 +147,9 @@ def file_totals(actor: Actor) -> tuple[ColumnElement[Any], ColumnElement[Any]]:
 
 
 def total_duration(actor: Actor) -> ColumnElement[Any]:
-    """Return the nanoseconds of each `mission`'s recordings, to be added up over missions; null for none."""
+    """Return the nanoseconds that each `mission` recorded, to be added up over missions; null for none."""
     durations = select(func.sum(recording.c.end_ns - recording.c.start_ns)).where(
-        recording.c.mission_id == mission.c.id
+        recording.c.mission_id == mission.c.id, recording.c.is_derived.is_(False)
     )
     added = durations.where(shown_recordings(actor)).correlate(mission).scalar_subquery()
     if not sees_whole_missions(actor):
@@ -153,12 +161,14 @@ def total_duration(actor: Actor) -> ColumnElement[Any]:
 def store_totals(mission_id: uuid.UUID, **values: object) -> Update:
     """Return the statement that stores the totals of a mission, and other derived values."""
     numbers = (func.count(), func.coalesce(func.sum(blob.c.size_bytes), 0))
-    read = (func.coalesce(func.sum(blob.c.message_count), 0), func.count().filter(_UNREAD))
+    messages = func.sum(blob.c.message_count).filter(_IS_RECORDED)
+    read = (func.coalesce(messages, 0), func.count().filter(_UNREAD))
     inside = select(_as_integers(*numbers, *read).label("numbers")).join_from(file, blob, blob.c.id == file.c.blob_id)
     added = inside.where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None)).cte("found")
     duration = select(func.coalesce(func.sum(recording.c.end_ns - recording.c.start_ns), 0))
     derived = {name: select(added.c.numbers[index]).scalar_subquery() for index, name in enumerate(_STORED, start=1)}
-    derived["duration_ns"] = duration.where(recording.c.mission_id == mission_id).scalar_subquery()
+    own = (recording.c.mission_id == mission_id, recording.c.is_derived.is_(False))
+    derived["duration_ns"] = duration.where(*own).scalar_subquery()
     return update(mission).where(mission.c.id == mission_id).values(**values, **derived)
 
 

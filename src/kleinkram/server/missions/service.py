@@ -42,12 +42,15 @@ from kleinkram.server.missions.metadata import (
     satisfying,
     write_template,
 )
+from kleinkram.server.missions.rejudge import judge_again
 from kleinkram.server.pagination import PageRequest, read_listing
 from kleinkram.server.quotas import require_room_for_mission
 from kleinkram.server.tables import mission
 from kleinkram.untrusted_yaml import Document
 
 _VALIDATED_AT_ONCE = 500
+# The verdict depends on these: rules apply by metadata, and are those of the project.
+_JUDGED = frozenset({"metadata", "project_id", "completed_at"})
 
 
 async def lock_mission(db: Connection, mission_id: uuid.UUID) -> bool:
@@ -181,6 +184,8 @@ async def update_mission(
         return old
     require_match(if_match, old.etag, resource_type="mission", name=old.name)
     await _change(db, queries.change_mission(mission_id, **values), name=changes.name or old.name)
+    if values.keys() & _JUDGED:
+        await judge_again(db, [mission_id])
     new = await get_mission(db, actor, mission_id)
     await audit(db, actor, *_change_events(old, new))
     return new

@@ -28,6 +28,7 @@ from kleinkram.server.jobs.execution import (
 )
 from kleinkram.server.jobs.queue import Job, enqueued_at, queue
 from kleinkram.server.missions import service as missions
+from kleinkram.server.missions.rejudge import judge_again
 from kleinkram.server.overviews.topics import store_topics
 from kleinkram.server.recordings import derive
 from kleinkram.server.recordings.derive import LiveFile, MetadataFiles, awaits_derivation, derive_again_later
@@ -141,3 +142,4 @@ async def derive_recordings(job_context: JobContext, ref: str) -> None:
     async with context.database.begin() as db:
         if len(files) <= _MAX_FILES_TO_STORE_OUTDATED or not await awaits_derivation(db, mission_id):
             await store_topics(db, mission_id)
+            await judge_again(db, [mission_id])

@@ -17,7 +17,7 @@ from kleinkram.server.access.visible import (
     visible_missions,
 )
 from kleinkram.server.pagination import Order
-from kleinkram.server.tables import blob, file, mission, mission_topic, mission_topics, recording, topic
+from kleinkram.server.tables import DERIVED_ORIGIN, blob, file, mission, mission_topic, mission_topics, recording, topic
 
 TIMELINE_ORDER = Order([file.c.path, file.c.id])
 
@@ -71,8 +71,9 @@ def mission_state(mission_id: uuid.UUID) -> Select[Any]:
 
 
 def recordings_in_time(mission_id: uuid.UUID, actor: Actor | None = None) -> Select[Any]:
-    """Return the visible recordings of a mission in order of time; all without an actor."""
+    """Return the visible recordings of a mission in order of time; all without an actor. Derived ones are left out."""
     stmt = select(recording.c.id, recording.c.name).where(recording.c.mission_id == mission_id)
+    stmt = stmt.where(recording.c.is_derived.is_(False))
     stmt = stmt if actor is None else stmt.where(shown_recordings(actor))
     return stmt.order_by(recording.c.start_ns.nulls_last(), recording.c.name, recording.c.id)
 
@@ -91,7 +92,7 @@ def recordings_by_id(mission_id: uuid.UUID) -> Select[Any]:
 def topics_of_files(
     mission_id: uuid.UUID, start_ns: int | None, end_ns: int | None, actor: Actor | None = None
 ) -> Select[Any]:
-    """Return the topics of a mission's files, as `topics.merge` reads them.
+    """Return the topics of a mission's recorded files, as `topics.merge` reads them.
 
     `is_placed` is false outside the mission's span: the clock of that file was never set.
     """
@@ -106,7 +107,8 @@ def topics_of_files(
         file.c.recording_id,
         is_placed.label("is_placed"),
     ).join_from(file, topic, topic.c.blob_id == file.c.blob_id)
-    stmt = stmt.where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None))
+    is_recorded = file.c.origin != DERIVED_ORIGIN
+    stmt = stmt.where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None), is_recorded)
     stmt = stmt if actor is None else stmt.where(shown_files(actor))
     return stmt.order_by(topic.c.name, topic.c.message_type, file.c.recording_id, topic.c.first_ns)
 

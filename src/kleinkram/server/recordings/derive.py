@@ -35,7 +35,7 @@ from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection, fit_text
 from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job
 from kleinkram.server.missions.queries import store_totals
-from kleinkram.server.tables import blob, file, mission, mission_topics, recording, topic
+from kleinkram.server.tables import DERIVED_ORIGIN, blob, file, mission, mission_topics, recording, topic
 
 _WAITING = text(
     "SELECT 1 FROM procrastinate_jobs WHERE task_name = :task AND status = 'todo' AND args ->> 'ref' = :ref LIMIT 1"
@@ -57,6 +57,8 @@ _DERIVED = (
     "content_reason",
     "lost",
 )
+# A recording is identified by these within its mission.
+_KEY = ("name", "kind", "is_derived")
 
 Topics = Mapping[uuid.UUID, Sequence[TopicSummary]]
 # The content of each metadata.yaml by its path: None where it is invalid, no entry where it was not read.
@@ -123,6 +125,7 @@ class LiveFile(NamedTuple):
     lost: dict[str, int] | None
     depth: str | None
     uploaded_by_id: uuid.UUID
+    is_derived: bool
 
 
 @dataclass(frozen=True)
@@ -133,17 +136,17 @@ class Derived:
     values: dict[str, Any]
 
     @property
-    def key(self) -> tuple[str, str]:
-        """Name and kind, by which a mission has each recording once."""
-        return self.group.name, self.group.kind.value
+    def key(self) -> tuple[str, str, bool]:
+        """Name, kind, and whether it is derived: a mission has each recording once by these."""
+        return self.group.name, self.group.kind.value, self.values["is_derived"]
 
 
 async def live_files(db: Connection, mission_id: uuid.UUID, *, named: str = "") -> list[LiveFile]:
     """Return the files of a mission; with `named`, only those whose paths end in it."""
     own = ("id", "path", "blob_id", "recording_id")
-    of_blob = (blob.c[name] for name in LiveFile._fields if name not in own)
+    of_blob = (blob.c[name] for name in LiveFile._fields[:-1] if name not in own)
     statement = (
-        select(*(file.c[name] for name in own), *of_blob)
+        select(*(file.c[name] for name in own), *of_blob, file.c.origin == DERIVED_ORIGIN)
         .join(blob, blob.c.id == file.c.blob_id)
         .where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None))
     )
@@ -155,10 +158,15 @@ async def live_files(db: Connection, mission_id: uuid.UUID, *, named: str = "") 
 async def derive(db: Connection, files: Sequence[LiveFile], metadata_files: MetadataFiles) -> list[Derived]:
     """Group files into recordings, and combine their summaries as `klein inspect` does for the files of a folder.
 
-    One query for any number of files; holds the topics of one recording at a time.
+    Derived files form recordings of their own. One query for any number of files; holds the topics of one recording at
+    a time.
     """
     by_path = {one.path: one for one in files}
-    groups = group(by_path, {path: parsed for path, parsed in metadata_files.items() if parsed is not None})
+    parsed_files = {path: parsed for path, parsed in metadata_files.items() if parsed is not None}
+    groups = []
+    for is_derived in (False, True):
+        paths = [one.path for one in files if one.is_derived is is_derived]
+        groups += group(paths, {path: parsed_files[path] for path in paths if path in parsed_files})
     members = [[by_path[path] for path in grouped.members] for grouped in groups]
     # The topics of a single file need no comparison, unless there is a metadata.yaml.
     with_topics = [
@@ -169,7 +177,9 @@ async def derive(db: Connection, files: Sequence[LiveFile], metadata_files: Meta
     async for topics in _topics(db, [{one.blob_id for one in own} for own in with_topics]):
         grouped, own = groups[len(derived)], members[len(derived)]
         parsed = metadata_files.get(grouped.metadata_path or "")
-        derived.append(Derived(grouped, _values(grouped, parsed, _combined(grouped, own, metadata_files, topics))))
+        values = _values(grouped, parsed, _combined(grouped, own, metadata_files, topics))
+        is_derived = any(by_path[path].is_derived for path in _paths(grouped))
+        derived.append(Derived(grouped, {**values, "is_derived": is_derived}))
     return derived
 
 
@@ -285,9 +295,11 @@ async def store(db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived
 
 
 def _span(derived: Sequence[Derived]) -> tuple[int | None, int | None]:
-    """Return start and end of a mission's recordings, without those whose clock was never set if there are others."""
+    """Return start and end of what was recorded, without recordings whose clock was never set if there are others."""
     spans = [
-        (item.values["start_ns"], item.values["end_ns"]) for item in derived if item.values["start_ns"] is not None
+        (item.values["start_ns"], item.values["end_ns"])
+        for item in derived
+        if item.values["start_ns"] is not None and not item.values["is_derived"]
     ]
     credible = [span for span in spans if span[0] >= _CREDIBLE_NS] or spans
     return min((start for start, _ in credible), default=None), max((end for _, end in credible), default=None)
@@ -299,19 +311,19 @@ def _paths(grouped: RecordingGroup) -> list[str]:
 
 async def _stored_recordings(
     db: Connection, mission_id: uuid.UUID
-) -> dict[tuple[str, str], tuple[uuid.UUID, list[object]]]:
-    """Return id and derived values of each recording of a mission, by name and kind."""
-    columns = (recording.c[name] for name in ("name", "kind", "id", *_DERIVED))
+) -> dict[tuple[str, str, bool], tuple[uuid.UUID, list[object]]]:
+    """Return id and derived values of each recording of a mission, by its key."""
+    columns = (recording.c[name] for name in (*_KEY, "id", *_DERIVED))
     rows = await db.execute(select(*columns).where(recording.c.mission_id == mission_id))
-    return {(name, kind): (recording_id, values) for name, kind, recording_id, *values in rows}
+    return {(name, kind, is_derived): (found_id, values) for name, kind, is_derived, found_id, *values in rows}
 
 
 async def _upsert(
     db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived]
-) -> dict[tuple[str, str], uuid.UUID]:
+) -> dict[tuple[str, str, bool], uuid.UUID]:
     values = [{"id": uuid.uuid4(), "mission_id": mission_id, **item.values} for item in derived]
     statement = upsert(recording).values(values)
     changed = {column: statement.excluded[column] for column in _DERIVED}
-    statement = statement.on_conflict_do_update(index_elements=["mission_id", "name", "kind"], set_=changed)
-    rows = await db.execute(statement.returning(recording.c.id, recording.c.name, recording.c.kind))
-    return {(row.name, row.kind): row.id for row in rows}
+    statement = statement.on_conflict_do_update(index_elements=["mission_id", *_KEY], set_=changed)
+    rows = await db.execute(statement.returning(recording.c.id, *(recording.c[name] for name in _KEY)))
+    return {(row.name, row.kind, row.is_derived): row.id for row in rows}

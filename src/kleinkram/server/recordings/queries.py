@@ -78,5 +78,6 @@ def to_recording(row: Row[Any]) -> RecordingRead:
         start_ns=row.start_ns,
         end_ns=row.end_ns,
         message_count=row.message_count,
+        is_derived=row.is_derived,
         size_bytes=int(row.size_bytes),
     )

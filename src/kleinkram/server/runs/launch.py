@@ -41,7 +41,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.filters.files import filter_files
 from kleinkram.server.runs import service
 from kleinkram.server.runs.eligibility import KnownRunners, Needs, known_runners
-from kleinkram.server.tables import action, action_version, blob, file, mission, project, run, run_input
+from kleinkram.server.tables import DERIVED_ORIGIN, action, action_version, blob, file, mission, project, run, run_input
 
 # The columns that a run takes over from the run whose results it reuses.
 _REUSED_COLUMNS = (
@@ -240,10 +240,15 @@ async def _find_inputs(
     )
     columns = (file.c.id, file.c.path, file.c.blob_id, blob.c.size_bytes, blob.c.sha256, blob.c.state)
     stmt = filter_files(actor, visible_files(actor), matching).with_only_columns(*columns, maintain_column_froms=True)
+    if not requested.derived:
+        stmt = stmt.where(file.c.origin != DERIVED_ORIGIN)
     inputs = [_Input._make(row) for row in await db.execute(stmt.order_by(file.c.path))]
     if not inputs:
-        parts = [f"{name} {', '.join(globs)}" for name, globs in requested.model_dump().items() if globs]
+        chosen = requested.model_dump(exclude={"derived"})
+        parts = [f"{name} {', '.join(globs)}" for name, globs in chosen.items() if globs]
         details = " and ".join(parts).replace("_", " ") or "any file"
+        if not requested.derived:
+            details += " (files that runs made are inputs only with `derived: true`)"
         raise NoInputs(mission=target.name, action=definition.name, inputs=details)
     for entry in inputs:
         if entry.state in _UNREADABLE:

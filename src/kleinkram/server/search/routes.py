@@ -36,9 +36,13 @@ class TopicListQuery(FileQuery):
 
 
 class StatsQuery(FileQuery):
-    """Query parameters of statistics. `by` is project, mission, topic, type, month, format or metadata.FIELD."""
+    """Query parameters of statistics. `by` is project, mission, topic, type, month, format or metadata.FIELD.
+
+    Files that runs made count only with `derived`.
+    """
 
     by: Term = "project"
+    derived: bool = False
 
 
 @router.get("/search", operation_id="search")
@@ -65,4 +69,5 @@ async def list_topics(
 @router.get("/stats", operation_id="get_stats")
 async def get_stats(query: Annotated[StatsQuery, Query()], db: Transaction, actor: CurrentActor) -> StatsRead:
     """Return hours, bytes, files and messages of the files that match."""
-    return await statistics.get_stats(db, actor, by=query.by, matching=combined_filter(query))
+    matching = combined_filter(query)
+    return await statistics.get_stats(db, actor, by=query.by, matching=matching, with_derived=query.derived)

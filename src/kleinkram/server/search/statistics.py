@@ -32,7 +32,7 @@ from kleinkram.server.access.visible import (
 from kleinkram.server.db import Connection
 from kleinkram.server.filters.files import filter_files, filter_topics, metadata_text
 from kleinkram.server.search.planner import ENLARGE_WORK_MEMORY
-from kleinkram.server.tables import blob, file, mission, project, recording, topic
+from kleinkram.server.tables import DERIVED_ORIGIN, blob, file, mission, project, recording, topic
 
 # More rows than anybody reads, and few enough for one response.
 MAX_GROUPS = 10_000
@@ -40,8 +40,12 @@ _METADATA = re.compile(r"metadata\.([^.]+(?:\.[^.]+)*)")
 _NUMBERS = ("missions", "files", "size_bytes", "messages", "recordings", "duration_ns")
 
 
-async def get_stats(db: Connection, actor: Actor, *, by: str, matching: FileFilter) -> StatsRead:
+async def get_stats(
+    db: Connection, actor: Actor, *, by: str, matching: FileFilter, with_derived: bool = False
+) -> StatsRead:
     """Return statistics of the files that match, grouped by `by`, and in total.
+
+    Files that runs made count only `with_derived`.
 
     Raises:
         InvalidQuery: there is no such grouping, it has more than `MAX_GROUPS` groups, or a `where` cannot be used.
@@ -54,7 +58,8 @@ async def get_stats(db: Connection, actor: Actor, *, by: str, matching: FileFilt
         await _require_field(db, actor, by.removeprefix("metadata."))
     by_topic = by in {"topic", "type"}
     await db.execute(ENLARGE_WORK_MEMORY)
-    grouped = _statistics(actor, matching, group=group, by_topic=by_topic)
+    chosen = true() if with_derived else file.c.origin != DERIVED_ORIGIN
+    grouped = _statistics(actor, matching, chosen, group=group, by_topic=by_topic)
     rows = [_to_stats(*row) for row in await db.execute(grouped.limit(MAX_GROUPS + 1))]
     if len(rows) > MAX_GROUPS:
         reason = f"these files make more than {MAX_GROUPS} groups; narrow the filter, or group by something coarser"
@@ -62,7 +67,7 @@ async def get_stats(db: Connection, actor: Actor, *, by: str, matching: FileFilt
     if by in {"project", "mission"} or by.startswith("metadata."):
         # Each mission is in one group.
         return StatsRead(by=by, rows=rows, total=add_up(rows))
-    total = (await db.execute(_statistics(actor, matching, group=null(), by_topic=by_topic))).one_or_none()
+    total = (await db.execute(_statistics(actor, matching, chosen, group=null(), by_topic=by_topic))).one_or_none()
     return StatsRead(by=by, rows=rows, total=add_up([]) if total is None else _to_stats(*total))
 
 
@@ -110,12 +115,14 @@ def _group_column(by: str) -> ColumnElement[Any] | None:
     return columns.get(by)
 
 
-def _statistics(actor: Actor, matching: FileFilter, *, group: ColumnElement[Any], by_topic: bool) -> Select[Any]:
+def _statistics(
+    actor: Actor, matching: FileFilter, chosen: ColumnElement[bool], *, group: ColumnElement[Any], by_topic: bool
+) -> Select[Any]:
     """Return one row for each group, in order: `group` and `_NUMBERS`.
 
     A file counts once in each of its groups, and so does a recording.
     """
-    files = _grouped_files(actor, matching, group=group, by_topic=by_topic).cte("files")
+    files = _grouped_files(actor, matching, group=group, by_topic=by_topic).where(chosen).cte("files")
     sums = (
         select(
             files.c.group,

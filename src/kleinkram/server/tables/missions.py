@@ -25,6 +25,8 @@ project = sa.Table(
     # Null for no quota.
     sa.Column("quota_bytes", sa.BigInteger),
     sa.Column("quota_files", sa.BigInteger),
+    # The version of its `checks.yaml` that applies; 0 for none.
+    sa.Column("checks_number", sa.Integer, nullable=False, server_default="0"),
     created_at_column(),
     sa.Column("created_by_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False),
     sa.Column("deleted_at", sa.DateTime(timezone=True)),
@@ -165,10 +167,15 @@ recording = sa.Table(
     sa.Column("content", sa.Text, nullable=False, server_default=ContentState.pending.value),
     sa.Column("content_reason", sa.Text),
     sa.Column("lost", JSONB(none_as_null=True)),
-    sa.UniqueConstraint("mission_id", "name", "kind"),
+    # Made of files that runs made; not part of the mission's span and sums.
+    sa.Column("is_derived", sa.Boolean, nullable=False, server_default=sa.text("false")),
+    sa.UniqueConstraint("mission_id", "name", "kind", "is_derived"),
     one_of("content", ContentState),
     sa.CheckConstraint("start_ns <= end_ns", name="span"),
 )
+
+DERIVED_ORIGIN = "run"
+"""Of a `file` that a run made from others of its mission. It is in no sum of what was recorded."""
 
 file = sa.Table(
     "file",

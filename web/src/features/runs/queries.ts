@@ -9,6 +9,7 @@ import type { Artifact, RunState } from "@/api/types";
 type Schemas = components["schemas"];
 export type RunQuery = NonNullable<operations["list_runs"]["parameters"]["query"]>;
 export type Finding = Schemas["FindingRead"];
+export type RunCheck = Schemas["CheckRead"];
 export type Metric = Schemas["MetricRead"];
 export type Input = Schemas["RunInput"];
 export type Preview = Schemas["Preview"];
@@ -33,6 +34,12 @@ export function useRun(runId: string) {
     queryFn: ({ signal }) => call(api.GET("/api/v1/runs/{run_id}", { params: { path: { run_id: runId } }, signal })),
     refetchInterval: (running) => (running.state.data !== undefined && isActive(running.state.data.state) ? POLL_MS : false),
   });
+}
+
+export function useRunChecks(runId: () => string, enabled: () => boolean) {
+  return useList(({ run_id: id }) => [...keys.run(id), "checks"], () => ({ run_id: runId() }), (query, signal) =>
+    call(api.GET("/api/v1/run-checks", { params: { query }, signal })), enabled,
+  );
 }
 
 export function useFindings(runId: () => string, enabled: () => boolean) {

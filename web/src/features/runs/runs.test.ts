@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { LogLines, shownLine } from "./log";
 import { areaOf, levels, most, rates, rowsOf, scaleOf, trackOf } from "./preview";
-import { findingsOf, metricNames, metricText } from "./states";
+import { chipOf, failedChecksOf, findingsOf, metricNames, metricText } from "./states";
 import type { Run } from "@/api/types";
 
 describe("lines of a log", () => {
@@ -85,6 +85,25 @@ function run(metrics: Run["metrics"], counts: Run["finding_counts"] = {}): Run {
   return { metrics, finding_counts: counts } as unknown as Run;
 }
 
+it("a run is green only where it found nothing wrong, and its result does not hide that it failed", () => {
+  const chip = (more: Partial<Run>) => {
+    const { label, tone } = chipOf({ ...run([]), message: "", ...more });
+    return `${label} ${tone}`;
+  };
+  expect(chip({ state: "done", verdict: null })).toBe("Done good");
+  expect(chip({ state: "done", verdict: "good" })).toBe("Done good");
+  expect(chip({ state: "done", verdict: "warnings" })).toBe("Done: warnings attention");
+  expect(chip({ state: "done", verdict: "bad" })).toBe("Done: bad bad");
+  expect(chip({ state: "failed", verdict: null })).toBe("Failed bad");
+  expect(chip({ state: "running", verdict: null })).toBe("Running accent");
+});
+
+it("counts checks that failed or could not be made, not those that passed", () => {
+  const labels = (counts: Run["check_counts"]) => failedChecksOf({ ...run([]), check_counts: counts }).map(({ label }) => label);
+  expect(labels({ ok: 12, needs_content: 2 })).toEqual([]);
+  expect(labels({ not_made: 1, warning: 2, error: 1, ok: 3 })).toEqual(["1 check failed", "2 check warnings", "1 check not made"]);
+});
+
 it("counts findings by severity, the worst first", () => {
   expect(findingsOf(run([], { info: 3, error: 1, warning: 2 })).map(({ label }) => label)).toEqual(["1 error", "2 warnings", "3 infos"]);
   expect(findingsOf(run([]))).toEqual([]);
@@ -99,5 +118,5 @@ it("names the metrics that most runs have first, and writes them with their unit
   const one = run([{ name: "ate_rmse", value: 0.1234567, unit: "m", file: null, labels: {} }, { name: "hz", value: 20, unit: null, file: "a.bag", labels: {} }]);
   const two = run([{ name: "ate_rmse", value: 1, unit: null, file: null, labels: {} }, { name: "of_files", value: 1, file: "a", labels: {} }, { name: "of_files", value: 2, file: "b", labels: {} }]);
   expect(metricNames([two, one])).toEqual(["ate_rmse", "hz", "of_files"]);
-  expect([metricText(one, "ate_rmse"), metricText(one, "hz"), metricText(two, "of_files"), metricText(two, "hz")]).toEqual(["0.12346 m", "20", "2 files", ""]);
+  expect([metricText(one, "ate_rmse"), metricText(one, "hz"), metricText(two, "of_files"), metricText(two, "hz")]).toEqual(["0.12346 m", "20", "2 values", ""]);
 });

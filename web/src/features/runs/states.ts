@@ -1,10 +1,11 @@
 // Display of runs: the tone of each state, the duration, the equivalent commands, and their results.
 import type { Run, RunState } from "@/api/types";
 import { formatDuration } from "@/components/format";
-import type { Tone } from "@/components/tones";
+import { statusTones, verdictIcons, verdictTones, type Tone } from "@/components/tones";
 import { texts as common } from "@/texts/common";
 import { severityTones } from "@/components/warnings";
-import { severityTexts, texts } from "@/texts/runs";
+import { statusTexts } from "@/texts/checks";
+import { severityTexts, stateTexts, texts } from "@/texts/runs";
 
 const NS_PER_MS = 1_000_000;
 const MS_PER_S = 1000;
@@ -19,6 +20,21 @@ export const stateTones: Readonly<Record<RunState, Tone>> = {
   cancelled: "attention",
 };
 
+export interface Chip {
+  readonly label: string;
+  readonly tone: Tone;
+  readonly why: string;
+  readonly icon?: string;
+}
+
+/** Returns the state of a run; one that is done, but found its mission bad or gave warnings, is not green. */
+export function chipOf({ state, verdict, message }: Run): Chip {
+  if (state === "done" && (verdict === "bad" || verdict === "warnings")) {
+    return { label: texts.doneWith[verdict], tone: verdictTones[verdict], icon: verdictIcons[verdict], why: texts.doneWithWhy[verdict] };
+  }
+  return { label: stateTexts[state].label, tone: stateTones[state], why: message || stateTexts[state].why };
+}
+
 /** How long its command ran, so far where it still does. */
 export function tookOf(run: Run, now: Date): string {
   if (run.started_at === null) return common.none;
@@ -28,12 +44,21 @@ export function tookOf(run: Run, now: Date): string {
 }
 
 const SEVERITIES = ["error", "warning", "info"] as const;
+const FAILED = ["error", "warning", "not_made"] as const;
 
 export interface Findings {
   readonly severity: (typeof SEVERITIES)[number];
   readonly label: string;
   readonly why: string;
   readonly tone: Tone;
+}
+
+/** Returns how many checks of a run failed or could not be made, the worst first. */
+export function failedChecksOf({ check_counts: counts }: Run): readonly Chip[] {
+  return FAILED.flatMap((status) => {
+    const count = counts[status] ?? 0;
+    return count === 0 ? [] : [{ label: texts.checkCount(count, status), tone: statusTones[status], why: statusTexts[status].why }];
+  });
 }
 
 /** Returns how many findings of each severity a run has, the worst first; nothing where it has none. */
@@ -58,11 +83,11 @@ const LARGE = 10_000;
 const small = new Intl.NumberFormat("en-GB", { maximumSignificantDigits: 5 });
 const large = new Intl.NumberFormat("en-GB", { maximumFractionDigits: 0 });
 
-/** Returns a metric of a run with its unit: that of the whole run, or of its only file; else how many files have it. */
+/** Returns a metric of a run with its unit: that of the whole run, or its only value; else how many values it has. */
 export function metricText(run: Run, name: string): string {
   const metrics = run.metrics.filter((metric) => metric.name === name);
-  const metric = metrics.find(({ file }) => file === null || file === undefined) ?? (metrics.length === 1 ? metrics[0] : undefined);
-  if (metric === undefined) return metrics.length === 0 ? "" : texts.ofFiles(metrics.length);
+  const metric = metrics.find((item) => !item.file && !item.topic && Object.keys(item.labels).length === 0) ?? (metrics.length === 1 ? metrics[0] : undefined);
+  if (metric === undefined) return metrics.length === 0 ? "" : texts.values(metrics.length);
   const format = Math.abs(metric.value) < LARGE ? small : large;
   return [format.format(metric.value), metric.unit ?? ""].filter((item) => item !== "").join(" ");
 }

@@ -1,0 +1,165 @@
+"""The verdict of a mission: checks from the index, of uploaders and of actions, and what people accepted. Pure."""
+
+import uuid
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+from kleinkram.checks.outcomes import LEFT_OUT, WORST_FIRST
+from kleinkram.contract.checks import (
+    MAX_CHECKS,
+    Check,
+    CheckSource,
+    CheckStatus,
+    MissionCheck,
+    Verdict,
+    verdict_of,
+)
+
+_FAILED = (CheckStatus.error, CheckStatus.warning, CheckStatus.not_made)
+_FROM_INDEX = ("file.", "recording.", "topic.", "checks.")
+_ALSO_FROM_INDEX = "clock.jump"
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """A failing check that a person accepted; `topic` is None for all topics."""
+
+    id: uuid.UUID
+    check: str
+    topic: str | None
+
+
+@dataclass(frozen=True)
+class UploaderReport:
+    """Checks of the present files, by an uploader. `is_by_present_rules`: by the present `checks.yaml`."""
+
+    checks: Sequence[Check]
+    is_by_present_rules: bool
+    has_content: bool
+
+
+@dataclass(frozen=True)
+class CombinedChecks:
+    """All checks of a mission, worst first, and what they amount to.
+
+    Attributes:
+        counts: by status of those that count, and `accepted`.
+        statuses: of each check, the worst status over topics and sources; accepted ones are `ok`.
+        failed: names of the checks with warnings or errors that nobody accepted.
+    """
+
+    verdict: Verdict
+    checks: list[MissionCheck]
+    counts: dict[str, int]
+    statuses: dict[str, CheckStatus]
+    failed: list[str]
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Everything that a verdict is made of.
+
+    Attributes:
+        index: checks that the server made from the index; None if the project has no `checks.yaml`.
+        reports: latest first.
+        actions: checks of the project's actions.
+        is_running: a source is still being made.
+        is_outdated: a source was made of earlier files or rules, and was not made again.
+    """
+
+    index: Sequence[Check] | None = None
+    reports: Sequence[UploaderReport] = ()
+    actions: Sequence[MissionCheck] = ()
+    acceptances: Sequence[Acceptance] = ()
+    is_running: bool = False
+    is_outdated: bool = False
+
+
+@dataclass
+class _Summary:
+    counts: Counter[str] = field(default_factory=Counter)
+    statuses: dict[str, CheckStatus] = field(default_factory=dict)
+    failed: set[str] = field(default_factory=set)
+
+    def add(self, check: MissionCheck) -> None:
+        is_accepted = check.acceptance_id is not None
+        self.counts["accepted" if is_accepted else check.status.value] += 1
+        status = CheckStatus.ok if is_accepted else check.status
+        known = self.statuses.get(check.name)
+        if known is None or WORST_FIRST.index(status) < WORST_FIRST.index(known):
+            self.statuses[check.name] = status
+        if status in (CheckStatus.error, CheckStatus.warning):
+            self.failed.add(check.name)
+
+
+def reads_content(name: str) -> bool:
+    """Return whether a check of this name reads messages."""
+    return not name.startswith(_FROM_INDEX) and name != _ALSO_FROM_INDEX
+
+
+def combine(sources: Sources) -> CombinedChecks:
+    """Return all checks and the verdict. An error that counts makes a mission bad, whatever is outdated or running."""
+    summary, by_status = _Summary(), {status: list[MissionCheck]() for status in WORST_FIRST}
+    for check in _accepted(_all_checks(sources), sources.acceptances):
+        summary.add(check)
+        by_status[check.status].append(check)
+    made = {CheckStatus(name) for name, count in summary.counts.items() if count and name != "accepted"}
+    if summary.counts["accepted"]:
+        made.add(CheckStatus.ok)
+    verdict = verdict_of(made)
+    if verdict is not Verdict.bad and (sources.is_running or sources.is_outdated):
+        verdict = Verdict.running if sources.is_running else Verdict.outdated
+    return CombinedChecks(
+        verdict=verdict,
+        checks=_bounded([check for status in WORST_FIRST for check in by_status[status]]),
+        counts=dict(summary.counts),
+        statuses=summary.statuses,
+        failed=sorted(summary.failed),
+    )
+
+
+def is_content_outdated(sources: Sources) -> bool:
+    """Return whether content was checked by earlier rules only, while the present ones ask for such checks."""
+    needs_content = any(check.status is CheckStatus.needs_content for check in sources.index or ())
+    by_content = [report for report in sources.reports if report.has_content]
+    return needs_content and bool(by_content) and not any(report.is_by_present_rules for report in by_content)
+
+
+def _all_checks(sources: Sources) -> Iterable[MissionCheck]:
+    """Yield the checks that count: from the index by the server, from the content by the latest valid report."""
+    valid = [report for report in sources.reports if report.is_by_present_rules]
+    content = next((report for report in valid if report.has_content), None)
+    if sources.index is None:
+        report = content or next(iter(valid), None)
+        yield from (_read(check, CheckSource.report) for check in (report.checks if report else ()))
+    else:
+        for check in sources.index:
+            if content is None or not reads_content(check.name):
+                yield _read(check, CheckSource.server)
+        for check in content.checks if content else ():
+            if reads_content(check.name):
+                yield _read(check, CheckSource.report)
+    yield from sources.actions
+
+
+def _read(check: Check, source: CheckSource) -> MissionCheck:
+    return MissionCheck.model_construct(**check.__dict__, source=source)
+
+
+def _accepted(checks: Iterable[MissionCheck], acceptances: Sequence[Acceptance]) -> Iterable[MissionCheck]:
+    by_name: dict[str, list[Acceptance]] = {}
+    for acceptance in acceptances:
+        by_name.setdefault(acceptance.check, []).append(acceptance)
+    for check in checks:
+        matching = by_name.get(check.name, ()) if check.status in _FAILED else ()
+        applied = next((one for one in matching if one.topic is None or one.topic == check.topic), None)
+        yield check if applied is None else check.model_copy(update={"acceptance_id": applied.id})
+
+
+def _bounded(checks: list[MissionCheck]) -> list[MissionCheck]:
+    if len(checks) <= MAX_CHECKS:
+        return checks
+    listed, left_out = checks[: MAX_CHECKS - 1], len(checks) - MAX_CHECKS + 1
+    message = f"{left_out} more checks are not listed"
+    return [*listed, MissionCheck(name=LEFT_OUT, status=CheckStatus.not_made, message=message)]

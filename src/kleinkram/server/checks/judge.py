@@ -1,0 +1,217 @@
+"""Judges missions: reads what is known of them, makes the checks from the index, and stores the verdict.
+
+May run twice, and at any time. It locks the missions first, so that what it reads belongs together; a change that
+follows has them judged again.
+"""
+
+import asyncio
+import datetime
+import uuid
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from pydantic import TypeAdapter
+from sqlalchemy import ColumnElement, Row, case, delete, func, or_, select, update
+from sqlalchemy.dialects.postgresql import insert
+
+from kleinkram.checks.document import ChecksDocument
+from kleinkram.checks.results import CheckResults, evaluate_index
+from kleinkram.contract.audit import ChangeKind
+from kleinkram.contract.checks import AcceptanceEnd, Check, CheckDepth, CheckStatus, Verdict
+from kleinkram.contract.errors import YamlInvalid
+from kleinkram.server.change_events import ChangeEvent, publish
+from kleinkram.server.checks.combine import (
+    Acceptance,
+    CombinedChecks,
+    Sources,
+    UploaderReport,
+    combine,
+    is_content_outdated,
+)
+from kleinkram.server.checks.documents import document_of
+from kleinkram.server.checks.facts import JudgedMission, read_missions
+from kleinkram.server.db import Connection, among
+from kleinkram.server.missions import service as missions
+from kleinkram.server.tables import check_acceptance, check_report, mission_checks
+
+_CHECKS = TypeAdapter(list[Check])
+_STORED_BATCH = 100
+
+
+@dataclass(frozen=True)
+class _Rules:
+    """The `checks.yaml` of a project. `document` is None if it cannot be read, for a `reason`."""
+
+    document: ChecksDocument | None
+    sha256: bytes
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class _Judgement:
+    """What is stored of one mission."""
+
+    mission: JudgedMission
+    results: CheckResults | None
+    combined: CombinedChecks
+
+
+async def judge_missions(db: Connection, mission_ids: Sequence[uuid.UUID]) -> None:
+    """Judge missions in the caller's transaction, which should be short: it locks them.
+
+    Those whose recordings are not derived yet are left out: deriving them has them judged.
+    """
+    locked = await missions.lock_missions(db, mission_ids)
+    judged = [one for one in await read_missions(db, [*locked]) if one.facts is not None]
+    if not judged:
+        return
+    await _end_acceptances(db, judged)
+    rules = {key: await _rules(db, *key) for key in {(one.project_id, one.checks_number) for one in judged}}
+    reports, acceptances = await _reports(db, judged), await _acceptances(db, judged)
+    judgements = await asyncio.to_thread(
+        lambda: [
+            _judge(one, rules[one.project_id, one.checks_number], reports[one.id], acceptances[one.id])
+            for one in judged
+        ]
+    )
+    await _store(db, judgements)
+    await publish(db, _events(judged))
+
+
+def is_report_of(row: Row[Any], files: Mapping[str, str], recorded_files: Mapping[str, str]) -> bool:
+    """Return whether a report is about the present files: all recorded ones, and none that changed or is gone."""
+    reported: Mapping[str, str] = row.files
+    return reported.items() <= files.items() and recorded_files.items() <= reported.items()
+
+
+def _events(judged: Sequence[JudgedMission]) -> list[ChangeEvent]:
+    if len(judged) == 1:
+        return [ChangeEvent("mission", ChangeKind.changed, one.id, one.project_id, one.id) for one in judged]
+    return [
+        ChangeEvent("mission", ChangeKind.changed, None, project_id)
+        for project_id in {one.project_id for one in judged}
+    ]
+
+
+async def _rules(db: Connection, project_id: uuid.UUID, number: int) -> _Rules | None:
+    if number == 0:
+        return None
+    try:
+        document, sha256 = await document_of(db, project_id, number)
+    except YamlInvalid as error:  # written for an earlier version of this program
+        return _Rules(None, b"", error.sentence())
+    return _Rules(document, sha256)
+
+
+def _judge(
+    judged: JudgedMission, rules: _Rules | None, reports: Sequence[Row[Any]], acceptances: Sequence[Acceptance]
+) -> _Judgement:
+    results: CheckResults | None = None
+    index: Sequence[Check] | None = None
+    if rules is not None and judged.all_files and judged.facts is not None:
+        if rules.document is None:
+            index = [_unreadable(rules)]
+        elif not judged.is_reading:
+            results = evaluate_index(rules.document, judged.facts)
+            index = results.checks
+    sources = Sources(
+        index=index,
+        reports=[_report(row, rules) for row in reports if is_report_of(row, judged.all_files, judged.recorded_files)],
+        acceptances=acceptances,
+        is_running=judged.is_reading,
+    )
+    combined = combine(replace(sources, is_outdated=is_content_outdated(sources)))
+    return _Judgement(judged, results, combined)
+
+
+def _report(row: Row[Any], rules: _Rules | None) -> UploaderReport:
+    return UploaderReport(
+        checks=_CHECKS.validate_python(row.checks),
+        is_by_present_rules=rules is None or rules.sha256 == row.document_sha256,
+        has_content=row.depth == CheckDepth.content.value,
+    )
+
+
+def _unreadable(rules: _Rules) -> Check:
+    message = f"the project's checks.yaml cannot be read: {rules.reason}"[:2000]
+    return Check(name="checks.file", status=CheckStatus.not_made, message=message)
+
+
+async def _end_acceptances(db: Connection, judged: Sequence[JudgedMission]) -> None:
+    """End the acceptances of missions whose files changed."""
+    own = check_acceptance.c.mission_id
+    stmt = select(check_acceptance.c.id, own, check_acceptance.c.inputs_sha256)
+    rows = (await db.execute(stmt.where(among(own, [one.id for one in judged]), _APPLIES))).all()
+    inputs = {one.id: one.inputs_sha256 for one in judged}
+    ended = [row.id for row in rows if row.inputs_sha256 != inputs[row.mission_id]]
+    if ended:
+        values = {"ended": AcceptanceEnd.files_changed.value, "ended_at": func.now()}
+        await db.execute(update(check_acceptance).where(among(check_acceptance.c.id, ended)).values(**values))
+
+
+_APPLIES: ColumnElement[bool] = check_acceptance.c.ended.is_(None)
+
+
+async def _acceptances(db: Connection, judged: Sequence[JudgedMission]) -> Mapping[uuid.UUID, list[Acceptance]]:
+    own = check_acceptance.c.mission_id
+    columns = (check_acceptance.c.id, own, check_acceptance.c.check_name, check_acceptance.c.topic)
+    acceptances: dict[uuid.UUID, list[Acceptance]] = defaultdict(list)
+    for row in await db.execute(select(*columns).where(among(own, [one.id for one in judged]), _APPLIES)):
+        acceptances[row.mission_id].append(Acceptance(row.id, row.check_name, row.topic))
+    return acceptances
+
+
+async def _reports(db: Connection, judged: Sequence[JudgedMission]) -> Mapping[uuid.UUID, list[Row[Any]]]:
+    stmt = select(check_report).where(among(check_report.c.mission_id, [one.id for one in judged]))
+    reports: dict[uuid.UUID, list[Row[Any]]] = defaultdict(list)
+    for row in await db.execute(stmt.order_by(check_report.c.created_at.desc(), check_report.c.id)):
+        reports[row.mission_id].append(row)
+    return reports
+
+
+async def _store(db: Connection, judgements: Sequence[_Judgement]) -> None:
+    """Store results; where nothing was checked and nothing is to be checked, no row is left."""
+    empty = [one.mission.id for one in judgements if _is_empty(one)]
+    if empty:
+        await db.execute(delete(mission_checks).where(among(mission_checks.c.mission_id, empty)))
+    rows = [_values(one) for one in judgements if not _is_empty(one)]
+    if rows:
+        statement = insert(mission_checks)
+        new = statement.excluded
+        # Rows of missions that are not bad have none.
+        stored = mission_checks.c.bad_since
+        is_bad = new.verdict == Verdict.bad.value
+        is_undecided = or_(new.verdict == Verdict.running.value, new.verdict == Verdict.outdated.value)
+        since = case((is_bad, func.coalesce(stored, new.bad_since)), (is_undecided, stored), else_=None)
+        changed = {name: new[name] for name in rows[0] if name not in ("mission_id", "bad_since")}
+        statement = statement.on_conflict_do_update(
+            index_elements=["mission_id"], set_={**changed, "bad_since": since, "evaluated_at": func.now()}
+        )
+        for start in range(0, len(rows), _STORED_BATCH):
+            await db.execute(statement, rows[start : start + _STORED_BATCH])
+
+
+def _is_empty(judgement: _Judgement) -> bool:
+    return judgement.mission.checks_number == 0 and not judgement.combined.checks
+
+
+def _values(judgement: _Judgement) -> dict[str, Any]:
+    judged, combined, results = judgement.mission, judgement.combined, judgement.results
+    left_out = results.profiles_left_out if results else ()
+    return {
+        "mission_id": judged.id,
+        "verdict": combined.verdict.value,
+        "files_revision": judged.files_revision,
+        "project_id": judged.project_id,
+        "checks_number": judged.checks_number,
+        "is_outdated": False,
+        "counts": combined.counts,
+        "checks": [check.model_dump(mode="json", exclude_defaults=True) for check in combined.checks],
+        "statuses": {name: status.value for name, status in combined.statuses.items()},
+        "profiles_applied": [*results.profiles_applied] if results else [],
+        "profiles_left_out": [{"name": one.name, "reason": one.reason} for one in left_out],
+        "failed": combined.failed,
+        "bad_since": datetime.datetime.now(datetime.timezone.utc) if combined.verdict is Verdict.bad else None,
+    }

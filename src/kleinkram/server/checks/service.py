@@ -1,0 +1,289 @@
+"""The checks of a mission, and what people and uploaders add to them: acceptances, notes, reports.
+
+Every change has the mission judged again.
+"""
+
+import uuid
+from typing import Any
+
+from sqlalchemy import Row, delete, func, insert, select, update
+from sqlalchemy.exc import IntegrityError
+
+from kleinkram.contract.checks import (
+    AcceptanceEnd,
+    CheckAcceptanceCreate,
+    CheckAcceptanceRead,
+    CheckCounts,
+    CheckNoteCreate,
+    CheckNoteRead,
+    CheckReportCreate,
+    CheckReportRead,
+    MissionCheck,
+    MissionChecksRead,
+    ProfileLeftOut,
+    Verdict,
+    verdict_of,
+)
+from kleinkram.contract.errors import FieldProblem, InvalidRequest, NotFound
+from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.missions import MissionRef
+from kleinkram.contract.people import PersonRef
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.rights import require_mission
+from kleinkram.server.access.visible import sees_whole_missions
+from kleinkram.server.audit.log import Event, audit
+from kleinkram.server.checks import queries
+from kleinkram.server.checks.facts import JudgedMission, read_missions
+from kleinkram.server.checks.judge import is_report_of
+from kleinkram.server.db import Connection, violated_constraint
+from kleinkram.server.missions import service as missions
+from kleinkram.server.missions.rejudge import judge_again
+from kleinkram.server.tables import check_acceptance, check_note, check_report, project_checks
+
+_MAX_NOTES = 10_000
+
+
+async def get_mission_checks(
+    db: Connection, actor: Actor, *, mission_id: uuid.UUID, with_history: bool
+) -> MissionChecksRead:
+    """Return the checks of a mission, worst first; with history, also acceptances that ended and outdated reports.
+
+    Actors who see only some of its files get none.
+
+    Raises:
+        NotFound: the mission does not exist, or is not visible.
+    """
+    row = (await db.execute(queries.checks_of_mission(actor, mission_id))).one_or_none()
+    if row is None:
+        raise NotFound(resource_type="mission", ref=str(mission_id))
+    is_shown = sees_whole_missions(actor) and row.checks is not None
+    acceptances, notes, reports = await _additions(db, mission_id) if sees_whole_missions(actor) else ([], [], [])
+    return MissionChecksRead(
+        verdict=row.verdict,
+        counts=CheckCounts.model_validate(row.counts),
+        checks=[MissionCheck.model_validate(check) for check in row.checks] if is_shown else [],
+        checks_number=row.checks_number or 0 if is_shown else 0,
+        profiles_applied=row.profiles_applied if is_shown else [],
+        profiles_left_out=[ProfileLeftOut.model_validate(one) for one in row.profiles_left_out] if is_shown else [],
+        is_current=bool(row.is_current) and is_shown,
+        evaluated_at=row.evaluated_at if is_shown else None,
+        bad_since=row.bad_since if is_shown else None,
+        acceptances=[one for one in acceptances if with_history or one.ended is None],
+        notes=notes,
+        reports=[one for one in reports if with_history or one.is_current],
+    )
+
+
+async def accept_check(
+    db: Connection, actor: Actor, *, mission_id: uuid.UUID, accepted: CheckAcceptanceCreate
+) -> CheckAcceptanceRead:
+    """Let a failing check of a mission no longer count, until its files change.
+
+    Raises:
+        NotFound: the mission does not exist, or is not visible.
+        Forbidden: the actor may not change it.
+        InvalidRequest: no such check of the mission fails, or it is accepted already.
+    """
+    ref, judged = await _lock(db, actor, "accept_check", mission_id)
+    row = (await db.execute(queries.checks_of_mission(actor, mission_id))).one()
+    if not any(_is_meant(check, accepted) for check in row.checks or ()):
+        raise _invalid("check", f"no check {accepted.check} of this mission fails{_on(accepted.topic)}")
+    acceptance_id = uuid.uuid4()
+    values: dict[str, object] = {
+        "check_name": accepted.check,
+        "topic": accepted.topic,
+        "because": accepted.because,
+    }
+    values |= {"id": acceptance_id, "mission_id": mission_id, "inputs_sha256": judged.inputs_sha256}
+    try:
+        await db.execute(insert(check_acceptance).values(**values, created_by_id=actor.person_id))
+    except IntegrityError as error:
+        if violated_constraint(error) != "uq_check_acceptance_current":
+            raise
+        raise _invalid("check", f"{accepted.check} is accepted already{_on(accepted.topic)}") from error
+    await judge_again(db, [mission_id])
+    after: Metadata = {"check": accepted.check, "topic": accepted.topic, "because": accepted.because}
+    await audit(db, actor, _event("mission.accept_check", ref, after=after))
+    return await _acceptance(db, mission_id, acceptance_id)
+
+
+async def withdraw_acceptance(
+    db: Connection, actor: Actor, *, mission_id: uuid.UUID, acceptance_id: uuid.UUID
+) -> CheckAcceptanceRead:
+    """End an acceptance, so that the check counts again; nothing changes where it ended already.
+
+    Raises:
+        NotFound: the mission or the acceptance does not exist, or is not visible.
+        Forbidden: the actor may not change the mission.
+    """
+    ref, _ = await _lock(db, actor, "withdraw_acceptance", mission_id)
+    old = await _acceptance(db, mission_id, acceptance_id)
+    if old.ended is not None:
+        return old
+    values = {"ended": AcceptanceEnd.withdrawn.value, "ended_at": func.now(), "ended_by_id": actor.person_id}
+    await db.execute(update(check_acceptance).where(check_acceptance.c.id == acceptance_id).values(**values))
+    await judge_again(db, [mission_id])
+    before: Metadata = {"check": old.check, "topic": old.topic, "because": old.because}
+    await audit(db, actor, _event("mission.withdraw_acceptance", ref, before=before))
+    return await _acceptance(db, mission_id, acceptance_id)
+
+
+async def create_note(db: Connection, actor: Actor, *, mission_id: uuid.UUID, note: CheckNoteCreate) -> CheckNoteRead:
+    """Add a note to a check of a mission.
+
+    Raises:
+        NotFound: the mission does not exist, or is not visible.
+        Forbidden: the actor may not change it.
+        InvalidRequest: it has very many notes.
+    """
+    ref, _ = await _lock(db, actor, "create_check_note", mission_id)
+    existing = select(func.count()).where(check_note.c.mission_id == mission_id)
+    if (await db.execute(existing)).scalar_one() >= _MAX_NOTES:
+        raise _invalid("text", f"a mission has at most {_MAX_NOTES} notes on checks")
+    note_id = uuid.uuid4()
+    values = {"id": note_id, "mission_id": mission_id, "check_name": note.check, "topic": note.topic, "text": note.text}
+    await db.execute(insert(check_note).values(**values, created_by_id=actor.person_id))
+    after: Metadata = {"check": note.check, "topic": note.topic, "text": note.text}
+    await audit(db, actor, _event("mission.create_check_note", ref, after=after))
+    rows = await db.execute(queries.notes_of(mission_id).where(check_note.c.id == note_id))
+    return _to_note(rows.one())
+
+
+async def delete_note(db: Connection, actor: Actor, *, mission_id: uuid.UUID, note_id: uuid.UUID) -> None:
+    """Delete a note. Raises NotFound or Forbidden."""
+    ref, _ = await _lock(db, actor, "delete_check_note", mission_id)
+    row = (await db.execute(queries.notes_of(mission_id).where(check_note.c.id == note_id))).one_or_none()
+    if row is None:
+        raise NotFound(resource_type="note", ref=str(note_id))
+    await db.execute(delete(check_note).where(check_note.c.id == note_id))
+    before: Metadata = {"check": row.check_name, "topic": row.topic, "text": row.text}
+    await audit(db, actor, _event("mission.delete_check_note", ref, before=before))
+
+
+async def create_report(
+    db: Connection, actor: Actor, *, mission_id: uuid.UUID, report: CheckReportCreate
+) -> CheckReportRead:
+    """Store the checks that an uploader made; the latest report of each person, file of checks and depth stays.
+
+    Raises:
+        NotFound: the mission does not exist, or is not visible.
+        Forbidden: the actor may not add files to it.
+    """
+    ref, judged = await _lock(db, actor, "create_check_report", mission_id)
+    document, report_id = bytes.fromhex(report.document_sha256), uuid.uuid4()
+    own = (check_report.c.mission_id == mission_id, check_report.c.created_by_id == actor.person_id)
+    alike = (check_report.c.document_sha256 == document, check_report.c.depth == report.depth.value)
+    await db.execute(delete(check_report).where(*own, *alike, check_report.c.files == report.files))
+    verdict = verdict_of({check.status for check in report.checks})
+    values = {
+        "id": report_id,
+        "mission_id": mission_id,
+        "document_sha256": document,
+        "depth": report.depth.value,
+        "verdict": verdict.value,
+        "files": report.files,
+        "checks": [check.model_dump(mode="json", exclude_none=True) for check in report.checks],
+        "created_by_id": actor.person_id,
+    }
+    await db.execute(insert(check_report).values(**values))
+    await judge_again(db, [mission_id])
+    after: Metadata = {"verdict": verdict.value, "depth": report.depth.value, "checks": len(report.checks)}
+    await audit(db, actor, _event("mission.report_checks", ref, after=after))
+    row = (await db.execute(queries.reports_of(mission_id).where(check_report.c.id == report_id))).one()
+    return _to_report(row, judged, await _present_rules(db, judged))
+
+
+async def _lock(
+    db: Connection, actor: Actor, operation: str, mission_id: uuid.UUID
+) -> tuple[MissionRef, JudgedMission]:
+    """Lock a mission for a change of what its verdict depends on. Raises NotFound or Forbidden."""
+    await missions.lock_mission(db, mission_id)
+    await require_mission(db, actor, operation, mission_id)
+    return await missions.get_mission_ref(db, actor, mission_id), (await read_missions(db, [mission_id]))[0]
+
+
+async def _additions(
+    db: Connection, mission_id: uuid.UUID
+) -> tuple[list[CheckAcceptanceRead], list[CheckNoteRead], list[CheckReportRead]]:
+    acceptances = [_to_acceptance(row) for row in await db.execute(queries.acceptances_of(mission_id))]
+    notes = [_to_note(row) for row in await db.execute(queries.notes_of(mission_id))]
+    rows = (await db.execute(queries.reports_of(mission_id))).all()
+    if not rows:
+        return acceptances, notes, []
+    (judged,) = await read_missions(db, [mission_id])
+    rules = await _present_rules(db, judged)
+    return acceptances, notes, [_to_report(row, judged, rules) for row in rows]
+
+
+async def _present_rules(db: Connection, judged: JudgedMission) -> bytes | None:
+    """Return the hash of the project's `checks.yaml`; None without one."""
+    own = (project_checks.c.project_id == judged.project_id, project_checks.c.number == judged.checks_number)
+    sha256: bytes | None = (await db.execute(select(project_checks.c.sha256).where(*own))).scalar_one_or_none()
+    return sha256
+
+
+async def _acceptance(db: Connection, mission_id: uuid.UUID, acceptance_id: uuid.UUID) -> CheckAcceptanceRead:
+    stmt = queries.acceptances_of(mission_id).where(check_acceptance.c.id == acceptance_id)
+    row = (await db.execute(stmt)).one_or_none()
+    if row is None:
+        raise NotFound(resource_type="acceptance", ref=str(acceptance_id))
+    return _to_acceptance(row)
+
+
+def _is_meant(check: dict[str, Any], accepted: CheckAcceptanceCreate) -> bool:
+    fails = check["name"] == accepted.check and check["status"] in ("error", "warning", "not_made")
+    return fails and (accepted.topic is None or accepted.topic == check.get("topic"))
+
+
+def _on(topic: str | None) -> str:
+    return f" on {topic}" if topic is not None else ""
+
+
+def _invalid(field: str, message: str) -> InvalidRequest:
+    return InvalidRequest(problems=[FieldProblem(field=field, message=message)])
+
+
+def _event(operation: str, ref: MissionRef, *, before: Metadata | None = None, after: Metadata | None = None) -> Event:
+    place = (ref.id, ref.name, ref.project.id)
+    return Event(operation, "mission", *place, before or {}, after or {}, mission_id=ref.id)
+
+
+def _to_acceptance(row: Row[Any]) -> CheckAcceptanceRead:
+    has_ender = row.ended_by_id is not None
+    return CheckAcceptanceRead(
+        id=row.id,
+        check=row.check_name,
+        topic=row.topic,
+        because=row.because,
+        created_at=row.created_at,
+        created_by=PersonRef(id=row.created_by_id, name=row.created_by_name),
+        ended=row.ended,
+        ended_at=row.ended_at,
+        ended_by=PersonRef(id=row.ended_by_id, name=row.ended_by_name) if has_ender else None,
+    )
+
+
+def _to_note(row: Row[Any]) -> CheckNoteRead:
+    return CheckNoteRead(
+        id=row.id,
+        check=row.check_name,
+        topic=row.topic,
+        text=row.text,
+        created_at=row.created_at,
+        created_by=PersonRef(id=row.created_by_id, name=row.created_by_name),
+    )
+
+
+def _to_report(row: Row[Any], judged: JudgedMission, present_rules: bytes | None) -> CheckReportRead:
+    is_by_present_rules = present_rules is None or present_rules == row.document_sha256
+    return CheckReportRead(
+        id=row.id,
+        verdict=Verdict(row.verdict),
+        depth=row.depth,
+        document_sha256=row.document_sha256.hex(),
+        check_count=len(row.checks),
+        file_count=len(row.files),
+        is_current=is_by_present_rules and is_report_of(row, judged.all_files, judged.recorded_files),
+        created_at=row.created_at,
+        created_by=PersonRef(id=row.created_by_id, name=row.created_by_name),
+    )

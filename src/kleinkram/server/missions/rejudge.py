@@ -1,0 +1,34 @@
+"""Requests that the checks of missions are evaluated again. The job is in `server/checks/jobs.py`."""
+
+import uuid
+from collections.abc import Collection
+
+from sqlalchemy import exists, or_, select, update
+
+from kleinkram.server.db import Connection, among
+from kleinkram.server.jobs.queue import Job, Priority, enqueue, with_waiting_job
+from kleinkram.server.tables import check_report, mission, mission_checks, project
+
+# What a mission can be judged by, or was.
+_IS_JUDGED = or_(
+    project.c.checks_number > 0,
+    exists().where(mission_checks.c.mission_id == mission.c.id),
+    exists().where(check_report.c.mission_id == mission.c.id),
+)
+
+
+async def judge_again(db: Connection, mission_ids: Collection[uuid.UUID]) -> None:
+    """Have missions judged after this transaction; until then, their verdicts are outdated.
+
+    The caller's transaction must hold the locks of the missions: then a queued job, which begins by acquiring them,
+    cannot miss this change. Missions without anything to be judged by are left out.
+    """
+    outdated = update(mission_checks).where(among(mission_checks.c.mission_id, mission_ids))
+    await db.execute(outdated.values(is_outdated=True))
+    judged = select(mission.c.id).join(project, project.c.id == mission.c.project_id)
+    judged = judged.where(among(mission.c.id, mission_ids), _IS_JUDGED)
+    refs = [str(mission_id) for mission_id in (await db.execute(judged)).scalars()]
+    if refs:
+        waiting = await with_waiting_job(db, Job.judge_mission, refs)
+        left = [ref for ref in refs if ref not in waiting]
+        await enqueue(db, Job.judge_mission, ids=left, priority=Priority.normal)

@@ -1,0 +1,183 @@
+"""Verdicts of missions, from the index of their files and the `checks.yaml` of their project."""
+
+import pytest
+
+from tests.integration.api_server import Api
+from tests.integration.checks.judged import (
+    GOOD,
+    RULES,
+    SLOW,
+    checked_project,
+    derive,
+    failing,
+    judged_mission,
+    put_file,
+    set_rules,
+    topic,
+    verdict,
+)
+from tests.integration.jobs import run_jobs
+
+
+@pytest.fixture(name="project_id")
+def _project_id(api: Api) -> str:
+    return checked_project(api)
+
+
+def test_a_good_mission_is_good_and_lists_what_was_checked(api: Api, project_id: str) -> None:
+    mission_id = judged_mission(api, project_id, *GOOD)
+    assert verdict(api, mission_id) == "good"
+    result = api.get(f"/missions/{mission_id}/checks").ok()
+    assert {one["status"] for one in result["checks"]} == {"ok"}
+    assert {one["name"] for one in result["checks"]} >= {"topic.missing", "topic.rate", "topic.gap"}
+    assert (result["is_current"], result["checks_number"], result["profiles_applied"]) == (True, 1, ["all robots"])
+    assert result["counts"]["ok"] == len(result["checks"]) == api.get(f"/missions/{mission_id}").ok()["checks"]["ok"]
+
+
+def test_a_wrong_rate_makes_a_mission_bad_with_value_and_limit(api: Api, project_id: str) -> None:
+    mission_id = judged_mission(api, project_id, *SLOW)
+    assert verdict(api, mission_id) == "bad"
+    assert failing(api, mission_id) == [("topic.rate", "error", "/imu")]
+    (rate,) = (one for one in api.get(f"/missions/{mission_id}/checks").ok()["checks"] if one["status"] == "error")
+    assert (rate["value"], rate["unit"], rate["source"]) == (50, "Hz", "server")
+
+
+def test_a_rule_that_only_warns_makes_warnings(api: Api, project_id: str) -> None:
+    mission_id = judged_mission(api, project_id, GOOD[0])
+    assert (verdict(api, mission_id), failing(api, mission_id)) == (
+        "warnings",
+        [("topic.missing", "warning", "/camera")],
+    )
+
+
+def test_missions_of_a_project_without_rules_are_unchecked_and_cost_no_job(api: Api) -> None:
+    mission_id = str(api.mission(api.project()["id"])["id"])
+    put_file(api, mission_id, "run.mcap", SLOW)
+    assert "judge_mission" not in run_jobs(api)
+    assert verdict(api, mission_id) == "unchecked"
+
+
+def test_a_mission_without_files_is_unchecked_also_after_its_files_are_deleted(api: Api, project_id: str) -> None:
+    mission_id = str(api.mission(project_id)["id"])
+    run_jobs(api)
+    assert verdict(api, mission_id) == "unchecked"
+    file_id = put_file(api, mission_id, "run.mcap", SLOW)
+    run_jobs(api)
+    assert verdict(api, mission_id) == "bad"
+    api.delete(f"/files/{file_id}").ok()
+    run_jobs(api)
+    assert (verdict(api, mission_id), failing(api, mission_id)) == ("unchecked", [])
+
+
+def test_a_mission_without_recordings_lacks_its_topics(api: Api, project_id: str) -> None:
+    mission_id = str(api.mission(project_id)["id"])
+    put_file(api, mission_id, "notes.txt", (), content="opaque", format="unknown", start_ns=None, end_ns=None)
+    run_jobs(api)
+    assert verdict(api, mission_id) == "bad"
+    assert ("topic.missing", "error", "/imu") in failing(api, mission_id)
+
+
+def test_a_broken_recording_makes_a_mission_bad_with_the_reason(api: Api) -> None:
+    project_id = checked_project(api, 'version: 1\nprofiles:\n  - recordings: {"*": {complete: true}}\n')
+    mission_id = str(api.mission(project_id)["id"])
+    put_file(api, mission_id, "run.mcap", GOOD, content="broken", content_reason="cut at byte 4711")
+    run_jobs(api)
+    assert verdict(api, mission_id) == "bad"
+    (broken,) = (one for one in api.get(f"/missions/{mission_id}/checks").ok()["checks"] if one["status"] == "error")
+    assert broken["name"] == "recording.incomplete"
+    assert "4711" in broken["message"]
+
+
+def test_while_files_are_read_a_mission_is_running_not_bad(api: Api, project_id: str) -> None:
+    mission_id = str(api.mission(project_id)["id"])
+    assert verdict(api, mission_id) == "unchecked"
+    put_file(api, mission_id, "run.mcap", (), content="pending", summarised_at=None)
+    assert verdict(api, mission_id) == "running"
+    run_jobs(api)
+    assert verdict(api, mission_id) == "running"
+
+
+def test_newer_files_make_a_verdict_outdated_until_it_is_judged_again(api: Api, project_id: str) -> None:
+    mission_id = judged_mission(api, project_id, *GOOD)
+    put_file(api, mission_id, "second.mcap", (topic("/imu", rate_hz=10),))
+    assert verdict(api, mission_id) == "outdated"
+    assert api.get(f"/missions/{mission_id}/checks").ok()["is_current"] is False
+    run_jobs(api)
+    assert verdict(api, mission_id) == "bad"
+
+
+def test_new_rules_judge_every_mission_again_by_one_job(api: Api, project_id: str) -> None:
+    missions = [judged_mission(api, project_id, *GOOD) for _ in range(3)]
+    set_rules(api, project_id, RULES.replace("100 Hz", "400 Hz")).ok()
+    assert {verdict(api, one) for one in missions} == {"outdated"}
+    assert run_jobs(api) == ["judge_project"]
+    assert {verdict(api, one) for one in missions} == {"bad"}
+    set_rules(api, project_id, "").ok()
+    run_jobs(api)
+    assert {verdict(api, one) for one in missions} == {"unchecked"}
+
+
+def test_profiles_apply_by_metadata_and_again_when_these_change(api: Api) -> None:
+    text = RULES.replace("    topics:", "    when: {robot: anymal}\n    topics:")
+    project_id = checked_project(api, text)
+    mission_id = judged_mission(api, project_id, *SLOW, metadata={"robot": "spot"})
+    assert verdict(api, mission_id) == "unchecked"
+    (left_out,) = api.get(f"/missions/{mission_id}/checks").ok()["profiles_left_out"]
+    assert left_out["name"] == "all robots"
+    assert "spot" in left_out["reason"]
+    api.patch(f"/missions/{mission_id}", {"metadata": {"robot": "anymal"}}).ok()
+    assert verdict(api, mission_id) == "outdated"
+    run_jobs(api)
+    assert verdict(api, mission_id) == "bad"
+
+
+def test_a_moved_mission_is_judged_by_the_rules_of_its_new_project(api: Api, project_id: str) -> None:
+    mission_id = judged_mission(api, project_id, *SLOW)
+    other = checked_project(api, RULES.replace("100 Hz", "50 Hz"))
+    api.patch(f"/missions/{mission_id}", {"project_id": other}).ok()
+    assert verdict(api, mission_id) == "outdated"
+    run_jobs(api)
+    assert verdict(api, mission_id) == "good"
+
+
+def test_a_rule_that_matches_no_topic_is_not_made_or_missing(api: Api) -> None:
+    rules = "version: 1\nprofiles:\n  - topics: {/nothing/*: {}}\n    images: {/camera/*: {}}\n"
+    mission_id = judged_mission(api, checked_project(api, rules), *GOOD)
+    assert verdict(api, mission_id) == "bad"
+    statuses = {(name, status) for name, status, _ in failing(api, mission_id)}
+    assert ("topic.missing", "error") in statuses
+    assert ("image.black", "not_made") in statuses
+
+
+def test_files_that_a_run_made_are_not_checked(api: Api) -> None:
+    project_id = checked_project(api, "version: 1\nprofiles:\n  - files: {'*.bag': {required: true}}\n")
+    mission_id = judged_mission(api, project_id, *GOOD)
+    made = put_file(api, mission_id, "converted.bag", GOOD, format="rosbag1")
+    api.sql("UPDATE file SET origin = 'run' WHERE id = %s", made)
+    derive(api, mission_id)
+    run_jobs(api)
+    assert failing(api, mission_id) == [("file.missing", "error", None)]
+
+
+def test_judging_twice_changes_nothing_and_keeps_the_time_since_a_mission_is_bad(api: Api, project_id: str) -> None:
+    mission_id = judged_mission(api, project_id, *SLOW)
+    before = api.get(f"/missions/{mission_id}/checks").ok()
+    derive(api, mission_id)
+    run_jobs(api)
+    after = api.get(f"/missions/{mission_id}/checks").ok()
+    assert before["bad_since"] == after["bad_since"] is not None
+    assert before["checks"] == after["checks"]
+    set_rules(api, project_id, RULES.replace("100 Hz", "50 Hz")).ok()
+    run_jobs(api)
+    assert api.get(f"/missions/{mission_id}/checks").ok()["bad_since"] is None
+
+
+def test_more_checks_than_are_listed_say_how_many_are_left_out(api: Api) -> None:
+    globs = "".join(f"      '/t*{number}': {{rate: 5 Hz, max_gap: 1ms, required: false}}\n" for number in range(10))
+    project_id = checked_project(api, f"version: 1\nprofiles:\n  - topics:\n{globs}")
+    topics = [topic(f"/t{number}", rate_hz=10) for number in range(6_000)]
+    mission_id = judged_mission(api, project_id, *topics)
+    result = api.get(f"/missions/{mission_id}/checks").ok()
+    assert len(result["checks"]) == 10_000
+    assert (result["checks"][-1]["name"], result["checks"][-1]["status"]) == ("checks.left_out", "not_made")
+    assert result["verdict"] == "bad"
