@@ -5809,6 +5809,14 @@ export interface components {
             };
         };
         /**
+         * ProjectActionList
+         * @description The actions that a project names, by name.
+         */
+        ProjectActionList: {
+            /** Items */
+            items: components["schemas"]["ProjectActionRead"][];
+        };
+        /**
          * ProjectActionRead
          * @description An action that a project names. Its runs act for `added_by`, with their rights at that time.
          *
@@ -5833,14 +5841,6 @@ export interface components {
             problem: string | null;
             /** Problem Count */
             problem_count: number;
-        };
-        /**
-         * ProjectActions
-         * @description The actions that a project names, by name.
-         */
-        ProjectActions: {
-            /** Items */
-            items: components["schemas"]["ProjectActionRead"][];
         };
         /**
          * ProjectChecksRead
@@ -11183,7 +11183,7 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["ProjectActions"];
+                    "application/json": components["schemas"]["ProjectActionList"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */

@@ -13,8 +13,8 @@ _VERDICTS = {Verdict.warnings: CheckStatus.warning, Verdict.bad: CheckStatus.err
 def checks_of_result(result: ActionResult, is_complete: bool) -> Iterator[MissionCheck]:
     """Yield the checks that an action reported, its warnings and errors as checks named by their codes, and its end.
 
-    `results.missing`: it has not run, which counts only once the mission is complete. `results.failed`: it could not judge the
-    mission. `results.verdict`: it ended well, with what it concludes beyond its checks and findings.
+    `results.missing`: it has not run, which counts only once the mission is complete. `results.failed`: it could not
+    judge the mission. `results.verdict`: it ended well, with what it concludes beyond its checks and findings.
     """
     name = f"{result.name}@{result.version}"
     if result.state is ResultState.missing:
