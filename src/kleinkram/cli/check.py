@@ -17,6 +17,7 @@ from kleinkram.cli import options
 from kleinkram.cli.commands import Many, Subcommands, argument, flag, option
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.render import Output, line, note
+from kleinkram.cli.verdicts import show_matrix, show_mission_checks, show_trend
 from kleinkram.client.errors import ChecksInvalid, ClientError, DestinationRefused, InvalidInput, NoChecks
 from kleinkram.contract.checks import Check, CheckDepth, CheckStatus, Verdict
 from kleinkram.contract.errors import YamlInvalid
@@ -303,3 +304,8 @@ def schema() -> None:
     """Print the JSON schema of checks.yaml, for editors."""
     json.dump(json_schema(), sys.stdout, indent=1, ensure_ascii=False)
     sys.stdout.write("\n")
+
+
+app.command("mission")(show_mission_checks)
+app.command("matrix")(show_matrix)
+app.command("trend")(show_trend)
