@@ -6,8 +6,7 @@ import pytest
 
 from kleinkram.server.access.builtin_groups import OWNER_ID
 from tests.integration.api_server import Api
-from tests.integration.checks.judged import START_NS, set_rules
-from tests.integration.jobs import run_jobs
+from tests.integration.checks.judged import START_NS, judging_jobs, set_rules
 
 _MISSIONS, _TOPICS = 1000, 40
 _RULES = """\
@@ -67,13 +66,13 @@ def test_a_thousand_missions_are_judged_again_by_one_job_in_seconds(api: Api) ->
     counts = "SELECT verdict, count(*), sum((counts ->> 'ok')::int) FROM mission_checks"
     count = f"{counts} WHERE project_id = %s GROUP BY verdict"
     set_rules(api, project_id, _RULES).ok()
-    assert run_jobs(api) == ["judge_project"]
+    assert judging_jobs(api) == ["judge_project"]
     ((verdict, missions, checks),) = api.sql(count, project_id)
     assert (verdict, missions) == ("good", _MISSIONS)
     assert checks >= 3 * _TOPICS * _MISSIONS
     set_rules(api, project_id, _RULES.replace("100 Hz", "200 Hz")).ok()
     start = time.monotonic()
-    assert run_jobs(api) == ["judge_project"]
+    assert judging_jobs(api) == ["judge_project"]
     seconds = time.monotonic() - start
     assert [row[:2] for row in api.sql(count, project_id)] == [("bad", _MISSIONS)]
     assert seconds < _MOST_S, f"it took {seconds:.1f} s"
