@@ -198,6 +198,32 @@ def test_no_false_alarm_on_good_missions(
     assert results.verdict is Verdict.good
 
 
+FILE_CHECKS = """
+version: 1
+profiles:
+- files: {"*/*.mcap": {count: 4, complete: true, min_size: 10KB}}
+  recordings: {"*": {count: 4}}
+  topics: {/camera/*: {covers: 90%}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("defect", "names"),
+    [
+        (None, set()),
+        (Defect.missing_computer, {"file.count", "recording.count"}),
+        (Defect.truncated, {"file.incomplete", "recording.incomplete", "topic.coverage"}),
+        (Defect.empty_recording, {"file.size"}),
+        (Defect.silent_start, {"topic.coverage"}),
+        (Defect.silent_end, {"topic.coverage"}),
+    ],
+)
+def test_defects_of_files_are_found(defect: Defect | None, names: set[str], tmp_path: Path) -> None:
+    generate_rig(tmp_path, duration_s=3, faults=Faults(defects=frozenset({defect} if defect else ())))
+    results = evaluate(read_checks(FILE_CHECKS), read_folder(tmp_path), CheckDepth.index)
+    assert failing(results) == names
+
+
 def test_every_defect_has_an_expected_outcome() -> None:
     assert set(EXPECTED) == set(Defect)
 
