@@ -323,7 +323,7 @@ def init(
     try:
         text = suggest_checks(missions)
     except ValueError as error:
-        raise InvalidInput(what="The missions", reason=str(error)) from None
+        raise NothingToDo(reason=f"There is nothing to make rules from: {error}") from None
     if output is None:
         return Output({"text": text}, lambda: sys.stdout.write(text))
     try:
