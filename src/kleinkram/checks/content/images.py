@@ -1,8 +1,9 @@
 """Checks of images: black, overexposed, frozen, blurred.
 
 The brightness is the mean over all pixels and colours, from 0 to 255. Images of 16 bits are scaled by the fewest bits
-(10, 12, 14 or 16) that hold the brightest value of the topic. Of depth images, it is the share of pixels with a
-depth. The sharpness is the variance of the Laplacian of the image in grey, scaled to a width of 320 pixels.
+(10, 12, 14 or 16) that the brightest values of the topic take, apart from single bright pixels. Of depth images, it is
+the share of pixels with a depth. The sharpness is the variance of the Laplacian of the image in grey, scaled to a width
+of 320 pixels.
 
 Source: Pech-Pacheco et al., "Diatom autofocusing in brightfield microscopy" (2000), variance of the Laplacian.
 """
@@ -27,6 +28,8 @@ from kleinkram.recordings.decoding.values import part, payload, type_name
 
 FULL_BRIGHTNESS = 255.0
 _DEPTHS_BITS = (10, 12, 14, 16)
+_LEAST_BRIGHT = 2**9  # below it, a dark image of a usual sensor of 12 bits
+_BRIGHT_PERCENTILE, _STEP = 99.5, 4
 _SHARPNESS_WIDTH = 320
 
 
@@ -114,9 +117,10 @@ class ImageProbe(Probe[ImageRule]):
             self._exposures.append(Exposure(time_ns, share * FULL_BRIGHTNESS, FULL_BRIGHTNESS, True))
             return share > 0
         colours = picture[..., :3]
-        mean, brightest = float(np.mean(colours)), float(np.max(colours))
+        mean = float(np.mean(colours))
+        brightest = float(np.percentile(colours[::_STEP, ::_STEP], _BRIGHT_PERCENTILE))
         self._exposures.append(Exposure(time_ns, mean, brightest, picture.dtype == np.uint8))
-        shows_motion = brightest > float(np.min(colours))
+        shows_motion = bool((colours != colours[0, 0]).any())
         if picture.dtype == np.uint8:
             shows_motion = self.rule.min_brightness <= mean <= self.rule.max_brightness
         if self.rule.min_sharpness is not None and shows_motion:
@@ -144,7 +148,8 @@ class ImageProbe(Probe[ImageRule]):
 
     def _brightness(self) -> list[tuple[float, int]]:
         brightest = max((item.brightest for item in self._exposures if not item.is_scaled), default=0)
-        full = next((2**bits - 1 for bits in _DEPTHS_BITS if brightest < 2**bits), max(1.0, brightest))
+        depths = _DEPTHS_BITS if brightest >= _LEAST_BRIGHT else _DEPTHS_BITS[1:]
+        full = next((2**bits - 1 for bits in depths if brightest < 2**bits), max(1.0, brightest))
         return [
             (item.mean if item.is_scaled else item.mean / full * FULL_BRIGHTNESS, item.time_ns)
             for item in self._exposures
