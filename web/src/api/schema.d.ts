@@ -1790,6 +1790,50 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/projects/{project_id}/actions": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Project Actions
+         * @description List the actions that a project names: they run by themselves, and count for its verdicts.
+         */
+        get: operations["list_project_actions"];
+        put?: never;
+        /**
+         * Add Project Action
+         * @description Have an action run by itself on the missions of a project that are due from now on.
+         */
+        post: operations["add_project_action"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/projects/{project_id}/actions/{action_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /**
+         * Remove Project Action
+         * @description Stop an action from running by itself; its runs stay.
+         */
+        delete: operations["remove_project_action"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/projects/{project_id}/checks": {
         parameters: {
             query?: never;
@@ -3858,6 +3902,8 @@ export interface components {
          * Facet
          * @description The files by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month` or `meta.FIELD`.
          *
+         *     Or by `verdict`, that of the mission, or `check`, a check of the mission that fails.
+         *
          *     The most frequent values come first, months the latest first; `value_count` is the number of all values.
          */
         Facet: {
@@ -3897,6 +3943,21 @@ export interface components {
             query: string;
             /** Value */
             value: string;
+        };
+        /**
+         * FailedChecks
+         * @description The number of visible missions that became bad since Monday (`since`, in UTC), and the latest of them.
+         */
+        FailedChecks: {
+            /** Count */
+            count: number;
+            /** Missions */
+            missions: components["schemas"]["MissionRef"][];
+            /**
+             * Since
+             * Format: date-time
+             */
+            since: string;
         };
         /**
          * FailedJob
@@ -3966,10 +4027,20 @@ export interface components {
          */
         FileFilter: {
             /**
+             * Check
+             * @default []
+             */
+            check: string[];
+            /**
              * Content
              * @default []
              */
             content: components["schemas"]["ContentState"][];
+            /**
+             * Finding
+             * @default []
+             */
+            finding: string[];
             /**
              * Format
              * @default []
@@ -3989,6 +4060,11 @@ export interface components {
              * @default []
              */
             message_type: string[];
+            /**
+             * Metric
+             * @default []
+             */
+            metric: string[];
             /** Min Duration Ns */
             min_duration_ns?: number | null;
             /** Min Size Bytes */
@@ -4044,6 +4120,11 @@ export interface components {
              * @default []
              */
             topic: string[];
+            /**
+             * Verdict
+             * @default []
+             */
+            verdict: components["schemas"]["Verdict"][];
             /**
              * Where
              * @default []
@@ -4431,11 +4512,12 @@ export interface components {
         };
         /**
          * HomeRead
-         * @description `GET /api/v1/home`. Every list is bounded.
+         * @description `GET /api/v1/home`. Every list is bounded. `failed_checks` is null from earlier servers.
          */
         HomeRead: {
             /** Attention */
             attention: components["schemas"]["Attention"][];
+            failed_checks?: components["schemas"]["FailedChecks"] | null;
             /** Missions */
             missions: components["schemas"]["RecentMission"][];
             /** Uploads */
@@ -5704,6 +5786,63 @@ export interface components {
             message: string;
         };
         /**
+         * ProjectActionAdd
+         * @description An action that a project names, by the id of a published one. The latest version runs.
+         *
+         *     `idle_s` is for `idle` only: how long the files of a mission must not have changed, and no upload be under way.
+         */
+        ProjectActionAdd: {
+            /**
+             * Action Id
+             * Format: uuid
+             */
+            action_id: string;
+            /** Idle S */
+            idle_s?: number | null;
+            on: components["schemas"]["RunTrigger"];
+            /**
+             * Parameters
+             * @default {}
+             */
+            parameters: {
+                [key: string]: boolean | number | string;
+            };
+        };
+        /**
+         * ProjectActionList
+         * @description The actions that a project names, by name.
+         */
+        ProjectActionList: {
+            /** Items */
+            items: components["schemas"]["ProjectActionRead"][];
+        };
+        /**
+         * ProjectActionRead
+         * @description An action that a project names. Its runs act for `added_by`, with their rights at that time.
+         *
+         *     `problem` is why it last did not run on a mission that was due, and `problem_count` on how many missions.
+         */
+        ProjectActionRead: {
+            action: components["schemas"]["ActionRef"];
+            /**
+             * Added At
+             * Format: date-time
+             */
+            added_at: string;
+            added_by: components["schemas"]["PersonRef"];
+            /** Idle S */
+            idle_s: number | null;
+            on: components["schemas"]["RunTrigger"];
+            /** Parameters */
+            parameters: {
+                [key: string]: boolean | number | string;
+            };
+            /** Problem */
+            problem: string | null;
+            /** Problem Count */
+            problem_count: number;
+        };
+        /**
          * ProjectChecksRead
          * @description The `checks.yaml` of a project: `text` is empty while there is none, and `number` is that of its version.
          *
@@ -6553,6 +6692,12 @@ export interface components {
          * @enum {string}
          */
         RunState: "queued" | "preparing" | "running" | "collecting" | "done" | "failed" | "cancelled";
+        /**
+         * RunTrigger
+         * @description When an action runs: once a mission is marked complete, or once its files have not changed for some time.
+         * @enum {string}
+         */
+        RunTrigger: "complete" | "idle";
         /**
          * Scope
          * @description Scopes of a token, within the rights of its person.
@@ -8751,15 +8896,18 @@ export interface operations {
     list_files: {
         parameters: {
             query?: {
+                check?: string[];
                 content?: components["schemas"]["ContentState"][];
                 count?: boolean;
                 cursor?: string | null;
+                finding?: string[];
                 format?: string[];
                 label?: string[];
                 limit?: number;
                 max_duration_ns?: number | null;
                 max_size_bytes?: number | null;
                 message_type?: string[];
+                metric?: string[];
                 min_duration_ns?: number | null;
                 min_size_bytes?: number | null;
                 mission?: string | null;
@@ -8779,6 +8927,7 @@ export interface operations {
                 state?: components["schemas"]["BlobState"][];
                 text?: string | null;
                 topic?: string[];
+                verdict?: components["schemas"]["Verdict"][];
                 where?: string[];
                 without?: string[];
             };
@@ -9769,11 +9918,14 @@ export interface operations {
     list_missions: {
         parameters: {
             query?: {
+                check?: string[];
                 completed?: boolean | null;
                 count?: boolean;
                 cursor?: string | null;
+                finding?: string[];
                 limit?: number;
                 message_type?: string[];
+                metric?: string[];
                 missions?: string[];
                 name?: string | null;
                 project?: string | null;
@@ -9786,6 +9938,7 @@ export interface operations {
                 sort?: components["schemas"]["MissionSort"] | string;
                 text?: string | null;
                 topic?: string[];
+                verdict?: components["schemas"]["Verdict"][];
                 where?: string[];
             };
             header?: never;
@@ -11001,6 +11154,102 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["Page_AccessRead_"];
                 };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_project_actions: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ProjectActionList"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    add_project_action: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ProjectActionAdd"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ProjectActionRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    remove_project_action: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                action_id: string;
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
@@ -12409,13 +12658,16 @@ export interface operations {
         parameters: {
             query?: {
                 by?: string;
+                check?: string[];
                 content?: components["schemas"]["ContentState"][];
                 derived?: boolean;
+                finding?: string[];
                 format?: string[];
                 label?: string[];
                 max_duration_ns?: number | null;
                 max_size_bytes?: number | null;
                 message_type?: string[];
+                metric?: string[];
                 min_duration_ns?: number | null;
                 min_size_bytes?: number | null;
                 mission?: string | null;
@@ -12434,6 +12686,7 @@ export interface operations {
                 state?: components["schemas"]["BlobState"][];
                 text?: string | null;
                 topic?: string[];
+                verdict?: components["schemas"]["Verdict"][];
                 where?: string[];
                 without?: string[];
             };
@@ -12565,15 +12818,18 @@ export interface operations {
     list_topics: {
         parameters: {
             query?: {
+                check?: string[];
                 content?: components["schemas"]["ContentState"][];
                 count?: boolean;
                 cursor?: string | null;
+                finding?: string[];
                 format?: string[];
                 label?: string[];
                 limit?: number;
                 max_duration_ns?: number | null;
                 max_size_bytes?: number | null;
                 message_type?: string[];
+                metric?: string[];
                 min_duration_ns?: number | null;
                 min_size_bytes?: number | null;
                 mission?: string | null;
@@ -12592,6 +12848,7 @@ export interface operations {
                 state?: components["schemas"]["BlobState"][];
                 text?: string | null;
                 topic?: string[];
+                verdict?: components["schemas"]["Verdict"][];
                 where?: string[];
                 without?: string[];
             };
