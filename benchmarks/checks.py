@@ -37,7 +37,10 @@ def content_row(folder: Path) -> Row:
     return {
         "what": "content checks of a mission of 1 GB, index included, warm cache",
         "measured": f"{seconds:.1f} s, {share:.1%} of the bytes read",
-        "also": f"{cpu_s:.1f} s of CPU with reading all files before; {peak_mb:.0f} MB of memory (bar {_MOST_MB}); {good:.0f} checks pass, {failed:.0f} not",
+        "also": (
+            f"{cpu_s:.1f} s of CPU with reading all files before; {peak_mb:.0f} MB of memory (bar {_MOST_MB}); "
+            f"{good:.0f} checks pass, {failed:.0f} not"
+        ),
         "bar": "<= 10 s, <= 5 %, no false alarm",
         "met": seconds <= 10 and share <= 0.05 and peak_mb <= _MOST_MB and failed == 0,
         "seconds": seconds,
