@@ -244,8 +244,8 @@ def test_init_never_overwrites(drive: Path, monkeypatch: pytest.MonkeyPatch, cap
 
 
 def test_init_of_a_folder_without_recordings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
-    assert klein(monkeypatch, "checks", "init", tmp_path) == 2
-    assert "there are no messages" in capsys.readouterr().err
+    assert klein(monkeypatch, "checks", "init", tmp_path) == 3
+    assert "There is nothing to make rules from: it has no messages." in capsys.readouterr().err
 
 
 def test_the_schema_is_printed(monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
