@@ -16,8 +16,8 @@ profiles:
     recordings: {"*": {covers: 90%}}
     topics: {"/t*": {rate: 100 Hz, max_gap: 50ms, covers: 90%}}
 """
-# On a machine of two processors that other tests use too; alone it takes 2 to 4 s.
-_MOST_S = 30
+# The bar is 5 s on a machine of its own; here other tests run at the same time.
+_MOST_S = 60
 
 
 def _missions(api: Api, project_id: str) -> None:
