@@ -224,7 +224,7 @@ def _values(judgement: _Judgement) -> dict[str, Any]:
         "checks_number": judged.checks_number,
         "is_outdated": False,
         "counts": combined.counts,
-        "checks": [check.model_dump(mode="json", exclude_defaults=True) for check in combined.checks],
+        "checks": _CHECKS.dump_python(combined.checks, mode="json", exclude_defaults=True),
         "statuses": {name: status.value for name, status in combined.statuses.items()},
         "profiles_applied": [*results.profiles_applied] if results else [],
         "profiles_left_out": [{"name": one.name, "reason": one.reason} for one in left_out],
