@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import psutil
 
+from benchmarks.checks import check_rows
 from benchmarks.claims import claims_row
 from benchmarks.instance import DATA, GB, STAGE, endpoint_info, instance, klein, mission_with, settle
 from benchmarks.recordings import recording_rows
@@ -28,6 +29,7 @@ ROWS = {
     "small",
     "summaries",
     "recordings",
+    "checks",
     "starts",
     "people",
     "rights",
@@ -60,7 +62,7 @@ def main() -> None:
 
 def measured(selected: set[str]) -> Iterator[Row]:
     """Yield the selected rows when they are measured."""
-    if selected != {"recordings"}:
+    if selected - {"recordings", "checks"}:
         with instance():
             klein("project", "create", "bench")
     if "memory" in selected:
@@ -73,6 +75,8 @@ def measured(selected: set[str]) -> Iterator[Row]:
             yield sign_in_row(endpoint_info()["url"], (DATA / "owner-token").read_text().strip())
     if "recordings" in selected:
         yield from recording_rows(STAGE / "recordings")
+    if "checks" in selected:
+        yield from check_rows(STAGE / "checks")
     if "starts" in selected:
         yield from start_rows()
     if "rights" in selected:  # it leaves much behind

@@ -78,7 +78,8 @@ class _Writer:
         self._out += struct.pack(f"<{code}", value)
 
 
-def _data(message: TimedMessage, encoding: Encoding) -> bytes:
+def data_of(message: TimedMessage, encoding: Encoding) -> bytes:
+    """Return a serialised message with its stamp."""
     if message.stamp_ns is None:
         return encode(message.message_type, message.values, encoding)
     seconds, rest = divmod(message.stamp_ns, SECOND)
@@ -97,7 +98,7 @@ def ros2_mcap(timed: Iterable[TimedMessage], *, chunk_bytes: int = 2**16, name: 
             definition = definitions.ros2_definition(message.message_type).encode()
             schema = writer.add_schema(definitions.ros2_name(message.message_type), "ros2msg", definition)
             channels[message.topic] = writer.add_channel(message.topic, schema, "cdr")
-        writer.add_message(channels[message.topic], message.log_ns, _data(message, Encoding.cdr))
+        writer.add_message(channels[message.topic], message.log_ns, data_of(message, Encoding.cdr))
     writer.finish()
     return MemorySource(out.getvalue(), name)
 
@@ -113,7 +114,7 @@ def ros1_bag(timed: Iterable[TimedMessage], *, chunk_bytes: int = 2**16, name: s
             connections[message.topic] = writer.add_connection(
                 message.topic, kind, md5sum=definitions.ros1_md5(kind), definition=definitions.ros1_definition(kind)
             )
-        writer.add_message(connections[message.topic], message.log_ns, _data(message, Encoding.ros1))
+        writer.add_message(connections[message.topic], message.log_ns, data_of(message, Encoding.ros1))
     writer.finish()
     return MemorySource(out.getvalue(), name)
 
@@ -125,6 +126,6 @@ def ros2_db3(timed: Iterable[TimedMessage], folder: Path) -> Path:
     for message in timed:
         if message.topic not in topics:
             topics[message.topic] = writer.add_topic(message.topic, definitions.ros2_name(message.message_type))
-        writer.add_message(topics[message.topic], message.log_ns, _data(message, Encoding.cdr))
+        writer.add_message(topics[message.topic], message.log_ns, data_of(message, Encoding.cdr))
     writer.finish()
     return folder

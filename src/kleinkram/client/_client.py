@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     AnyPath = str | os.PathLike[str]
 
     from kleinkram.client.actions import Actions
+    from kleinkram.client.checks import Checks
     from kleinkram.client.files import Files, Recordings, Uploads
     from kleinkram.client.missions import Missions, Projects
     from kleinkram.client.people import Access, Groups, People
@@ -62,6 +63,7 @@ class Client:
     files: "Files"
     recordings: "Recordings"
     uploads: "Uploads"
+    checks: "Checks"
     actions: "Actions"
     runs: "Runs"
     runners: "Runners"

@@ -32,6 +32,10 @@ class MissionFields(TypedDict, total=False):
     recorded_before: Time
     completed: bool
     satisfied: bool
+    verdict: str | Sequence[str]
+    check: str | Sequence[str]
+    finding: str | Sequence[str]
+    metric: str | Sequence[str]
 
 
 class FileFields(TypedDict, total=False):
@@ -57,6 +61,10 @@ class FileFields(TypedDict, total=False):
     without: str | Sequence[str]
     recorded_after: Time
     recorded_before: Time
+    verdict: str | Sequence[str]
+    check: str | Sequence[str]
+    finding: str | Sequence[str]
+    metric: str | Sequence[str]
     min_size_bytes: int | str
     max_size_bytes: int | str
     min_duration_ns: int

@@ -82,9 +82,18 @@ class HomeStorage(Response):
     store: StoreUse | None
 
 
+class FailedChecks(Response):
+    """The number of visible missions that became bad since Monday (`since`, in UTC), and the latest of them."""
+
+    since: datetime.datetime
+    count: int
+    missions: list[MissionRef]
+
+
 class HomeRead(Response):
-    """`GET /api/v1/home`. Every list is bounded."""
+    """`GET /api/v1/home`. Every list is bounded. `failed_checks` is null from earlier servers."""
 
     missions: list[RecentMission]
     uploads: list[UnfinishedUpload]
     attention: list[Attention]
+    failed_checks: FailedChecks | None = None

@@ -143,7 +143,11 @@ class LocationFilter(Request):
 
 
 class MissionCriteria(Request):
-    """The criteria that filters of missions and of files have in common."""
+    """The criteria that filters of missions and of files have in common.
+
+    Of the missions' checks: `verdict`; `check`, names or globs of checks that fail; of the latest results of runs,
+    `finding`, codes or globs, of which any suffices; and `metric`, comparisons such as `ate_rmse>0.5`, which all hold.
+    """
 
     text: Term | None = None
     project: Term | None = None
@@ -155,6 +159,10 @@ class MissionCriteria(Request):
     message_type: Terms = []
     recorded_after: datetime.datetime | None = None
     recorded_before: datetime.datetime | None = None
+    verdict: list[Verdict] = []
+    check: Terms = []
+    finding: Terms = []
+    metric: Terms = []
 
 
 class MissionFilter(MissionCriteria):

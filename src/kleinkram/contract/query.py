@@ -14,6 +14,7 @@ from fractions import Fraction
 from pydantic import ValidationError
 
 from kleinkram.contract import units
+from kleinkram.contract.checks import Verdict
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import BlobState, ContentState, FileFilter
 from kleinkram.contract.metadata import WHERE_EXPRESSION
@@ -133,6 +134,13 @@ def _unescaped(text: str) -> str:
 
 
 META = "meta."
+METRIC = "metric."
+METRIC_EXPRESSION = re.compile(
+    r"(?P<name>[a-z][a-z0-9_.-]{0,63})\s*(?P<operator><=|>=|!=|=|<|>)\s*"
+    r"(?P<value>[-+]?(\d{1,300}(\.\d{0,300})?|\.\d{1,300})([eE][-+]?\d{1,2})?)",
+    re.ASCII,
+)
+"""A comparison of a metric of runs with a number."""
 _SAME = (":", "=")
 _COMPARED = (">", ">=", "<", "<=", *_SAME)
 
@@ -156,7 +164,7 @@ class QueryKey:
     check: Callable[[str], str] = str
 
 
-def _enum_check(kind: type[BlobState] | type[ContentState]) -> Callable[[str], str]:
+def _enum_check(kind: type[BlobState] | type[ContentState] | type[Verdict]) -> Callable[[str], str]:
     """Return a function that checks for a value of an enumeration, ignoring case."""
     words = [member.value for member in kind]
 
@@ -185,6 +193,9 @@ _KEYS = (
     QueryKey("duration", "duration_ns", "duration>10m", _COMPARED),
     QueryKey("after", "recorded_after", "after:2026-05-01"),
     QueryKey("before", "recorded_before", "before:2026-05-01"),
+    QueryKey("verdict", "verdict", "verdict:bad", is_list=True, check=_enum_check(Verdict)),
+    QueryKey("check", "check", "check:image.black", is_list=True),
+    QueryKey("finding", "finding", "finding:clock.*", is_list=True),
 )
 KEYS: Mapping[str, QueryKey] = {key.name: key for key in _KEYS}
 
@@ -198,12 +209,12 @@ def _unknown_key(key: str) -> str:
     """Return the message for an unknown key: a similar one, and all that exist."""
     close = difflib.get_close_matches(key.lower()[:40], KEYS, n=1)
     hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"there is no key {key!r}; {hint}the keys are {', '.join(KEYS)} and {META}FIELD"
+    return f"there is no key {key!r}; {hint}the keys are {', '.join(KEYS)}, {META}FIELD and {METRIC}NAME"
 
 
 _NAMES = [*KEYS]
 # Metadata comes between the keys of recordings and those of files.
-_PARTS = ("text", *_NAMES[: _NAMES.index("label")], META, *_NAMES[_NAMES.index("label") :], "without")
+_PARTS = ("text", *_NAMES[: _NAMES.index("label")], META, *_NAMES[_NAMES.index("label") :], METRIC, "without")
 _UNITS: Mapping[str, Mapping[str, int]] = {"size": units.SIZES, "duration": units.DURATIONS}
 
 
@@ -237,6 +248,8 @@ def terms_of(part: str, matching: FileFilter) -> list[str]:
         return [_as_word(word) for word in phrases(matching.text or "")]
     if part == META:
         return [_render_where(expression) for expression in matching.where]
+    if part == METRIC:
+        return [_render_metric(expression) for expression in matching.metric]
     if part == "without":
         return [f"-{read_term(term).written}" for term in matching.without]
     return [*_terms_of(KEYS[part], matching)]
@@ -256,6 +269,16 @@ def _render_where(expression: str) -> str:
     else:
         written = _escape(value, after=operator)
     return f"{META}{match['field']}{':' if operator == '=' else operator}{written}"
+
+
+def _render_metric(expression: str) -> str:
+    """Return the term for a comparison with a metric. Raises InvalidQuery."""
+    match = METRIC_EXPRESSION.fullmatch(expression.strip())
+    if match is None:
+        reason = "it is not a comparison of a metric with a number; write it like ate_rmse>0.5"
+        raise InvalidQuery(expression=expression, reason=reason)
+    operator = ":" if match["operator"] == "=" else match["operator"]
+    return f"{METRIC}{match['name']}{operator}{match['value']}"
 
 
 def _terms_of(key: QueryKey, matching: FileFilter) -> Iterator[str]:
@@ -321,6 +344,8 @@ class _QueryReader:
             self._words_by_field.setdefault("text", word)
         elif word.key.startswith(META) and word.key != META:
             self._add_value("where", _comparison(word), word)
+        elif word.key.startswith(METRIC) and word.key != METRIC:
+            self._add_value("metric", _metric_comparison(word), word)
         elif word.key not in KEYS:
             hint = f"write metadata as {META}{word.key}{word.operator}{as_value(word.value)}, and text in quotes"
             raise word.error(f"{_unknown_key(word.key)}; {hint}")
@@ -400,6 +425,14 @@ def _comparison(word: Word) -> str:
     expression = f"{field}{operator}{space}{value}"
     if WHERE_EXPRESSION.fullmatch(expression) is None:
         raise word.error(f"it has no value, or more than one line; write it like {META}{field}:VALUE")
+    return expression
+
+
+def _metric_comparison(word: Word) -> str:
+    """Return a comparison with a metric for a filter's `metric`."""
+    expression = f"{word.key.removeprefix(METRIC)}{'=' if word.operator == ':' else word.operator}{word.value}"
+    if METRIC_EXPRESSION.fullmatch(expression) is None:
+        raise word.error(f"a metric is compared with a number; write it like {METRIC}ate_rmse>0.5")
     return expression
 
 

@@ -63,6 +63,8 @@ class FacetValue(Response):
 class Facet(Response):
     """The files by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month` or `meta.FIELD`.
 
+    Or by `verdict`, that of the mission, or `check`, a check of the mission that fails.
+
     The most frequent values come first, months the latest first; `value_count` is the number of all values.
     """
 

@@ -196,10 +196,21 @@ def test_a_small_budget_gives_fewer_samples_spread_over_the_recording() -> None:
     assert len(plan_visits(segments(1000, 10), {"/a": 20}, 0, 1)) == 1
 
 
+def test_fewer_segments_give_several_samples_each() -> None:
+    visits = plan_visits(segments(1000, 10), {"/a": 20}, 0, 100)
+    assert 8 <= len(visits) <= 10
+    assert sum(len(visit.targets["/a"]) for visit in visits) >= 20
+    assert all(
+        visit.segment.first_ns <= time_ns <= visit.segment.last_ns
+        for visit in visits
+        for time_ns in visit.targets["/a"]
+    )
+
+
 def test_samples_far_apart_come_in_pairs() -> None:
     assert sample_times(0, 100, 5, 0) == [0, 25, 50, 75, 100]
-    assert sample_times(0, 1000, 6, 10) == [0, 10, 495, 505, 990, 1000]
-    assert sample_times(0, 100, 6, 10) == [0, 20, 40, 60, 80, 100]
+    assert sample_times(0, 1000, 8, 10) == [0, 10, 330, 340, 660, 670, 990, 1000]
+    assert sample_times(0, 100, 6, 20) == [0, 20, 40, 60, 80, 100]
     assert sample_times(7, 7, 20, 0) == [7]
 
 

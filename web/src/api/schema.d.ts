@@ -3858,6 +3858,8 @@ export interface components {
          * Facet
          * @description The files by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month` or `meta.FIELD`.
          *
+         *     Or by `verdict`, that of the mission, or `check`, a check of the mission that fails.
+         *
          *     The most frequent values come first, months the latest first; `value_count` is the number of all values.
          */
         Facet: {
@@ -3897,6 +3899,21 @@ export interface components {
             query: string;
             /** Value */
             value: string;
+        };
+        /**
+         * FailedChecks
+         * @description The number of visible missions that became bad since Monday (`since`, in UTC), and the latest of them.
+         */
+        FailedChecks: {
+            /** Count */
+            count: number;
+            /** Missions */
+            missions: components["schemas"]["MissionRef"][];
+            /**
+             * Since
+             * Format: date-time
+             */
+            since: string;
         };
         /**
          * FailedJob
@@ -3966,10 +3983,20 @@ export interface components {
          */
         FileFilter: {
             /**
+             * Check
+             * @default []
+             */
+            check: string[];
+            /**
              * Content
              * @default []
              */
             content: components["schemas"]["ContentState"][];
+            /**
+             * Finding
+             * @default []
+             */
+            finding: string[];
             /**
              * Format
              * @default []
@@ -3989,6 +4016,11 @@ export interface components {
              * @default []
              */
             message_type: string[];
+            /**
+             * Metric
+             * @default []
+             */
+            metric: string[];
             /** Min Duration Ns */
             min_duration_ns?: number | null;
             /** Min Size Bytes */
@@ -4044,6 +4076,11 @@ export interface components {
              * @default []
              */
             topic: string[];
+            /**
+             * Verdict
+             * @default []
+             */
+            verdict: components["schemas"]["Verdict"][];
             /**
              * Where
              * @default []
@@ -4431,11 +4468,12 @@ export interface components {
         };
         /**
          * HomeRead
-         * @description `GET /api/v1/home`. Every list is bounded.
+         * @description `GET /api/v1/home`. Every list is bounded. `failed_checks` is null from earlier servers.
          */
         HomeRead: {
             /** Attention */
             attention: components["schemas"]["Attention"][];
+            failed_checks?: components["schemas"]["FailedChecks"] | null;
             /** Missions */
             missions: components["schemas"]["RecentMission"][];
             /** Uploads */
@@ -8751,15 +8789,18 @@ export interface operations {
     list_files: {
         parameters: {
             query?: {
+                check?: string[];
                 content?: components["schemas"]["ContentState"][];
                 count?: boolean;
                 cursor?: string | null;
+                finding?: string[];
                 format?: string[];
                 label?: string[];
                 limit?: number;
                 max_duration_ns?: number | null;
                 max_size_bytes?: number | null;
                 message_type?: string[];
+                metric?: string[];
                 min_duration_ns?: number | null;
                 min_size_bytes?: number | null;
                 mission?: string | null;
@@ -8779,6 +8820,7 @@ export interface operations {
                 state?: components["schemas"]["BlobState"][];
                 text?: string | null;
                 topic?: string[];
+                verdict?: components["schemas"]["Verdict"][];
                 where?: string[];
                 without?: string[];
             };
@@ -9769,11 +9811,14 @@ export interface operations {
     list_missions: {
         parameters: {
             query?: {
+                check?: string[];
                 completed?: boolean | null;
                 count?: boolean;
                 cursor?: string | null;
+                finding?: string[];
                 limit?: number;
                 message_type?: string[];
+                metric?: string[];
                 missions?: string[];
                 name?: string | null;
                 project?: string | null;
@@ -9786,6 +9831,7 @@ export interface operations {
                 sort?: components["schemas"]["MissionSort"] | string;
                 text?: string | null;
                 topic?: string[];
+                verdict?: components["schemas"]["Verdict"][];
                 where?: string[];
             };
             header?: never;
@@ -12409,13 +12455,16 @@ export interface operations {
         parameters: {
             query?: {
                 by?: string;
+                check?: string[];
                 content?: components["schemas"]["ContentState"][];
                 derived?: boolean;
+                finding?: string[];
                 format?: string[];
                 label?: string[];
                 max_duration_ns?: number | null;
                 max_size_bytes?: number | null;
                 message_type?: string[];
+                metric?: string[];
                 min_duration_ns?: number | null;
                 min_size_bytes?: number | null;
                 mission?: string | null;
@@ -12434,6 +12483,7 @@ export interface operations {
                 state?: components["schemas"]["BlobState"][];
                 text?: string | null;
                 topic?: string[];
+                verdict?: components["schemas"]["Verdict"][];
                 where?: string[];
                 without?: string[];
             };
@@ -12565,15 +12615,18 @@ export interface operations {
     list_topics: {
         parameters: {
             query?: {
+                check?: string[];
                 content?: components["schemas"]["ContentState"][];
                 count?: boolean;
                 cursor?: string | null;
+                finding?: string[];
                 format?: string[];
                 label?: string[];
                 limit?: number;
                 max_duration_ns?: number | null;
                 max_size_bytes?: number | null;
                 message_type?: string[];
+                metric?: string[];
                 min_duration_ns?: number | null;
                 min_size_bytes?: number | null;
                 mission?: string | null;
@@ -12592,6 +12645,7 @@ export interface operations {
                 state?: components["schemas"]["BlobState"][];
                 text?: string | null;
                 topic?: string[];
+                verdict?: components["schemas"]["Verdict"][];
                 where?: string[];
                 without?: string[];
             };

@@ -16,7 +16,7 @@ READ_WHOLE_BYTES = 64 * 2**20
 """Bytes of recordings up to which all messages of the topics are read."""
 
 _MIN_BUDGET_BYTES, _BUDGET_SHARE = 32 * 2**20, 0.04
-_FEWEST = 2
+_FEWEST, _FEWEST_PAIRS, _REDUCTION = 2, 4, 0.85
 
 
 def default_budget(total_bytes: int) -> int:
@@ -43,21 +43,31 @@ def plan_visits(
         segments: those with the topics, by first time.
         samples: how many messages are needed of each topic.
         pair_gap_ns: time between the two of a pair.
-        budget_bytes: of the segments together. Beyond it, there are fewer samples, at least two of each topic while
-            the budget lasts.
+        budget_bytes: of the segments together. Where that is too little, there are fewer segments, from which several
+            samples are taken; at least two for each topic while the budget lasts.
     """
     candidates = {topic: _holding(segments, topic) for topic in samples}
     if sum(segment.size_bytes for segment in segments) <= budget_bytes:
         return _all_visits(segments, candidates, samples)
-    divisor = 1
+    share = 1.0
     while True:
-        reduced = {topic: max(_FEWEST, count // divisor) for topic, count in samples.items()}
+        reduced = {topic: max(_FEWEST, int(count * share)) for topic, count in samples.items()}
         visits = _chosen_visits(segments, candidates, reduced, pair_gap_ns)
-        if sum(visit.segment.size_bytes for visit in visits) <= budget_bytes:
-            return visits
-        if all(count == _FEWEST for count in reduced.values()):
-            return _within(visits, budget_bytes)
-        divisor *= 2
+        is_least = all(count == _FEWEST for count in reduced.values())
+        if is_least or sum(visit.segment.size_bytes for visit in visits) <= budget_bytes:
+            for visit in visits:
+                _add_targets(visit, {topic: -(-samples[topic] // reduced[topic]) for topic in visit.targets})
+            return _within(visits, budget_bytes) if is_least else visits
+        share *= _REDUCTION
+
+
+def _add_targets(visit: SegmentVisit, factors: Mapping[str, int]) -> None:
+    """Take several samples of each topic from a segment, where there are fewer segments than samples."""
+    first_ns, last_ns = visit.segment.first_ns, visit.segment.last_ns
+    for topic, times in visit.targets.items():
+        count = factors[topic] * len(times)
+        if factors[topic] > 1:
+            visit.targets[topic] = [first_ns + (last_ns - first_ns) * step // (count - 1) for step in range(count)]
 
 
 def sample_times(first_ns: int, last_ns: int, count: int, pair_gap_ns: int) -> list[int]:
@@ -65,7 +75,7 @@ def sample_times(first_ns: int, last_ns: int, count: int, pair_gap_ns: int) -> l
     if count < _FEWEST or last_ns <= first_ns:
         return [first_ns] * min(count, 1)
     spacing_ns = (last_ns - first_ns) // (count - 1)
-    if count < 2 * _FEWEST or not 0 < 2 * pair_gap_ns < spacing_ns:
+    if count < 2 * _FEWEST_PAIRS or not 0 < 2 * pair_gap_ns < spacing_ns:
         return [first_ns + (last_ns - first_ns) * step // (count - 1) for step in range(count)]
     pairs = count // 2
     starts = [first_ns + (last_ns - pair_gap_ns - first_ns) * step // (pairs - 1) for step in range(pairs)]

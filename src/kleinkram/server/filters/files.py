@@ -59,6 +59,7 @@ from kleinkram.server.filters.text import (
     topics_of_blob,
     word_in_mission,
 )
+from kleinkram.server.filters.verdicts import check_conditions
 from kleinkram.server.tables import blob, file, mission, mission_topic, project, topic
 
 Conditions = list[ColumnElement[bool]]
@@ -106,6 +107,7 @@ def _field_conditions(actor: Actor, matching: FileFilter) -> Conditions:
     if matching.mission_id is not None:
         conditions.append(mission.c.id == matching.mission_id)
     conditions += any_of(mission, matching.missions)
+    conditions += check_conditions(actor, matching)
     if matching.recording_id is not None:
         conditions.append(file.c.recording_id == matching.recording_id)
     if matching.path:

@@ -6,13 +6,15 @@ import shutil
 import uuid
 from typing import Any, NamedTuple
 
-from sqlalchemy import Select, func, select, text, union
+from sqlalchemy import Select, false, func, select, text, true, union
 
+from kleinkram.contract.checks import Verdict
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.home import (
     Attention,
     AttentionKind,
+    FailedChecks,
     HomeRead,
     HomeStorage,
     ProjectStorage,
@@ -25,14 +27,15 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.runs import RunState
 from kleinkram.diagnostics import is_disk_low
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import visible_files, visible_missions, visible_projects
+from kleinkram.server.access.visible import sees_whole_missions, visible_files, visible_missions, visible_projects
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
+from kleinkram.server.filters.verdicts import is_current, join_checks
 from kleinkram.server.missions.queries import file_totals, mission_ref
 from kleinkram.server.runs.eligibility import NEEDS_COLUMNS, Needs, known_runners
 from kleinkram.server.runs.queries import visible_runs
 from kleinkram.server.settings import Settings
-from kleinkram.server.tables import action_version, blob, file, mission, project, run, scrub, upload
+from kleinkram.server.tables import action_version, blob, file, mission, mission_checks, project, run, scrub, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
 from kleinkram.server.uploads.queries import own_uploads
 
@@ -82,6 +85,7 @@ async def get_home(context: AppContext, actor: Actor) -> HomeRead:
         missions = (await db.execute(_recent_missions(actor))).all()
         uploads = [_StartedUpload._make(row) for row in await db.execute(_unfinished_uploads(actor))]
         attention = await _attention(db, actor)
+        failed_checks = await _failed_checks(db, actor)
         if _sees_server(actor):
             attention = [*await _server_attention(db, context.settings), *attention]
     sent = await asyncio.gather(*(_sent_bytes(context, one) for one in uploads))
@@ -108,6 +112,7 @@ async def get_home(context: AppContext, actor: Actor) -> HomeRead:
             for one, sent_bytes in zip(uploads, sent, strict=True)
         ],
         attention=attention,
+        failed_checks=failed_checks,
     )
 
 
@@ -171,6 +176,22 @@ async def _attention(db: Connection, actor: Actor) -> list[Attention]:
     items = [Attention(kind=kind, count=number, mission=where) for (kind, where), number in counts.items()]
     order = list(AttentionKind)
     return sorted(items, key=lambda attention: order.index(attention.kind))
+
+
+async def _failed_checks(db: Connection, actor: Actor) -> FailedChecks:
+    today = datetime.datetime.now(datetime.timezone.utc).replace(hour=0, minute=0, second=0, microsecond=0)
+    since = today - datetime.timedelta(days=today.weekday())
+    stmt = join_checks(visible_missions(actor).with_only_columns(*_MISSION, maintain_column_froms=True))
+    failed = stmt.where(
+        true() if sees_whole_missions(actor) else false(),
+        mission_checks.c.verdict == Verdict.bad.value,
+        is_current(),
+        mission_checks.c.bad_since >= since,
+    )
+    count = (await db.execute(select(func.count()).select_from(failed.subquery()))).scalar_one()
+    latest = failed.order_by(mission_checks.c.bad_since.desc(), mission.c.id).limit(_MAX_MISSIONS)
+    missions = [mission_ref(*row) for row in await db.execute(latest)] if count else []
+    return FailedChecks(since=since, count=count, missions=missions)
 
 
 async def _server_attention(db: Connection, settings: Settings) -> list[Attention]:

@@ -52,6 +52,7 @@ from kleinkram.server.access.visible import sees_whole_missions, visible_files
 from kleinkram.server.db import Connection, among
 from kleinkram.server.filters.files import filter_files, filter_topics
 from kleinkram.server.filters.plan import SearchPlan, prepare_statement
+from kleinkram.server.filters.verdicts import facet_columns
 from kleinkram.server.search.planner import ENLARGE_WORK_MEMORY, plan_search, sampled_files
 from kleinkram.server.tables import blob, file, mission, project, topic
 
@@ -61,14 +62,20 @@ _SET_TIMEOUT = text("SELECT set_config('statement_timeout', :milliseconds, true)
 _MAX_VALUES, _MAX_FIELDS = 12, 20
 # A longer value of a metadata field is a text, which nobody selects from a list.
 _MAX_CHARACTERS = 80
-_PLAIN_FACETS = ("project", "format", "content", "month", "label", "topic", "type")
+_PLAIN_FACETS = ("project", "verdict", "check", "format", "content", "month", "label", "topic", "type")
+# Facets that only actors who see whole missions get.
+_OF_CHECKS = frozenset({"verdict", "check"})
 # A file has one value of these, in a column of its own among the files found.
-_SINGLE_VALUED = ("project", "format", "content", "month")
+_SINGLE_VALUED = ("project", "verdict", "format", "content", "month")
+# A file has several values of these, in a column with an array.
+_MULTI_VALUED = {"label": "labels", "check": "failed"}
 # JSON types of metadata values that can be selected.
 _KINDS = ("string", "number", "boolean")
 _FIELD = "^[A-Za-z][A-Za-z0-9_]*$"
 # The list in a filter that holds the selected values of a facet.
 _LISTS = {
+    "verdict": "verdict",
+    "check": "check",
     "format": "format",
     "content": "content",
     "topic": "topic",
@@ -137,7 +144,7 @@ def _facets(actor: Actor, matching: FileFilter, rows: Sequence[_FacetRow]) -> It
     if sees_whole_missions(actor):
         names += [META + field for field in _selected_fields(matching) if META + field not in names]
     query_terms = terms(matching)
-    for name in names:
+    for name in names if sees_whole_missions(actor) else [name for name in names if name not in _OF_CHECKS]:
         own_rows = [row for row in rows if row.facet == name]
         values = [*_facet_values(matching, query_terms, name, own_rows)]
         if values:
@@ -285,7 +292,9 @@ def _columns() -> tuple[ColumnElement[Any], ...]:
     began = func.to_timestamp(func.floor(file.c.start_ns / 1_000_000_000))
     month = func.to_char(func.timezone("UTC", began), "YYYY-MM").label("month")
     own = (file.c.id, file.c.blob_id, file.c.mission_id, file.c.labels)
-    return *own, project.c.name.label("project"), blob.c.format, blob.c.content, month
+    verdict, failed = facet_columns()
+    checks = (verdict.label("verdict"), failed.label("failed"))
+    return *own, project.c.name.label("project"), *checks, blob.c.format, blob.c.content, month
 
 
 def _topic_lists(selected: Collection[str]) -> dict[str, str]:
@@ -319,7 +328,8 @@ def _counts(selected: frozenset[str], fields: int, *, with_metadata: bool) -> Co
     together = [facet for facet in _SINGLE_VALUED if facet not in selected]
     counted = [_by_column(base, together)] if together else []
     counted += [_by_column(_named(f"without_{facet}"), [facet]) for facet in _SINGLE_VALUED if facet in selected]
-    counted.append(_by_label(_named("without_label") if "label" in selected else base))
+    for facet, name in _MULTI_VALUED.items():
+        counted.append(_by_item(facet, _named(f"without_{facet}") if facet in selected else base, name))
     topics = _topic_lists(selected)
     counted += [_by_topic("topic", topics["topic"], "names"), _by_topic("type", topics.get("type", "topics"), "types")]
     file_count = _row(literal(""), literal("found"), func.count(), literal(1, BigInteger)).select_from(table("found"))
@@ -342,10 +352,10 @@ def _by_column(files: TableClause, facets: Sequence[str]) -> Select[Any]:
     return stmt.group_by(func.grouping_sets(*columns))
 
 
-def _by_label(files: TableClause) -> Select[Any]:
-    label = func.unnest(files.c.labels).table_valued(column("value", Text)).render_derived(name="label")
-    stmt = select(literal("label"), label.c.value, func.count(distinct(files.c.id)))
-    return stmt.join_from(files, label, true()).group_by(label.c.value)
+def _by_item(facet: str, files: TableClause, name: str) -> Select[Any]:
+    item = func.unnest(files.c[name]).table_valued(column("value", Text)).render_derived(name=f"one_{facet}")
+    stmt = select(literal(facet), item.c.value, func.count(distinct(files.c.id)))
+    return stmt.join_from(files, item, true()).group_by(item.c.value)
 
 
 def _by_topic(facet: str, topics: str, side: str) -> Select[Any]:

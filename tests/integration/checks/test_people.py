@@ -1,0 +1,207 @@
+"""What people and uploaders add to the checks of a mission: acceptances, notes and reports."""
+
+from typing import Any
+
+import pytest
+
+from kleinkram.contract.access import Right
+from tests.integration import people
+from tests.integration.api_server import Api
+from tests.integration.checks.judged import (
+    GOOD,
+    RULES,
+    SLOW,
+    checked_project,
+    derive,
+    failing,
+    judged_mission,
+    put_file,
+    set_rules,
+    topic,
+    verdict,
+)
+from tests.integration.jobs import run_jobs
+
+_IMAGES = RULES + "    images: {/camera: {}}\n"
+_BLACK = {"name": "image.black", "status": "error", "message": "All pictures are black.", "topic": "/camera"}
+_RATE = {"name": "topic.rate", "status": "ok", "message": "The rate is 100 Hz.", "topic": "/imu"}
+
+
+@pytest.fixture(name="bad_id")
+def _bad_id(api: Api) -> str:
+    """A mission of which only the rate of /imu is wrong."""
+    return judged_mission(api, checked_project(api), *SLOW)
+
+
+def _accept(api: Api, mission_id: str, check: str = "topic.rate", **fields: Any) -> Any:
+    return api.post(f"/missions/{mission_id}/check-acceptances", {"check": check, "because": "Known.", **fields})
+
+
+def _report(api: Api, mission_id: str, document: str, *checks: Any, depth: str = "content", **files: str) -> Any:
+    rows = api.sql(
+        "SELECT path, encode(sha256, 'hex') FROM file JOIN blob ON blob.id = blob_id WHERE mission_id = %s", mission_id
+    )
+    body = {"checks": checks, "depth": depth, "document_sha256": document, "files": {**dict(rows), **files}}
+    return api.post(f"/missions/{mission_id}/check-reports", body)
+
+
+def _rules_hash(api: Api, mission_id: str) -> str:
+    project_id = api.get(f"/missions/{mission_id}").ok()["project"]["id"]
+    return str(api.get(f"/projects/{project_id}/checks").ok()["sha256"])
+
+
+def test_an_accepted_check_no_longer_counts_until_it_is_withdrawn(api: Api, bad_id: str) -> None:
+    accepted = _accept(api, bad_id, topic="/imu").ok(201)
+    assert verdict(api, bad_id) == "outdated"
+    run_jobs(api)
+    assert (verdict(api, bad_id), failing(api, bad_id)) == ("good", [])
+    result = api.get(f"/missions/{bad_id}/checks").ok()
+    assert [one["because"] for one in result["acceptances"]] == ["Known."]
+    (rate,) = (one for one in result["checks"] if one["name"] == "topic.rate")
+    assert (rate["status"], rate["acceptance_id"], result["counts"]["accepted"]) == ("error", accepted["id"], 1)
+    api.delete(f"/missions/{bad_id}/check-acceptances/{accepted['id']}").ok()
+    run_jobs(api)
+    assert verdict(api, bad_id) == "bad"
+    assert api.get(f"/missions/{bad_id}/checks").ok()["acceptances"] == []
+    (ended,) = api.get(f"/missions/{bad_id}/checks", {"all": "true"}).ok()["acceptances"]
+    assert (ended["ended"], ended["ended_by"]["name"]) == ("withdrawn", accepted["created_by"]["name"])
+    operations = [one["operation"] for one in api.events(bad_id)]
+    assert operations[:2] == ["mission.withdraw_acceptance", "mission.accept_check"]
+
+
+def test_an_acceptance_ends_when_the_files_change_and_not_when_they_are_read_again(api: Api, bad_id: str) -> None:
+    _accept(api, bad_id).ok(201)
+    derive(api, bad_id)
+    run_jobs(api)
+    assert verdict(api, bad_id) == "good"
+    put_file(api, bad_id, "more.mcap", (topic("/other"),))
+    run_jobs(api)
+    assert verdict(api, bad_id) == "bad"
+    (ended,) = api.get(f"/missions/{bad_id}/checks", {"all": "true"}).ok()["acceptances"]
+    assert (ended["ended"], ended["ended_by"]) == ("files_changed", None)
+
+
+def test_only_failing_checks_are_accepted_and_each_once(api: Api, bad_id: str) -> None:
+    assert "fails" in _accept(api, bad_id, "topic.gap").refused(422, "invalid_request")["problems"][0]["message"]
+    _accept(api, bad_id, topic="/camera").refused(422, "invalid_request")
+    _accept(api, bad_id, "nonsense").refused(422, "invalid_request")
+    _accept(api, bad_id, because="").refused(422, "invalid_request")
+    _accept(api, bad_id).ok(201)
+    assert "already" in _accept(api, bad_id).refused(422, "invalid_request")["problems"][0]["message"]
+
+
+def test_readers_see_acceptances_and_notes_and_add_none(api: Api, bad_id: str) -> None:
+    reader, stranger = people.person(api), people.person(api)
+    people.grant(api, reader.group_id, Right.read, mission_id=bad_id)
+    note = {"check": "topic.rate", "text": "The cable."}
+    _accept(api.as_(reader.token), bad_id).refused(403, "forbidden")
+    api.as_(reader.token).post(f"/missions/{bad_id}/check-notes", note).refused(403, "forbidden")
+    _report(api.as_(reader.token), bad_id, "0" * 64, _RATE).refused(403, "forbidden")
+    _accept(api.as_(stranger.token), bad_id).refused(404, "not_found")
+    api.as_(stranger.token).get(f"/missions/{bad_id}/checks").refused(404, "not_found")
+    made = api.post(f"/missions/{bad_id}/check-notes", note).ok(201)
+    assert api.as_(reader.token).get(f"/missions/{bad_id}/checks").ok()["notes"] == [made]
+    api.as_(reader.token).delete(f"/missions/{bad_id}/check-notes/{made['id']}").refused(403, "forbidden")
+    api.delete(f"/missions/{bad_id}/check-notes/{made['id']}").ok(204)
+    api.delete(f"/missions/{bad_id}/check-notes/{made['id']}").refused(404, "not_found")
+
+
+def test_a_link_to_one_file_shows_no_checks(api: Api, bad_id: str) -> None:
+    file_id = put_file(api, bad_id, "shown.mcap", (topic("/other"),))
+    run_jobs(api)
+    guest = api.as_(people.share(api, bad_id, file_ids=[file_id]).secret)
+    result = guest.get(f"/missions/{bad_id}/checks").ok()
+    assert (result["verdict"], result["checks"], result["counts"]["error"]) == ("unchecked", [], 0)
+    assert guest.get(f"/missions/{bad_id}").ok()["verdict"] == "unchecked"
+    whole = api.as_(people.share(api, bad_id).secret)
+    assert whole.get(f"/missions/{bad_id}/checks").ok()["verdict"] == "bad"
+
+
+def test_a_report_of_an_uploader_adds_the_checks_of_content(api: Api) -> None:
+    mission_id = judged_mission(api, checked_project(api, _IMAGES), *GOOD)
+    assert verdict(api, mission_id) == "good"
+    assert api.get(f"/missions/{mission_id}").ok()["checks"]["needs_content"] > 0
+    report = _report(api, mission_id, _rules_hash(api, mission_id), _BLACK, _RATE).ok(201)
+    assert (report["is_current"], report["verdict"], report["check_count"]) == (True, "bad", 2)
+    run_jobs(api)
+    assert failing(api, mission_id) == [("image.black", "error", "/camera")]
+    checks = api.get(f"/missions/{mission_id}/checks").ok()["checks"]
+    assert {one["source"] for one in checks if one["name"] == "image.black"} == {"report"}
+    assert {one["source"] for one in checks if one["name"] == "topic.rate"} == {"server"}
+    assert not [one for one in checks if one["status"] == "needs_content"]
+
+
+def test_a_report_of_other_files_does_not_count(api: Api) -> None:
+    mission_id = judged_mission(api, checked_project(api, _IMAGES), *GOOD)
+    sha256 = _rules_hash(api, mission_id)
+    assert _report(api, mission_id, sha256, _BLACK, **{"run.mcap": "0" * 64}).ok(201)["is_current"] is False
+    assert _report(api, mission_id, sha256, _BLACK, **{"gone.mcap": "0" * 64}).ok(201)["is_current"] is False
+    run_jobs(api)
+    assert verdict(api, mission_id) == "good"
+    result = api.get(f"/missions/{mission_id}/checks").ok()
+    assert result["reports"] == []
+    assert len(api.get(f"/missions/{mission_id}/checks", {"all": "true"}).ok()["reports"]) == 2
+
+
+def test_a_report_before_the_upload_counts_once_its_files_are_there(api: Api) -> None:
+    project_id = checked_project(api, _IMAGES)
+    mission_id = str(api.mission(project_id)["id"])
+    first = put_file(api, mission_id, "run.mcap", GOOD)
+    ((sha256,),) = api.sql(
+        "SELECT encode(sha256, 'hex') FROM blob JOIN file ON blob_id = blob.id AND file.id = %s", first
+    )
+    api.sql("UPDATE file SET deleted_at = now(), deleted_by_id = uploaded_by_id WHERE id = %s", first)
+    body = {"checks": [_BLACK], "depth": "content", "document_sha256": _rules_hash(api, mission_id)}
+    api.post(f"/missions/{mission_id}/check-reports", {**body, "files": {"run.mcap": sha256}}).ok(201)
+    run_jobs(api)
+    assert verdict(api, mission_id) == "unchecked"
+    api.sql("UPDATE file SET deleted_at = NULL, deleted_by_id = NULL WHERE id = %s", first)
+    derive(api, mission_id)
+    run_jobs(api)
+    assert failing(api, mission_id) == [("image.black", "error", "/camera")]
+
+
+def test_content_that_was_checked_by_earlier_rules_only_is_outdated(api: Api) -> None:
+    project_id = checked_project(api, _IMAGES)
+    mission_id = judged_mission(api, project_id, *GOOD)
+    _report(api, mission_id, _rules_hash(api, mission_id), _BLACK).ok(201)
+    run_jobs(api)
+    assert verdict(api, mission_id) == "bad"
+    set_rules(api, project_id, _IMAGES.replace("100ms", "200ms")).ok()
+    run_jobs(api)
+    assert verdict(api, mission_id) == "outdated"
+    _report(api, mission_id, _rules_hash(api, mission_id), {**_BLACK, "status": "ok"}).ok(201)
+    run_jobs(api)
+    assert verdict(api, mission_id) == "good"
+
+
+def test_without_rules_of_the_project_the_report_is_the_verdict(api: Api) -> None:
+    mission_id = judged_mission(api, str(api.project()["id"]), *GOOD)
+    _report(api, mission_id, "0" * 64, _RATE, _BLACK).ok(201)
+    run_jobs(api)
+    assert (verdict(api, mission_id), failing(api, mission_id)) == ("bad", [("image.black", "error", "/camera")])
+
+
+def test_a_report_with_ten_thousand_checks_is_stored_and_one_more_is_refused(api: Api) -> None:
+    mission_id = judged_mission(api, str(api.project()["id"]), *GOOD)
+    checks = [{**_RATE, "topic": f"/t{number}"} for number in range(10_000)]
+    _report(api, mission_id, "0" * 64, *checks).ok(201)
+    run_jobs(api)
+    assert api.get(f"/missions/{mission_id}").ok()["checks"]["ok"] == 10_000
+    _report(api, mission_id, "0" * 64, *checks, _RATE).refused(422, "invalid_request")
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        {"value": float("nan")},
+        {"value": float("inf")},
+        {"status": "great"},
+        {"message": ""},
+        {"name": "no dots"},
+        {"file": "../x"},
+        {"topic": "a\x00b"},
+    ],
+)
+def test_a_faulty_report_is_refused(api: Api, bad_id: str, fault: Any) -> None:
+    _report(api, bad_id, "0" * 64, {**_RATE, **fault}).refused(422, "invalid_request")
