@@ -65,11 +65,32 @@ results.matrix.afterArrows = await page.evaluate(() => ({
 await rowOf(missions.bad).locator('[aria-label="topic.gap: Error"]').hover();
 await page.locator("[data-explained]").getByText("longest gap").waitFor();
 results.matrix.explained = await page.locator("[data-explained]").innerText();
+for (const button of await page.getByRole("button", { name: "Dismiss" }).all()) await button.click();
 await checkPage(page, "checks-matrix");
 await rowOf(missions.bad).locator('[aria-label="topic.gap: Error"]').focus();
 await page.keyboard.press("Enter");
 await page.locator("[data-checks] [role=row]").nth(1).waitFor();
 results.matrix.opened = new URL(page.url()).pathname;
+
+// An action that the project names.
+await page.goto(`${address}/projects/${project}?tab=checks&part=actions`);
+await page.locator("[data-add-action]").getByLabel("Action").waitFor();
+await page.getByRole("button", { name: "Add action" }).click();
+await page.getByText("Choose an action.").waitFor();
+await page.locator("[data-add-action] option", { hasText: "verify" }).waitFor({ state: "attached" });
+await page.locator("[data-add-action]").getByLabel("Action").selectOption({ label: "verify all" });
+await page.locator("[data-add-action]").getByLabel("Runs", { exact: true }).selectOption("idle");
+await page.getByLabel("Time without changes").fill("0.5.1");
+await page.getByText("Enter a number of minutes").waitFor();
+await page.getByLabel("Time without changes").fill("1440");
+await page.getByRole("button", { name: "Add action" }).click();
+await page.locator("[data-action]").waitFor();
+results.actions = { added: await page.locator("[data-action]").innerText() };
+await checkPage(page, "checks-actions");
+await page.getByRole("button", { name: "Remove verify all" }).click();
+await page.locator("dialog[open]").getByRole("button", { name: "Remove", exact: true }).click();
+await page.locator("[data-action]").waitFor({ state: "detached" });
+results.actions.left = await page.locator("[data-action]").count();
 
 // The checks of the bad mission: accepted with a reason, with a note, and withdrawn.
 await page.goto(`${address}/missions/${missions.bad}?tab=checks`);
@@ -93,7 +114,7 @@ await checkPage(page, "checks-dialog");
 await page.getByLabel("Reason").fill("the gap was a stop");
 await page.getByRole("button", { name: "Accept", exact: true }).click();
 await page.locator("[data-accepted]").waitFor();
-await page.getByLabel("Note").fill("seen by <b>Ada<b>");
+await page.getByRole("textbox", { name: "Note" }).fill("seen by <b>Ada<b>");
 await page.getByRole("button", { name: "Add note" }).click();
 await page.locator("[data-check-notes] li").waitFor();
 results.mission.note = await page.locator("[data-check-notes] li").innerText();
@@ -122,8 +143,9 @@ await settled();
 results.mission.inSearch = await page.locator("[data-results] [data-verdict]").evaluateAll((all) => all.map(({ dataset }) => dataset.verdict));
 await checkPage(page, "checks-search");
 await page.goto(`${address}/`);
-await page.locator("[data-attention]").waitFor();
+await page.locator("[data-failed-checks]").waitFor();
 await settled();
+results.home = await page.locator("[data-failed-checks]").innerText();
 await checkPage(page, "checks-home");
 
 // Runs: one that found errors is not green.

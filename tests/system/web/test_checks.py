@@ -17,7 +17,7 @@ version: 1
 profiles:
   - name: every <b>vehicle<b>
     topics:
-      /imu/data: {rate: 200 Hz, max_gap: 500ms}
+      /imu/data: {rate: 200 Hz, tolerance: 30%, max_gap: 500ms}
       /odom: {rate: 50 Hz, severity: warning}
       "/gps/*": {}
       /camera/image/compressed: {covers: 80%}
@@ -72,6 +72,9 @@ def test_verdicts_are_in_sight_explained_and_overruled(
     _check_rules(results)
     _check_matrix(results)
     _check_mission(results)
+    assert "Runs when the files of a mission have not changed for 24 h 00 min." in results["actions"]["added"]
+    assert results["actions"]["left"] == 0
+    assert results["home"].startswith("1 mission failed checks since Monday")
     assert results["run"]["state"] == "Done: bad", "a run that found errors is not green"
     assert "image.black" in results["run"]["checks"]
     assert "method: icp" in results["run"]["metrics"]
@@ -89,6 +92,8 @@ def _create_missions(terminal: Terminal, tmp_path: Path) -> tuple[str, dict[str,
     script = tmp_path / "verify.py"
     script.write_text(_SCRIPT)
     terminal.run("action", "run", script, "-p", "Alps", "-m", _BAD, "--follow", code=15)
+    script.write_text(_SCRIPT.replace('"verify"', '"verify all"'))
+    terminal.run("action", "create", script, "-p", "Alps")
     (project,) = terminal.run("project", "list", "--json").json()["items"]
     missions = terminal.run("mission", "list", "--json").json()["items"]
     names = {_GOOD: "good", _BAD: "bad"}
