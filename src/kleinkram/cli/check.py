@@ -5,7 +5,8 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Mapping, Sequence
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,8 +17,16 @@ from kleinkram.checks.document import ChecksDocument, json_schema, read_checks
 from kleinkram.cli import options
 from kleinkram.cli.commands import Many, Subcommands, argument, flag, option
 from kleinkram.cli.errors import ExitCode
-from kleinkram.cli.render import Output, line, note
-from kleinkram.client.errors import ChecksInvalid, ClientError, DestinationRefused, InvalidInput, NoChecks
+from kleinkram.cli.render import Output, as_table, line, note
+from kleinkram.client import Client, connect
+from kleinkram.client.errors import (
+    ChecksInvalid,
+    ClientError,
+    DestinationRefused,
+    InvalidInput,
+    NoChecks,
+    NothingToDo,
+)
 from kleinkram.contract.checks import Check, CheckDepth, CheckStatus, Verdict
 from kleinkram.contract.errors import YamlInvalid
 from kleinkram.untrusted_yaml import read_yaml, resolve_plain
@@ -59,7 +68,13 @@ def check(
     The exit code is 0 if the recordings are good, 1 for warnings with --strict, 2 for errors, 3 if there are no rules
     for them, 6 if checks.yaml is wrong, and 8 if a path does not exist. A check that could not be made is a warning.
     """
-    loaded = load_checks(checks, project, paths[0])
+    if project is None:
+        loaded = load_checks(checks, paths[0])
+    elif checks is not None:
+        raise InvalidInput(what="--checks and -p", reason="specify a file or a project")
+    else:
+        with connect() as client:
+            loaded = project_checks(client, project)
     values = mission_metadata(metadata, where)
     files = mission_files([as_contents(paths)] if len(paths) == 1 else paths, exclude or [])
     results = run_checks(loaded.document, files, values, CheckDepth.index if index_only else CheckDepth.content)
@@ -90,19 +105,27 @@ class MissionFiles:
     left_out: Sequence[ClientError]
 
 
-def load_checks(path: Path | None, project: str | None, beside: str) -> LoadedChecks:
+def load_checks(path: Path | None, beside: str) -> LoadedChecks:
     """Return the rules of a file, or of the `checks.yaml` in or beside a path.
 
     Raises:
         NoChecks: there is no such file.
         ChecksInvalid: its text is wrong, with line and column.
-        InvalidInput: it cannot be read, or both a file and a project were named.
+        InvalidInput: it cannot be read.
     """
-    if project is not None:
-        raise InvalidInput(what="-p", reason="projects have no checks yet")
     path = path or _file_beside(Path(beside))
     text = options.read_text(path) or ""
     return LoadedChecks(parse_checks(text, str(path)), text, str(path))
+
+
+def project_checks(client: Client, project: str | uuid.UUID) -> LoadedChecks:
+    """Return the rules of a project. Raises NothingToDo if it has none."""
+    target = client.projects.get(project)
+    text = client.checks.get(target.id).text
+    if not text:
+        raise NothingToDo(reason=f"The project {target.name} has no checks; `klein checks set` sets them")
+    source = f"checks of {target.name}"
+    return LoadedChecks(parse_checks(text, source), text, source)
 
 
 def parse_checks(text: str, source: str) -> ChecksDocument:
@@ -127,18 +150,8 @@ def _file_beside(path: Path) -> Path:
 
 
 def mission_metadata(path: Path | None, values: Sequence[str] | None) -> dict[str, JsonValue]:
-    """Return the metadata of a file, with single values over them."""
-    text = options.read_text(path)
-    metadata: dict[str, JsonValue] = {}
-    if text is not None:
-        try:
-            document = read_yaml(text).value
-        except YamlInvalid as error:
-            raise _invalid(str(path), error) from error
-        if isinstance(document, dict):
-            metadata |= document
-        elif document is not None:
-            raise ChecksInvalid(source=str(path), line=1, column=1, reason="it must have FIELD: VALUE, one a line")
+    """Return the metadata of a file, with single values over them. Raises ChecksInvalid."""
+    metadata = metadata_of(options.read_text(path), str(path))
     for value in values or ():
         name, equals, content = value.partition("=")
         if not equals or not name:
@@ -148,6 +161,19 @@ def mission_metadata(path: Path | None, values: Sequence[str] | None) -> dict[st
         except ValueError:  # a number that is too large
             metadata[name] = content
     return metadata
+
+
+def metadata_of(text: str | None, source: str) -> dict[str, JsonValue]:
+    """Return the metadata of a document; none without a text. Raises ChecksInvalid."""
+    if text is None:
+        return {}
+    try:
+        document = read_yaml(text).value
+    except YamlInvalid as error:
+        raise _invalid(source, error) from error
+    if document is not None and not isinstance(document, dict):
+        raise ChecksInvalid(source=source, line=1, column=1, reason="it must have FIELD: VALUE, one a line")
+    return document or {}
 
 
 def mission_files(paths: Sequence[str], exclude: Sequence[str] = ()) -> MissionFiles:
@@ -166,11 +192,18 @@ def run_checks(
 ) -> "CheckResults":
     """Check local files; a file that cannot be read is a check that could not be made."""
     from kleinkram.checks.local import read_mission
+
+    return check_mission(document, read_mission(files.files, metadata), files.left_out, depth)
+
+
+def check_mission(
+    document: ChecksDocument, mission: "LocalMission", unusable: Sequence[ClientError], depth: CheckDepth
+) -> "CheckResults":
+    """Check a mission that was read; `unusable`: files that do not belong to it, because they cannot be read."""
     from kleinkram.checks.outcomes import make_check
     from kleinkram.checks.results import evaluate
 
-    mission: LocalMission = read_mission(files.files, metadata)
-    left_out = [make_check("file.incomplete", CheckStatus.not_made, str(error)) for error in files.left_out]
+    left_out = [make_check("file.incomplete", CheckStatus.not_made, str(error)) for error in unusable]
     return evaluate(document, mission, depth, more=left_out)
 
 
@@ -197,20 +230,25 @@ _HIDDEN = (CheckStatus.ok, CheckStatus.needs_content)
 
 def show_results(results: "CheckResults", source: str, *, list_all: bool) -> None:
     """Print the checks that did not pass, the verdict, and what was not applied or not listed."""
-    shown = [check for check in results.checks if list_all or check.status not in _HIDDEN]
-    _show_checks(shown)
-    if shown:
-        line("")
-    line(f"Verdict: {results.verdict.value}{_counts_text(results)}")
-    profiles = ", ".join(results.profiles_applied) or "none"
-    line(f"Rules:   {source} ({'profile' if len(results.profiles_applied) == 1 else 'profiles'}: {profiles})")
-    for profile in results.profiles_left_out:
-        line(f"         not applied: {profile.name}, because {profile.reason}")
+    for text in results_text(results, source, list_all=list_all):
+        line(text)
     if results.verdict is Verdict.unchecked:
         note(_why_unchecked(results))
-    passed = results.counts.get(CheckStatus.ok, 0)
-    if passed and not list_all:
+    if results.counts.get(CheckStatus.ok, 0) and not list_all:
         note("--all lists the checks that passed.")
+
+
+def results_text(results: "CheckResults", source: str, *, list_all: bool = False) -> Iterator[str]:
+    """Yield the checks that did not pass as lines, the verdict, and the rules."""
+    shown = [check for check in results.checks if list_all or check.status not in _HIDDEN]
+    yield from _check_lines(shown)
+    if shown:
+        yield ""
+    yield f"Verdict: {results.verdict.value}{_counts_text(results)}"
+    profiles = ", ".join(results.profiles_applied) or "none"
+    yield f"Rules:   {source} ({'profile' if len(results.profiles_applied) == 1 else 'profiles'}: {profiles})"
+    for profile in results.profiles_left_out:
+        yield f"         not applied: {profile.name}, because {profile.reason}"
 
 
 def _why_unchecked(results: "CheckResults") -> str:
@@ -238,8 +276,8 @@ def _counted(number: int, noun: str) -> str:
     return f"{number} {noun if number == 1 else f'{noun}s'}"
 
 
-def _show_checks(checks: Sequence[Check]) -> None:
-    """Print a line for each check; on a terminal, a long message continues below. Nothing is cut."""
+def _check_lines(checks: Sequence[Check]) -> Iterator[str]:
+    """Yield a line for each check; on a terminal, a long message continues below. Nothing is cut."""
     rows = [(_STATUS_WORDS[check.status], check.name, _where(check), check.message) for check in checks]
     if not rows:
         return
@@ -250,12 +288,11 @@ def _show_checks(checks: Sequence[Check]) -> None:
         cells = "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=False))
         text = f"{cells}  {row[3]}".rstrip()
         if columns is None or len(text) <= columns:
-            line(text)
+            yield text
             continue
-        line(cells.rstrip())
+        yield cells.rstrip()
         indent = " " * (widths[0] + 2)
-        for part in textwrap.wrap(row[3], max(40, columns - len(indent))):
-            line(f"{indent}{part}")
+        yield from (f"{indent}{part}" for part in textwrap.wrap(row[3], max(40, columns - len(indent))))
 
 
 def _is_terminal() -> bool:
@@ -303,3 +340,93 @@ def schema() -> None:
     """Print the JSON schema of checks.yaml, for editors."""
     json.dump(json_schema(), sys.stdout, indent=1, ensure_ascii=False)
     sys.stdout.write("\n")
+
+
+# -- the checks of a project ------------------------------------------------------------------------------------------
+
+_Project = Annotated[str, option("--project -p", "PROJECT", "The project.", autocompletion=options.complete_project)]
+_Number = Annotated[int | None, option("--number", "N", "A version of its history; the latest by default.", min=1)]
+
+
+@app.command("set")
+def set_(
+    client: Client,
+    project: _Project,
+    file: Annotated[Path | None, argument("FILE", "The new checks.yaml.")] = None,
+    remove: Annotated[bool, flag("--remove", "Remove the checks of the project instead.")] = False,
+    etag: options.IfMatch = None,
+) -> Output:
+    """Set the checks of a project: a new version, by which all its missions are checked again."""
+    if (file is None) is not remove:
+        raise InvalidInput(what="The command", reason="specify a FILE, or --remove")
+    text = options.read_text(file) or ""
+    if file is not None:
+        parse_checks(text, str(file))
+    target = client.projects.get(project)
+    old = client.checks.get(target.id)
+    new = client.checks.set(target.id, text, if_match=etag or old.etag)
+    if new.number == old.number:
+        return Output(new, f"These are the checks of {target.name} already (number {new.number}).")
+    what = f"Removed the checks of {target.name}" if remove else f"Set the checks of {target.name}"
+    return Output(new, f"{what} (number {new.number}). Its missions are being checked again.")
+
+
+@app.command("get")
+def get(
+    client: Client,
+    project: _Project,
+    number: _Number = None,
+    output: Annotated[Path | None, option("--output -o", "FILE", "Write to this file instead of stdout.")] = None,
+    overwrite: options.Overwrite = False,
+) -> Output:
+    """Print the checks of a project, or write them to a file, such as on a robot."""
+    target = client.projects.get(project)
+    checks = client.checks.get(target.id) if number is None else client.checks.version(target.id, number)
+    if not checks.text:
+        raise NothingToDo(reason=f"The project {target.name} has no checks; `klein checks set` sets them")
+    if output is None:
+        return Output(checks, lambda: sys.stdout.write(checks.text))
+    return Output(checks, _write_text(output, checks.text, overwrite=overwrite))
+
+
+def _write_text(path: Path, text: str, *, overwrite: bool) -> str:
+    """Write a text to a file; return what to say about it."""
+    if path.exists() and options.read_text(path) == text:
+        return f"{path} is up to date."
+    if path.exists() and not overwrite:
+        raise DestinationRefused(path=str(path), reason="it exists and differs; --overwrite replaces it")
+    try:
+        path.write_text(text, encoding="utf-8", newline="")
+    except OSError as error:
+        raise DestinationRefused(path=str(path), reason=error.strerror or str(error)) from None
+    return f"Wrote {path}."
+
+
+@app.command("diff")
+def diff(
+    client: Client,
+    project: _Project,
+    file: Annotated[Path, argument("FILE", "A checks.yaml on this machine.")],
+    number: _Number = None,
+) -> Output:
+    """Show how a file differs from the checks of a project: what `klein checks set` would change."""
+    target = client.projects.get(project)
+    difference = client.checks.diff(target.id, options.read_text(file) or "", number=number)
+
+    def show() -> None:
+        for text in difference.splitlines():
+            line(text)
+        if not difference:
+            note(f"{file} does not differ from the checks of {target.name}.")
+
+    return Output({"differs": bool(difference), "diff": difference}, show)
+
+
+@app.command("history")
+def history(client: Client, project: _Project, limit: options.Limit = None) -> Output:
+    """List the versions of a project's checks, latest first."""
+    return as_table(
+        client.checks.history(project, limit=limit),
+        ["number", "set at", "by", "removed", "sha256"],
+        lambda row: (row.number, row.created_at, row.created_by.name, row.is_removal or None, row.sha256[:12]),
+    )

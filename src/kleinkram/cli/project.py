@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from kleinkram.cli import options
+from kleinkram.cli import options, project_actions
 from kleinkram.cli.commands import Subcommands, Text, argument, option
 from kleinkram.cli.render import Output, as_table, as_total, details, line, note, table
 from kleinkram.cli.units import count as count_of
@@ -13,6 +13,7 @@ from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.projects import ProjectRead, ProjectSort
 
 app = Subcommands("Manage projects, which contain missions, which contain files.")
+app.add_typer(project_actions.app, name="actions")
 NameArgument = Annotated[
     Text, argument("PROJECT", "Name or id of the project.", autocompletion=options.complete_project)
 ]

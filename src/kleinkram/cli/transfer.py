@@ -29,6 +29,8 @@ from kleinkram.contract.tokens import is_link
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
+    from kleinkram.cli.upload_checks import UploadChecks
+
 _POLL_S = 0.3
 
 
@@ -42,6 +44,7 @@ class _UploadOptions:
     connections: int
     wait_s: float | None
     dry_run: bool
+    checks: "UploadChecks | None" = None
 
 
 def upload(
@@ -62,6 +65,14 @@ def upload(
     mission_per_folder: Annotated[
         bool, flag("--mission-per-folder", "Upload each subfolder of PATHS to the mission of its name.")
     ] = False,
+    check: Annotated[
+        bool, flag("--check", "Check the recordings first, and store the outcome with the mission.")
+    ] = False,
+    require_good: Annotated[bool, flag("--require-good", "Upload only if the checks say that it is good.")] = False,
+    checks: Annotated[
+        Path | None,
+        option("--checks", "FILE", "The rules for --check; by default those of the project, else checks.yaml."),
+    ] = None,
     limit_rate: options.LimitRate = None,
     connections: options.Connections = transfer.CONNECTIONS,
     dry_run: options.DryRun = False,
@@ -79,6 +90,7 @@ def upload(
         connections=connections,
         wait_s=wait_limit if wait else None,
         dry_run=dry_run,
+        checks=_upload_checks(check, require_good, checks),
     )
     if not mission_per_folder:
         document, code = _upload(client, project, options.the_ref("mission", None, mission), paths, settings)
@@ -87,6 +99,16 @@ def upload(
     else:
         document, code = _upload_folders(client, options.the_ref("project", None, project), paths, settings)
     return Output(document, exit_code=code)
+
+
+def _upload_checks(check: bool, require_good: bool, path: Path | None) -> "UploadChecks | None":
+    if path is not None and not (check or require_good):
+        raise InvalidInput(what="--checks", reason="it needs --check or --require-good")
+    if not (check or require_good):
+        return None
+    from kleinkram.cli.upload_checks import UploadChecks  # only uploads with checks pay for it
+
+    return UploadChecks(path, require_good)
 
 
 def _upload(
@@ -102,13 +124,17 @@ def _upload(
     except NotFound as error:
         if not settings.create or is_id(mission) or error.resource_type != "mission":
             raise
+    checked = None
+    if settings.checks is not None:
+        checked = settings.checks.run(client, plan, paths[0], project, target, settings.metadata_yaml)
     if settings.dry_run:
         if not is_json_requested():
             rows = [(file.path, size(file.size_bytes), str(file.source)) for file in plan.files]
             table(["path", "size", "from"], rows)
         files = [{"path": file.path, "local": str(file.source), "size_bytes": file.size_bytes} for file in plan.files]
         note(f"Would upload {count(len(plan.files), 'file')}, {size(plan.size_bytes)}.")
-        return {"dry_run": True, "items": files, "left_out": [str(error) for error in plan.left_out]}, 0
+        document = {"dry_run": True, "items": files, "left_out": [str(error) for error in plan.left_out]}
+        return document | (checked.to_plain() if checked else {}), 0
     if target is None:
         project_id = client.projects.get(project or "").id
         target = client.missions.create(mission, project=project_id, metadata_yaml=settings.metadata_yaml)
@@ -128,9 +154,12 @@ def _upload(
     )
     _show_summary(report, elapsed_s)
     code = exit_code_of([*report.failures, *report.left_out])
+    if checked is not None:
+        checked.store(client, mission_id, report)
     if code == 0 and settings.wait_s is not None:
         _wait_for_summaries(client, mission_id, settings.wait_s)
-    return {"mission_id": str(mission_id), **_plain_report(report, elapsed_s)}, code
+    document = {"mission_id": str(mission_id), **_plain_report(report, elapsed_s)}
+    return document | (checked.to_plain() if checked else {}), code
 
 
 def _upload_folders(

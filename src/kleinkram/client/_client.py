@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     AnyPath = str | os.PathLike[str]
 
-    from kleinkram.client.actions import Actions
+    from kleinkram.client.actions import Actions, ProjectActions
     from kleinkram.client.checks import Checks
     from kleinkram.client.files import Files, Recordings, Uploads
     from kleinkram.client.missions import Missions, Projects
@@ -43,6 +43,7 @@ _MODULES = {
     "access": "people",
     "groups": "people",
     "projects": "missions",
+    "project_actions": "actions",
     "recordings": "files",
     "runners": "runs",
     "shares": "tokens",
@@ -65,6 +66,7 @@ class Client:
     uploads: "Uploads"
     checks: "Checks"
     actions: "Actions"
+    project_actions: "ProjectActions"
     runs: "Runs"
     runners: "Runners"
     access: "Access"

@@ -13,9 +13,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from kleinkram.client._http import query_of
-from kleinkram.client._resources import Listing, NamedResource, Ref, checked, known_id, pages, resolve_one
+from kleinkram.client._resources import ApiResource, Listing, NamedResource, Ref, checked, known_id, pages, resolve_one
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.missions import Projects
+from kleinkram.contract import project_actions as contract
 from kleinkram.contract.actions import (
     MAX_SCRIPT_CHARACTERS,
     ActionCreate,
@@ -24,10 +25,12 @@ from kleinkram.contract.actions import (
     ActionRead,
     ActionUpdate,
     ActionVersionRead,
+    ParameterValues,
     VersionCreate,
 )
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.problems import first_problem
+from kleinkram.contract.project_actions import ProjectActionAdd, ProjectActionRead, RunTrigger
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -116,6 +119,42 @@ def action_label(action: ActionRead) -> str:
     """Return an action as it is listed among candidates."""
     full_name = f"{action.project.name}/{action.name}" if action.project else f"{action.name} of the whole lab"
     return f"{full_name} ({action.id})"
+
+
+class ProjectActions(ApiResource):
+    """`client.project_actions`: the actions that a project names, which run by themselves and count for verdicts."""
+
+    def list(self, project: Ref) -> list[ProjectActionRead]:
+        """Return the actions that a project names, by name."""
+        return [*self._api.get(self._path(project), contract.ProjectActionList).items]
+
+    def add(
+        self,
+        project: Ref,
+        action: Ref,
+        *,
+        on: RunTrigger | str,
+        idle_s: int | None = None,
+        parameters: ParameterValues | None = None,
+    ) -> ProjectActionRead:
+        """Have an action run by itself: `on="complete"`, or `on="idle"` once files have not changed for `idle_s`.
+
+        It acts for you, with your rights at that time.
+        """
+        project_id = Projects(self._api).id_of(project)
+        action_id = known_id(action, "action") or Actions(self._api).get(action, project=project_id).id
+        fields = {"action_id": action_id, "on": on, "idle_s": idle_s, "parameters": parameters or {}}
+        body = checked(ProjectActionAdd, "The action", **fields)
+        return self._api.send("POST", self._path(project_id), ProjectActionRead, body)
+
+    def remove(self, project: Ref, action: Ref) -> None:
+        """Stop an action from running by itself, and its results from counting; its runs stay."""
+        project_id = Projects(self._api).id_of(project)
+        action_id = known_id(action, "action") or Actions(self._api).get(action, project=project_id).id
+        self._api.delete(f"{self._path(project_id)}/{action_id}")
+
+    def _path(self, project: Ref) -> str:
+        return f"/projects/{Projects(self._api).id_of(project)}/actions"
 
 
 def read_manifest(path: Path) -> ActionDefinition:

@@ -11,6 +11,7 @@ from kleinkram.server.http.rate_limit import delete_expired_counts
 from kleinkram.server.jobs.execution import app_context
 from kleinkram.server.jobs.queue import Job, delete_failed_jobs, queue
 from kleinkram.server.recordings.derive import derive_forgotten
+from kleinkram.server.runs.automatic import enqueue_automatic_runs
 from kleinkram.server.runs.lifecycle import cancel_orphans, requeue_lost_runs
 from kleinkram.server.tables import log_chunk, run
 from kleinkram.server.tables.runs import ACTIVE
@@ -30,10 +31,12 @@ async def run_maintenance_of_runs(job_context: JobContext, timestamp: int = 0) -
 
 
 async def maintain_runs(context: AppContext) -> None:
-    """Requeue lost runs, cancel runs of deleted missions, and delete a batch of obsolete log chunks."""
+    """Requeue lost runs, cancel runs of deleted missions, start due ones, and delete a batch of obsolete log chunks."""
     async with context.database.begin() as db:
         await requeue_lost_runs(db)
         await cancel_orphans(db)
+    async with context.database.begin() as db:
+        await enqueue_automatic_runs(db)
     # Of logs that are stored as one blob, of earlier attempts or deleted runs, or never uploaded.
     has_ended = run.c.state.not_in(ACTIVE)
     never_uploaded = log_chunk.c.confirmed_at.is_(None) & (

@@ -3,7 +3,7 @@
 import uuid
 from typing import Any
 
-from tests.integration.access.call import Caller, get, has_items, lists, new_name, patch, post
+from tests.integration.access.call import Caller, delete, get, has_items, lists, new_name, patch, post
 from tests.integration.access.expectations import Target
 from tests.integration.access.world import ACTION, Principal
 
@@ -61,6 +61,17 @@ RUN_OPERATIONS: dict[str, tuple[Caller, ...]] = {
     "publish_action_version": (
         Caller(post("/actions/{action}/versions", lambda _: {"definition": ACTION}), Target.project),
     ),
+    "list_project_actions": (Caller(get("/projects/{project}/actions"), Target.project),),
+    "add_project_action": (
+        Caller(
+            post(
+                "/projects/{project}/actions",
+                lambda principal: {"action_id": principal.objects.action, "on": "complete"},
+            ),
+            Target.project,
+        ),
+    ),
+    "remove_project_action": (Caller(delete("/projects/{project}/actions/{action}"), Target.project),),
     "create_runs": (Caller(post("/runs", _launch), Target.mission, outcome=_launched),),
     "list_runs": (Caller(get("/runs", mission_id="{mission}", limit="500"), Target.mission, shows=lists("run")),),
     "get_run": (Caller(get("/runs/{run}"), Target.mission),),

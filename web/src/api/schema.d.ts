@@ -1790,6 +1790,50 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/projects/{project_id}/actions": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Project Actions
+         * @description List the actions that a project names: they run by themselves, and count for its verdicts.
+         */
+        get: operations["list_project_actions"];
+        put?: never;
+        /**
+         * Add Project Action
+         * @description Have an action run by itself on the missions of a project that are due from now on.
+         */
+        post: operations["add_project_action"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/projects/{project_id}/actions/{action_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /**
+         * Remove Project Action
+         * @description Stop an action from running by itself; its runs stay.
+         */
+        delete: operations["remove_project_action"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/projects/{project_id}/checks": {
         parameters: {
             query?: never;
@@ -5742,6 +5786,63 @@ export interface components {
             message: string;
         };
         /**
+         * ProjectActionAdd
+         * @description An action that a project names, by the id of a published one. The latest version runs.
+         *
+         *     `idle_s` is for `idle` only: how long the files of a mission must not have changed, and no upload be under way.
+         */
+        ProjectActionAdd: {
+            /**
+             * Action Id
+             * Format: uuid
+             */
+            action_id: string;
+            /** Idle S */
+            idle_s?: number | null;
+            on: components["schemas"]["RunTrigger"];
+            /**
+             * Parameters
+             * @default {}
+             */
+            parameters: {
+                [key: string]: boolean | number | string;
+            };
+        };
+        /**
+         * ProjectActionList
+         * @description The actions that a project names, by name.
+         */
+        ProjectActionList: {
+            /** Items */
+            items: components["schemas"]["ProjectActionRead"][];
+        };
+        /**
+         * ProjectActionRead
+         * @description An action that a project names. Its runs act for `added_by`, with their rights at that time.
+         *
+         *     `problem` is why it last did not run on a mission that was due, and `problem_count` on how many missions.
+         */
+        ProjectActionRead: {
+            action: components["schemas"]["ActionRef"];
+            /**
+             * Added At
+             * Format: date-time
+             */
+            added_at: string;
+            added_by: components["schemas"]["PersonRef"];
+            /** Idle S */
+            idle_s: number | null;
+            on: components["schemas"]["RunTrigger"];
+            /** Parameters */
+            parameters: {
+                [key: string]: boolean | number | string;
+            };
+            /** Problem */
+            problem: string | null;
+            /** Problem Count */
+            problem_count: number;
+        };
+        /**
          * ProjectChecksRead
          * @description The `checks.yaml` of a project: `text` is empty while there is none, and `number` is that of its version.
          *
@@ -6591,6 +6692,12 @@ export interface components {
          * @enum {string}
          */
         RunState: "queued" | "preparing" | "running" | "collecting" | "done" | "failed" | "cancelled";
+        /**
+         * RunTrigger
+         * @description When an action runs: once a mission is marked complete, or once its files have not changed for some time.
+         * @enum {string}
+         */
+        RunTrigger: "complete" | "idle";
         /**
          * Scope
          * @description Scopes of a token, within the rights of its person.
@@ -11047,6 +11154,102 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["Page_AccessRead_"];
                 };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_project_actions: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ProjectActionList"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    add_project_action: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ProjectActionAdd"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ProjectActionRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    remove_project_action: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                action_id: string;
+                project_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {

@@ -63,6 +63,8 @@ const operations: Readonly<Record<string, string>> = {
   "project.publish": "made public",
   "project.purge": "permanently deleted",
   "project.restore": "restored",
+  "project.add_action": "added an action to",
+  "project.remove_action": "removed an action from",
   "project.set_checks": "set the checks of",
   "project.set_quota": "set the quota of",
   "project.unpublish": "made private",

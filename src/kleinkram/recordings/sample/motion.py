@@ -13,11 +13,15 @@ _DRIVE_RADIUS_M, _DRIVE_SPEED_M_S = 25.0, 2.0
 _WALK_RADIUS_M, _WALK_SPEED_M_S = 15.0, 1.0
 _STANDING_S = 2.0
 _START_S = 1.0
-_STEP_HZ, _STEP_HEIGHT_M = 2.0, 0.01
+_SHAKING = 0.8
+_STEP_HZ, _STEP_HEIGHT_M = 2.0, 0.004
 
 
 class MotionState(NamedTuple):
-    """A pose in frame odom, with velocities and accelerations along the axes of the robot: x forward, y left, z up."""
+    """A pose in frame odom, with velocities and accelerations along the axes of the robot: x forward, y left, z up.
+
+    `shaking_m_s2`: standard deviation of what its steps add to the accelerations.
+    """
 
     east_m: float
     north_m: float
@@ -28,6 +32,7 @@ class MotionState(NamedTuple):
     forward_m_s2: float
     left_m_s2: float
     up_m_s2: float
+    shaking_m_s2: float = 0.0
 
     @property
     def orientation(self) -> tuple[float, float, float, float]:
@@ -81,6 +86,7 @@ def walk(seconds: float) -> MotionState:
     return state._replace(
         up_m=_STEP_HEIGHT_M * (1 - math.cos(step * walking_s)) / 2,
         up_m_s2=_STEP_HEIGHT_M * step**2 * math.cos(step * walking_s) / 2,
+        shaking_m_s2=_SHAKING * speed,
     )
 
 

@@ -163,7 +163,7 @@ _RIG_CAMERAS = {
     "depth_front": (_OPC, Mount(0.40, 0.0, 0.50)),
     "depth_rear": (_OPC, Mount(-0.40, 0.0, 0.50, math.pi)),
 }
-_RIG_LIDARS = {"hesai": (4000, Mount(0.0, 0.0, 0.95)), "livox": (2000, Mount(0.25, 0.0, 0.80))}
+_RIG_LIDARS = {"hesai": (8000, Mount(0.0, 0.0, 0.95)), "livox": (8000, Mount(0.25, 0.0, 0.80))}
 # Of each IMU: the computers that record it, and its mount.
 _RIG_IMUS = {
     "stim": ((_NUC,), Mount(0.1, 0.0, 0.70)),

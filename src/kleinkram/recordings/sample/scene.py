@@ -10,7 +10,7 @@ import math
 import random
 from array import array
 from collections.abc import Iterator, Sequence
-from itertools import repeat
+from itertools import pairwise
 from operator import add, mul
 from typing import NamedTuple
 
@@ -26,8 +26,11 @@ _BUILDINGS = (
     (-34.0, -22.0, -27.0, -16.0), (-8.0, 28.0, -2.0, 31.0), (6.0, -32.0, 13.0, -28.0), (30.0, 2.0, 33.0, 6.0),
     (-33.0, -6.0, -30.0, 1.0),
 )  # fmt: skip
-_RINGS, _LOWEST_DEG, _HIGHEST_DEG = 16, -22.0, 8.0
+# The rings are bands of elevations, in degrees, denser near the horizon. Half of them are below it.
+_BANDS_DEG = (-16, -12, -9, -7, -5, -3.5, -2, -1, 0, 1, 2, 3, 4, 5, 6, 7, 8)
+_RINGS = len(_BANDS_DEG) - 1
 _RANGE_NOISE_M = 0.01
+_PATTERNS, _SLOPES = 16, 2048
 _NOISE_VALUES, _INTENSITIES = 16_384, 65_536
 _FARTHEST_M = 100.0
 _FAR = 25.0
@@ -75,17 +78,36 @@ def _visible_from(east_m: float, north_m: float) -> Iterator[tuple[_Face, float]
             yield face, distance_m
 
 
+class _Pattern(NamedTuple):
+    """The azimuths of the rays of a scan; `phase`: by which part of a step they are shifted, 0 to 1."""
+
+    phase: float
+    cosines: list[float]
+    sines: list[float]
+
+    @classmethod
+    def of(cls, azimuths: int, phase: float) -> _Pattern:
+        angles = [2 * math.pi * (number + phase) / azimuths - math.pi for number in range(azimuths)]
+        return cls(phase, [math.cos(angle) for angle in angles], [math.sin(angle) for angle in angles])
+
+
 class LidarView:
-    """Scans of one lidar: `points` in 16 rings, all measured at the same instant; frame of the lidar, level."""
+    """Scans of one lidar: `points` in 16 rings, all measured at the same instant; frame of the lidar, level.
+
+    The rays have no fixed pattern: with one, a scan would match the one before best where the robot has not moved, and
+    odometry by scan matching would stand still.
+    """
 
     def __init__(self, points: int, chance: random.Random) -> None:
         self._azimuths = max(1, points // _RINGS)
         self.points = self._azimuths * _RINGS
-        angles = [2 * math.pi * number / self._azimuths - math.pi for number in range(self._azimuths)]
-        self._cosines, self._sines = [math.cos(angle) for angle in angles], [math.sin(angle) for angle in angles]
-        step_deg = (_HIGHEST_DEG - _LOWEST_DEG) / (_RINGS - 1)
-        self._slopes = [math.tan(math.radians(_LOWEST_DEG + step_deg * ring)) for ring in range(_RINGS)]
-        # Repeated, so that a scan has its part in one piece, wherever that begins.
+        self._patterns = [_Pattern.of(self._azimuths, phase / _PATTERNS) for phase in range(_PATTERNS)]
+        # All tables are repeated, so that a scan has its part in one piece, wherever that begins.
+        self._slopes = [
+            [math.tan(math.radians(low + chance.random() * (high - low))) for _ in range(_SLOPES)]
+            * (2 + self._azimuths // _SLOPES)
+            for low, high in pairwise(_BANDS_DEG)
+        ]
         self._noise = [chance.gauss(0, _RANGE_NOISE_M) for _ in range(_NOISE_VALUES)]
         self._noise *= 2 + self._azimuths // _NOISE_VALUES
         # So many that no compressor finds one again within its window.
@@ -97,53 +119,56 @@ class LidarView:
 
         `state`: the pose of the lidar. `number`: selects the noise.
         """
-        distances = self._distances(state)
+        pattern = self._patterns[number * 5 % _PATTERNS]
+        distances = self._distances(state, pattern)
         scan = array("f", bytes(self.points * 16))
         stride = 4 * _RINGS
         offset = number * 7919 * _RINGS
-        for ring, slope in enumerate(self._slopes):
+        for ring, table in enumerate(self._slopes):
+            at = (offset + ring * 31) % _SLOPES
+            slopes = table[at : at + self._azimuths]
             levels = distances
-            if slope < 0:
-                floor_m = -state.up_m / slope
-                levels = [distance if distance < floor_m else floor_m for distance in distances]
+            if _BANDS_DEG[ring] < 0:
+                height_m = -state.up_m
+                levels = list(map(min, distances, [height_m / slope for slope in slopes]))
             at = (offset + ring * self._azimuths) % _NOISE_VALUES
             noise = self._noise[at : at + self._azimuths]
             levels = list(map(add, levels, noise))
             # An array is made faster from a list than from an iterator.
-            scan[4 * ring :: stride] = array("f", list(map(mul, levels, self._cosines)))
-            scan[4 * ring + 1 :: stride] = array("f", list(map(mul, levels, self._sines)))
-            scan[4 * ring + 2 :: stride] = array("f", list(map(mul, levels, repeat(slope))))
+            scan[4 * ring :: stride] = array("f", list(map(mul, levels, pattern.cosines)))
+            scan[4 * ring + 1 :: stride] = array("f", list(map(mul, levels, pattern.sines)))
+            scan[4 * ring + 2 :: stride] = array("f", list(map(mul, levels, slopes)))
         at = offset % _INTENSITIES
         scan[3::4] = self._intensities[at : at + self.points]
         return scan
 
-    def _distances(self, state: MotionState) -> list[float]:
+    def _distances(self, state: MotionState, pattern: _Pattern) -> list[float]:
         """Return the distance of the nearest wall at each azimuth, measured on the level."""
         nearest = [1 / _FARTHEST_M] * self._azimuths  # inverse distances: of a wall, they are linear in sine and cosine
         cosine, sine = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
         for face, distance_m in _visible_from(state.east_m, state.north_m):
-            for low, high in self._azimuths_of(face, state):
+            for low, high in self._azimuths_of(face, state, pattern.phase):
                 if face.is_x:
                     by_cosine, by_sine = cosine / distance_m, -sine / distance_m
                 else:
                     by_cosine, by_sine = sine / distance_m, cosine / distance_m
-                pairs = zip(self._cosines[low:high], self._sines[low:high], strict=True)
+                pairs = zip(pattern.cosines[low:high], pattern.sines[low:high], strict=True)
                 inverse = [by_cosine * x + by_sine * y for x, y in pairs]
                 nearest[low:high] = map(max, nearest[low:high], inverse)
         return [1 / value for value in nearest]
 
-    def _azimuths_of(self, face: _Face, state: MotionState) -> list[tuple[int, int]]:
+    def _azimuths_of(self, face: _Face, state: MotionState, phase: float) -> list[tuple[int, int]]:
         """Return the ranges of azimuth numbers at which a face is hit, unless another one is nearer."""
         ends = []
         for along in (face.low_m, face.high_m):
             x, y = (face.at_m, along) if face.is_x else (along, face.at_m)
             ends.append(math.remainder(math.atan2(y - state.north_m, x - state.east_m) - state.yaw_rad, 2 * math.pi))
         step = 2 * math.pi / self._azimuths
-        low, high = sorted((angle + math.pi) / step for angle in ends)
+        low, high = sorted((angle + math.pi) / step - phase for angle in ends)
         first, last = math.floor(low) + 1, math.floor(high) + 1
         if high - low < self._azimuths / 2:
-            return [(first, min(last, self._azimuths))]
-        return [(0, first), (last, self._azimuths)]
+            return [(max(0, first), min(last, self._azimuths))]
+        return [(0, max(0, first)), (last, self._azimuths)]
 
 
 def with_far_points(scan: array[float]) -> array[float]:

@@ -149,16 +149,17 @@ def imu(context: SensorContext, *, frame: str) -> Maker:
             1e-3 * context.noise(at, 1),
             state.turn_rad_s + 1e-3 * context.noise(at, 2),
         )
+        noise = 0.03 + state.shaking_m_s2
         left, up = state.left_m_s2, state.up_m_s2 + gravity
         if tilt_rad:
             left, up = (
                 left * math.cos(tilt_rad) + up * math.sin(tilt_rad),
                 up * math.cos(tilt_rad) - left * math.sin(tilt_rad),
             )
-        forward = state.forward_m_s2 + 0.03 * context.noise(at, 3)
+        forward = state.forward_m_s2 + noise * context.noise(at, 3)
         if context.has(Defect.saturated_imu, seconds):
             forward = _IMU_LIMIT_M_S2 if number % 2 else -_IMU_LIMIT_M_S2
-        linear = forward, left + 0.03 * context.noise(at, 4), up + 0.03 * context.noise(at, 5)
+        linear = forward, left + noise * context.noise(at, 4), up + noise * context.noise(at, 5)
         return layout.pack(*_stamp(stamp_ns), *state.orientation, *angular, *linear)
 
     return make

@@ -125,6 +125,10 @@ OPERATIONS: dict[str, Permission] = {
     "update_action": Permission(ResourceKind.project, Right.write, _WRITE),
     "list_action_versions": Permission(ResourceKind.project, Right.read, _READ),
     "publish_action_version": Permission(ResourceKind.project, Right.write, _WRITE),
+    # Actions that a project names
+    "list_project_actions": Permission(ResourceKind.project, Right.read, _READ),
+    "add_project_action": Permission(ResourceKind.project, Right.write, _WRITE),
+    "remove_project_action": Permission(ResourceKind.project, Right.write, _WRITE),
     # Runs. Starting one also requires the rights of its action; cancelling another person's requires DELETE.
     "create_runs": Permission(ResourceKind.mission, Right.create, _RUN, reads=True),
     "list_runs": _visible(guests=False),

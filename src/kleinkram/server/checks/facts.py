@@ -80,10 +80,10 @@ def _judged(row: Row[Any], files: _Rows, recordings: _Rows, topics: _Rows) -> Ju
 def _facts(
     row: Row[Any], files: Sequence[Row[Any]], recordings: Sequence[Row[Any]], topics: Sequence[Row[Any]]
 ) -> MissionFacts:
-    paths: dict[uuid.UUID, list[str]] = defaultdict(list)
+    members: dict[uuid.UUID, list[Row[Any]]] = defaultdict(list)
     for one in files:
         if one.recording_id is not None:
-            paths[one.recording_id].append(one.path)
+            members[one.recording_id].append(one)
     names = {one.id: one.name for one in recordings}
     return MissionFacts(
         files=tuple(
@@ -92,7 +92,7 @@ def _facts(
             )
             for one in files
         ),
-        recordings=tuple(_recording(one, paths[one.id]) for one in recordings if one.id in paths),
+        recordings=tuple(_recording(one, members[one.id]) for one in recordings if one.id in members),
         topics=tuple(_topic(one, names, row.recording_ids) for one in topics),
         start_ns=row.start_ns,
         end_ns=row.end_ns,
@@ -100,15 +100,17 @@ def _facts(
     )
 
 
-def _recording(row: Row[Any], paths: Sequence[str]) -> RecordingFacts:
+def _recording(row: Row[Any], members: Sequence[Row[Any]]) -> RecordingFacts:
+    """Return a recording with the problems of its files, which its row does not repeat."""
+    problems = [problem for one in (*members, row) for problem in one.problems]
     return RecordingFacts(
         name=row.name,
-        paths=tuple(paths),
+        paths=tuple(one.path for one in members),
         content=Content(row.content),
         reason=row.content_reason,
         start_ns=row.start_ns,
         end_ns=row.end_ns,
-        problems=tuple(Problem(**problem) for problem in row.problems),
+        problems=tuple(Problem(**problem) for problem in problems),
     )
 
 
@@ -147,7 +149,7 @@ def _missions(mission_ids: Sequence[uuid.UUID]) -> Select[Any]:
 
 
 def _files(mission_ids: Sequence[uuid.UUID]) -> Select[Any]:
-    known = (blob.c.size_bytes, blob.c.sha256, blob.c.content, blob.c.content_reason)
+    known = (blob.c.size_bytes, blob.c.sha256, blob.c.content, blob.c.content_reason, blob.c.problems)
     columns = (file.c.mission_id, file.c.path, file.c.recording_id, *known, AWAITS_READING.label("awaits_reading"))
     stmt = select(*columns).join(blob, blob.c.id == file.c.blob_id)
     recorded = and_(file.c.deleted_at.is_(None), file.c.origin != "run")

@@ -22,6 +22,7 @@ from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.checks import AcceptanceEnd, Check, CheckDepth, CheckStatus, Verdict
 from kleinkram.contract.errors import YamlInvalid
 from kleinkram.server.change_events import ChangeEvent, publish
+from kleinkram.server.checks.action_checks import checks_of_result
 from kleinkram.server.checks.combine import (
     Acceptance,
     CombinedChecks,
@@ -34,6 +35,7 @@ from kleinkram.server.checks.documents import document_of
 from kleinkram.server.checks.facts import JudgedMission, read_missions
 from kleinkram.server.db import Connection, among
 from kleinkram.server.missions import service as missions
+from kleinkram.server.runs.project_results import ActionResult, ResultState, project_results
 from kleinkram.server.tables import check_acceptance, check_report, mission_checks
 
 _CHECKS = TypeAdapter(list[Check])
@@ -70,9 +72,16 @@ async def judge_missions(db: Connection, mission_ids: Sequence[uuid.UUID]) -> No
     await _end_acceptances(db, judged)
     rules = {key: await _rules(db, *key) for key in {(one.project_id, one.checks_number) for one in judged}}
     reports, acceptances = await _reports(db, judged), await _acceptances(db, judged)
+    results = await project_results(db, [one.id for one in judged])
     judgements = await asyncio.to_thread(
         lambda: [
-            _judge(one, rules[one.project_id, one.checks_number], reports[one.id], acceptances[one.id])
+            _judge(
+                one,
+                rules[one.project_id, one.checks_number],
+                reports[one.id],
+                acceptances[one.id],
+                results.get(one.id, ()),
+            )
             for one in judged
         ]
     )
@@ -106,7 +115,11 @@ async def _rules(db: Connection, project_id: uuid.UUID, number: int) -> _Rules |
 
 
 def _judge(
-    judged: JudgedMission, rules: _Rules | None, reports: Sequence[Row[Any]], acceptances: Sequence[Acceptance]
+    judged: JudgedMission,
+    rules: _Rules | None,
+    reports: Sequence[Row[Any]],
+    acceptances: Sequence[Acceptance],
+    action_results: Sequence[ActionResult],
 ) -> _Judgement:
     results: CheckResults | None = None
     index: Sequence[Check] | None = None
@@ -119,10 +132,12 @@ def _judge(
     sources = Sources(
         index=index,
         reports=[_report(row, rules) for row in reports if is_report_of(row, judged.all_files, judged.recorded_files)],
+        actions=[check for result in action_results for check in checks_of_result(result, judged.is_complete)],
         acceptances=acceptances,
-        is_running=judged.is_reading,
+        is_running=judged.is_reading or any(one.state is ResultState.running for one in action_results),
     )
-    combined = combine(replace(sources, is_outdated=is_content_outdated(sources)))
+    is_outdated = is_content_outdated(sources) or any(one.state is ResultState.outdated for one in action_results)
+    combined = combine(replace(sources, is_outdated=is_outdated))
     return _Judgement(judged, results, combined)
 
 
@@ -194,7 +209,8 @@ async def _store(db: Connection, judgements: Sequence[_Judgement]) -> None:
 
 
 def _is_empty(judgement: _Judgement) -> bool:
-    return judgement.mission.checks_number == 0 and not judgement.combined.checks
+    has_state = judgement.combined.verdict in (Verdict.running, Verdict.outdated)
+    return judgement.mission.checks_number == 0 and not judgement.combined.checks and not has_state
 
 
 def _values(judgement: _Judgement) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from kleinkram.server.tables import (
     mission_checks,
     person,
     project,
+    project_action,
 )
 
 _ender = person.alias("ender")
@@ -23,7 +24,11 @@ _ender = person.alias("ender")
 
 def outdated_missions() -> Select[Any]:
     """Return the ids of missions, by id, whose stored checks are outdated or missing, and can be made."""
-    has_source = or_(project.c.checks_number > 0, exists().where(check_report.c.mission_id == mission.c.id))
+    has_source = or_(
+        project.c.checks_number > 0,
+        exists().where(check_report.c.mission_id == mission.c.id),
+        exists().where(project_action.c.project_id == mission.c.project_id),
+    )
     is_missing = and_(mission_checks.c.mission_id.is_(None), has_source)
     is_outdated = and_(mission_checks.c.mission_id.is_not(None), not_(is_current()))
     stmt = join_checks(select(mission.c.id).join(project, project.c.id == mission.c.project_id))

@@ -22,6 +22,7 @@ class Job(str, enum.Enum):
     judge_project = "judge_project"
     finish_uploads = "finish_uploads"
     maintain_runs = "maintain_runs"
+    start_automatic_runs = "start_automatic_runs"
     collect_garbage = "collect_garbage"
     scrub = "scrub"
 

@@ -34,6 +34,7 @@ from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, prepare_statement
 from kleinkram.server.missions import queries
+from kleinkram.server.missions.automatic import decide_again
 from kleinkram.server.missions.metadata import (
     MetadataValidator,
     carried_over,
@@ -184,6 +185,8 @@ async def update_mission(
         return old
     require_match(if_match, old.etag, resource_type="mission", name=old.name)
     await _change(db, queries.change_mission(mission_id, **values), name=changes.name or old.name)
+    if values.get("completed_at") is not None:
+        await decide_again(db, mission_id)
     if values.keys() & _JUDGED:
         await judge_again(db, [mission_id])
     new = await get_mission(db, actor, mission_id)

@@ -32,6 +32,7 @@ from kleinkram.server.missions.rejudge import judge_again
 from kleinkram.server.overviews.topics import store_topics
 from kleinkram.server.recordings import derive
 from kleinkram.server.recordings.derive import LiveFile, MetadataFiles, awaits_derivation, derive_again_later
+from kleinkram.server.runs.automatic import enqueue_automatic_runs
 
 # A mission that takes less is derived at once, because people look at what they upload.
 _LONG_S = 0.1
@@ -143,3 +144,4 @@ async def derive_recordings(job_context: JobContext, ref: str) -> None:
         if len(files) <= _MAX_FILES_TO_STORE_OUTDATED or not await awaits_derivation(db, mission_id):
             await store_topics(db, mission_id)
             await judge_again(db, [mission_id])
+            await enqueue_automatic_runs(db, mission_id=mission_id)

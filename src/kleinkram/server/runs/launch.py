@@ -3,8 +3,8 @@
 import hashlib
 import json
 import uuid
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple, Protocol
 
 from sqlalchemy import false, func, insert, or_, select
 
@@ -39,6 +39,7 @@ from kleinkram.server.actions import service as actions
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection
 from kleinkram.server.filters.files import filter_files
+from kleinkram.server.missions.rejudge import judge_again_for_run
 from kleinkram.server.runs import service
 from kleinkram.server.runs.eligibility import KnownRunners, Needs, known_runners
 from kleinkram.server.tables import DERIVED_ORIGIN, action, action_version, blob, file, mission, project, run, run_input
@@ -64,7 +65,7 @@ class PreparedAction(NamedTuple):
     runners: KnownRunners
 
 
-class _TargetMission(NamedTuple):
+class TargetMission(NamedTuple):
     """A mission, and the actor's level on it."""
 
     id: uuid.UUID
@@ -73,13 +74,23 @@ class _TargetMission(NamedTuple):
     level: int
 
 
-class _Input(NamedTuple):
+class Input(NamedTuple):
+    """A file of a mission that a run reads."""
+
     id: uuid.UUID
     path: str
     blob_id: uuid.UUID
     size_bytes: int
     sha256: bytes
     state: str
+    is_derived: bool
+
+
+class PlannedRun(NamedTuple):
+    """A mission, and what a run on it reads."""
+
+    target: TargetMission
+    inputs: list[Input]
 
 
 async def launch(db: Connection, actor: Actor, *, requested: RunsCreate) -> RunsCreated:
@@ -118,9 +129,33 @@ async def create_run(
         FileUnavailable: an input is lost or corrupt.
         NoRunner: no runner can ever execute it.
     """
+    planned = await plan_run(db, actor, task, mission_id)
+    return await start_run(db, actor, task, planned, force=force, retry_of_id=retry_of_id)
+
+
+async def plan_run(db: Connection, actor: Actor, task: PreparedAction, mission_id: uuid.UUID) -> PlannedRun:
+    """Return what a run would read, its mission locked against deletion. Raises as `create_run`, except NoRunner."""
     target = await _find_target(db, actor, task, mission_id)
-    inputs = await _find_inputs(db, actor, task.definition, target)
-    fingerprint = _fingerprint(task, inputs)
+    return PlannedRun(target, await _find_inputs(db, actor, task.definition, target))
+
+
+async def start_run(
+    db: Connection,
+    actor: Actor,
+    task: PreparedAction,
+    planned: PlannedRun,
+    *,
+    force: bool,
+    retry_of_id: uuid.UUID | None = None,
+) -> RunRead:
+    """Queue a planned run, or have it reuse the results of an earlier one.
+
+    Raises:
+        NoRunner: no runner can ever execute it.
+    """
+    target, inputs = planned
+    mission_id = target.id
+    fingerprint = inputs_fingerprint(task.version_id, task.parameters, inputs)
     reused = None if force else await _reusable_results(db, task, mission_id, fingerprint)
     needs = _needs(task.definition, target.project_id)
     if reused is None and (reason := task.runners.reason_never_starts(needs)) is not None:
@@ -149,6 +184,7 @@ async def create_run(
         for entry in inputs
     ]
     await db.execute(insert(run_input), rows)
+    await judge_again_for_run(db, run_id)
     after: Metadata = {"version_id": str(task.version_id), "parameters": dict(task.parameters), "files": len(inputs)}
     if reused is not None:
         after["reuses_id"] = str(reused["reuses_id"])
@@ -211,7 +247,7 @@ def _needs(definition: ActionDefinition, project_id: uuid.UUID) -> Needs:
     )
 
 
-async def _find_target(db: Connection, actor: Actor, task: PreparedAction, mission_id: uuid.UUID) -> _TargetMission:
+async def _find_target(db: Connection, actor: Actor, task: PreparedAction, mission_id: uuid.UUID) -> TargetMission:
     """Return a mission on which the actor may run the action, locked against deletion until the run exists."""
     columns = (mission.c.id, mission.c.name, mission.c.project_id, level_on_mission(actor).label("level"))
     stmt = visible_missions(actor).with_only_columns(*columns, maintain_column_froms=True)
@@ -219,7 +255,7 @@ async def _find_target(db: Connection, actor: Actor, task: PreparedAction, missi
     row = (await db.execute(locked)).one_or_none()
     if row is None:
         raise NotFound(resource_type="mission", ref=str(mission_id))
-    target = _TargetMission._make(row)
+    target = TargetMission._make(row)
     needed = max(Right.create, task.definition.right, key=lambda right: right.level)
     if target.level < needed.level:
         raise Forbidden(resource_type="mission", operation=f"run {task.definition.name} on it", needs=needed.value)
@@ -232,17 +268,18 @@ async def _find_target(db: Connection, actor: Actor, task: PreparedAction, missi
 
 
 async def _find_inputs(
-    db: Connection, actor: Actor, definition: ActionDefinition, target: _TargetMission
-) -> list[_Input]:
+    db: Connection, actor: Actor, definition: ActionDefinition, target: TargetMission
+) -> list[Input]:
     requested = definition.inputs
+    is_derived = file.c.origin == DERIVED_ORIGIN
     matching = FileFilter(
         mission_id=target.id, path=requested.paths, topic=requested.topics, message_type=requested.message_types
     )
-    columns = (file.c.id, file.c.path, file.c.blob_id, blob.c.size_bytes, blob.c.sha256, blob.c.state)
+    columns = (file.c.id, file.c.path, file.c.blob_id, blob.c.size_bytes, blob.c.sha256, blob.c.state, is_derived)
     stmt = filter_files(actor, visible_files(actor), matching).with_only_columns(*columns, maintain_column_froms=True)
     if not requested.derived:
         stmt = stmt.where(file.c.origin != DERIVED_ORIGIN)
-    inputs = [_Input._make(row) for row in await db.execute(stmt.order_by(file.c.path))]
+    inputs = [Input._make(row) for row in await db.execute(stmt.order_by(file.c.path))]
     if not inputs:
         chosen = requested.model_dump(exclude={"derived"})
         parts = [f"{name} {', '.join(globs)}" for name, globs in chosen.items() if globs]
@@ -259,9 +296,21 @@ async def _find_inputs(
     return inputs
 
 
-def _fingerprint(task: PreparedAction, inputs: Sequence[_Input]) -> bytes:
-    """Return the hash of everything that determines the results, except the image."""
-    parts = [str(task.version_id), task.parameters, [[entry.path, entry.sha256.hex()] for entry in inputs]]
+class HashedFile(Protocol):
+    """The path and the bytes of an input."""
+
+    @property
+    def path(self) -> str:
+        """Path in the mission."""
+
+    @property
+    def sha256(self) -> bytes:
+        """SHA-256 of the bytes."""
+
+
+def inputs_fingerprint(version_id: uuid.UUID, parameters: ParameterValues, inputs: Iterable[HashedFile]) -> bytes:
+    """Return the hash of everything that determines the results, except the image; inputs are in order of paths."""
+    parts = [str(version_id), parameters, [[entry.path, entry.sha256.hex()] for entry in inputs]]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).digest()
 
 

@@ -25,6 +25,7 @@ from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.missions import service as missions
+from kleinkram.server.missions.rejudge import judge_again_for_run
 from kleinkram.server.quotas import Amount, require_room
 from kleinkram.server.recordings.derive import derive_again
 from kleinkram.server.runs import service
@@ -74,6 +75,7 @@ async def _update(db: Connection, run_id: uuid.UUID, **values: object) -> None:
     stmt = update(run).where(run.c.id == run_id).values(**values).returning(run.c.mission_id)
     mission_id = (await db.execute(stmt)).scalar_one()
     await publish(db, [ChangeEvent("run", ChangeKind.changed, run_id, mission_id=mission_id)])
+    await judge_again_for_run(db, run_id)
 
 
 async def _discard_attempt(db: Connection, run_id: uuid.UUID, *, keep_results: bool) -> None:

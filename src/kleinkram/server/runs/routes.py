@@ -8,9 +8,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kleinkram.contract import runs
 from kleinkram.contract.base import Page
+from kleinkram.contract.project_actions import ProjectActionAdd, ProjectActionList, ProjectActionRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
 from kleinkram.server.pagination import CountedPageQuery, PageQuery
-from kleinkram.server.runs import launch, lifecycle, logs, service
+from kleinkram.server.runs import launch, lifecycle, logs, project_actions, service
 
 router = APIRouter(prefix="/api/v1", tags=["runs"])
 
@@ -68,6 +69,28 @@ async def cancel_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor) ->
 async def retry_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor, force: bool = False) -> runs.RunRead:
     """Launch the same action again, on the current files; with `force`, without reusing results."""
     return await launch.retry_run(db, actor, run_id=run_id, force=force)
+
+
+@router.get("/projects/{project_id}/actions", operation_id="list_project_actions")
+async def list_project_actions(project_id: uuid.UUID, db: Reading, actor: CurrentActor) -> ProjectActionList:
+    """List the actions that a project names: they run by themselves, and count for its verdicts."""
+    return await project_actions.list_project_actions(db, actor, project_id=project_id)
+
+
+@router.post("/projects/{project_id}/actions", operation_id="add_project_action", status_code=201)
+async def add_project_action(
+    project_id: uuid.UUID, requested: ProjectActionAdd, db: Transaction, actor: CurrentActor
+) -> ProjectActionRead:
+    """Have an action run by itself on the missions of a project that are due from now on."""
+    return await project_actions.add_project_action(db, actor, project_id=project_id, requested=requested)
+
+
+@router.delete("/projects/{project_id}/actions/{action_id}", operation_id="remove_project_action", status_code=204)
+async def remove_project_action(
+    project_id: uuid.UUID, action_id: uuid.UUID, db: Transaction, actor: CurrentActor
+) -> None:
+    """Stop an action from running by itself; its runs stay."""
+    await project_actions.remove_project_action(db, actor, project_id=project_id, action_id=action_id)
 
 
 @router.get("/runs/{run_id}/inputs", operation_id="list_run_inputs")

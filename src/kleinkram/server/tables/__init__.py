@@ -31,7 +31,10 @@ from kleinkram.server.tables.people import (
 from kleinkram.server.tables.runs import (
     action,
     action_version,
+    automatic_run,
     log_chunk,
+    project_action,
+    project_action_mission,
     run,
     run_artifact,
     run_check,

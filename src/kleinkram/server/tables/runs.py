@@ -9,6 +9,7 @@ from sqlalchemy.dialects.postgresql import JSONB
 
 from kleinkram.contract.actions import Network
 from kleinkram.contract.checks import CheckStatus, Verdict
+from kleinkram.contract.project_actions import RunTrigger
 from kleinkram.contract.reports import Severity
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
@@ -228,6 +229,51 @@ run_metric = sa.Table(
     sa.Column("labels", JSONB, nullable=False, server_default="{}"),
     sa.Index("ix_run_metric_run_id", "run_id", "id"),
     sa.Index("ix_run_metric_name", "name", "id"),
+)
+
+# An action that a project names: it runs by itself, for the person who added it.
+project_action = sa.Table(
+    "project_action",
+    metadata,
+    id_column(),
+    sa.Column("project_id", sa.Uuid, sa.ForeignKey("project.id", ondelete="CASCADE"), nullable=False),
+    sa.Column("action_id", sa.Uuid, sa.ForeignKey("action.id", ondelete="CASCADE"), nullable=False, index=True),
+    sa.Column("trigger", sa.Text, nullable=False),
+    sa.Column("idle_s", sa.Integer),
+    sa.Column("parameters", JSONB, nullable=False),
+    sa.Column("added_by_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False),
+    created_at_column(),
+    sa.UniqueConstraint("project_id", "action_id"),
+    one_of("trigger", RunTrigger),
+    sa.CheckConstraint("(trigger = 'idle') = (idle_s IS NOT NULL)", name="idle"),
+)
+
+# What was decided for a mission, as of its `files_revision`: a run, none, or a problem.
+project_action_mission = sa.Table(
+    "project_action_mission",
+    metadata,
+    sa.Column("project_action_id", sa.Uuid, sa.ForeignKey("project_action.id", ondelete="CASCADE"), nullable=False),
+    sa.Column("mission_id", sa.Uuid, sa.ForeignKey("mission.id", ondelete="CASCADE"), nullable=False, index=True),
+    sa.Column("files_revision", sa.BigInteger, nullable=False),
+    sa.Column("problem", sa.Text),
+    sa.Column("retry_at", sa.DateTime(timezone=True)),
+    sa.Column("decided_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.text("now()")),
+    sa.PrimaryKeyConstraint("project_action_id", "mission_id"),
+)
+
+# The primary key makes each start by itself happen once; it stays when the run is deleted.
+automatic_run = sa.Table(
+    "automatic_run",
+    metadata,
+    sa.Column("mission_id", sa.Uuid, sa.ForeignKey("mission.id", ondelete="CASCADE"), nullable=False),
+    sa.Column(
+        "version_id", sa.Uuid, sa.ForeignKey("action_version.id", ondelete="CASCADE"), nullable=False, index=True
+    ),
+    # Of the parameters, and of the paths and bytes of the recorded inputs.
+    sa.Column("inputs_sha256", sa.LargeBinary, nullable=False),
+    sa.Column("run_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
+    created_at_column(),
+    sa.PrimaryKeyConstraint("mission_id", "version_id", "inputs_sha256"),
 )
 
 # Chunks of logs in the store. Without a run, the objects and then the rows are deleted as garbage.

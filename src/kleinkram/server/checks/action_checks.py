@@ -1,0 +1,52 @@
+"""The checks of a mission that the result of an action amounts to. Pure."""
+
+from collections.abc import Iterator
+
+from kleinkram.contract.checks import Check, CheckSource, CheckStatus, MissionCheck, Verdict
+from kleinkram.contract.reports import Severity
+from kleinkram.server.runs.project_results import ActionResult, ResultState
+
+_STATUSES = {Severity.warning: CheckStatus.warning, Severity.error: CheckStatus.error}
+_VERDICTS = {Verdict.warnings: CheckStatus.warning, Verdict.bad: CheckStatus.error}
+
+
+def checks_of_result(result: ActionResult, is_complete: bool) -> Iterator[MissionCheck]:
+    """Yield the checks that an action reported, its warnings and errors as checks named by their codes, and its end.
+
+    `results.missing`: it has not run, which counts only once the mission is complete. `results.failed`: it could not
+    judge the mission. `results.verdict`: it ended well, with what it concludes beyond its checks and findings.
+    """
+    name = f"{result.name}@{result.version}"
+    if result.state is ResultState.missing:
+        status = CheckStatus.not_made if is_complete else CheckStatus.needs_content
+        yield _check(result, "results.missing", status, f"{name} has not run on these files")
+    elif result.state is ResultState.failed:
+        yield _check(result, "results.failed", CheckStatus.not_made, f"{name} failed: {result.message}"[:2000])
+    elif result.state is ResultState.done:
+        worst = {check.status for check in result.checks} | {_STATUSES[entry.severity] for entry in result.findings}
+        status = _VERDICTS.get(result.verdict or Verdict.good, CheckStatus.ok)
+        # What a check or a finding reports is not repeated.
+        is_reported = status in worst or (status is CheckStatus.warning and bool(worst & {CheckStatus.not_made}))
+        end = CheckStatus.ok if is_reported else status
+        conclusion = "" if end is CheckStatus.ok or result.verdict is None else f", and says: {result.verdict.value}"
+        yield _check(result, "results.verdict", end, f"{name} ended{conclusion}")
+        for check in result.checks:
+            yield _of_run(result, check)
+        for finding in result.findings:
+            fields = {"topic": finding.topic, "file": finding.file, "time_ns": finding.time_ns}
+            yield _check(result, finding.code, _STATUSES[finding.severity], finding.message, **fields)
+
+
+def _of_run(result: ActionResult, check: Check) -> MissionCheck:
+    return MissionCheck.model_construct(
+        **check.__dict__, source=CheckSource.action, action=result.name, run_id=result.run_id
+    )
+
+
+def _check(
+    result: ActionResult, name: str, status: CheckStatus, message: str, **where: str | int | None
+) -> MissionCheck:
+    fields = {"name": name, "status": status, "message": message, **where}
+    return MissionCheck.model_validate(
+        fields | {"source": CheckSource.action, "action": result.name, "run_id": result.run_id}
+    )

@@ -1,0 +1,174 @@
+"""Starts the actions that a project names on the missions that are due: each version once on the same input bytes.
+
+The decision, its run, and the row that makes it happen once are one transaction: it may be repeated at any time, and by
+several workers. Files that runs made are no part of what it depends on: what a run put back starts nothing.
+"""
+
+import datetime
+import uuid
+from typing import Any, NamedTuple
+
+from sqlalchemy import ColumnElement, Row, Select, Text, and_, case, cast, exists, func, or_, select, text
+from sqlalchemy.dialects.postgresql import insert as upsert
+
+from kleinkram.contract.actions import ParametersWrong
+from kleinkram.contract.errors import Forbidden, KleinkramError, NoInputs, NotFound
+from kleinkram.contract.project_actions import RunTrigger
+from kleinkram.server.access.actor import Actor, find_person
+from kleinkram.server.actions import service as actions
+from kleinkram.server.db import Connection
+from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job
+from kleinkram.server.missions import service as missions
+from kleinkram.server.missions.queries import AWAITS_READING
+from kleinkram.server.runs import launch
+from kleinkram.server.runs.eligibility import known_runners
+from kleinkram.server.tables import (
+    DERIVED_ORIGIN,
+    action,
+    automatic_run,
+    blob,
+    file,
+    mission,
+    person,
+    project,
+    project_action,
+    project_action_mission,
+    upload,
+)
+from kleinkram.server.tables.blobs import UNDER_WAY
+
+# After a problem that time or a person may remove, such as a missing runner or right.
+_RETRY_AFTER = datetime.timedelta(minutes=10)
+_BATCH = 200
+
+
+class _Decision(NamedTuple):
+    problem: str | None = None
+    is_final: bool = True
+
+
+async def enqueue_automatic_runs(db: Connection, *, mission_id: uuid.UUID | None = None) -> None:
+    """Enqueue a job for each mission on which an action is due: of all missions, or of one."""
+    stmt = _due_actions().with_only_columns(cast(mission.c.id, Text)).distinct().limit(_BATCH)
+    stmt = stmt.where(~has_job(Job.start_automatic_runs, mission.c.id))
+    if mission_id is not None:
+        stmt = stmt.where(mission.c.id == mission_id)
+    ids = (await db.execute(stmt)).scalars().all()
+    await enqueue(db, Job.start_automatic_runs, ids=ids, priority=Priority.normal)
+
+
+async def start_due_runs(db: Connection, mission_id: uuid.UUID) -> None:
+    """Start the actions that are due on a mission, in the caller's transaction, which locks the mission."""
+    if not await missions.lock_mission(db, mission_id):
+        return
+    due = _due_actions().where(mission.c.id == mission_id).order_by(project_action.c.created_at, project_action.c.id)
+    for row in (await db.execute(due)).all():
+        decision = await _decide(db, row)
+        retry_at = None if decision.is_final else func.now() + _RETRY_AFTER
+        values = {
+            "files_revision": row.files_revision,
+            "problem": decision.problem,
+            "retry_at": retry_at,
+            "decided_at": func.now(),
+        }
+        stmt = upsert(project_action_mission).values(project_action_id=row.id, mission_id=mission_id, **values)
+        keys = ["project_action_id", "mission_id"]
+        await db.execute(stmt.on_conflict_do_update(index_elements=keys, set_=values))
+
+
+async def _decide(db: Connection, row: Row[Any]) -> _Decision:
+    adder = await find_person(db, row.added_by_id)
+    if adder is None:
+        return _Decision(f"{row.added_by_name}, who added {row.name}, has no account any more", is_final=False)
+    actor = adder.for_request("create_runs", request_id=None, address=None)
+    try:
+        # A failure leaves nothing behind but the decision.
+        async with db.begin_nested():
+            await _start_once(db, actor, row)
+    except (NotFound, Forbidden) as error:
+        return _Decision(f"{row.added_by_name}, who added {row.name}, may not run it here: {error}", is_final=False)
+    except (NoInputs, ParametersWrong) as error:
+        return _Decision(str(error))
+    except KleinkramError as error:
+        return _Decision(str(error), is_final=False)
+    return _Decision()
+
+
+async def _start_once(db: Connection, actor: Actor, row: Row[Any]) -> None:
+    version = await actions.get_version(db, actor, action_id=row.action_id, number=None)
+    parameters = version.definition.fill_in(row.parameters)
+    of_project = select(action.c.project_id).where(action.c.id == row.action_id)
+    project_id: uuid.UUID | None = (await db.execute(of_project)).scalar_one()
+    task = launch.PreparedAction(
+        version.id, version.definition, version.image_digest, project_id, parameters, await known_runners(db)
+    )
+    planned = await launch.plan_run(db, actor, task, row.mission_id)
+    recorded = [entry for entry in planned.inputs if not entry.is_derived]
+    key = {
+        "mission_id": row.mission_id,
+        "version_id": version.id,
+        "inputs_sha256": launch.inputs_fingerprint(version.id, parameters, recorded),
+    }
+    started = upsert(automatic_run).values(**key).on_conflict_do_nothing().returning(automatic_run.c.mission_id)
+    if (await db.execute(started)).first() is None:
+        return
+    run = await launch.start_run(db, actor, task, planned, force=False)
+    own = and_(*(automatic_run.c[name] == value for name, value in key.items()))
+    await db.execute(automatic_run.update().where(own).values(run_id=run.id))
+
+
+def _due_actions() -> Select[Any]:
+    """Return the actions that are due on missions, joined with both, which nothing was decided of since a change.
+
+    A mission is due once all of its files are read, and it was completed, or changed, after the action was added.
+    """
+    decided = project_action_mission
+    names = ("id", "action_id", "added_by_id", "parameters")
+    stmt = (
+        select(
+            *(project_action.c[name] for name in names),
+            action.c.name,
+            person.c.name.label("added_by_name"),
+            mission.c.id.label("mission_id"),
+            mission.c.files_revision,
+        )
+        .join_from(project_action, mission, mission.c.project_id == project_action.c.project_id)
+        .join(project, project.c.id == mission.c.project_id)
+        .join(action, action.c.id == project_action.c.action_id)
+        .join(person, person.c.id == project_action.c.added_by_id)
+        .outerjoin(
+            decided, (decided.c.project_action_id == project_action.c.id) & (decided.c.mission_id == mission.c.id)
+        )
+    )
+    is_undecided = or_(
+        decided.c.mission_id.is_(None),
+        decided.c.files_revision != mission.c.files_revision,
+        decided.c.retry_at <= func.now(),
+    )
+    is_due = case(
+        (project_action.c.trigger == RunTrigger.complete.value, mission.c.completed_at > project_action.c.created_at),
+        else_=_is_idle(),
+    )
+    is_live = and_(mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None), action.c.archived_at.is_(None))
+    return stmt.where(is_live, is_undecided, _is_read(), is_due)
+
+
+def _is_read() -> ColumnElement[bool]:
+    """Whether a mission has files, and all of them are read."""
+    live = (file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None))
+    recorded = exists().where(*live, file.c.origin != DERIVED_ORIGIN)
+    unread = select(file.c.id).join(blob, blob.c.id == file.c.blob_id).where(*live, AWAITS_READING)
+    is_derived = mission.c.derived_revision == mission.c.files_revision
+    return and_(is_derived, recorded, ~unread.correlate(mission).exists())
+
+
+def _is_idle() -> ColumnElement[bool]:
+    """Whether the recorded files of a mission changed after the action was added, and not for its time."""
+    own = (file.c.mission_id == mission.c.id, file.c.origin != DERIVED_ORIGIN)
+    changed = func.max(func.greatest(file.c.created_at, func.coalesce(file.c.deleted_at, file.c.created_at)))
+    changed_at = select(changed).where(*own).correlate(mission).scalar_subquery()
+    uploads = exists().where(
+        upload.c.mission_id == mission.c.id, upload.c.run_id.is_(None), upload.c.state.in_(UNDER_WAY)
+    )
+    rest = project_action.c.idle_s * text("interval '1 second'")
+    return and_(changed_at > project_action.c.created_at, changed_at < func.now() - rest, ~uploads)

@@ -1,0 +1,209 @@
+"""What the actions that a project names say of its missions: of each, the result that counts.
+
+That is the latest run that has ended, of the latest version, with the parameters of the project, on the present input
+bytes. Older results are history.
+"""
+
+import enum
+import uuid
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+from sqlalchemy import Row, Select, select
+
+from kleinkram.contract.actions import ActionDefinition, ParametersWrong, ParameterValues
+from kleinkram.contract.checks import Check, CheckStatus, Verdict
+from kleinkram.contract.files import FileFilter
+from kleinkram.contract.reports import Finding, Severity
+from kleinkram.contract.runs import RunState
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import visible_files
+from kleinkram.server.db import Connection, among
+from kleinkram.server.filters.files import filter_files
+from kleinkram.server.runs.launch import inputs_fingerprint
+from kleinkram.server.tables import (
+    DERIVED_ORIGIN,
+    action,
+    action_version,
+    blob,
+    file,
+    mission,
+    project_action,
+    run,
+    run_check,
+    run_finding,
+)
+from kleinkram.server.tables.runs import ACTIVE
+
+# Sees the files of all missions, for jobs that act for nobody.
+_SERVER = Actor(None, "the server", None, None, is_admin=True)
+
+
+class ResultState(str, enum.Enum):
+    """State of the result of an action on a mission.
+
+    outdated: there are only results of an earlier version, or of other input bytes. missing: there are none at all.
+    """
+
+    done = "done"
+    failed = "failed"
+    running = "running"
+    outdated = "outdated"
+    missing = "missing"
+
+
+@dataclass(frozen=True)
+class ActionResult:
+    """What an action that a project names says of a mission. Checks and findings are empty unless it is `done`.
+
+    Attributes:
+        version: the latest one of the action.
+        run_id: the run with this state; None for `missing`.
+        message: how the run ended.
+        findings: warnings and errors.
+    """
+
+    mission_id: uuid.UUID
+    action_id: uuid.UUID
+    name: str
+    version: int
+    state: ResultState
+    run_id: uuid.UUID | None = None
+    message: str = ""
+    verdict: Verdict | None = None
+    checks: Sequence[Check] = ()
+    findings: Sequence[Finding] = ()
+
+
+class _Named(NamedTuple):
+    project_id: uuid.UUID
+    action_id: uuid.UUID
+    parameters: ParameterValues
+    name: str
+    version_id: uuid.UUID
+    number: int
+    definition: ActionDefinition
+
+
+class _InputFile(NamedTuple):
+    path: str
+    sha256: bytes
+
+
+async def project_results(
+    db: Connection, mission_ids: Sequence[uuid.UUID]
+) -> Mapping[uuid.UUID, Sequence[ActionResult]]:
+    """Return the results that count, of each action that the project of a mission names, by mission.
+
+    An action of which no file of a mission is an input is left out. A few statements for each action that is named, for
+    any number of missions.
+    """
+    projects = {row.id: row.project_id for row in await db.execute(_missions(mission_ids))}
+    results: dict[uuid.UUID, list[ActionResult]] = {mission_id: [] for mission_id in mission_ids}
+    for named in await _named_actions(db, {*projects.values()}):
+        own = [mission_id for mission_id, project_id in projects.items() if project_id == named.project_id]
+        inputs = await _present_inputs(db, named.definition, own)
+        runs = await _runs(db, named.action_id, [*inputs])
+        for mission_id, files in inputs.items():
+            results[mission_id].append(_result(named, mission_id, files, runs.get(mission_id, ())))
+    await _add_reports(db, results)
+    return results
+
+
+def _result(
+    named: _Named, mission_id: uuid.UUID, inputs: Sequence[_InputFile], runs: Sequence[Row[Any]]
+) -> ActionResult:
+    """Return the result of the runs of an action on a mission, latest first."""
+    missing = ActionResult(mission_id, named.action_id, named.name, named.number, ResultState.missing)
+    try:
+        parameters = named.definition.fill_in(named.parameters)
+    except ParametersWrong as error:  # a later version has other parameters
+        return replace(missing, state=ResultState.failed, message=str(error))
+    fingerprint = inputs_fingerprint(named.version_id, parameters, inputs)
+    current = [row for row in runs if row.inputs_fingerprint == fingerprint]
+    counting = next((row for row in current if row.state != RunState.cancelled.value), None)
+    if counting is not None:
+        state = ResultState.running if counting.state in ACTIVE else ResultState(counting.state)
+        verdict = None if counting.verdict is None else Verdict(counting.verdict)
+        return replace(missing, state=state, run_id=counting.id, message=counting.message, verdict=verdict)
+    earlier = next((row for row in runs if row.state in {RunState.done.value, RunState.failed.value}), None)
+    if earlier is not None:
+        return replace(missing, state=ResultState.outdated, run_id=earlier.id)
+    return missing
+
+
+def _missions(mission_ids: Sequence[uuid.UUID]) -> Select[Any]:
+    return select(mission.c.id, mission.c.project_id).where(among(mission.c.id, mission_ids))
+
+
+async def _named_actions(db: Connection, project_ids: set[uuid.UUID]) -> list[_Named]:
+    """Return the actions that projects name, in their latest versions, in the order in which they were added."""
+    columns = (project_action.c.project_id, action.c.id, project_action.c.parameters, action.c.name)
+    version = (action_version.c.id.label("version_id"), action_version.c.number, action_version.c.definition)
+    stmt = (
+        select(*columns, *version)
+        .distinct(project_action.c.created_at, project_action.c.id)
+        .join_from(project_action, action, action.c.id == project_action.c.action_id)
+        .join(action_version, action_version.c.action_id == action.c.id)
+        .where(among(project_action.c.project_id, project_ids), action.c.archived_at.is_(None))
+        .order_by(project_action.c.created_at, project_action.c.id, action_version.c.number.desc())
+    )
+    return [
+        _Named._make(row)._replace(definition=ActionDefinition.model_validate(row.definition))
+        for row in await db.execute(stmt)
+    ]
+
+
+async def _present_inputs(
+    db: Connection, definition: ActionDefinition, mission_ids: Sequence[uuid.UUID]
+) -> Mapping[uuid.UUID, list[_InputFile]]:
+    requested = definition.inputs
+    matching = FileFilter(path=requested.paths, topic=requested.topics, message_type=requested.message_types)
+    columns = (file.c.mission_id, file.c.path, blob.c.sha256)
+    stmt = filter_files(_SERVER, visible_files(_SERVER), matching).with_only_columns(
+        *columns, maintain_column_froms=True
+    )
+    stmt = stmt.where(among(file.c.mission_id, mission_ids))
+    if not requested.derived:
+        stmt = stmt.where(file.c.origin != DERIVED_ORIGIN)
+    inputs: dict[uuid.UUID, list[_InputFile]] = defaultdict(list)
+    for row in await db.execute(stmt.order_by(file.c.mission_id, file.c.path)):
+        inputs[row.mission_id].append(_InputFile(row.path, row.sha256))
+    return inputs
+
+
+async def _runs(
+    db: Connection, action_id: uuid.UUID, mission_ids: Sequence[uuid.UUID]
+) -> Mapping[uuid.UUID, list[Row[Any]]]:
+    """Return the runs of all versions of an action by mission, latest first."""
+    names = ("id", "mission_id", "state", "verdict", "message", "inputs_fingerprint")
+    stmt = select(*(run.c[name] for name in names)).join(action_version, action_version.c.id == run.c.version_id)
+    stmt = stmt.where(action_version.c.action_id == action_id, among(run.c.mission_id, mission_ids))
+    runs: dict[uuid.UUID, list[Row[Any]]] = defaultdict(list)
+    for row in await db.execute(stmt.order_by(run.c.created_at.desc(), run.c.id.desc())):
+        runs[row.mission_id].append(row)
+    return runs
+
+
+async def _add_reports(db: Connection, results: dict[uuid.UUID, list[ActionResult]]) -> None:
+    """Replace results that are done by ones with the checks and findings of their runs."""
+    done = {result.run_id for listed in results.values() for result in listed if result.state is ResultState.done}
+    rows = await db.execute(select(run.c.id, run.c.reuses_id).where(among(run.c.id, done)))
+    reporting = {row.id: row.reuses_id or row.id for row in rows}
+    checks: dict[uuid.UUID, list[Check]] = defaultdict(list)
+    findings: dict[uuid.UUID, list[Finding]] = defaultdict(list)
+    own = among(run_check.c.run_id, {*reporting.values()})
+    for row in (await db.execute(select(run_check).where(own).order_by(run_check.c.id))).mappings():
+        fields = {name: row[name] for name in Check.model_fields} | {"status": CheckStatus(row["status"])}
+        checks[row["run_id"]].append(Check.model_construct(**fields))
+    own = among(run_finding.c.run_id, {*reporting.values()}) & (run_finding.c.severity != Severity.info.value)
+    for row in (await db.execute(select(run_finding).where(own).order_by(run_finding.c.id))).mappings():
+        fields = {name: row[name] for name in Finding.model_fields} | {"severity": Severity(row["severity"])}
+        findings[row["run_id"]].append(Finding.model_construct(**fields))
+    for listed in results.values():
+        for number, result in enumerate(listed):
+            if result.state is ResultState.done and result.run_id is not None:
+                source = reporting[result.run_id]
+                listed[number] = replace(result, checks=checks[source], findings=findings[source])

@@ -1,0 +1,83 @@
+"""Results of the actions that a project names, and the verdicts that they make."""
+
+from typing import Any
+
+from tests.integration.api_server import Api
+from tests.integration.jobs import run_jobs
+from tests.integration.runs.conftest import FakeRunner, Place
+from tests.integration.runs.test_automatic_runs import add, complete, publish, runs
+from tests.integration.upload_client import upload
+
+GAP = {"severity": "error", "code": "topic.gap", "message": "2 s without a message", "topic": "/imu"}
+GRAVITY = {"name": "imu.gravity", "status": "warning", "message": "9.1 instead of 9.81 m/s²", "topic": "/imu"}
+
+
+def verdict(lab: Api, mission: Any) -> tuple[str, dict[str, str]]:
+    """Return the verdict of a mission, and the statuses of its checks by name."""
+    run_jobs(lab)
+    read = lab.get(f"/missions/{mission['id']}/checks").ok()
+    assert lab.get(f"/missions/{mission['id']}").ok()["verdict"] == read["verdict"]
+    return read["verdict"], {check["name"]: check["status"] for check in read["checks"]}
+
+
+def finish(runner: FakeRunner, reason: str = "done", **report: Any) -> None:
+    runner.finish(runner.claim(), reason, report=report, image_digest="sha256:stock").ok()
+
+
+def test_the_latest_result_on_the_present_files_makes_the_verdict(lab: Api, runner: FakeRunner, place: Place) -> None:
+    run_jobs(lab)
+    action = publish(lab, runner, place.project)
+    assert verdict(lab, place.mission) == ("unchecked", {})
+    add(lab, place.project, action)
+    assert verdict(lab, place.mission) == ("unchecked", {"results.missing": "needs_content"})
+    complete(lab, place.mission)
+    assert verdict(lab, place.mission) == ("running", {})
+    finish(runner, checks=[GRAVITY], findings=[GAP, GAP | {"severity": "info", "code": "note"}])
+    assert verdict(lab, place.mission) == (
+        "bad",
+        {"topic.gap": "error", "imu.gravity": "warning", "results.verdict": "ok"},
+    )
+    (check,) = [
+        check
+        for check in lab.get(f"/missions/{place.mission['id']}/checks").ok()["checks"]
+        if check["name"] == "topic.gap"
+    ]
+    (made,) = runs(lab, place.mission)
+    assert (check["source"], check["action"], check["run_id"]) == ("action", action["name"], made["id"])
+    assert [row["id"] for row in lab.all("/missions", {"project_id": place.project["id"]})] == [place.mission["id"]]
+
+    # Other runs on the mission, of another action or with other parameters, do not count.
+    changed = action["latest"]["definition"] | {"description": "better"}
+    lab.post(f"/actions/{action['id']}/versions", {"definition": changed}).ok(201)
+    assert verdict(lab, place.mission) == ("outdated", {})
+    body = {"mission_ids": [place.mission["id"]], "action_id": action["id"]}
+    lab.post("/runs", body).ok()
+    assert verdict(lab, place.mission)[0] == "running"
+    finish(runner)
+    assert verdict(lab, place.mission) == ("good", {"results.verdict": "ok"})
+
+    lab.post("/runs", body | {"force": True}).ok()
+    finish(runner, "exit_code")
+    assert verdict(lab, place.mission) == ("warnings", {"results.failed": "not_made"})
+
+    complete(lab, place.mission, False)
+    upload(lab, place.mission["id"], "more.bin", b"more")
+    assert verdict(lab, place.mission) == ("outdated", {})
+    lab.delete(f"/projects/{place.project['id']}/actions/{action['id']}").ok(204)
+    assert verdict(lab, place.mission) == ("unchecked", {})
+
+
+def test_the_reported_verdict_counts_without_checks(lab: Api, runner: FakeRunner, place: Place) -> None:
+    run_jobs(lab)
+    add(lab, place.project, publish(lab, runner, place.project))
+    complete(lab, place.mission)
+    run_jobs(lab)
+    finish(runner, verdict="bad")
+    assert verdict(lab, place.mission) == ("bad", {"results.verdict": "error"})
+
+
+def test_an_action_without_inputs_in_a_mission_is_left_out(lab: Api, runner: FakeRunner, place: Place) -> None:
+    run_jobs(lab)
+    add(lab, place.project, publish(lab, runner, place.project, inputs={"paths": ["*.mcap"]}))
+    complete(lab, place.mission)
+    assert verdict(lab, place.mission) == ("unchecked", {})
