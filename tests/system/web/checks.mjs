@@ -78,7 +78,7 @@ await page.locator("[data-add-action]").getByLabel("Action").waitFor();
 await page.getByRole("button", { name: "Add action" }).click();
 await page.getByText("Choose an action.").waitFor();
 await page.locator("[data-add-action] option", { hasText: "verify" }).waitFor({ state: "attached" });
-await page.locator("[data-add-action]").getByLabel("Action").selectOption({ label: "verify all" });
+await page.locator("[data-add-action]").getByLabel("Action").selectOption({ label: "verify all (Alps)" });
 await page.locator("[data-add-action]").getByLabel("Runs", { exact: true }).selectOption("idle");
 await page.getByLabel("Time without changes").fill("0.5.1");
 await page.getByText("Enter a number of minutes").waitFor();
