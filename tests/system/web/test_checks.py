@@ -1,4 +1,4 @@
-"""Checks and verdicts in a real browser: rules written and corrected, the matrix, a check accepted, verdicts everywhere."""
+"""Checks and verdicts in a real browser: rules, the matrix, a check accepted, an action, verdicts everywhere."""
 
 import json
 from pathlib import Path
@@ -39,7 +39,14 @@ _REPORT = {
             "limit": 2,
             "topic": "/camera/image/compressed",
         },
-        {"name": "imu.gravity", "status": "ok", "message": "it is", "value": 9.81, "unit": "m/s²", "topic": "/imu/data"},
+        {
+            "name": "imu.gravity",
+            "status": "ok",
+            "message": "it is",
+            "value": 9.81,
+            "unit": "m/s²",
+            "topic": "/imu/data",
+        },
     ],
     "metrics": [{"name": "ate_rmse", "value": 0.12, "unit": "m", "topic": "/odom", "labels": {"method": "icp"}}],
 }
