@@ -212,8 +212,40 @@ def upload_and_find(story: Story) -> None:
     with story.step("Download it, and compare every byte"):
         klein("download", "-p", "alpine", "-m", "jungfraujoch-1", "--dest", "back")
         compare(STAGE / "field-day", STAGE / "back")
+    check_missions(story)
     run_an_action(story)
     kill_and_resume(story)
+
+
+def check_missions(story: Story) -> None:
+    """Make rules from a good mission; find a bad one before and after its upload."""
+    with story.step("Make rules from the good mission, and give them to the project"):
+        klein("checks", "init", "field-day", "-o", "checks.yaml")
+        klein("checks", "set", "checks.yaml", "-p", "alpine")
+    with story.step("On the robot, before it leaves the field: is this run any good?"):
+        defects = ("--defect", "gap", "--defect", "black-camera")
+        klein("sample", "bad-day", "--size", "30MB", "--seed", "9", *defects)
+        klein("check", "bad-day", "--checks", "checks.yaml", expect=2)
+    with story.step("Uploaded all the same, it is bad on the server too"):
+        mission = ("-p", "alpine", "-m", "bad-day")
+        metadata = ("--create", "--metadata", "mission.yaml")
+        klein("upload", *mission, *metadata, "--wait", "--check", "bad-day")
+        verdicts = wait_for_verdicts()
+        if verdicts != {"jungfraujoch-1": "good", "bad-day": "bad"}:
+            raise Failed(f"the verdicts are {verdicts}")
+        klein("mission", "list", "-p", "alpine")
+        klein("search", "verdict:bad check:image.*")
+
+
+def wait_for_verdicts() -> dict[str, str]:
+    """Return the verdict of each mission as soon as all are checked."""
+    deadline = time.monotonic() + 30
+    while True:
+        missions = json.loads(klein("mission", "list", "-p", "alpine", "--json", show=False))["items"]
+        verdicts = {mission["name"]: mission["verdict"] for mission in missions}
+        if not {"running", "unchecked", "outdated"} & {*verdicts.values()} or time.monotonic() > deadline:
+            return verdicts
+        time.sleep(0.3)
 
 
 def run_an_action(story: Story) -> None:

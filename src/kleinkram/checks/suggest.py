@@ -10,6 +10,7 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import takewhile
 from typing import NamedTuple
 
 from kleinkram.checks.document import MAX_RULES
@@ -26,6 +27,7 @@ _MAX_PERIODS = 20  # a topic with longer gaps is not periodic
 _GAP_MARGIN, _GAP_PERIODS = 2, 5
 _TOLERANCE, _TOLERANCE_MARGIN, _MAX_TOLERANCE = 0.1, 1.5, 0.4
 _COVERAGE_MARGIN = 0.05
+_MAX_NAMES = 3  # listed in a section about content; more become a glob
 _CONTENT_SECTIONS: Mapping[str, tuple[str, ...]] = {
     "images": ("sensor_msgs/Image", "sensor_msgs/CompressedImage"),
     "imu": ("sensor_msgs/Imu",),
@@ -54,7 +56,9 @@ def suggest_checks(missions: Sequence[MissionFacts]) -> str:
     """
     common = list(_common_topics(missions))
     if not common:
-        raise ValueError("they have no topic with messages in common" if len(missions) > 1 else "there are no messages")
+        raise ValueError(
+            "the missions have no topic with messages in common" if len(missions) > 1 else "it has no messages"
+        )
     listed = common[:MAX_RULES]
     lines = [
         f"# Made by `klein checks init` from {counted(len(missions), 'good mission')}. Read it; change what is wrong.",
@@ -194,19 +198,35 @@ def _left_out_topics(
 
 
 def _content_sections(topics: Sequence[_CommonTopic]) -> Iterator[str]:
+    """Yield rules with their defaults for the topics of each kind that have enough messages."""
     sections = {
-        section: [topic for topic in topics if topic.message_type in types]
+        section: [topic for topic in topics if topic.message_type in types and _has_samples(topic, section)]
         for section, types in _CONTENT_SECTIONS.items()
     }
     if any(sections.values()):
         yield "  # What is in the messages: `klein check` samples them; `pip install 'open-kleinkram[reading]'`."
     for section, own in sections.items():
-        if own and section == "transforms":
-            yield "  transforms:"
-            yield f"    {_key('/tf*' if all(one.name.startswith('/tf') for one in own) else '*')}: {{}}"
-        elif own:
+        if own:
             yield f"  {section}:"
-            yield from (f"    {_key(glob.escape(topic.name))}: {{}}" for topic in own)
+            yield from (f"    {_key(pattern)}: {{}}" for pattern in _patterns(section, [topic.name for topic in own]))
+    for topic in topics:
+        if topic.message_type == "sensor_msgs/BatteryState":
+            yield f"  # batteries: {{{_key(glob.escape(topic.name))}: {{min_percentage: 20%}}}}"
+
+
+def _has_samples(topic: _CommonTopic, section: str) -> bool:
+    return section == "transforms" or all((facts.count or 0) >= _MIN_COUNT for facts in topic.facts)
+
+
+def _patterns(section: str, names: Sequence[str]) -> list[str]:
+    """Return the names as globs; of many, one with what they have in common: it selects only messages of the kind."""
+    if section == "transforms":  # of which all make one tree
+        return ["/tf*" if all(name.startswith("/tf") for name in names) else "*"]
+    if len(names) <= _MAX_NAMES:
+        return [glob.escape(name) for name in names]
+    columns = zip(*(name.split("/")[:-1] for name in names), strict=False)
+    folder = "/".join(parts[0] for parts in takewhile(lambda parts: len(set(parts)) == 1, columns))
+    return [f"{glob.escape(folder)}/*" if folder else "*"]
 
 
 # -- text -------------------------------------------------------------------------------------------------------------

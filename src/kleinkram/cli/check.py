@@ -18,6 +18,7 @@ from kleinkram.cli import options
 from kleinkram.cli.commands import Many, Subcommands, argument, flag, option
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.render import Output, as_table, line, note
+from kleinkram.cli.verdicts import show_matrix, show_mission_checks, show_trend
 from kleinkram.client import Client, connect
 from kleinkram.client.errors import (
     ChecksInvalid,
@@ -322,7 +323,7 @@ def init(
     try:
         text = suggest_checks(missions)
     except ValueError as error:
-        raise InvalidInput(what="The missions", reason=str(error)) from None
+        raise NothingToDo(reason=f"There is nothing to make rules from: {error}") from None
     if output is None:
         return Output({"text": text}, lambda: sys.stdout.write(text))
     try:
@@ -430,3 +431,8 @@ def history(client: Client, project: _Project, limit: options.Limit = None) -> O
         ["number", "set at", "by", "removed", "sha256"],
         lambda row: (row.number, row.created_at, row.created_by.name, row.is_removal or None, row.sha256[:12]),
     )
+
+
+app.command("mission")(show_mission_checks)
+app.command("matrix")(show_matrix)
+app.command("trend")(show_trend)

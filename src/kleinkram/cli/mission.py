@@ -10,6 +10,7 @@ from kleinkram.cli.filters import WhereOption, filter_of, projects_of
 from kleinkram.cli.render import Output, as_list, as_total, details, line, note, show_json, table
 from kleinkram.cli.units import count as count_of
 from kleinkram.cli.units import duration, instant, rate, size, span
+from kleinkram.cli.verdicts import accept, add_note, verdict_text
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.files import BlobState, FileFilter, FileRead, RecordingRead
@@ -192,6 +193,10 @@ def delete(
     return Output(would, f"{'Would move' if dry_run else 'Moved'} to the trash: {what}")
 
 
+app.command("accept")(accept)
+app.command("note")(add_note)
+
+
 def _output(mission: MissionRead) -> Output:
     return Output(mission, lambda: _show_mission(mission))
 
@@ -205,6 +210,7 @@ def _show_mission(mission: MissionRead) -> None:
             ("id", mission.id),
             ("created", f"{mission.created_at:%Y-%m-%d %H:%M}Z by {mission.created_by.name}"),
             ("completed", mission.completed_at),
+            ("checks", verdict_text(mission)),
             ("start", instant(mission.start_ns)),
             ("span", span(mission.start_ns, mission.end_ns)),
             ("files", f"{mission.file_count}, {size(mission.size_bytes)}"),
@@ -241,8 +247,16 @@ def _heading(text: str) -> None:
 def show_missions(missions: Iterable[MissionRead]) -> None:
     """Print missions of any projects as a table."""
     table(
-        ["project", "mission", "files", "size", "start", "span", "id"],
-        [(row.project.name, row.name, row.file_count, size(row.size_bytes), *_times(row), row.id) for row in missions],
+        ["project", "mission", "checks", "files", "size", "start", "span", "id"],
+        [
+            (
+                *(row.project.name, row.name, row.verdict.value, row.file_count),
+                size(row.size_bytes),
+                *_times(row),
+                row.id,
+            )
+            for row in missions
+        ],
     )
 
 

@@ -96,3 +96,8 @@ def failing(api: Api, mission_id: str) -> list[tuple[str, str, str | None]]:
     checks = api.get(f"/missions/{mission_id}/checks").ok()["checks"]
     failed = [one for one in checks if one["status"] in ("error", "warning", "not_made") and not one["acceptance_id"]]
     return [(one["name"], one["status"], one["topic"]) for one in failed]
+
+
+def judging_jobs(api: Api) -> list[str]:
+    """Run all jobs, and return the names of those that judged missions."""
+    return [name for name in run_jobs(api) if name.startswith("judge")]

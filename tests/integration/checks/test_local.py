@@ -12,7 +12,7 @@ from kleinkram.checks.results import evaluate_index
 from kleinkram.checks.suggest import suggest_checks
 from kleinkram.contract.checks import CheckStatus, Verdict
 from kleinkram.recordings import Content
-from kleinkram.recordings.sample import Faults, SampleFormat, generate_mission
+from kleinkram.recordings.sample import Faults, SampleFormat, generate_mission, generate_rig
 from tests.recording_files.builders import T0, mcap_of
 
 MS = 1_000_000
@@ -187,6 +187,16 @@ def test_each_computer_has_a_rule(tmp_path: Path) -> None:
     assert [(check.name, check.file) for check in failing] == [("recording.missing", "opc/*")]
 
 
+def test_many_topics_of_a_kind_have_one_rule_for_their_content(tmp_path: Path) -> None:
+    generate_rig(tmp_path, duration_s=3)
+    facts = read_mission(_files(tmp_path)).facts
+    profile = read_checks(suggest_checks([facts])).profiles[0]
+    assert set(profile.images) == {"/camera/*"}
+    assert set(profile.imu) == {"/imu/*"}
+    assert set(profile.point_clouds) == {"/lidar/hesai/points", "/lidar/livox/points"}
+    assert len([name for name in profile.topics if name.startswith("/camera/")]) == 12
+
+
 def test_unusual_names_are_quoted_or_left_out(tmp_path: Path) -> None:
     names = ["/a[1]", "/with space", "/x: {y}", "/'\"", "*", "/naïve", "/line\nbreak", "no", "# comment", "1"]
     _mcap(tmp_path / "a.mcap", *((name, at) for name in names for at in range(0, 3000, 10)))
@@ -208,5 +218,5 @@ def test_real_missions_pass_the_checks_that_are_made_from_them(recordings_dir: P
 
 
 def test_without_messages_there_is_nothing_to_suggest() -> None:
-    with pytest.raises(ValueError, match="there are no messages"):
+    with pytest.raises(ValueError, match="it has no messages"):
         suggest_checks([MissionFacts((), (), ())])

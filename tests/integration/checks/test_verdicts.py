@@ -11,6 +11,7 @@ from tests.integration.checks.judged import (
     derive,
     failing,
     judged_mission,
+    judging_jobs,
     put_file,
     set_rules,
     topic,
@@ -110,7 +111,7 @@ def test_new_rules_judge_every_mission_again_by_one_job(api: Api, project_id: st
     missions = [judged_mission(api, project_id, *GOOD) for _ in range(3)]
     set_rules(api, project_id, RULES.replace("100 Hz", "400 Hz")).ok()
     assert {verdict(api, one) for one in missions} == {"outdated"}
-    assert run_jobs(api) == ["judge_project"]
+    assert judging_jobs(api) == ["judge_project"]
     assert {verdict(api, one) for one in missions} == {"bad"}
     set_rules(api, project_id, "").ok()
     run_jobs(api)

@@ -1,6 +1,8 @@
 """`klein check` and `klein checks init|schema`: what people see, JSON for scripts, and the exit codes."""
 
 import json
+import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +98,18 @@ def test_the_index_alone_says_which_checks_it_cannot_make(
     assert "Verdict: good (5 passed, 2 need the messages)" in capsys.readouterr().out
     assert klein(monkeypatch, "check", drive) == 0
     assert "Verdict: good (7 passed)" in capsys.readouterr().out
+
+
+def test_the_base_install_checks_the_index_and_says_what_content_needs(
+    drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    (drive.parent / "checks.yaml").write_text(RULES + "  imu: {/imu/data: {}}\n")
+    for library in ("numpy", "PIL", "pandas", "pyarrow"):
+        monkeypatch.setitem(sys.modules, library, None)
+    assert klein(monkeypatch, "check", drive, "--strict") == 1
+    printed = capsys.readouterr().out
+    assert "Verdict: warnings (2 could not be made, 5 passed)" in printed
+    assert "pip install 'open-kleinkram[reading]'" in printed
 
 
 def test_a_file_of_rules_is_found_in_the_folder_beside_it_or_by_name(
@@ -196,8 +210,6 @@ def test_a_damaged_recording_is_listed(tmp_path: Path, monkeypatch: pytest.Monke
 def test_a_named_pipe_among_the_files_is_not_made(
     drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
-    import os
-
     os.mkfifo(drive / "pipe.mcap")
     assert klein(monkeypatch, "check", drive, "--strict") == 1
     printed = capsys.readouterr().out
@@ -244,8 +256,8 @@ def test_init_never_overwrites(drive: Path, monkeypatch: pytest.MonkeyPatch, cap
 
 
 def test_init_of_a_folder_without_recordings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
-    assert klein(monkeypatch, "checks", "init", tmp_path) == 2
-    assert "there are no messages" in capsys.readouterr().err
+    assert klein(monkeypatch, "checks", "init", tmp_path) == 3
+    assert "There is nothing to make rules from: it has no messages." in capsys.readouterr().err
 
 
 def test_the_schema_is_printed(monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:

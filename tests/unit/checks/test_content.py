@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.checks.content import OpenRecording, check_content
-from kleinkram.checks.content.segment_plan import plan_visits, sample_times
+from kleinkram.checks.content.segment_plan import plan_visits, plan_whole, sample_times
 from kleinkram.checks.document import read_checks
 from kleinkram.contract.checks import MAX_CHECKS
 from kleinkram.recordings import Recording
@@ -173,8 +173,8 @@ def segments(count: int, size: int, topics: frozenset[str] | None = frozenset({"
     return [Segment(n * 100, n * 100 + 99, size, topics, (0, n)) for n in range(count)]
 
 
-def test_within_the_budget_everything_is_read() -> None:
-    visits = plan_visits(segments(10, 5), {"/a": 4}, 0, 50)
+def test_a_plan_to_read_everything_has_samples_too() -> None:
+    visits = plan_whole(segments(10, 5), {"/a": 4})
     assert [visit.segment.order[1] for visit in visits] == list(range(10))
     assert sum(len(visit.targets["/a"]) for visit in visits) == 4
 
@@ -212,6 +212,16 @@ def test_samples_far_apart_come_in_pairs() -> None:
     assert sample_times(0, 1000, 8, 10) == [0, 10, 330, 340, 660, 670, 990, 1000]
     assert sample_times(0, 100, 6, 20) == [0, 20, 40, 60, 80, 100]
     assert sample_times(7, 7, 20, 0) == [7]
+
+
+def test_of_very_many_messages_those_around_samples_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kleinkram.checks.content.run.READ_WHOLE_MESSAGES", 100)
+    monkeypatch.setattr("kleinkram.checks.content.sample_reader._AROUND", 4)
+    source = ros2_mcap(imu(60, 200), chunk_bytes=2**14)
+    row = only(run("clocks: {/imu: {max_stamp_offset: 1ms}}\nimu: {/imu: {}}", source), "clock.stamp_offset")
+    assert row.status is OK
+    measured = int(row.message.split("median of ")[1].rstrip(")"))
+    assert 20 <= measured <= 200
 
 
 def test_hostile_times_break_nothing() -> None:

@@ -35,6 +35,11 @@ def plain(brightness: int) -> Pictures:
     ).astype(np.uint8)
 
 
+def limited_range(grey: Picture) -> Picture:
+    """Return luma from 16 to 235."""
+    return (16 + grey.astype(np.uint16) * 219 // 255).astype(np.uint8)
+
+
 def raw(picture: Picture, encoding: str) -> dict[str, object]:
     """Return the fields of sensor_msgs/Image."""
     grey = picture.mean(axis=2).astype(np.uint8)
@@ -44,10 +49,18 @@ def raw(picture: Picture, encoding: str) -> dict[str, object]:
         data = picture[..., ::-1]
     elif encoding in ("mono8", "bayer_rggb8", "8UC1"):
         data = grey
+    elif encoding in ("rgba8", "bgra8"):
+        opaque = np.full((*grey.shape, 1), 255, np.uint8)
+        data = np.concatenate([picture if encoding == "rgba8" else picture[..., ::-1], opaque], axis=2)
+    elif encoding == "nv12":
+        data = np.concatenate([limited_range(grey), np.full((24, 64), 128, np.uint8)])
+        return {"height": 48, "width": 64, "encoding": encoding, "step": 64, "data": data.tobytes()}
+    elif encoding == "yuv422_yuy2":
+        data = np.stack([limited_range(grey), np.full_like(grey, 128)], axis=-1)
     elif encoding == "mono16":
         data = grey.astype(np.uint16) * 16  # 12 bits in 16
     elif encoding == "yuv422":
-        data = np.stack([np.full_like(grey, 128), 16 + (grey.astype(np.uint16) * 219 // 255).astype(np.uint8)], axis=-1)
+        data = np.stack([np.full_like(grey, 128), limited_range(grey)], axis=-1)
     else:
         data = grey
     height, width = grey.shape
@@ -72,14 +85,29 @@ def camera(pictures: Pictures, encoding: str = "jpeg", seconds: int = 10) -> Ite
     """Yield a camera of 10 Hz."""
     for number in range(seconds * 10):
         time_ns = T0 + number * SECOND // 10
-        if encoding in ("jpeg", "png"):
+        if encoding in ("jpeg", "png", "webp"):
             values = compressed(pictures(number), encoding)
             yield TimedMessage("/camera/front", "sensor_msgs/CompressedImage", time_ns, values, time_ns)
         else:
             yield TimedMessage("/camera/front", "sensor_msgs/Image", time_ns, raw(pictures(number), encoding), time_ns)
 
 
-ENCODINGS = ("jpeg", "png", "rgb8", "bgr8", "mono8", "mono16", "bayer_rggb8", "yuv422", "8UC1")
+ENCODINGS = (
+    "jpeg",
+    "png",
+    "rgb8",
+    "bgr8",
+    "mono8",
+    "mono16",
+    "bayer_rggb8",
+    "yuv422",
+    "8UC1",
+    "rgba8",
+    "bgra8",
+    "nv12",
+    "yuv422_yuy2",
+    "webp",
+)
 
 
 @WRITERS

@@ -145,6 +145,7 @@ const reads: Readonly<Record<string, string>> = {
   list_run_inputs: "the inputs of a run",
   list_run_metrics: "the metrics of every project",
   list_runners: "the runners",
+  list_project_actions: "the actions that a project runs by itself",
   list_run_checks: "the checks of runs",
   list_runs: "the runs of every project",
   list_shares: "the share links",

@@ -51,7 +51,8 @@ def check_content(
     Args:
         profiles: those that apply to the mission.
         recordings: opened; they stay open.
-        budget_bytes: about how many bytes of segments are read at most; None: 64 MB, of larger missions 4 %.
+        budget_bytes: about how many bytes of segments are read at most; None: 64 MB, of larger missions 4 %. Within
+            it, all messages of the topics are read if they are not too many, else samples.
     """
     topics = [
         TopicOfRecording(item.name, topic.name, topic.message_type)

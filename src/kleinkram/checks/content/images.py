@@ -1,8 +1,9 @@
 """Checks of images: black, overexposed, frozen, blurred.
 
-The brightness is the mean over all pixels and colours, from 0 to 255. Images of 16 bits are scaled by the fewest bits
-(10, 12, 14 or 16) that hold the brightest value of the topic. Of depth images, it is the share of pixels with a
-depth. The sharpness is the variance of the Laplacian of the image in grey, scaled to a width of 320 pixels.
+The brightness is the mean over an even grid of pixels and their colours, from 0 to 255. Images of 16 bits are scaled by
+the fewest bits (10, 12, 14 or 16) that the brightest values of the topic take, apart from single bright pixels. Of
+depth images, it is the share of pixels with a depth. The sharpness is the variance of the Laplacian of the image in
+grey, scaled to a width of 320 pixels.
 
 Source: Pech-Pacheco et al., "Diatom autofocusing in brightfield microscopy" (2000), variance of the Laplacian.
 """
@@ -27,6 +28,9 @@ from kleinkram.recordings.decoding.values import part, payload, type_name
 
 FULL_BRIGHTNESS = 255.0
 _DEPTHS_BITS = (10, 12, 14, 16)
+_LEAST_BRIGHT = 2**9  # below it, a dark image of a usual sensor of 12 bits
+_BRIGHT_PERCENTILE = 99.5
+_GRID = 240  # rows or columns of pixels, at least, by which the brightness is measured
 _SHARPNESS_WIDTH = 320
 
 
@@ -114,13 +118,17 @@ class ImageProbe(Probe[ImageRule]):
             self._exposures.append(Exposure(time_ns, share * FULL_BRIGHTNESS, FULL_BRIGHTNESS, True))
             return share > 0
         colours = picture[..., :3]
-        mean, brightest = float(np.mean(colours)), float(np.max(colours))
+        step = max(1, min(colours.shape[:2]) // _GRID)
+        grid = colours[::step, ::step]
+        mean = float(np.mean(grid))
+        brightest = 0.0 if picture.dtype == np.uint8 else float(np.percentile(grid, _BRIGHT_PERCENTILE))
         self._exposures.append(Exposure(time_ns, mean, brightest, picture.dtype == np.uint8))
-        shows_motion = brightest > float(np.min(colours))
         if picture.dtype == np.uint8:
             shows_motion = self.rule.min_brightness <= mean <= self.rule.max_brightness
+        else:
+            shows_motion = bool((grid != grid[0, 0]).any())
         if self.rule.min_sharpness is not None and shows_motion:
-            self._sharpness.append((sharpness(_grey(colours, is_mosaic=encoding.startswith("bayer"))), time_ns))
+            self._sharpness.append((sharpness(colours, is_mosaic=encoding.startswith("bayer")), time_ns))
         return shows_motion
 
     def _compare(self, digest: int, time_ns: int, *, shows_motion: bool) -> None:
@@ -144,7 +152,8 @@ class ImageProbe(Probe[ImageRule]):
 
     def _brightness(self) -> list[tuple[float, int]]:
         brightest = max((item.brightest for item in self._exposures if not item.is_scaled), default=0)
-        full = next((2**bits - 1 for bits in _DEPTHS_BITS if brightest < 2**bits), max(1.0, brightest))
+        depths = _DEPTHS_BITS if brightest >= _LEAST_BRIGHT else _DEPTHS_BITS[1:]
+        full = next((2**bits - 1 for bits in depths if brightest < 2**bits), max(1.0, brightest))
         return [
             (item.mean if item.is_scaled else item.mean / full * FULL_BRIGHTNESS, item.time_ns)
             for item in self._exposures
@@ -204,14 +213,16 @@ class ImageProbe(Probe[ImageRule]):
         )
 
 
-def sharpness(grey: NDArray[np.float32]) -> float:
-    """Return the variance of the Laplacian of a picture [H, W], scaled to a width of 320 pixels if it is wider."""
-    from PIL import Image
+def sharpness(colours: NDArray[Any], *, is_mosaic: bool = False) -> float:
+    """Return the variance of the Laplacian of a picture [H, W, C], scaled to a width of 320 pixels if it is wider.
 
-    height, width = grey.shape
-    if width > _SHARPNESS_WIDTH:
-        size = _SHARPNESS_WIDTH, max(1, round(height * _SHARPNESS_WIDTH / width))
-        grey = np.asarray(Image.fromarray(grey).resize(size, Image.Resampling.BOX))
+    `is_mosaic`: the four pixels of a Bayer pattern are one.
+    """
+    height, width = colours.shape[:2]
+    if is_mosaic and min(height, width) > 1:
+        height, width = height // 2, width // 2
+        colours = colours[: 2 * height, : 2 * width].reshape(height, 2, width, 2, -1).mean(axis=(1, 3))
+    grey = _scaled(colours).astype(np.float32).mean(axis=2)
     if min(grey.shape) < 3:
         return 0.0
     centre = grey[1:-1, 1:-1]
@@ -219,13 +230,18 @@ def sharpness(grey: NDArray[np.float32]) -> float:
     return float(np.var(laplacian))
 
 
-def _grey(colours: NDArray[Any], *, is_mosaic: bool) -> NDArray[np.float32]:
-    """Return [H, W] of colours [H, W, C]; the four pixels of a Bayer pattern become one."""
-    grey: NDArray[np.float32] = colours.astype(np.float32).mean(axis=2)
-    if is_mosaic and min(grey.shape) > 1:
-        height, width = (size // 2 * 2 for size in grey.shape)
-        grey = grey[:height, :width].reshape(height // 2, 2, width // 2, 2).mean(axis=(1, 3))
-    return np.ascontiguousarray(grey, dtype=np.float32)
+def _scaled(colours: NDArray[Any]) -> NDArray[Any]:
+    """Return a picture [H, W, C] with the width for sharpness, if it is wider."""
+    from PIL import Image
+
+    height, width, channels = colours.shape
+    if width <= _SHARPNESS_WIDTH:
+        return colours
+    size = _SHARPNESS_WIDTH, max(1, round(height * _SHARPNESS_WIDTH / width))
+    if colours.dtype == np.uint8 and channels == 3:  # ten times faster than as floating-point numbers
+        return np.asarray(Image.fromarray(np.ascontiguousarray(colours)).resize(size, Image.Resampling.BOX))
+    planes = [Image.fromarray(np.ascontiguousarray(colours[..., n], dtype=np.float32)) for n in range(channels)]
+    return np.stack([np.asarray(plane.resize(size, Image.Resampling.BOX)) for plane in planes], axis=2)
 
 
 def _is_depth(encoding: str, picture: NDArray[Any]) -> bool:

@@ -16,7 +16,7 @@ from kleinkram.checks.content.point_clouds import PointCloudProbe
 from kleinkram.checks.content.positions import PositionProbe
 from kleinkram.checks.content.probe import FollowUp, RecordedTopic
 from kleinkram.checks.content.sample_reader import AnyProbe, SampleReader
-from kleinkram.checks.content.segment_plan import default_budget
+from kleinkram.checks.content.segment_plan import READ_WHOLE_MESSAGES, default_budget
 from kleinkram.checks.content.transforms import TransformProbe
 from kleinkram.checks.content.values import ValueProbe
 from kleinkram.checks.document import ImageRule
@@ -134,9 +134,10 @@ def run_checks(
     }
     total_bytes = sum(reader.size_bytes for reader in readers.values())
     budget = default_budget(total_bytes) if budget_bytes is None else budget_bytes
+    total_messages = sum(reader.message_count for reader in readers.values())
+    is_whole = total_bytes <= budget and total_messages <= READ_WHOLE_MESSAGES
     for name, reader in readers.items():
-        share = budget if total_bytes <= budget else budget * reader.size_bytes // max(1, total_bytes)
-        reader.read(probes[name], share)
+        reader.read(probes[name], None if is_whole else budget * reader.size_bytes // max(1, total_bytes))
     _follow_up(rules, readers)
     return [row for rule in rules for row in rule.checks()]
 

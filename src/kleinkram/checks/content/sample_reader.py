@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from kleinkram.checks.content.probe import Probe, RecordedTopic, SampledMessage
-from kleinkram.checks.content.segment_plan import SegmentVisit, nearest, plan_visits
+from kleinkram.checks.content.segment_plan import SegmentVisit, nearest, plan_visits, plan_whole
 from kleinkram.checks.document import Rule
 from kleinkram.recordings import RecordingError
 from kleinkram.recordings.formats.base import Segment
@@ -21,6 +21,8 @@ AnyProbe = Probe[Rule]
 _NOT_AMONG_SAMPLES = "none of its messages is in the parts that were read"
 _UNKNOWN_END_NS = 2**63 - 1
 _PAGE_BYTES, _MAX_SEARCH_BYTES = 4096, 2**30
+_SMALL_MESSAGE_BYTES = 200
+_AROUND = 250  # messages before and behind the samples of a topic in one segment that are measured, too
 
 
 class SampleReader:
@@ -36,6 +38,7 @@ class SampleReader:
         self._pair_gap_ns = pair_gap_ns
         self._segments: list[Segment] = []
         self._failure = ""
+        self._is_whole = False
         self._counts: dict[str, int] = defaultdict(int)
         try:
             self._segments = recording.segments(list(samples))
@@ -47,9 +50,21 @@ class SampleReader:
         """Bytes of all segments that hold one of the topics."""
         return sum(segment.size_bytes for segment in self._segments)
 
-    def read(self, probes: Mapping[str, Sequence[AnyProbe]], budget_bytes: int) -> None:
-        """Read the samples and pass them to the probes of their topics."""
-        visits = plan_visits(self._segments, self._samples, self._pair_gap_ns, budget_bytes)
+    @property
+    def message_count(self) -> int:
+        """Number of messages of the topics, as far as the index says; an estimate where it does not."""
+        counts = [self._recording.topic(topic).count for topic in self._samples]
+        if None not in counts:
+            return sum(count or 0 for count in counts)
+        return self._recording.message_count or self.size_bytes // _SMALL_MESSAGE_BYTES
+
+    def read(self, probes: Mapping[str, Sequence[AnyProbe]], budget_bytes: int | None) -> None:
+        """Read samples and pass them to the probes of their topics. `budget_bytes`: None to read all messages."""
+        self._is_whole = budget_bytes is None
+        if budget_bytes is None:
+            visits = plan_whole(self._segments, self._samples)
+        else:
+            visits = plan_visits(self._segments, self._samples, self._pair_gap_ns, budget_bytes)
         for visit in visits:
             self._read_visit(visit, list(self._samples), probes)
         missing = [topic for topic in self._samples if not self._counts[topic]]
@@ -64,16 +79,21 @@ class SampleReader:
     def read_near(self, topic: str, times_ns: Iterable[int], probe: AnyProbe) -> None:
         """Read the segments of a topic that are nearest to some log times, for one probe."""
         numbers = [n for n, part in enumerate(self._segments) if part.topics is None or topic in part.topics]
-        chosen = sorted({nearest(self._segments, numbers, time_ns) for time_ns in times_ns}) if numbers else []
-        for number in chosen:
-            self._read_visit(SegmentVisit(self._segments[number]), [topic], {topic: [probe]})
+        visits: dict[int, SegmentVisit] = {}
+        for time_ns in sorted(times_ns) if numbers else ():
+            number = nearest(self._segments, numbers, time_ns)
+            visits.setdefault(number, SegmentVisit(self._segments[number])).targets[topic].append(time_ns)
+        for _, visit in sorted(visits.items()):
+            self._read_visit(visit, [topic], {topic: [probe]})
 
     def _read_visit(self, visit: SegmentVisit, topics: list[str], probes: Mapping[str, Sequence[AnyProbe]]) -> None:
         picker = _Picker(visit)
         for block, is_last in self._blocks(visit.segment, topics):
-            picks = picker.pick(block, is_last=is_last)
+            picks, around = picker.pick(block, is_last=is_last)
             for number, message in enumerate(block):
                 self._counts[message.topic] += 1
+                if not self._is_whole and number not in around:
+                    continue
                 sample = SampledMessage(RecordedTopic(self.name, message.topic), message, is_picked=number in picks)
                 for probe in probes[message.topic]:
                     probe.add(sample)
@@ -128,23 +148,30 @@ class _Picker:
             topic: [min(max(time_ns, first_ns), last_ns) for time_ns in times] for topic, times in visit.targets.items()
         }
 
-    def pick(self, block: Sequence[RawMessage], *, is_last: bool) -> set[int]:
-        """Return which messages of a block are samples."""
+    def pick(self, block: Sequence[RawMessage], *, is_last: bool) -> tuple[set[int], set[int]]:
+        """Return which messages of a block are samples, and these with the messages around them."""
         places: dict[str, list[int]] = defaultdict(list)
         for number, message in enumerate(block):
-            if message.topic in self._targets:
-                places[message.topic].append(number)
+            places[message.topic].append(number)
         picks: set[int] = set()
+        around: set[int] = set()
         for topic, numbers in places.items():
             times = [block[number].log_time_ns for number in numbers]
-            targets = self._targets[topic]
-            if self._is_unbounded:  # the times are unknown: one of each block
-                due, self._targets[topic] = targets[:1], targets[1:]
-            else:
-                cut = len(targets) if is_last else bisect_left(targets, times[-1])
-                due, self._targets[topic] = targets[:cut], targets[cut:]
-            picks.update(numbers[_nearest_time(times, time_ns)] for time_ns in due)
-        return picks
+            picked = [_nearest_time(times, time_ns) for time_ns in self._due(topic, times[-1], is_last=is_last)]
+            picks.update(numbers[place] for place in picked)
+            reach = _AROUND // max(1, len(picked))
+            for place in picked or [len(numbers) // 2]:
+                around.update(numbers[max(0, place - reach) : place + reach + 1])
+        return picks, around
+
+    def _due(self, topic: str, last_ns: int, *, is_last: bool) -> list[int]:
+        """Return the target times that a block of the topic up to a time is the nearest to, and forget them."""
+        targets = self._targets.get(topic, [])
+        cut = len(targets) if is_last else bisect_left(targets, last_ns)
+        if self._is_unbounded:  # the times are unknown: one of each block
+            cut = 1
+        self._targets[topic] = targets[cut:]
+        return targets[:cut]
 
 
 def _nearest_time(times: Sequence[int], time_ns: int) -> int:

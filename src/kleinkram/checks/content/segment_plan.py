@@ -15,6 +15,9 @@ from kleinkram.recordings.formats.base import Segment
 READ_WHOLE_BYTES = 64 * 2**20
 """Bytes of recordings up to which all messages of the topics are read."""
 
+READ_WHOLE_MESSAGES = 150_000
+"""And messages up to which they are: to decode and measure one takes about 20 µs."""
+
 _MIN_BUDGET_BYTES, _BUDGET_SHARE = 32 * 2**20, 0.04
 _FEWEST, _FEWEST_PAIRS, _REDUCTION = 2, 4, 0.85
 
@@ -34,10 +37,20 @@ class SegmentVisit:
     targets: dict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
 
 
+def plan_whole(segments: Sequence[Segment], samples: Mapping[str, int]) -> list[SegmentVisit]:
+    """Return visits of all segments, with the times of the samples of each topic."""
+    visits = [SegmentVisit(segment) for segment in segments]
+    for topic, count in samples.items():
+        if numbers := _holding(segments, topic):
+            for time_ns in sample_times(*_span(segments, numbers), count, 0):
+                visits[nearest(segments, numbers, time_ns)].targets[topic].append(time_ns)
+    return visits
+
+
 def plan_visits(
     segments: Sequence[Segment], samples: Mapping[str, int], pair_gap_ns: int, budget_bytes: int
 ) -> list[SegmentVisit]:
-    """Return the segments to be read, in the order of time.
+    """Return the segments that are read for samples, in the order of time.
 
     Args:
         segments: those with the topics, by first time.
@@ -47,8 +60,6 @@ def plan_visits(
             samples are taken; at least two for each topic while the budget lasts.
     """
     candidates = {topic: _holding(segments, topic) for topic in samples}
-    if sum(segment.size_bytes for segment in segments) <= budget_bytes:
-        return _all_visits(segments, candidates, samples)
     share = 1.0
     while True:
         reduced = {topic: max(_FEWEST, int(count * share)) for topic, count in samples.items()}
@@ -95,17 +106,6 @@ def _holding(segments: Sequence[Segment], topic: str) -> list[int]:
 
 def _span(segments: Sequence[Segment], numbers: Sequence[int]) -> tuple[int, int]:
     return segments[numbers[0]].first_ns, max(segments[number].last_ns for number in numbers)
-
-
-def _all_visits(
-    segments: Sequence[Segment], candidates: Mapping[str, list[int]], samples: Mapping[str, int]
-) -> list[SegmentVisit]:
-    visits = [SegmentVisit(segment) for segment in segments]
-    for topic, numbers in candidates.items():
-        if numbers:
-            for time_ns in sample_times(*_span(segments, numbers), samples[topic], 0):
-                visits[nearest(segments, numbers, time_ns)].targets[topic].append(time_ns)
-    return visits
 
 
 def _chosen_visits(

@@ -1,0 +1,195 @@
+"""The checks and verdicts of missions on a server: `klein checks mission|matrix|trend`, `klein mission accept|note`."""
+
+from typing import Annotated
+
+from kleinkram.cli import options
+from kleinkram.cli.commands import Text, argument, flag, option
+from kleinkram.cli.render import Output, details, line, note, table
+from kleinkram.cli.units import instant
+from kleinkram.client import Client
+from kleinkram.client.errors import InvalidInput
+from kleinkram.contract.checks import (
+    CheckAcceptanceRead,
+    CheckMatrix,
+    CheckNoteRead,
+    CheckStatus,
+    CheckTrend,
+    MissionCheck,
+    MissionChecksRead,
+    TrendStep,
+    Verdict,
+)
+from kleinkram.contract.errors import NotFound
+from kleinkram.contract.missions import MissionRead
+
+NameArgument = Annotated[
+    Text, argument("MISSION", "Name or id of the mission.", autocompletion=options.complete_mission)
+]
+ProjectArgument = Annotated[
+    Text, argument("PROJECT", "Name or id of the project.", autocompletion=options.complete_project)
+]
+CheckOption = Annotated[Text, option("--check", "NAME", "The check, such as topic.gap.")]
+TopicOption = Annotated[Text, option("--topic -t", "TOPIC", "The topic of the check; by default all topics.")]
+_STATUSES = {
+    CheckStatus.error: "error",
+    CheckStatus.warning: "warning",
+    CheckStatus.not_made: "not made",
+    CheckStatus.ok: "ok",
+    CheckStatus.needs_content: "needs content",
+}
+
+
+def show_mission_checks(
+    client: Client,
+    name: NameArgument = None,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
+    all_: Annotated[
+        bool, flag("--all", "List the checks that passed, too, and acceptances and reports that no longer count.")
+    ] = False,
+) -> Output:
+    """Show the verdict of a mission, and the checks that failed."""
+    target = client.missions.get(options.the_ref("mission", name, mission), project=project)
+    result = client.checks.mission(target.id, history=all_)
+    return Output(result, lambda: _show_checks(target, result, list_all=all_))
+
+
+def show_matrix(
+    client: Client,
+    name: ProjectArgument = None,
+    project: options.ProjectOption = None,
+    limit: Annotated[int, option("--limit", "N", "Show at most N missions.")] = 100,
+) -> Output:
+    """Show the missions of a project, latest first, with the worst status of each check."""
+    target = client.projects.get(options.the_ref("project", name, project))
+    if limit < 1:
+        raise InvalidInput(what="--limit", reason="it is at least 1")
+    matrix = client.checks.matrix(target.id, limit=limit)
+    return Output(matrix, lambda: _show_matrix(matrix))
+
+
+def show_trend(
+    client: Client,
+    name: ProjectArgument = None,
+    project: options.ProjectOption = None,
+    by: Annotated[TrendStep, option("--by", None, "Count by day or week.")] = TrendStep.week,
+) -> Output:
+    """Count the missions of a project by verdict, by the day or week in which they were recorded."""
+    target = client.projects.get(options.the_ref("project", name, project))
+    trend = client.checks.trend(target.id, by=by)
+    return Output(trend, lambda: _show_trend(trend))
+
+
+def accept(
+    client: Client,
+    name: NameArgument = None,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
+    check: CheckOption = None,
+    topic: TopicOption = None,
+    because: Annotated[Text, option("--because", "TEXT", "The reason, for others.")] = None,
+    withdraw: Annotated[bool, flag("--withdraw", "Withdraw the acceptance: the check counts again.")] = False,
+) -> Output:
+    """Accept that a check of a mission fails: it no longer counts, until the files of the mission change."""
+    if check is None or (because is None) != withdraw:
+        raise InvalidInput(what="The command", reason="specify --check, and either --because or --withdraw")
+    target = client.missions.get(options.the_ref("mission", name, mission), project=project)
+    if because is not None:
+        made = client.checks.accept(target.id, check, because=because, topic=topic)
+        return Output(made, f"{_check_of(made)} of {target.name} no longer counts, until its files change.")
+    current = client.checks.mission(target.id).acceptances
+    accepted = next((one for one in current if (one.check, one.topic) == (check, topic)), None)
+    if accepted is None:
+        raise NotFound(resource_type="acceptance", ref=check if topic is None else f"{check} on {topic}")
+    ended = client.checks.withdraw(target.id, accepted.id)
+    return Output(ended, f"{_check_of(ended)} of {target.name} counts again.")
+
+
+def add_note(
+    client: Client,
+    name: NameArgument = None,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
+    check: CheckOption = None,
+    topic: TopicOption = None,
+    text: Annotated[Text, option("--text", "TEXT", "The note.")] = None,
+) -> Output:
+    """Add a note to a check of a mission."""
+    if check is None or text is None:
+        raise InvalidInput(what="The command", reason="specify --check and --text")
+    target = client.missions.get(options.the_ref("mission", name, mission), project=project)
+    made = client.checks.add_note(target.id, check, text, topic=topic)
+    return Output(made, f"Noted on {check} of {target.name}.")
+
+
+def verdict_text(mission: MissionRead) -> str:
+    """Return the verdict of a mission with the number of checks that failed, such as `bad (2 errors)`."""
+    counts = mission.checks
+    numbers = [(counts.error, "error"), (counts.warning, "warning"), (counts.not_made, "not made")]
+    texts = [f"{number} {noun}{'s' if number > 1 and noun != 'not made' else ''}" for number, noun in numbers if number]
+    texts += [f"{counts.accepted} accepted"] if counts.accepted else []
+    return f"{mission.verdict.value} ({', '.join(texts)})" if texts else mission.verdict.value
+
+
+def _show_checks(mission: MissionRead, result: MissionChecksRead, *, list_all: bool) -> None:
+    details(
+        [
+            ("mission", f"{mission.project.name}/{mission.name}"),
+            ("verdict", verdict_text(mission.model_copy(update={"verdict": result.verdict, "checks": result.counts}))),
+            ("bad since", result.bad_since),
+            ("evaluated", result.evaluated_at),
+            ("rules", f"version {result.checks_number}" if result.checks_number else None),
+            ("profiles", ", ".join(result.profiles_applied) or None),
+            *((f"not {one.name}", one.reason) for one in result.profiles_left_out),
+        ]
+    )
+    failed = (CheckStatus.error, CheckStatus.warning, CheckStatus.not_made)
+    shown = [check for check in result.checks if list_all or check.status in failed]
+    if shown:
+        line("")
+        table(["status", "check", "where", "message", "source"], map(_cells, shown))
+    if result.acceptances:
+        line("")
+        rows = [(_check_of(one), one.created_by.name, one.because, one.ended) for one in result.acceptances]
+        table(["accepted", "by", "because", "ended"], [(*row[:3], row[3].value if row[3] else None) for row in rows])
+    if result.notes:
+        line("")
+        table(["note on", "by", "text"], [(_check_of(one), one.created_by.name, one.text) for one in result.notes])
+    if not result.checks:
+        note(_why_unchecked(result))
+
+
+def _cells(check: MissionCheck) -> tuple[object, ...]:
+    status = f"{_STATUSES[check.status]} (accepted)" if check.acceptance_id else _STATUSES[check.status]
+    return status, check.name, check.topic or check.file, check.message, check.action or check.source.value
+
+
+def _why_unchecked(result: MissionChecksRead) -> str:
+    if result.verdict is Verdict.running:
+        return "The checks are being made."
+    if result.profiles_left_out:
+        return "No profile of the project's checks.yaml applies to this mission."
+    return "Nothing was checked; `klein checks set` sets the rules of a project."
+
+
+def _show_matrix(matrix: CheckMatrix) -> None:
+    rows = [
+        (
+            row.mission.name,
+            row.verdict.value,
+            instant(row.start_ns),
+            *(_STATUSES[row.cells[name]] if name in row.cells else None for name in matrix.checks),
+        )
+        for row in matrix.items
+    ]
+    table(["mission", "verdict", "start", *matrix.checks], rows)
+
+
+def _show_trend(trend: CheckTrend) -> None:
+    verdicts = [verdict for verdict in Verdict if any(verdict in bucket.verdicts for bucket in trend.buckets)]
+    rows = [(bucket.start, *(bucket.verdicts.get(verdict) for verdict in verdicts)) for bucket in trend.buckets]
+    table([trend.by.value, *(verdict.value for verdict in verdicts)], rows)
+
+
+def _check_of(one: CheckAcceptanceRead | CheckNoteRead) -> str:
+    return one.check if one.topic is None else f"{one.check} on {one.topic}"
