@@ -325,7 +325,10 @@ TimelineSize = Annotated[int, Field(ge=1, le=MAX_TIMELINE_FILES)]
 
 
 class TimelineFile(Response):
-    """When a file was recorded; `start_ns` and `end_ns` are null if it has no times, or was not read yet."""
+    """When a file was recorded; `start_ns` and `end_ns` are null if it has no times, or was not read yet.
+
+    `is_derived`: a run made it from other files.
+    """
 
     id: uuid.UUID
     path: str
@@ -335,6 +338,7 @@ class TimelineFile(Response):
     size_bytes: int
     content: ContentState
     state: BlobState
+    is_derived: bool = False
 
 
 class MissionTimeline(Response):

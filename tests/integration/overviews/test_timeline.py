@@ -17,8 +17,22 @@ def test_files_come_with_their_times_and_recordings(api: Api, sample: Sample) ->
     api.sql("UPDATE mission SET start_ns = %s, end_ns = %s WHERE id = %s", T0, T0 + 5, mission)
     result = api.get(f"/missions/{mission}/timeline").ok()
     assert (result["start_ns"], result["end_ns"], result["next"]) == (T0, T0 + 5, None)
-    bare = {"recording_id": None, "start_ns": None, "end_ns": None, "size_bytes": 100, "state": "stored"}
-    timed = {"recording_id": recording, "start_ns": T0, "end_ns": T0 + 5, "size_bytes": 7, "state": "stored"}
+    bare = {
+        "recording_id": None,
+        "start_ns": None,
+        "end_ns": None,
+        "size_bytes": 100,
+        "state": "stored",
+        "is_derived": False,
+    }
+    timed = {
+        "recording_id": recording,
+        "start_ns": T0,
+        "end_ns": T0 + 5,
+        "size_bytes": 7,
+        "state": "stored",
+        "is_derived": False,
+    }
     assert result["items"] == [
         {"id": other, "path": "a.yaml", "content": "opaque", **bare},
         {"id": first, "path": "b/one.mcap", "content": "indexed", **timed},

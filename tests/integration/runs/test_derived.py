@@ -66,6 +66,8 @@ def test_a_converted_recording_counts_once(lab: Api, runner: FakeRunner, bodies:
     assert files == {"drive.mcap": "upload", "mcap/drive.mcap": "run"}
     recordings = {row["name"]: row["is_derived"] for row in lab.all(f"/missions/{mission['id']}/recordings")}
     assert recordings == {"drive.mcap": False, "mcap/drive.mcap": True}
+    timeline = {file["path"]: file["is_derived"] for file in lab.all(f"/missions/{mission['id']}/timeline")}
+    assert timeline == {"drive.mcap": False, "mcap/drive.mcap": True}
     # While nothing is stored, the sums are added up from the files.
     lab.sql("UPDATE mission SET file_count = NULL, duration_ns = NULL WHERE id = %s", uuid.UUID(mission["id"]))
     lab.sql("DELETE FROM mission_topics WHERE mission_id = %s", uuid.UUID(mission["id"]))

@@ -57,6 +57,7 @@ export const keys = {
   missionGrants: (id: string) => ["access", "mission", id, "grants"],
   missionChecks: (id: string) => ["missions", "one", id, "checks"],
   projectChecks: (id: string) => ["projects", "one", id, "checks"],
+  projectActions: (id: string) => ["projects", "one", id, "actions"],
   missionAccess: (id: string) => ["access", "mission", id, "who"],
   recordings: (missionId: string) => ["missions", "one", missionId, "recordings"],
   uploads: (missionId: string) => ["missions", "one", missionId, "uploads"],

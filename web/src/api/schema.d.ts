@@ -7114,6 +7114,8 @@ export interface components {
         /**
          * TimelineFile
          * @description When a file was recorded; `start_ns` and `end_ns` are null if it has no times, or was not read yet.
+         *
+         *     `is_derived`: a run made it from other files.
          */
         TimelineFile: {
             content: components["schemas"]["ContentState"];
@@ -7124,6 +7126,11 @@ export interface components {
              * Format: uuid
              */
             id: string;
+            /**
+             * Is Derived
+             * @default false
+             */
+            is_derived: boolean;
             /** Path */
             path: string;
             /** Recording Id */

@@ -184,3 +184,32 @@ profiles:
 export const projectTexts = {
   parts: { label: "Views of the checks", missions: "Missions", rules: "Rules", actions: "Actions" },
 } as const;
+
+export const projectActionTexts = {
+  why: "These actions run by themselves, once on each mission that is due from now on, and again only when asked. Their results count in the verdicts.",
+  readOnly: "Only people who can edit the project can add or remove actions.",
+  none: "No actions yet",
+  noneWhy: "An action can check what rules cannot, such as odometry against a reference.",
+  command: "klein project actions add ACTION -p PROJECT --on complete",
+  runs: { complete: "Runs when a mission is marked as complete.", idle: "Runs when the files of a mission have not changed for some time." },
+  runsIdle: (time: string) => `Runs when the files of a mission have not changed for ${time}.`,
+  actsFor: (name: string) => `Acts for ${name}`,
+  actsForYou: "Its runs act for you, with your rights. Without them it no longer runs.",
+  problem: (missions: number) => `Did not run on ${counted(missions, "mission")}:`,
+  addTitle: "Add an action",
+  add: "Add action",
+  added: (name: string) => `${name} added.`,
+  action: "Action",
+  choose: "Choose an action",
+  chooseOne: "Choose an action.",
+  when: "Runs",
+  triggers: { complete: "When a mission is marked as complete", idle: "When the files have not changed for some time" },
+  idle: "Time without changes",
+  minutes: "minutes",
+  idleHint: "Of all files of the mission, with no upload under way.",
+  idleWrong: "Enter a number of minutes, at most 30 days.",
+  remove: (name: string) => `Remove ${name}`,
+  removeTitle: (name: string) => `Remove ${name}?`,
+  removeWhy: "It no longer runs by itself, and its results no longer count. Its runs stay.",
+  removeIt: "Remove",
+} as const;

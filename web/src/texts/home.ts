@@ -37,6 +37,9 @@ export const texts = {
   moreFiles: (count: number) => `and ${counted(count, "file")} more`,
   progress: (mission: string) => `Upload progress for ${mission}`,
 
+  failedChecks: (count: number) => `${counted(count, "mission")} failed checks since Monday`,
+  allBad: "All bad missions",
+
   attention: "Needs attention",
   nothingNeeds: "Nothing needs attention.",
   kind: (kind: AttentionKind, count: number) => kinds[kind](count),

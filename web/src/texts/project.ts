@@ -42,6 +42,7 @@ export const texts = {
     views: "Show missions as",
     name: "Mission",
     verdict: "Checks",
+    allVerdicts: "All verdicts",
     recorded: "Recorded",
     span: "Span",
     files: "Files",
@@ -87,6 +88,7 @@ export const texts = {
   },
 
   stats: {
+    withoutDerived: "Without derived files, which runs made from recordings.",
     by: "Group by",
     month: "Month of recording",
     measure: "Show",

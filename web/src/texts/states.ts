@@ -15,6 +15,9 @@ export const contentTexts: Readonly<Record<ContentState, Named>> = {
   error: { label: "Read error", why: "The server failed to read this file and will retry." },
 };
 
+/** The mark of files that runs made. */
+export const derivedText: Named = { label: "Derived", why: "A run made this from other files. It is not in the recorded time, messages, or statistics." };
+
 export const blobTexts: Readonly<Record<BlobState, Named>> = {
   stored: { label: "Stored", why: "The store verified its checksum during the upload." },
   verified: { label: "Verified", why: "The server has read every byte and computed its checksums." },

@@ -35,7 +35,7 @@ def mission_span(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
 
 def timeline_files(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
     """Return the visible files of one mission, as `to_timeline_file` reads them."""
-    columns = (file.c.id, file.c.path, file.c.recording_id)
+    columns = (file.c.id, file.c.path, file.c.recording_id, file.c.origin)
     known = (blob.c.start_ns, blob.c.end_ns, blob.c.size_bytes, blob.c.content, blob.c.state)
     stmt = visible_files(actor).with_only_columns(*columns, *known, maintain_column_froms=True)
     return stmt.where(mission.c.id == mission_id)
@@ -52,6 +52,7 @@ def to_timeline_file(row: Row[Any]) -> TimelineFile:
         size_bytes=row.size_bytes,
         content=row.content,
         state=row.state,
+        is_derived=row.origin == "run",
     )
 
 

@@ -10,7 +10,7 @@ const S = 1e9;
 
 function file(path: string, from: number | null = null, to: number | null = null, more: Partial<TimelineFile> = {}): TimelineFile {
   const [start_ns, end_ns] = [from === null ? null : from * S, to === null ? null : to * S];
-  return { id: `id of ${path}`, path, recording_id: null, start_ns, end_ns, size_bytes: 10, content: "indexed", state: "verified", ...more };
+  return { id: `id of ${path}`, path, recording_id: null, start_ns, end_ns, size_bytes: 10, content: "indexed", state: "verified", is_derived: false, ...more };
 }
 
 const bag = { id: "r", name: "drive", file_ids: ["1", "2"], content: "recovered" } as unknown as Recording;
