@@ -19,7 +19,7 @@ from sqlalchemy.dialects.postgresql import insert
 from kleinkram.checks.document import ChecksDocument
 from kleinkram.checks.results import CheckResults, evaluate_index
 from kleinkram.contract.audit import ChangeKind
-from kleinkram.contract.checks import AcceptanceEnd, Check, CheckDepth, CheckStatus, Verdict
+from kleinkram.contract.checks import AcceptanceEnd, Check, CheckDepth, CheckStatus, MissionCheck, Verdict
 from kleinkram.contract.errors import YamlInvalid
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.checks.action_checks import checks_of_result
@@ -39,6 +39,7 @@ from kleinkram.server.runs.project_results import ActionResult, ResultState, pro
 from kleinkram.server.tables import check_acceptance, check_report, mission_checks
 
 _CHECKS = TypeAdapter(list[Check])
+_MISSION_CHECKS = TypeAdapter(list[MissionCheck])
 _STORED_BATCH = 100
 
 
@@ -224,7 +225,7 @@ def _values(judgement: _Judgement) -> dict[str, Any]:
         "checks_number": judged.checks_number,
         "is_outdated": False,
         "counts": combined.counts,
-        "checks": _CHECKS.dump_python(combined.checks, mode="json", exclude_defaults=True),
+        "checks": _MISSION_CHECKS.dump_python(combined.checks, mode="json", exclude_defaults=True),
         "statuses": {name: status.value for name, status in combined.statuses.items()},
         "profiles_applied": [*results.profiles_applied] if results else [],
         "profiles_left_out": [{"name": one.name, "reason": one.reason} for one in left_out],
