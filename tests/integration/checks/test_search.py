@@ -119,7 +119,7 @@ def test_the_matrix_has_the_worst_status_of_each_check(api: Api, missions: dict[
     assert rows[missions["warnings"]]["cells"]["topic.missing"] == "warning"
     assert {one["verdict"] for one in matrix["items"]} == {"good", "bad", "warnings", "outdated"}
     pages: list[Any] = []
-    cursor = {}
+    cursor: dict[str, str] = {}
     while True:
         page = api.get(path, {"limit": "1", **cursor}).ok()
         pages += page["items"]
