@@ -145,6 +145,7 @@ async def set_archived(
         await db.execute(update(action).where(action.c.id == action_id).values(**values))
     except IntegrityError as error:
         raise NameTaken(resource_type="action", name=old.name) from error
+    await _outdate_verdicts(db, action_id)  # an archived action does not count
     made = await get_action(db, actor, action_id)
     await audit(db, actor, _event("action.archive" if archived else "action.restore", made))
     return made
