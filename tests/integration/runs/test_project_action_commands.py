@@ -60,8 +60,8 @@ def test_an_action_is_added_listed_and_removed_by_its_name(
     lab: Api, klein: Klein, action: Any, runner: FakeRunner, place: Place
 ) -> None:
     project, name = place.project["name"], action["name"]
-    said = klein("add", name, "-p", project, "--set", "rate=20", "--set", "side=right", as_json=False)
-    assert f"{name}@1 runs by itself in {project}: when a mission is marked complete." in " ".join(said.split())
+    output = klein("add", name, "-p", project, "--set", "rate=20", "--set", "side=right", as_json=False)
+    assert f"{name}@1 runs by itself in {project}: when a mission is marked complete." in " ".join(output.split())
     (listed,) = klein("list", "-p", project)
     assert (listed["action"]["id"], listed["on"], listed["idle_s"]) == (action["id"], "complete", None)
     assert listed["parameters"] == {"rate": 20.0, "side": "right"}
@@ -73,8 +73,8 @@ def test_an_action_is_added_listed_and_removed_by_its_name(
     (made,) = runs(lab, place.mission)
     assert made["action"]["id"] == action["id"]
     assert runner.claim()["parameters"] == {"rate": 20.0, "side": "right"}
-    said = klein("remove", name, "-p", project, as_json=False)
-    assert f"{name} no longer runs by itself in {project}." in " ".join(said.split())
+    output = klein("remove", name, "-p", project, as_json=False)
+    assert f"{name} no longer runs by itself in {project}." in " ".join(output.split())
     assert klein("list", "-p", project) == []
     assert "Nothing found" in klein("list", "-p", project, as_json=False)
     assert [run["id"] for run in runs(lab, place.mission)] == [made["id"]], "its runs stay"

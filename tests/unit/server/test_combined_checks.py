@@ -98,7 +98,7 @@ def test_checks_that_read_messages_are_known_by_name(name: str, expected: bool) 
     assert reads_content(name) is expected
 
 
-def test_of_a_report_only_what_the_index_cannot_tell_counts() -> None:
+def test_of_a_report_only_checks_of_content_count() -> None:
     # Else an uploader's old index would outweigh what the server sees.
     sources = Sources(
         index=[made("topic.rate", ERROR), made("clock.jump", OK), made("image.black", NEEDS_CONTENT)],
