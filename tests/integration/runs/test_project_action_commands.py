@@ -231,17 +231,3 @@ def test_the_list_says_why_an_action_did_not_run(lab: Api, klein: Klein, runner:
     assert listed["problem_count"] == 1
     assert listed["problem"]
     assert listed["problem"] in klein("list", "-p", place.project["name"], as_json=False)
-
-
-def test_an_archived_action_counts_for_no_verdict(lab: Api, klein: Klein, runner: FakeRunner, place: Place) -> None:
-    action = publish(lab, runner, place.project)
-    klein("add", action["name"], "-p", place.project["name"])
-    run_jobs(lab)
-    complete(lab, place.mission)
-    run_jobs(lab)
-    finding = {"severity": "error", "code": "topic.gap", "message": "2 s without a message"}
-    runner.finish(runner.claim(), report={"findings": [finding]}, image_digest="sha256:stock").ok()
-    for archived, expected in ((False, "bad"), (True, "unchecked"), (False, "bad")):
-        lab.patch(f"/actions/{action['id']}", {"archived": archived}).ok()
-        run_jobs(lab)
-        assert lab.get(f"/missions/{place.mission['id']}").ok()["verdict"] == expected

@@ -132,6 +132,19 @@ def test_a_report_by_other_rules_does_not_count(content: bool) -> None:
     assert not is_content_outdated(Sources(index=index[:1], reports=[old])), "nothing asks for content any more"
 
 
+def test_what_a_report_lacks_of_the_checks_of_content_is_still_to_be_made() -> None:
+    # The profiles that apply to a mission may have changed with its metadata, not with the rules.
+    index = [made("image.black", NEEDS_CONTENT, "/left"), made("imu.tilt", NEEDS_CONTENT)]
+    sources = Sources(index=index, reports=[report(made("image.black", OK, "/left"))])
+    assert is_content_outdated(sources)
+    assert outcomes(combine(sources)) == [
+        ("image.black", OK, CheckSource.report),
+        ("imu.tilt", NEEDS_CONTENT, CheckSource.server),
+    ]
+    too_long = report(made("image.black", OK, "/left"), made(LEFT_OUT, OK))
+    assert not is_content_outdated(Sources(index=index, reports=[too_long])), "it may have been left out of the list"
+
+
 def test_without_rules_of_the_project_a_whole_report_counts() -> None:
     reports = [report(made("topic.rate", ERROR), content=False), report(made("topic.rate", OK), made("imu.tilt", OK))]
     assert outcomes(combine(Sources(reports=reports))) == [

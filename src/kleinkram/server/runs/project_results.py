@@ -39,6 +39,7 @@ from kleinkram.server.tables.runs import ACTIVE
 
 # Sees the files of all missions, for jobs that act for nobody.
 _SERVER = Actor(None, "the server", None, None, is_admin=True)
+_ENDED = frozenset((RunState.done.value, RunState.failed.value))
 
 
 class ResultState(str, enum.Enum):
@@ -61,6 +62,7 @@ class ActionResult:
     Attributes:
         version: the latest one of the action.
         run_id: the run with this state; None for `missing`.
+        is_running: a run that would count has not ended. An earlier one that has ended counts until then.
         message: how the run ended.
         findings: warnings and errors.
     """
@@ -71,6 +73,7 @@ class ActionResult:
     version: int
     state: ResultState
     run_id: uuid.UUID | None = None
+    is_running: bool = False
     message: str = ""
     verdict: Verdict | None = None
     checks: Sequence[Check] = ()
@@ -123,12 +126,15 @@ def _result(
         return replace(missing, state=ResultState.failed, message=str(error))
     fingerprint = inputs_fingerprint(named.version_id, parameters, inputs)
     current = [row for row in runs if row.inputs_fingerprint == fingerprint]
-    counting = next((row for row in current if row.state != RunState.cancelled.value), None)
+    running = next((row for row in current if row.state in ACTIVE), None)
+    counting = next((row for row in current if row.state in _ENDED), None)
     if counting is not None:
-        state = ResultState.running if counting.state in ACTIVE else ResultState(counting.state)
         verdict = None if counting.verdict is None else Verdict(counting.verdict)
-        return replace(missing, state=state, run_id=counting.id, message=counting.message, verdict=verdict)
-    earlier = next((row for row in runs if row.state in {RunState.done.value, RunState.failed.value}), None)
+        result = replace(missing, state=ResultState(counting.state), run_id=counting.id, message=counting.message)
+        return replace(result, is_running=running is not None, verdict=verdict)
+    if running is not None:
+        return replace(missing, state=ResultState.running, run_id=running.id, is_running=True)
+    earlier = next((row for row in runs if row.state in _ENDED), None)
     if earlier is not None:
         return replace(missing, state=ResultState.outdated, run_id=earlier.id)
     return missing
