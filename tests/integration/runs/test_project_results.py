@@ -6,15 +6,17 @@ from typing import Any
 
 from sqlalchemy import text
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.project_actions import ProjectActionAdd, RunTrigger
 from kleinkram.server.access.actor import find_person
 from kleinkram.server.checks.judge import judge_missions
 from kleinkram.server.context import AppContext
 from kleinkram.server.runs import project_actions
+from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.jobs import on_site, run_jobs
 from tests.integration.runs.conftest import FakeRunner, Place
-from tests.integration.runs.test_automatic_runs import add, complete, publish, runs
+from tests.integration.runs.test_automatic_runs import add, complete, maintain, publish, runs
 from tests.integration.upload_client import upload
 
 GAP = {"severity": "error", "code": "topic.gap", "message": "2 s without a message", "topic": "/imu"}
@@ -102,6 +104,24 @@ def test_a_bad_mission_stays_bad_while_the_action_runs_again(lab: Api, runner: F
     finish(runner, findings=[GAP])
     lab.post("/runs", {"mission_ids": [place.mission["id"]], "action_id": action["id"], "force": True}).ok()
     assert verdict(lab, place.mission) == ("bad", {"topic.gap": "error", "results.verdict": "ok"})
+
+
+def test_an_action_that_could_not_start_is_a_check_that_was_not_made(
+    lab: Api, runner: FakeRunner, place: Place
+) -> None:
+    run_jobs(lab)
+    action = publish(lab, runner, place.project)
+    member = people.person(lab)
+    people.grant(lab, member, Right.write, project_id=place.project["id"])
+    add(lab.as_(member.token), place.project, action, on="idle", idle_s=60)
+    lab.sql("UPDATE project_action SET created_at = created_at - interval '1 day'")
+    lab.sql("UPDATE file SET created_at = created_at - interval '1 hour'")
+    memberships = "SELECT group_id FROM membership WHERE person_id = %s"
+    lab.sql(f"DELETE FROM access_grant WHERE group_id IN ({memberships})", uuid.UUID(member.id))
+    maintain(lab)
+    assert verdict(lab, place.mission) == ("warnings", {"results.missing": "not_made"})
+    (check,) = lab.get(f"/missions/{place.mission['id']}/checks").ok()["checks"]
+    assert check["message"].startswith(f"{action['name']}@1 has not run on these files: {member.name}")
 
 
 def test_an_archived_action_does_not_count_until_it_is_restored(lab: Api, runner: FakeRunner, place: Place) -> None:
