@@ -286,7 +286,7 @@ def test_lists_by_label_name_the_visible_missions_up_to_the_limit_of_searches(
     ):
         with api.statements() as statements:
             assert sorted(_ids(theirs.all("/files", {"project_id": crowd, **query}))) == sorted(result)
-        listed = [entry for entry in statements if "JOIN mission" in entry and "FROM file" in entry]
+        listed = [entry for entry in statements if "JOIN mission ON" in entry and "FROM file" in entry]
         assert listed, query
         assert {"file.mission_id = ANY" in entry for entry in listed} == {is_named}, query
 
@@ -294,7 +294,7 @@ def test_lists_by_label_name_the_visible_missions_up_to_the_limit_of_searches(
     by_label = {"project_id": crowd, "label": "night"}
     with api.statements() as statements:
         assert sorted(_ids(theirs.all("/files", {**by_label, "sort": "created"}))) == sorted(ids[1::2])
-    listed = [entry for entry in statements if "JOIN mission" in entry and "FROM file" in entry]
+    listed = [entry for entry in statements if "JOIN mission ON" in entry and "FROM file" in entry]
     assert {"file.mission_id = ANY" in entry for entry in listed} == {False}
 
 
@@ -353,7 +353,7 @@ def _statements_naming_missions(api: Api, token: str) -> list[bool]:
         api.as_(token).get("/search", {"query": ""}).ok()
         api.as_(token).get("/search/facets", {"query": ""}).ok()
     return [
-        "file.mission_id = ANY" in entry for entry in statements if "JOIN mission" in entry and "FROM file" in entry
+        "file.mission_id = ANY" in entry for entry in statements if "JOIN mission ON" in entry and "FROM file" in entry
     ]
 
 
