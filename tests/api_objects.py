@@ -54,7 +54,9 @@ def link_to(file: FileRead, *, sha256: str | None, crc64nvme: str | None = None)
 
 def mission_read(name: str, *, project: str = "alps") -> MissionRead:
     """A mission without files."""
-    fields: dict[str, object] = dict.fromkeys(MissionRead.model_fields)
+    fields: dict[str, object] = dict.fromkeys(
+        name for name, field in MissionRead.model_fields.items() if field.is_required()
+    )
     fields |= dict.fromkeys(("file_count", "size_bytes", "message_count", "pending_file_count"), 0)
     fields |= {
         "etag": "0" * 16,

@@ -141,7 +141,9 @@ def _put(folder: Path, path: str, content: Path | bytes) -> FileRead:
 
 
 def _mission(metadata: Metadata) -> MissionRead:
-    fields: dict[str, object] = dict.fromkeys(MissionRead.model_fields.keys() - {"etag"})
+    fields: dict[str, object] = dict.fromkeys(
+        name for name, field in MissionRead.model_fields.items() if field.is_required()
+    )
     fields |= {**_MISSION.model_dump(), "metadata": metadata, "metadata_problems": [], "notes": "", "right": Right.read}
     fields |= {"created_at": _CREATED_AT, "created_by": _NOBODY, "recordings_current": False}
     fields |= dict.fromkeys(("file_count", "size_bytes", "message_count", "pending_file_count"), 0)

@@ -1,6 +1,6 @@
 """Outcomes of checks: rows, their order and number, and quantities as text."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import NamedTuple, Protocol
 
@@ -64,6 +64,10 @@ LEFT_OUT = "checks.left_out"
 """Name of the row that says how many checks are not listed."""
 
 
+MAX_MADE = 20 * MAX_CHECKS
+"""Of one mission: with a thousand rules for `*`, a mission of many topics would take hours."""
+
+
 class CollectedChecks(NamedTuple):
     """Checks, worst first, at most `MAX_CHECKS`; `counts` also has those that are not listed."""
 
@@ -75,10 +79,11 @@ def collect(checks: Iterable[Check], *, limit: int = MAX_CHECKS) -> CollectedChe
     """Return checks worst first, each once, in their order within a status; holds `limit` of each status at most.
 
     Of more than `limit`, the last row says how many are left out: not made if checks that failed are among them.
+    After `MAX_MADE`, no more are made, and a row says so.
     """
     by_status: dict[CheckStatus, dict[Check, None]] = {status: {} for status in WORST_FIRST}
     counts = dict.fromkeys(WORST_FIRST, 0)
-    for check in checks:
+    for check in _up_to_limit(checks):
         listed = by_status[check.status]
         if check in listed:
             continue
@@ -94,6 +99,15 @@ def collect(checks: Iterable[Check], *, limit: int = MAX_CHECKS) -> CollectedChe
         ordered.append(make_check(LEFT_OUT, status, f"{total - limit + 1} more checks are not listed"))
         counts[status] += 1
     return CollectedChecks(ordered, counts)
+
+
+def _up_to_limit(checks: Iterable[Check]) -> Iterator[Check]:
+    for number, check in enumerate(checks):
+        if number == MAX_MADE:
+            message = f"the rules ask for more than {MAX_MADE:,} checks of this mission; the others were not made"
+            yield make_check(LEFT_OUT, CheckStatus.not_made, message)
+            return
+        yield check
 
 
 def storable(text: str) -> str:

@@ -73,10 +73,14 @@ def _required(project: Text) -> str:
 
 
 def _seconds(text: str) -> int:
+    what = f"The time {text!r}"
     try:
-        return max(1, read_duration(text) // _NS)
+        seconds = read_duration(text) // _NS
     except ValueError as error:
-        raise InvalidInput(what=f"The time {text!r}", reason=str(error)) from None
+        raise InvalidInput(what=what, reason=str(error)) from None
+    if seconds < 1:
+        raise InvalidInput(what=what, reason="it must be at least 1 s")
+    return seconds
 
 
 def _when(row: ProjectActionRead) -> str:

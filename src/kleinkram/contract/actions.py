@@ -89,14 +89,17 @@ class Parameter(Request):
     def read(self, text: str) -> ParameterValue:
         """Parse a value, as on a command line. Raises ValueError."""
         type_name, _ = _PYTHON_TYPES[self.type]
+        value: ParameterValue = text
         try:
             if self.type is ParameterType.boolean:
-                return self.check({"true": True, "false": False}[text.lower()])
-            if self.type is ParameterType.integer:
-                return self.check(int(text))
-            return self.check(float(text) if self.type is ParameterType.number else text)
-        except KeyError:
+                value = {"true": True, "false": False}[text.lower()]
+            elif self.type is ParameterType.integer:
+                value = int(text)
+            elif self.type is ParameterType.number:
+                value = float(text)
+        except (KeyError, ValueError):
             raise ValueError(f"{self.name!r} is {type_name}, not {text!r}") from None
+        return self.check(value)
 
 
 _PYTHON_TYPES: dict[ParameterType, tuple[str, tuple[type, ...]]] = {

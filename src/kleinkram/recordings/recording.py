@@ -131,6 +131,11 @@ class Recording:
                     raise
         return self._problem_log.all(self._summary_problems or ())
 
+    @property
+    def damage(self) -> tuple[Problem, ...]:
+        """The damaged parts that were met so far: they were left out, or only partly read. Reads nothing."""
+        return tuple(problem for problem in self._problem_log.all() if problem.code in _DAMAGED)
+
     def raw_messages(
         self, topics: Topics | None = None, *, start: Time | None = None, end: Time | None = None
     ) -> Iterator[RawMessage]:
@@ -306,6 +311,9 @@ class Recording:
         except Malformed as error:
             self._problem_log.add("damaged-message", message.topic, f"left out: {error.message}")
             return None
+
+
+_DAMAGED = frozenset(("damaged", "damaged-message"))
 
 
 def _span(start: Time | None, end: Time | None) -> tuple[int, int]:

@@ -43,19 +43,25 @@ SLOW = (topic("/imu", rate_hz=50), topic("/camera", rate_hz=10))
 
 def put_file(api: Api, mission_id: str, path: str, topics: tuple[dict[str, Any], ...], **columns: Any) -> str:
     """Put a recording of these topics into a mission, and have its recordings derived; returns the file's id."""
-    span = {"start_ns": START_NS, "end_ns": START_NS + 10 * SECOND_NS}
-    count = sum(one["count"] for one in topics)
-    file_id = Sample(api).file(mission_id, path, topics=[*topics], message_count=count, **{**span, **columns})
+    file_id = put_underived_file(api, mission_id, path, topics, **columns)
     derive(api, mission_id)
     return file_id
 
 
-def derive(api: Api, mission_id: str) -> None:
-    """Request that recordings are derived, as every change of files does."""
+def put_underived_file(api: Api, mission_id: str, path: str, topics: tuple[dict[str, Any], ...], **columns: Any) -> str:
+    """Put a recording of these topics into a mission; returns the file's id."""
+    span = {"start_ns": START_NS, "end_ns": START_NS + 10 * SECOND_NS}
+    count = sum(one["count"] for one in topics)
+    return Sample(api).file(mission_id, path, topics=[*topics], message_count=count, **{**span, **columns})
+
+
+def derive(api: Api, *mission_ids: str) -> None:
+    """Request that the recordings of missions are derived, as every change of files does."""
 
     async def request(context: AppContext) -> None:
         async with context.database.begin() as db:
-            await derive_again(db, uuid.UUID(mission_id))
+            for mission_id in mission_ids:
+                await derive_again(db, uuid.UUID(mission_id))
 
     on_site(api, request)
 

@@ -24,6 +24,7 @@ from tests.integration.jobs import run_jobs
 
 _IMAGES = RULES + "    images: {/camera: {}}\n"
 _BLACK = {"name": "image.black", "status": "error", "message": "All pictures are black.", "topic": "/camera"}
+_LIGHT = [{**_BLACK, "name": f"image.{name}", "status": "ok"} for name in ("overexposed", "frozen")]
 _RATE = {"name": "topic.rate", "status": "ok", "message": "The rate is 100 Hz.", "topic": "/imu"}
 
 
@@ -121,8 +122,8 @@ def test_a_report_of_an_uploader_adds_the_checks_of_content(api: Api) -> None:
     mission_id = judged_mission(api, checked_project(api, _IMAGES), *GOOD)
     assert verdict(api, mission_id) == "good"
     assert api.get(f"/missions/{mission_id}").ok()["checks"]["needs_content"] > 0
-    report = _report(api, mission_id, _rules_hash(api, mission_id), _BLACK, _RATE).ok(201)
-    assert (report["is_current"], report["verdict"], report["check_count"]) == (True, "bad", 2)
+    report = _report(api, mission_id, _rules_hash(api, mission_id), _BLACK, *_LIGHT, _RATE).ok(201)
+    assert (report["is_current"], report["verdict"], report["check_count"]) == (True, "bad", 4)
     run_jobs(api)
     assert failing(api, mission_id) == [("image.black", "error", "/camera")]
     checks = api.get(f"/missions/{mission_id}/checks").ok()["checks"]
@@ -170,9 +171,37 @@ def test_content_that_was_checked_by_earlier_rules_only_is_outdated(api: Api) ->
     set_rules(api, project_id, _IMAGES.replace("100ms", "200ms")).ok()
     run_jobs(api)
     assert verdict(api, mission_id) == "outdated"
-    _report(api, mission_id, _rules_hash(api, mission_id), {**_BLACK, "status": "ok"}).ok(201)
+    passed = {**_BLACK, "status": "ok"}
+    _report(api, mission_id, _rules_hash(api, mission_id), passed, *_LIGHT).ok(201)
     run_jobs(api)
     assert verdict(api, mission_id) == "good"
+
+
+def test_content_that_was_checked_by_other_profiles_is_outdated(api: Api) -> None:
+    project_id = checked_project(api, RULES + "  - name: night\n    when: {night: true}\n    images: {/camera: {}}\n")
+    mission_id = judged_mission(api, project_id, *GOOD)
+    _report(api, mission_id, _rules_hash(api, mission_id), _RATE).ok(201)
+    run_jobs(api)
+    assert verdict(api, mission_id) == "good"
+    api.patch(f"/missions/{mission_id}", {"metadata": {"night": True}}).ok()
+    run_jobs(api)
+    assert verdict(api, mission_id) == "outdated"
+    assert api.get(f"/missions/{mission_id}").ok()["checks"]["needs_content"] == 3
+
+
+def test_a_check_of_earlier_files_cannot_be_accepted(api: Api, bad_id: str) -> None:
+    put_file(api, bad_id, "more.mcap", (topic("/other"),))
+    problem = _accept(api, bad_id, topic="/imu").refused(422, "invalid_request")
+    assert "wait for its new checks" in str(problem)
+    run_jobs(api)
+    _accept(api, bad_id, topic="/imu").ok(201)
+
+
+def test_the_latest_reports_of_a_mission_stay(api: Api) -> None:
+    mission_id = judged_mission(api, str(api.project()["id"]), *GOOD)
+    made = [_report(api, mission_id, f"{number:064x}", _RATE).ok(201)["id"] for number in range(22)]
+    listed = api.get(f"/missions/{mission_id}/checks", {"all": "true"}).ok()["reports"]
+    assert [one["id"] for one in listed] == made[:1:-1]
 
 
 def test_without_rules_of_the_project_the_report_is_the_verdict(api: Api) -> None:

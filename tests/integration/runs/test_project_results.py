@@ -1,11 +1,22 @@
 """Results of the actions that a project names, and the verdicts that they make."""
 
+import asyncio
+import uuid
 from typing import Any
 
+from sqlalchemy import text
+
+from kleinkram.contract.access import Right
+from kleinkram.contract.project_actions import ProjectActionAdd, RunTrigger
+from kleinkram.server.access.actor import find_person
+from kleinkram.server.checks.judge import judge_missions
+from kleinkram.server.context import AppContext
+from kleinkram.server.runs import project_actions
+from tests.integration import people
 from tests.integration.api_server import Api
-from tests.integration.jobs import run_jobs
+from tests.integration.jobs import on_site, run_jobs
 from tests.integration.runs.conftest import FakeRunner, Place
-from tests.integration.runs.test_automatic_runs import add, complete, publish, runs
+from tests.integration.runs.test_automatic_runs import add, complete, maintain, publish, runs
 from tests.integration.upload_client import upload
 
 GAP = {"severity": "error", "code": "topic.gap", "message": "2 s without a message", "topic": "/imu"}
@@ -57,6 +68,7 @@ def test_the_latest_result_on_the_present_files_makes_the_verdict(lab: Api, runn
     assert verdict(lab, place.mission) == ("good", {"results.verdict": "ok"})
 
     lab.post("/runs", body | {"force": True}).ok()
+    assert verdict(lab, place.mission) == ("running", {"results.verdict": "ok"})
     finish(runner, "exit_code")
     assert verdict(lab, place.mission) == ("warnings", {"results.failed": "not_made"})
 
@@ -81,3 +93,81 @@ def test_an_action_without_inputs_in_a_mission_is_left_out(lab: Api, runner: Fak
     add(lab, place.project, publish(lab, runner, place.project, inputs={"paths": ["*.mcap"]}))
     complete(lab, place.mission)
     assert verdict(lab, place.mission) == ("unchecked", {})
+
+
+def test_a_bad_mission_stays_bad_while_the_action_runs_again(lab: Api, runner: FakeRunner, place: Place) -> None:
+    run_jobs(lab)
+    action = publish(lab, runner, place.project)
+    add(lab, place.project, action)
+    complete(lab, place.mission)
+    run_jobs(lab)
+    finish(runner, findings=[GAP])
+    lab.post("/runs", {"mission_ids": [place.mission["id"]], "action_id": action["id"], "force": True}).ok()
+    assert verdict(lab, place.mission) == ("bad", {"topic.gap": "error", "results.verdict": "ok"})
+
+
+def test_an_action_that_could_not_start_is_a_check_that_was_not_made(
+    lab: Api, runner: FakeRunner, place: Place
+) -> None:
+    run_jobs(lab)
+    action = publish(lab, runner, place.project)
+    member = people.person(lab)
+    people.grant(lab, member, Right.write, project_id=place.project["id"])
+    add(lab.as_(member.token), place.project, action, on="idle", idle_s=60)
+    lab.sql("UPDATE project_action SET created_at = created_at - interval '1 day'")
+    lab.sql("UPDATE file SET created_at = created_at - interval '1 hour'")
+    memberships = "SELECT group_id FROM membership WHERE person_id = %s"
+    lab.sql(f"DELETE FROM access_grant WHERE group_id IN ({memberships})", uuid.UUID(member.id))
+    maintain(lab)
+    assert verdict(lab, place.mission) == ("warnings", {"results.missing": "not_made"})
+    (check,) = lab.get(f"/missions/{place.mission['id']}/checks").ok()["checks"]
+    assert check["message"].startswith(f"{action['name']}@1 has not run on these files: {member.name}")
+
+
+def test_an_archived_action_does_not_count_until_it_is_restored(lab: Api, runner: FakeRunner, place: Place) -> None:
+    run_jobs(lab)
+    action = publish(lab, runner, place.project)
+    add(lab, place.project, action)
+    complete(lab, place.mission)
+    run_jobs(lab)
+    finish(runner, findings=[GAP])
+    assert verdict(lab, place.mission)[0] == "bad"
+    lab.patch(f"/actions/{action['id']}", {"archived": True}).ok()
+    assert verdict(lab, place.mission) == ("unchecked", {})
+    lab.patch(f"/actions/{action['id']}", {"archived": False}).ok()
+    assert verdict(lab, place.mission)[0] == "bad"
+
+
+def test_an_action_added_while_a_mission_is_judged_counts(lab: Api, runner: FakeRunner, place: Place) -> None:
+    run_jobs(lab)
+    action = publish(lab, runner, place.project)
+    complete(lab, place.mission)
+    run_jobs(lab)
+    mission_id, project_id = uuid.UUID(place.mission["id"]), uuid.UUID(place.project["id"])
+    requested = ProjectActionAdd(action_id=uuid.UUID(action["id"]), on=RunTrigger.complete)
+
+    async def add_while_judging(context: AppContext) -> None:
+        (person_id,) = (await _rows(context, "SELECT id FROM person ORDER BY created_at LIMIT 1"))[0]
+        async with context.database.begin() as db:
+            person = await find_person(db, person_id)
+            assert person is not None
+            actor = person.for_request("add_project_action", request_id=None, address=None)
+            await project_actions.add_project_action(db, actor, project_id=project_id, requested=requested)
+            judging = asyncio.create_task(_judge(context, mission_id))
+            while not await _rows(context, "SELECT FROM pg_locks WHERE locktype = 'advisory' AND NOT granted"):
+                assert not judging.done(), "it did not wait for the action"
+                await asyncio.sleep(0.01)
+        await judging
+
+    on_site(lab, add_while_judging)
+    assert verdict(lab, place.mission) == ("warnings", {"results.missing": "not_made"})
+
+
+async def _judge(context: AppContext, mission_id: uuid.UUID) -> None:
+    async with context.database.begin() as db:
+        await judge_missions(db, [mission_id])
+
+
+async def _rows(context: AppContext, statement: str) -> Any:
+    async with context.database.begin() as db:
+        return (await db.execute(text(statement))).all()

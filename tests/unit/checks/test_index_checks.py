@@ -9,6 +9,7 @@ import pytest
 from kleinkram.checks.document import read_checks
 from kleinkram.checks.facts import MissionFacts
 from kleinkram.checks.index_checks import check_index
+from kleinkram.checks.outcomes import LEFT_OUT, MAX_MADE
 from kleinkram.contract.checks import MAX_CHECKS, CheckStatus, Verdict
 from kleinkram.recordings.model import Content, Problem
 from tests.unit.checks.missions import (
@@ -474,6 +475,17 @@ def test_the_same_check_of_two_profiles_is_one_row() -> None:
     text = f"version: 1\nprofiles:\n{profile.format('a')}{profile.format('b')}"
     document = read_checks(text)
     assert [check.name for check in check_index(document.profiles, mission_facts())] == ["topic.missing", "topic.rate"]
+
+
+def test_rules_that_ask_for_very_many_checks_are_not_made_to_the_end() -> None:
+    topics = [topic_facts(f"/t{number}") for number in range(1000)]
+    profiles = "\n".join(
+        f"- {{name: p{number}, topics: {{'*': [{', '.join(['{rate: 200}'] * 20)}]}}}}" for number in range(20)
+    )
+    results = evaluated(read_checks(f"version: 1\nprofiles:\n{profiles}\n"), mission_facts(*topics))
+    assert results.verdict is Verdict.warnings
+    assert results.checks[0].name == LEFT_OUT
+    assert f"more than {MAX_MADE:,}" in results.checks[0].message
 
 
 # -- profiles ---------------------------------------------------------------------------------------------------------

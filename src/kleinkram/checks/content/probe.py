@@ -97,6 +97,7 @@ class Probe(ABC, Generic[R_co]):
         self.undecoded = 0
         self.first_error = ""
         self.unread_reason = ""
+        self.damage = ""
 
     def add(self, sample: SampledMessage) -> None:
         """Take a message. One that cannot be decoded is counted."""
@@ -110,6 +111,10 @@ class Probe(ABC, Generic[R_co]):
     def note_unread(self, reason: str) -> None:
         """Note why messages could not be read; the first reason counts."""
         self.unread_reason = self.unread_reason or reason
+
+    def note_damage(self, reason: str) -> None:
+        """Note why a part of the messages that were asked for could not be read; the first reason counts."""
+        self.damage = self.damage or reason
 
     @abstractmethod
     def measure(self, sample: SampledMessage) -> None:
@@ -130,6 +135,9 @@ class Probe(ABC, Generic[R_co]):
             if self.undecoded:
                 total = self.decoded + self.undecoded
                 reason = f"{self.undecoded} of {total} messages could not be decoded: {self.first_error}"
+                yield self.row(self.names[0], CheckStatus.not_made, reason)
+            if self.damage:
+                reason = f"a part of the messages could not be read: {self.damage}"
                 yield self.row(self.names[0], CheckStatus.not_made, reason)
             return
         if self.undecoded:

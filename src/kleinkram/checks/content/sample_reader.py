@@ -38,6 +38,7 @@ class SampleReader:
         self._pair_gap_ns = pair_gap_ns
         self._segments: list[Segment] = []
         self._failure = ""
+        self._damaged: dict[str, str] = {}
         self._is_whole = False
         self._counts: dict[str, int] = defaultdict(int)
         try:
@@ -70,6 +71,8 @@ class SampleReader:
         missing = [topic for topic in self._samples if not self._counts[topic]]
         if missing and any(visit.segment.topics is None for visit in visits):
             self._search(missing, probes)
+        for topic in self._damaged:
+            self._note_damage(topic, probes[topic])
         for topic in missing:
             if not self._counts[topic]:
                 reason = self._failure or ("" if self._recording.topic(topic).count == 0 else _NOT_AMONG_SAMPLES)
@@ -85,6 +88,11 @@ class SampleReader:
             visits.setdefault(number, SegmentVisit(self._segments[number])).targets[topic].append(time_ns)
         for _, visit in sorted(visits.items()):
             self._read_visit(visit, [topic], {topic: [probe]})
+        self._note_damage(topic, [probe])
+
+    def _note_damage(self, topic: str, probes: Sequence[AnyProbe]) -> None:
+        for probe in probes if topic in self._damaged else ():
+            probe.note_damage(self._damaged[topic])
 
     def _read_visit(self, visit: SegmentVisit, topics: list[str], probes: Mapping[str, Sequence[AnyProbe]]) -> None:
         picker = _Picker(visit)
@@ -99,15 +107,23 @@ class SampleReader:
                     probe.add(sample)
 
     def _blocks(self, segment: Segment, topics: list[str]) -> Iterator[tuple[list[RawMessage], bool]]:
-        """Yield the messages of a segment, and whether they are the last ones. A failure is noted."""
+        """Yield the messages of a segment, and whether they are the last ones. Damage is noted for its topics."""
         waiting: list[RawMessage] | None = None
+        known = len(self._recording.damage)
+        failure = ""
         try:
             for block in self._recording.segment_messages(segment, topics):
                 if waiting is not None:
                     yield waiting, False
                 waiting = block
         except RecordingError as error:
-            self._failure = self._failure or str(error)
+            failure = str(error)
+            self._failure = self._failure or failure
+        if not failure and len(damage := self._recording.damage) > known:
+            failure = f"{damage[known].where}: {damage[known].message}"
+        if failure:
+            for topic in topics if segment.topics is None else segment.topics.intersection(topics):
+                self._damaged.setdefault(topic, failure)
         if waiting is not None:
             yield waiting, True
 

@@ -28,10 +28,10 @@ from kleinkram.server.access.rights import require_creator, require_match, requi
 from kleinkram.server.access.visible import visible_projects
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, matches_key, violated_constraint
-from kleinkram.server.jobs.queue import Job, Priority, enqueue
+from kleinkram.server.jobs.rejudge import judge_projects_again
 from kleinkram.server.pagination import Order, PageRequest, read_page
 from kleinkram.server.settings import Creators
-from kleinkram.server.tables import action, action_version, mission_checks, person, project, project_action
+from kleinkram.server.tables import action, action_version, person, project, project_action
 
 _ACTION_ORDER = Order([action.c.name, action.c.id])
 # Latest first.
@@ -111,18 +111,15 @@ async def add_version(
     require_match(if_match, old.etag, resource_type="action", name=old.name)
     await _add_version(db, actor, action_id, old.latest.number + 1, definition)
     made = await get_action(db, actor, action_id)
-    await _outdate_verdicts(db, action_id)
+    await _judge_again(db, action_id)
     await audit(db, actor, _event("action.publish", made))
     return made
 
 
-async def _outdate_verdicts(db: Connection, action_id: uuid.UUID) -> None:
+async def _judge_again(db: Connection, action_id: uuid.UUID) -> None:
     """Have the missions judged of the projects that name an action."""
     named_by = select(project_action.c.project_id).where(project_action.c.action_id == action_id)
-    outdated = update(mission_checks).where(mission_checks.c.project_id.in_(named_by))
-    await db.execute(outdated.values(is_outdated=True))
-    ids = [str(project_id) for project_id in (await db.execute(named_by)).scalars()]
-    await enqueue(db, Job.judge_project, ids=ids, priority=Priority.normal)
+    await judge_projects_again(db, (await db.execute(named_by)).scalars().all())
 
 
 async def set_archived(
@@ -145,6 +142,7 @@ async def set_archived(
         await db.execute(update(action).where(action.c.id == action_id).values(**values))
     except IntegrityError as error:
         raise NameTaken(resource_type="action", name=old.name) from error
+    await _judge_again(db, action_id)
     made = await get_action(db, actor, action_id)
     await audit(db, actor, _event("action.archive" if archived else "action.restore", made))
     return made

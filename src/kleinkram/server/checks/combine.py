@@ -2,7 +2,7 @@
 
 import uuid
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, field
 
 from kleinkram.checks.outcomes import LEFT_OUT, WORST_FIRST
@@ -120,10 +120,22 @@ def combine(sources: Sources) -> CombinedChecks:
 
 
 def is_content_outdated(sources: Sources) -> bool:
-    """Return whether content was checked by earlier rules only, while the present ones ask for such checks."""
-    needs_content = any(check.status is CheckStatus.needs_content for check in sources.index or ())
+    """Return whether content was checked, but not by the rules that apply now.
+
+    These differ if the `checks.yaml` changed, or the metadata by which its profiles are chosen.
+    """
+    needed = {check.name for check in sources.index or () if check.status is CheckStatus.needs_content}
     by_content = [report for report in sources.reports if report.has_content]
-    return needs_content and bool(by_content) and not any(report.is_by_present_rules for report in by_content)
+    if not needed or not by_content:
+        return False
+    current = next((report for report in by_content if report.is_by_present_rules), None)
+    return current is None or not needed <= _content_checks(current, needed)
+
+
+def _content_checks(report: UploaderReport, needed: Set[str]) -> Set[str]:
+    """Return the names of the checks of content that a report has; of one that is too long, it has all."""
+    names = {check.name for check in report.checks}
+    return needed if LEFT_OUT in names else {name for name in names if reads_content(name)}
 
 
 def _all_checks(sources: Sources) -> Iterable[MissionCheck]:
@@ -134,8 +146,10 @@ def _all_checks(sources: Sources) -> Iterable[MissionCheck]:
         report = content or next(iter(valid), None)
         yield from (_read(check, CheckSource.report) for check in (report.checks if report else ()))
     else:
+        needed = {check.name for check in sources.index if check.status is CheckStatus.needs_content}
+        made = _content_checks(content, needed) if content is not None else frozenset()
         for check in sources.index:
-            if content is None or not reads_content(check.name):
+            if check.name not in made:
                 yield _read(check, CheckSource.server)
         for check in content.checks if content else ():
             if reads_content(check.name):

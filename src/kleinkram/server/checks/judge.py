@@ -34,6 +34,7 @@ from kleinkram.server.checks.combine import (
 from kleinkram.server.checks.documents import document_of
 from kleinkram.server.checks.facts import JudgedMission, read_missions
 from kleinkram.server.db import Connection, among
+from kleinkram.server.jobs.rejudge import lock_what_projects_name
 from kleinkram.server.missions import service as missions
 from kleinkram.server.runs.project_results import ActionResult, ResultState, project_results
 from kleinkram.server.tables import check_acceptance, check_report, mission_checks
@@ -67,6 +68,7 @@ async def judge_missions(db: Connection, mission_ids: Sequence[uuid.UUID]) -> No
     Those whose recordings are not derived yet are left out: deriving them has them judged.
     """
     locked = await missions.lock_missions(db, mission_ids)
+    await lock_what_projects_name(db, locked)
     judged = [one for one in await read_missions(db, [*locked]) if one.facts is not None]
     if not judged:
         return
@@ -135,7 +137,7 @@ def _judge(
         reports=[_report(row, rules) for row in reports if is_report_of(row, judged.all_files, judged.recorded_files)],
         actions=[check for result in action_results for check in checks_of_result(result, judged.is_complete)],
         acceptances=acceptances,
-        is_running=judged.is_reading or any(one.state is ResultState.running for one in action_results),
+        is_running=judged.is_reading or any(one.is_running for one in action_results),
     )
     is_outdated = is_content_outdated(sources) or any(one.state is ResultState.outdated for one in action_results)
     combined = combine(replace(sources, is_outdated=is_outdated))

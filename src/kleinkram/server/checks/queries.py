@@ -39,7 +39,15 @@ def outdated_missions() -> Select[Any]:
 
 def checks_of_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
     """Return one visible mission with its stored checks; their columns are null where there are none."""
-    names = ("checks", "checks_number", "profiles_applied", "profiles_left_out", "evaluated_at", "bad_since")
+    names = (
+        "checks",
+        "checks_number",
+        "files_revision",
+        "profiles_applied",
+        "profiles_left_out",
+        "evaluated_at",
+        "bad_since",
+    )
     columns = (mission.c.id, *(mission_checks.c[name] for name in names), is_current().label("is_current"))
     shown = (shown_verdict(actor).label("verdict"), shown_counts(actor).label("counts"))
     stmt = visible_missions(actor).with_only_columns(*columns, *shown, maintain_column_froms=True)

@@ -36,11 +36,12 @@ from kleinkram.server.checks import queries
 from kleinkram.server.checks.facts import JudgedMission, read_missions
 from kleinkram.server.checks.judge import is_report_of
 from kleinkram.server.db import Connection, violated_constraint
+from kleinkram.server.jobs.rejudge import judge_again
 from kleinkram.server.missions import service as missions
-from kleinkram.server.missions.rejudge import judge_again
 from kleinkram.server.tables import check_acceptance, check_note, check_report, project_checks
 
 _MAX_NOTES = 10_000
+_MAX_REPORTS = 20
 
 
 async def get_mission_checks(
@@ -82,10 +83,12 @@ async def accept_check(
     Raises:
         NotFound: the mission does not exist, or is not visible.
         Forbidden: the actor may not change it.
-        InvalidRequest: no such check of the mission fails, or it is accepted already.
+        InvalidRequest: no such check of its present files fails, or it is accepted already.
     """
     ref, judged = await _lock(db, actor, "accept_check", mission_id)
     row = (await db.execute(queries.checks_of_mission(actor, mission_id))).one()
+    if row.checks is not None and row.files_revision != judged.files_revision:
+        raise _invalid("check", "the files of this mission changed since it was checked; wait for its new checks")
     if not any(_is_meant(check, accepted) for check in row.checks or ()):
         raise _invalid("check", f"no check {accepted.check} of this mission fails{_on(accepted.topic)}")
     acceptance_id = uuid.uuid4()
@@ -163,7 +166,9 @@ async def delete_note(db: Connection, actor: Actor, *, mission_id: uuid.UUID, no
 async def create_report(
     db: Connection, actor: Actor, *, mission_id: uuid.UUID, report: CheckReportCreate
 ) -> CheckReportRead:
-    """Store the checks that an uploader made; the latest report of each person, file of checks and depth stays.
+    """Store the checks that an uploader made, in place of an earlier report of the same files by the same person.
+
+    The latest reports of a mission stay: they are all read to judge it.
 
     Raises:
         NotFound: the mission does not exist, or is not visible.
@@ -186,6 +191,8 @@ async def create_report(
         "created_by_id": actor.person_id,
     }
     await db.execute(insert(check_report).values(**values))
+    obsolete = queries.reports_of(mission_id).with_only_columns(check_report.c.id).offset(_MAX_REPORTS)
+    await db.execute(delete(check_report).where(check_report.c.id.in_(obsolete)))
     await judge_again(db, [mission_id])
     after: Metadata = {"verdict": verdict.value, "depth": report.depth.value, "checks": len(report.checks)}
     await audit(db, actor, _event("mission.report_checks", ref, after=after))

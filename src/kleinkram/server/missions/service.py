@@ -33,6 +33,7 @@ from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, prepare_statement
+from kleinkram.server.jobs.rejudge import judge_again
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.automatic import decide_again
 from kleinkram.server.missions.metadata import (
@@ -43,7 +44,6 @@ from kleinkram.server.missions.metadata import (
     satisfying,
     write_template,
 )
-from kleinkram.server.missions.rejudge import judge_again
 from kleinkram.server.pagination import PageRequest, read_listing
 from kleinkram.server.quotas import require_room_for_mission
 from kleinkram.server.tables import mission

@@ -27,8 +27,8 @@ from kleinkram.server.jobs.execution import (
     worker_resource,
 )
 from kleinkram.server.jobs.queue import Job, enqueued_at, queue
+from kleinkram.server.jobs.rejudge import judge_again
 from kleinkram.server.missions import service as missions
-from kleinkram.server.missions.rejudge import judge_again
 from kleinkram.server.overviews.topics import store_topics
 from kleinkram.server.recordings import derive
 from kleinkram.server.recordings.derive import LiveFile, MetadataFiles, awaits_derivation, derive_again_later

@@ -18,6 +18,7 @@ from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.actions import service as actions
 from kleinkram.server.db import Connection
 from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job
+from kleinkram.server.jobs.rejudge import judge_again
 from kleinkram.server.missions import service as missions
 from kleinkram.server.missions.queries import AWAITS_READING
 from kleinkram.server.runs import launch
@@ -74,6 +75,8 @@ async def start_due_runs(db: Connection, mission_id: uuid.UUID) -> None:
         stmt = upsert(project_action_mission).values(project_action_id=row.id, mission_id=mission_id, **values)
         keys = ["project_action_id", "mission_id"]
         await db.execute(stmt.on_conflict_do_update(index_elements=keys, set_=values))
+        if decision.problem != row.problem:
+            await judge_again(db, [mission_id])
 
 
 async def _decide(db: Connection, row: Row[Any]) -> _Decision:
@@ -131,6 +134,7 @@ def _due_actions() -> Select[Any]:
             person.c.name.label("added_by_name"),
             mission.c.id.label("mission_id"),
             mission.c.files_revision,
+            decided.c.problem,
         )
         .join_from(project_action, mission, mission.c.project_id == project_action.c.project_id)
         .join(project, project.c.id == mission.c.project_id)

@@ -39,7 +39,7 @@ from kleinkram.server.actions import service as actions
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection
 from kleinkram.server.filters.files import filter_files
-from kleinkram.server.missions.rejudge import judge_again_for_run
+from kleinkram.server.jobs.rejudge import judge_again_for_run
 from kleinkram.server.runs import service
 from kleinkram.server.runs.eligibility import KnownRunners, Needs, known_runners
 from kleinkram.server.tables import DERIVED_ORIGIN, action, action_version, blob, file, mission, project, run, run_input

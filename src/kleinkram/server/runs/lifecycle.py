@@ -24,8 +24,8 @@ from kleinkram.server.blobs.service import enqueue_reading
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection
 from kleinkram.server.files.paths import check_path_free
+from kleinkram.server.jobs.rejudge import judge_again_for_run
 from kleinkram.server.missions import service as missions
-from kleinkram.server.missions.rejudge import judge_again_for_run
 from kleinkram.server.quotas import Amount, require_room
 from kleinkram.server.recordings.derive import derive_again
 from kleinkram.server.runs import service

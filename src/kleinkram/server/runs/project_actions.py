@@ -23,7 +23,7 @@ from kleinkram.server.access.rights import require_project
 from kleinkram.server.actions import service as actions
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection
-from kleinkram.server.missions.rejudge import judge_project_again
+from kleinkram.server.jobs.rejudge import judge_projects_again
 from kleinkram.server.tables import action, action_version, person, project, project_action, project_action_mission
 
 
@@ -66,7 +66,7 @@ async def add_project_action(
     stmt = upsert(project_action).values(id=uuid.uuid4(), **values, **when)
     await db.execute(stmt.on_conflict_do_update(index_elements=["project_id", "action_id"], set_=changed))
     added = _to_read((await db.execute(_rows(project_id, requested.action_id))).one())
-    await judge_project_again(db, project_id)
+    await judge_projects_again(db, [project_id])
     after: Metadata = {"action": name, "on": requested.on.value}
     name = await _name_of(db, project_id)
     await audit(db, actor, Event("project.add_action", "project", project_id, name, project_id, after=after))
@@ -86,7 +86,7 @@ async def remove_project_action(db: Connection, actor: Actor, *, project_id: uui
     if row is None:
         return
     await db.execute(delete(project_action).where(*own))
-    await judge_project_again(db, project_id)
+    await judge_projects_again(db, [project_id])
     before: Metadata = {"action": row.name, "on": row.trigger}
     name = await _name_of(db, project_id)
     await audit(db, actor, Event("project.remove_action", "project", project_id, name, project_id, before))

@@ -31,6 +31,7 @@ from kleinkram.server.tables import (
     file,
     mission,
     project_action,
+    project_action_mission,
     run,
     run_check,
     run_finding,
@@ -39,6 +40,7 @@ from kleinkram.server.tables.runs import ACTIVE
 
 # Sees the files of all missions, for jobs that act for nobody.
 _SERVER = Actor(None, "the server", None, None, is_admin=True)
+_ENDED = frozenset((RunState.done.value, RunState.failed.value))
 
 
 class ResultState(str, enum.Enum):
@@ -61,7 +63,8 @@ class ActionResult:
     Attributes:
         version: the latest one of the action.
         run_id: the run with this state; None for `missing`.
-        message: how the run ended.
+        is_running: a run that would count has not ended. An earlier one that has ended counts until then.
+        message: how the run ended; of a missing one, the problem for which it did not start.
         findings: warnings and errors.
     """
 
@@ -71,6 +74,7 @@ class ActionResult:
     version: int
     state: ResultState
     run_id: uuid.UUID | None = None
+    is_running: bool = False
     message: str = ""
     verdict: Verdict | None = None
     checks: Sequence[Check] = ()
@@ -78,6 +82,7 @@ class ActionResult:
 
 
 class _Named(NamedTuple):
+    id: uuid.UUID
     project_id: uuid.UUID
     action_id: uuid.UUID
     parameters: ParameterValues
@@ -106,8 +111,12 @@ async def project_results(
         own = [mission_id for mission_id, project_id in projects.items() if project_id == named.project_id]
         inputs = await _present_inputs(db, named.definition, own)
         runs = await _runs(db, named.action_id, [*inputs])
+        problems = await _problems(db, named, [*inputs])
         for mission_id, files in inputs.items():
-            results[mission_id].append(_result(named, mission_id, files, runs.get(mission_id, ())))
+            result = _result(named, mission_id, files, runs.get(mission_id, ()))
+            if result.state is ResultState.missing:
+                result = replace(result, message=problems.get(mission_id, ""))
+            results[mission_id].append(result)
     await _add_reports(db, results)
     return results
 
@@ -123,12 +132,15 @@ def _result(
         return replace(missing, state=ResultState.failed, message=str(error))
     fingerprint = inputs_fingerprint(named.version_id, parameters, inputs)
     current = [row for row in runs if row.inputs_fingerprint == fingerprint]
-    counting = next((row for row in current if row.state != RunState.cancelled.value), None)
+    running = next((row for row in current if row.state in ACTIVE), None)
+    counting = next((row for row in current if row.state in _ENDED), None)
     if counting is not None:
-        state = ResultState.running if counting.state in ACTIVE else ResultState(counting.state)
         verdict = None if counting.verdict is None else Verdict(counting.verdict)
-        return replace(missing, state=state, run_id=counting.id, message=counting.message, verdict=verdict)
-    earlier = next((row for row in runs if row.state in {RunState.done.value, RunState.failed.value}), None)
+        result = replace(missing, state=ResultState(counting.state), run_id=counting.id, message=counting.message)
+        return replace(result, is_running=running is not None, verdict=verdict)
+    if running is not None:
+        return replace(missing, state=ResultState.running, run_id=running.id, is_running=True)
+    earlier = next((row for row in runs if row.state in _ENDED), None)
     if earlier is not None:
         return replace(missing, state=ResultState.outdated, run_id=earlier.id)
     return missing
@@ -140,7 +152,8 @@ def _missions(mission_ids: Sequence[uuid.UUID]) -> Select[Any]:
 
 async def _named_actions(db: Connection, project_ids: set[uuid.UUID]) -> list[_Named]:
     """Return the actions that projects name, in their latest versions, in the order in which they were added."""
-    columns = (project_action.c.project_id, action.c.id, project_action.c.parameters, action.c.name)
+    named = (project_action.c.id, project_action.c.project_id, project_action.c.action_id, project_action.c.parameters)
+    columns = (*named, action.c.name)
     version = (action_version.c.id.label("version_id"), action_version.c.number, action_version.c.definition)
     stmt = (
         select(*columns, *version)
@@ -172,6 +185,14 @@ async def _present_inputs(
     for row in await db.execute(stmt.order_by(file.c.mission_id, file.c.path)):
         inputs[row.mission_id].append(_InputFile(row.path, row.sha256))
     return inputs
+
+
+async def _problems(db: Connection, named: _Named, mission_ids: Sequence[uuid.UUID]) -> Mapping[uuid.UUID, str]:
+    """Return why an action that was due did not start, by mission."""
+    decided = project_action_mission
+    stmt = select(decided.c.mission_id, decided.c.problem).where(decided.c.project_action_id == named.id)
+    rows = await db.execute(stmt.where(among(decided.c.mission_id, mission_ids), decided.c.problem.is_not(None)))
+    return {row.mission_id: row.problem for row in rows}
 
 
 async def _runs(

@@ -3,7 +3,7 @@
 import uuid
 from collections.abc import Collection
 
-from sqlalchemy import exists, or_, select, update
+from sqlalchemy import exists, func, or_, select, update
 
 from kleinkram.server.db import Connection, among
 from kleinkram.server.jobs.queue import Job, Priority, enqueue, with_waiting_job
@@ -16,6 +16,9 @@ from kleinkram.server.tables import (
     project_action,
     run,
 )
+
+# The first half of the keys of the advisory locks, of which each project has one.
+_LOCK_CLASS = 0x6B6C4A47
 
 # What a mission can be judged by, or was.
 _IS_JUDGED = or_(
@@ -43,12 +46,33 @@ async def judge_again(db: Connection, mission_ids: Collection[uuid.UUID]) -> Non
         await enqueue(db, Job.judge_mission, ids=left, priority=Priority.normal)
 
 
-async def judge_project_again(db: Connection, project_id: uuid.UUID) -> None:
-    """Have all missions of a project judged after this transaction; until then, their verdicts are outdated."""
-    own = select(mission.c.id).where(mission.c.project_id == project_id)
+async def judge_projects_again(db: Connection, project_ids: Collection[uuid.UUID]) -> None:
+    """Have all missions of projects judged after this transaction; until then, their verdicts are outdated.
+
+    For changes of what projects name. Until this transaction ends, none of their missions is judged, so that no verdict
+    that misses the change can be stored after it.
+    """
+    for key in _lock_keys(project_ids):
+        await db.execute(select(func.pg_advisory_xact_lock(_LOCK_CLASS, key)))
+    own = select(mission.c.id).where(among(mission.c.project_id, project_ids))
     outdated = update(mission_checks).where(mission_checks.c.mission_id.in_(own))
     await db.execute(outdated.values(is_outdated=True))
-    await enqueue(db, Job.judge_project, ids=[str(project_id)], priority=Priority.normal)
+    await enqueue(db, Job.judge_project, ids=[str(one) for one in project_ids], priority=Priority.normal)
+
+
+async def lock_what_projects_name(db: Connection, mission_ids: Collection[uuid.UUID]) -> None:
+    """Delay `judge_projects_again` for the projects of missions until this transaction ends.
+
+    The caller's transaction must hold the locks of the missions.
+    """
+    stmt = select(mission.c.project_id).where(among(mission.c.id, mission_ids)).distinct()
+    for key in _lock_keys((await db.execute(stmt)).scalars().all()):
+        await db.execute(select(func.pg_advisory_xact_lock_shared(_LOCK_CLASS, key)))
+
+
+def _lock_keys(project_ids: Collection[uuid.UUID]) -> list[int]:
+    """Return keys in one order, so that two transactions cannot deadlock."""
+    return sorted({int.from_bytes(project_id.bytes[:4], "big", signed=True) for project_id in project_ids})
 
 
 async def judge_again_for_run(db: Connection, run_id: uuid.UUID) -> None:
