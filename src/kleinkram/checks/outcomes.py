@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import NamedTuple, Protocol
 
-from kleinkram.contract.checks import MAX_CHECKS, Check, CheckSeverity, CheckStatus
+from kleinkram.contract.checks import MAX_CHECKS, WORST_FIRST, Check, CheckSeverity, CheckStatus
 from kleinkram.contract.names import check_file_path
 from kleinkram.recordings.model import span_text
 
@@ -53,13 +53,6 @@ def make_check(
     )
 
 
-WORST_FIRST = (
-    CheckStatus.error,
-    CheckStatus.warning,
-    CheckStatus.not_made,
-    CheckStatus.ok,
-    CheckStatus.needs_content,
-)
 LEFT_OUT = "checks.left_out"
 """Name of the row that says how many checks are not listed."""
 

@@ -13,8 +13,8 @@ from kleinkram.checks.document import ChecksDocument, Profile, value_matches
 from kleinkram.checks.facts import MissionFacts
 from kleinkram.checks.index_checks import checks_needing_content, index_checks
 from kleinkram.checks.local import LocalMission, LocalRecording
-from kleinkram.checks.outcomes import WORST_FIRST, collect
-from kleinkram.contract.checks import Check, CheckDepth, CheckStatus, Verdict, verdict_of
+from kleinkram.checks.outcomes import collect
+from kleinkram.contract.checks import WORST_FIRST, Check, CheckDepth, CheckStatus, Verdict, verdict_of
 from kleinkram.recordings.errors import RecordingError
 
 if TYPE_CHECKING:

@@ -20,6 +20,8 @@ MAX_CHECKS_CHARACTERS = 200_000
 """Of a `checks.yaml`."""
 
 CheckName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]{0,31}(\.[a-z0-9][a-z0-9_-]{0,31}){1,3}$")]
+NameOfMissionCheck = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_.-]{0,130}$")]
+"""A `CheckName`, or the code of a finding, which counts as a check of that name."""
 CheckMessage = Annotated[str, AfterValidator(check_text), Field(min_length=1, max_length=2000)]
 CheckedTopic = Annotated[str, AfterValidator(check_text), Field(min_length=1, max_length=1024)]
 LogTime = Annotated[int, Field(ge=0, lt=2**63)]
@@ -231,7 +233,7 @@ class ProfileLeftOut(Response):
 class CheckAcceptanceCreate(Request):
     """Accept that a check of a mission fails. Without a topic, on all topics."""
 
-    check: CheckName
+    check: NameOfMissionCheck
     topic: CheckedTopic | None = None
     because: Reason
 
@@ -260,7 +262,7 @@ class CheckAcceptanceRead(Response):
 class CheckNoteCreate(Request):
     """A note on a check of a mission; without a topic, on all topics."""
 
-    check: CheckName
+    check: NameOfMissionCheck
     topic: CheckedTopic | None = None
     text: Reason
 

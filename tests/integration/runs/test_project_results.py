@@ -106,6 +106,19 @@ def test_a_bad_mission_stays_bad_while_the_action_runs_again(lab: Api, runner: F
     assert verdict(lab, place.mission) == ("bad", {"topic.gap": "error", "results.verdict": "ok"})
 
 
+def test_a_finding_with_any_code_can_be_accepted(lab: Api, runner: FakeRunner, place: Place) -> None:
+    run_jobs(lab)
+    add(lab, place.project, publish(lab, runner, place.project))
+    complete(lab, place.mission)
+    run_jobs(lab)
+    finish(runner, findings=[GAP | {"code": "gap"}])
+    assert verdict(lab, place.mission)[0] == "bad"
+    accepted = {"check": "gap", "topic": "/imu", "because": "Known."}
+    lab.post(f"/missions/{place.mission['id']}/check-acceptances", accepted).ok(201)
+    lab.post(f"/missions/{place.mission['id']}/check-notes", {"check": "gap", "text": "See the log."}).ok(201)
+    assert verdict(lab, place.mission)[0] == "good"
+
+
 def test_an_action_that_could_not_start_is_a_check_that_was_not_made(
     lab: Api, runner: FakeRunner, place: Place
 ) -> None:

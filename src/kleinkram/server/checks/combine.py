@@ -5,9 +5,10 @@ from collections import Counter
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, field
 
-from kleinkram.checks.outcomes import LEFT_OUT, WORST_FIRST
+from kleinkram.checks.outcomes import LEFT_OUT
 from kleinkram.contract.checks import (
     MAX_CHECKS,
+    WORST_FIRST,
     Check,
     CheckSource,
     CheckStatus,
