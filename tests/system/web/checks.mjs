@@ -99,7 +99,7 @@ const chips = () => page.locator("[data-checks] [role=row][data-index]").evaluat
   rows.filter((row) => row.querySelector(".chip")).map((row) => [row.querySelector(".mono").textContent, row.querySelector(".chip").textContent.trim()]),
 ));
 results.mission = {
-  verdict: await page.locator("h1 [data-verdict]").getAttribute("data-verdict"),
+  verdict: await page.locator("header [data-verdict]").getAttribute("data-verdict"),
   statuses: await page.locator("[data-checks] [role=row][data-index] .chip").allInnerTexts(),
   leftOut: await page.locator("[data-summary]").innerText(),
 };

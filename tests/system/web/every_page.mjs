@@ -163,6 +163,8 @@ async function executesInlineScripts(context, path) {
   return wasExecuted;
 }
 
+const dialogOnly = { fullPage: false };
+
 // A new user accepts an invitation, and has access to nothing yet.
 const { page: eve, context: eveContext } = await openPage();
 const code = new URL(invitation).hash.slice(1);
@@ -202,6 +204,16 @@ await checkPage(page, "project-access", { path: ofProject("tab=access"), expecte
 await checkPage(page, "project-activity", { path: ofProject("tab=activity"), expectedTexts: [mission] });
 await checkPage(page, "project-settings", { path: ofProject("tab=settings"), expectedTexts: [project, texts.description] });
 await checkPage(page, "project-empty", { path: `/projects/${ids.empty}` });
+await checkPage(page, "project-empty-checks", { path: `/projects/${ids.empty}?tab=checks` });
+await checkPage(page, "project-checks", { path: ofProject("tab=checks"), ready: "[data-matrix] [data-status=error]", expectedTexts: [mission] });
+await page.getByRole("gridcell", { name: "topic.gap: Error" }).focus();
+await page.locator("[data-explained]").getByText(texts.topic).waitFor();
+await checkPage(page, "project-checks-cell", { expectedTexts: [texts.topic] });
+await checkPage(page, "project-rules", { path: ofProject("tab=checks&part=rules"), ready: "[data-rules]", expectedTexts: [texts.notes, texts.profile] });
+await page.locator("[data-versions]").getByText("Version 1").click();
+await page.locator("[data-diff] .added").first().waitFor();
+await checkPage(page, "project-rules-version");
+await checkPage(page, "project-actions", { path: ofProject("tab=checks&part=actions"), ready: "[data-project-actions]", expectedTexts: [texts.action, texts.value.slice(0, 60)] });
 const ofMission = (query) => `/missions/${ids.mission}?${query}`;
 const facts = [texts.value, texts.address, texts.notes];
 await checkPage(page, "mission", { path: ofMission(""), ready: "[data-lanes]", expectedTexts: [project, mission, texts.recording, texts.text, texts.label, ...facts] });
@@ -209,6 +221,12 @@ results.links = await page.evaluate(() => [...document.links].map((each) => each
 await page.locator("[data-metadata]").getByRole("button", { name: "<b onclick" }).click();
 await checkPage(page, "mission-editing", { expectedTexts: [texts.description] });
 await checkPage(page, "mission-topics", { path: ofMission("tab=topics"), expectedTexts: [texts.topic, texts.type] });
+await checkPage(page, "mission-checks", { path: ofMission("tab=checks"), ready: "[data-checks] [role=row][data-index]", expectedTexts: [texts.topic, texts.value, texts.action, texts.profile, texts.reason, `left out ${texts.label}`] });
+for (const [check, shown] of [["file.size", [texts.recording, texts.reason]], ["topic.gap", [texts.topic, texts.notes]], ["evil.check", [texts.value, texts.action]]]) {
+  await page.goto(`${address}${ofMission(`tab=checks&q=${check}`)}`);
+  await page.locator("[data-checks] [data-row-link]", { hasText: check }).first().click();
+  await checkPage(page, `dialog-${check.replace(".", "-")}`, { ...dialogOnly, ready: "dialog[open]", expectedTexts: shown });
+}
 await checkPage(page, "mission-problems", { path: ofMission("tab=problems"), expectedTexts: [texts.broken] });
 await checkPage(page, "mission-access", { path: ofMission("tab=access"), expectedTexts: [texts.share, texts.group] });
 await checkPage(page, "file-recording", { path: `/files/${ids.recording}`, expectedTexts: [texts.recording, texts.topic, texts.type, texts.label] });
@@ -223,8 +241,10 @@ await checkPage(page, "launch", { path: `/runs/new?action=${ids.action}&mission=
 await checkPage(page, "runs", { path: "/runs", expectedTexts: [texts.action, mission] });
 const ofRun = (query) => `/runs/${ids.run}?${query}`;
 await checkPage(page, "run", { path: ofRun(""), ready: "[data-log][data-over] .line", expectedTexts: [texts.action, mission, texts.notes, texts.value, texts.label] });
-for (const part of ["metrics", "artifacts", "inputs", "definition"]) await checkPage(page, `run-${part}`, { path: ofRun(`tab=${part}`) });
+for (const part of ["artifacts", "inputs", "definition"]) await checkPage(page, `run-${part}`, { path: ofRun(`tab=${part}`) });
 await checkPage(page, "run-findings", { path: ofRun("tab=findings"), expectedTexts: [texts.value, texts.topic] });
+await checkPage(page, "run-metrics", { path: ofRun("tab=metrics"), ready: "[role=row][data-index]", expectedTexts: [texts.topic, texts.label] });
+await checkPage(page, "run-checks", { path: ofRun("tab=checks"), ready: "[role=row][data-index]", expectedTexts: [texts.value, texts.topic] });
 await checkPage(page, "upload", { path: "/upload" });
 const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Choose files" }).click()]);
 await chooser.setFiles({ name: texts.recording, mimeType: "", buffer: Buffer.from("x") });
@@ -255,7 +275,6 @@ await checkPage(page, "not-found", { path: `/nowhere/${encodeURIComponent(texts.
 await checkPage(page, "signed-in", { path: "/signed-in", allowedErrors: WINDOW_NOT_CLOSED });
 
 // Dialogs.
-const dialogOnly = { fullPage: false };
 await page.goto(`${address}/projects`);
 await page.getByRole("button", { name: "New project" }).first().click();
 await checkPage(page, "dialog-project", { ...dialogOnly, ready: "dialog[open]" });
@@ -284,6 +303,9 @@ const { page: anonymous, context: anonymousContext } = await openPage();
 await checkPage(anonymous, "public", { ...unauthorized, path: "/public", expectedTexts: ["Lakes"] });
 await checkPage(anonymous, "public-project", { ...unauthorized, path: `/projects/${ids.public}` });
 await checkPage(anonymous, "public-mission", { ...unauthorized, path: `/missions/${ids.publicMission}`, ready: "[data-lanes]" });
+await checkPage(anonymous, "public-project-checks", { ...unauthorized, path: `/projects/${ids.public}?tab=checks`, ready: "[data-matrix] [data-status=error]" });
+await checkPage(anonymous, "public-project-rules", { ...unauthorized, path: `/projects/${ids.public}?tab=checks&part=rules`, ready: "[data-rules]", expectedTexts: ["/lake: {}"] });
+await checkPage(anonymous, "public-mission-checks", { ...unauthorized, path: `/missions/${ids.publicMission}?tab=checks`, ready: "[data-checks] [role=row][data-index]", expectedTexts: ["topic.missing", "/lake"] });
 await checkPage(anonymous, "public-file", { ...unauthorized, path: `/files/${ids.publicFile}`, ready: "[data-log-time]" });
 await checkPage(anonymous, "public-search", { ...unauthorized, ...loadedResults, path: "/search" });
 await checkPage(anonymous, "sign-in", { path: `/sign-in?return_to=${encodeURIComponent(texts.address)}` });

@@ -1,9 +1,9 @@
-// Takes the screenshots of the README and the tour: a mission, a search, the preview of a recording. Prints an empty
-// object. Arguments: the folder with playwright-core, the browser, a sign-in link, the server's address, the folder for
-// screenshots, the ids of a mission and of a recording, a search query.
+// Takes the screenshots of the README and the tour: a mission, a search, the preview of a recording, checks.
+// Prints an empty object. Arguments: the folder with playwright-core, the browser, a sign-in link, the server's address,
+// the folder for screenshots, the ids of a mission, of a recording and of a project, a search query.
 import { launchBrowser } from "./chromium.mjs";
 
-const [web, executablePath, link, address, pictures, mission, recording, query] = process.argv.slice(2);
+const [web, executablePath, link, address, pictures, mission, recording, project, query] = process.argv.slice(2);
 const TIMEOUT_MS = 60_000;
 
 const browser = await launchBrowser(web, executablePath);
@@ -13,11 +13,12 @@ page.setDefaultTimeout(TIMEOUT_MS);
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
 
-async function takeScreenshot(name, path, ready) {
+async function takeScreenshot(name, path, ready, prepare = () => undefined) {
   await page.goto(`${address}${path}`);
   await page.locator(ready).first().waitFor();
   await page.waitForFunction(() => document.querySelector("main .skeleton, main [aria-busy=true]") === null);
   await page.evaluate(() => document.fonts.ready);
+  await prepare();
   await page.screenshot({ path: `${pictures}/readme-${name}.png` });
 }
 
@@ -25,5 +26,11 @@ await takeScreenshot("mission", `/missions/${mission}`, "[data-lanes]");
 await takeScreenshot("search", `/search?q=${encodeURIComponent(query)}`, "[data-results] [data-row-link]");
 const curves = new URLSearchParams([["topic", "/odom"], ["field", "pose.pose.position.x"], ["field", "pose.pose.position.y"]]);
 await takeScreenshot("preview", `/files/${recording}?${curves}`, "[data-plot-viewer][data-messages]");
+await takeScreenshot("checks", `/missions/${mission}?tab=checks`, "[data-checks] [role=row][data-index]");
+await takeScreenshot("matrix", `/projects/${project}?tab=checks`, "[data-matrix] [data-status=error]", async () => {
+  await page.getByRole("gridcell", { name: "topic.gap: Error" }).focus();
+  await page.locator("[data-explained]").getByText("longest gap").waitFor();
+  await page.locator("[data-explained]").scrollIntoViewIfNeeded();
+});
 await browser.close();
 process.stdout.write("{}");

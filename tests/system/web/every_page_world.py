@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from kleinkram.cli.errors import ExitCode
 from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate_mcap
 from tests.acceptance.conftest import Terminal, wait_until
 from tests.recording_files.writers import McapWriter
@@ -29,6 +30,8 @@ RECORDING = '"><svg onload=wasRun=1>.mcap'
 TEXT = "<iframe srcdoc='<script>parent.wasRun=1<'>.txt"
 ACTION = "look <img src=x onerror=wasRun=1>"
 BROKEN = "cut <img src=x onerror=wasRun=1>.bag"
+PROFILE = f"<object data={FOREIGN}/profile> {{{{7*7}}}}"
+REASON = f"<embed src={FOREIGN}/reason> <a href=javascript:wasRun=1>known</a>"
 
 _FIELDS = [
     {
@@ -42,6 +45,27 @@ _FIELDS = [
     {"name": "wind", "type": "number", "unit": "<b>m"},
 ]
 
+
+_RULES = f"# {NOTES}\n" + json.dumps(
+    {
+        "version": 1,
+        "profiles": [
+            {
+                "name": PROFILE,
+                "files": {"*.mcap": {"min_size": "1GB"}},
+                "topics": {
+                    TOPIC: {"type": "std_msgs/String", "rate": "10 Hz", "max_gap": "1ms"},
+                    f"{TOPIC}/missing": {},
+                    "/imu/*": {"max_gap": "1s", "severity": "warning"},
+                },
+                "images": {"/camera/*": {}},
+            },
+            {"name": f"left out {LABEL}", "when": {"robot": VALUE[60:]}, "topics": {TOPIC: {}}},
+        ],
+    },
+    indent=2,
+)
+_PUBLIC_RULES = "version: 1\nprofiles:\n- topics:\n    /imu/*: {max_gap: 1s}\n    /lake: {}\n"
 
 _SCRIPT = f"""\
 # /// script
@@ -58,7 +82,8 @@ from kleinkram.action import out, report
 
 print({NOTES!r}, flush=True)
 report.finding("error", "evil", {VALUE!r}, topic={TOPIC!r})
-report.metric("evil", 1, unit="<b>m")
+report.metric("evil", 1, unit="<b>m", topic={TOPIC!r}, labels={{"method": {LABEL!r}}})
+report.check("evil.check", "error", {VALUE!r}, value=2, limit=1, unit="<b>m", topic={TOPIC!r})
 report.propose(robot={VALUE!r})
 for ending in ("svg", "csv", "geojson"):
     (out / f"evil.{{ending}}").write_text({NOTES!r})
@@ -106,10 +131,12 @@ def make_world(terminal: Terminal, folder: Path) -> World:
     script = folder / "evil.py"
     script.write_text(_SCRIPT)
     terminal.run("action", "create", script)
-    terminal.run("action", "run", ACTION, *place, "--set", f"robot={VALUE[:60]}", "--follow", "--yes")
+    parameters = ("--set", f"robot={VALUE[:60]}")
+    terminal.run("action", "run", ACTION, *place, *parameters, "--follow", "--yes", code=ExitCode.verdict_bad)
     wait_until(lambda: all(file["content"] != "pending" for file in files()), "all files to be read")
     known = {file["path"]: file["id"] for file in files()}
     missions = {row["name"]: row["id"] for row in terminal.run("mission", "list", "--json").json()["items"]}
+    _check(terminal, folder, parameters)
     projects = {row["name"]: row["id"] for row in terminal.run("project", "list", "--json").json()["items"]}
     groups = {row["name"]: row["id"] for row in terminal.run("group", "list", "--json").json()["items"]}
     actions = terminal.run("action", "list", "--json").json()["items"]
@@ -130,6 +157,23 @@ def make_world(terminal: Terminal, folder: Path) -> World:
         "group": groups[GROUP],
     }
     return World(invited["url"], other["url"], share["url"], ids)
+
+
+def _check(terminal: Terminal, folder: Path, parameters: tuple[str, ...]) -> None:
+    """Give the projects rules and an action that checks; accept a check, and wait for the verdicts."""
+    for project, text in ((PROJECT, _RULES), ("Lakes", _PUBLIC_RULES)):
+        rules = folder / "checks.yaml"
+        rules.write_text(text)
+        terminal.run("checks", "set", "-p", project, rules)
+    terminal.run("project", "actions", "add", ACTION, "-p", PROJECT, "--on", "idle", "--idle", "24h", *parameters)
+
+    def verdicts() -> set[str]:
+        return {row["verdict"] for row in terminal.run("mission", "list", "--json").json()["items"]}
+
+    wait_until(lambda: verdicts() == {"bad"}, "all missions to be checked")
+    place = ("-p", PROJECT, "-m", MISSION)
+    terminal.run("mission", "accept", *place, "--check", "file.size", "--because", REASON)
+    terminal.run("mission", "note", *place, "--check", "topic.gap", "--topic", TOPIC, "--text", NOTES)
 
 
 def _projects(terminal: Terminal, folder: Path) -> None:

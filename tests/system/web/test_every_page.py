@@ -29,6 +29,8 @@ _TEXTS = {
     "text": hostile.TEXT,
     "broken": hostile.BROKEN,
     "action": hostile.ACTION,
+    "profile": hostile.PROFILE,
+    "reason": hostile.REASON,
     "gone": f"gone {hostile.LABEL}",
 }
 

@@ -91,11 +91,13 @@ export function useVirtualRows({ body, scroller, count, pinned, rowHeight, isOwn
     const source = isOwnScroller ? scroller.value : window;
     if (element === null || source === null) return;
     source.addEventListener("scroll", onScroll, { passive: true });
+    window.addEventListener("resize", measure); // a higher window shows more rows, while the page keeps its size
     measure();
     observer.observe(document.body); // content above the table moves it
     observer.observe(element);
     onCleanup(() => {
       source.removeEventListener("scroll", onScroll);
+      window.removeEventListener("resize", measure);
       observer.disconnect();
     });
   }, { flush: "post" });

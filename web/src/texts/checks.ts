@@ -120,6 +120,13 @@ export const matrixTexts = {
   label: "Checks of the missions",
   mission: "Mission",
   legend: "Statuses",
+  statuses: {
+    error: statusTexts.error.label,
+    warning: statusTexts.warning.label,
+    not_made: statusTexts.not_made.label,
+    ok: "Passed or accepted",
+    needs_content: statusTexts.needs_content.label,
+  } satisfies Readonly<Record<CheckStatus, string>>,
   cell: (name: string, status: string) => `${name}: ${status}`,
   notChecked: (name: string) => `${name}: not checked`,
   explained: "Details of the cell",

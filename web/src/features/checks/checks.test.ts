@@ -50,6 +50,7 @@ describe("checks of a mission", () => {
     expect(measured(199.87654, "Hz")).toBe("199.88 Hz");
     expect(measured(123456.7, null)).toBe("123,457");
     expect(measured(0, "s")).toBe("0 s");
+    expect(measured(1_703_900, "B")).toBe("1.7 MB");
     expect(measured(null, "s")).toBe("");
   });
   it("are summed in words, and only failed ones are counted as failed", () => {

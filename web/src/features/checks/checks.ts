@@ -1,7 +1,7 @@
 // Display of checks: values with units, filters, order, and what belongs to a check.
 import type { Acceptance, Check, Note } from "./queries";
 import type { CheckCounts, CheckStatus } from "@/api/types";
-import { dateOfNs, formatUtc } from "@/components/format";
+import { dateOfNs, formatSize, formatUtc } from "@/components/format";
 
 /** The statuses, worst first. */
 export const STATUSES = ["error", "warning", "not_made", "ok", "needs_content"] as const satisfies readonly CheckStatus[];
@@ -14,6 +14,7 @@ const large = new Intl.NumberFormat("en-GB", { maximumFractionDigits: 0 });
 /** Returns a number with its unit; empty where there is none. */
 export function measured(value: number | null | undefined, unit: string | null | undefined): string {
   if (value === null || value === undefined) return "";
+  if (unit === "B") return formatSize(value);
   const number = (Math.abs(value) < LARGE ? small : large).format(value);
   return unit ? `${number} ${unit}` : number;
 }
