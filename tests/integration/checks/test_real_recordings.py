@@ -12,6 +12,7 @@ from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.recordings import Recording, RecordingError
 from tests.conftest import RECORDINGS
 from tests.recording_files.corpus import entries
+from tests.requirements import missing
 
 BAD = (CheckStatus.error, CheckStatus.warning)
 EVERYTHING = """
@@ -74,7 +75,7 @@ def _checks(path: Path, sections: str) -> list[Check]:
 def test_good_recordings_raise_no_false_alarm(name: str) -> None:
     path = RECORDINGS / name
     if not path.exists():
-        pytest.skip("the recordings are missing")
+        missing(f"no recordings at {RECORDINGS}: set KLEINKRAM_RECORDINGS")
     rows = _checks(path, GOOD[name])
     assert [row for row in rows if row.status is not CheckStatus.ok] == []
     assert rows
@@ -84,7 +85,7 @@ def test_good_recordings_raise_no_false_alarm(name: str) -> None:
 def test_any_recording_can_be_checked(name: str) -> None:
     path = RECORDINGS / name
     if not path.exists():
-        pytest.skip("the recordings are missing")
+        missing(f"no recordings at {RECORDINGS}: set KLEINKRAM_RECORDINGS")
     try:
         rows = _checks(path, EVERYTHING)
     except RecordingError as error:
