@@ -9,7 +9,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from kleinkram.standalone.errors import PortTaken, StandaloneError
-from kleinkram.standalone.object_store import PORT_NAMES
+from kleinkram.standalone.object_store import ADMIN_GRPC_OFFSET, PORT_NAMES
 from kleinkram.standalone.processes import port_listener
 
 _PREFERRED = {"api": 8000, "store": 8001}
@@ -101,7 +101,10 @@ def assign_ports(listening: Listening, previous: dict[str, int]) -> dict[str, in
             )
         assigned[name] = port or _choose(name, listening.address, previous, assigned)
     for name in ("postgres", *METRICS_PORTS, *PORT_NAMES):
-        assigned[name] = _choose(name, "127.0.0.1", previous, assigned)
+        if name == "admin_grpc":
+            assigned[name] = assigned["admin"] + ADMIN_GRPC_OFFSET
+        else:
+            assigned[name] = _choose(name, "127.0.0.1", previous, assigned)
     return assigned
 
 
@@ -141,12 +144,15 @@ def public_urls(listening: Listening, ports: dict[str, int]) -> tuple[str, str]:
 
 
 def _choose(name: str, address: str, previous: dict[str, int], assigned: dict[str, int]) -> int:
+    def is_available(port: int, taken: Collection[int]) -> bool:
+        needed = (port, port + ADMIN_GRPC_OFFSET) if name == "admin" else (port,)
+        return all(number not in taken and is_free(number, address) for number in needed)
+
     for port in (previous.get(name), _PREFERRED.get(name)):
-        if port and port not in assigned.values() and is_free(port, address):
+        if port and is_available(port, assigned.values()):
             return port
-    reserved: Collection[int] = {*assigned.values(), *(port for other, port in previous.items() if other != name)}
-    candidates = random.sample(_PRIVATE_RANGE, k=400)
-    return next(port for port in candidates if port not in reserved and is_free(port, address))
+    reserved = {*assigned.values(), *(port for other, port in previous.items() if other != name)}
+    return next(port for port in random.sample(_PRIVATE_RANGE, k=400) if is_available(port, reserved))
 
 
 def _primary_address() -> str:

@@ -32,7 +32,8 @@ STOP_SIGNAL = signal.SIGTERM
 _SERVICES = ("s3", "master", "volume", "filer", "admin")
 # Not admin: weed's own worker expects its gRPC port at the port plus 10000, whatever the flags are.
 _WITH_GRPC = ("s3", "master", "volume", "filer")
-PORT_NAMES = (*_SERVICES, *(f"{service}_grpc" for service in _WITH_GRPC), "s3_tls")
+ADMIN_GRPC_OFFSET = 10_000
+PORT_NAMES = ("admin", "admin_grpc", *_SERVICES[:-1], *(f"{service}_grpc" for service in _WITH_GRPC), "s3_tls")
 # Authenticates weed's own services to each other. Reads of a volume stay without: they need an object's random cookie,
 # which only the filer returns, and signing each range made summaries of recordings a tenth slower.
 _SIGNING_KEY = "WEED_JWT_SIGNING_KEY"

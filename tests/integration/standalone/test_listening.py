@@ -11,13 +11,14 @@ from urllib.parse import urlsplit
 import pytest
 
 from kleinkram.standalone import object_store
-from kleinkram.standalone.address import Listening, check_listening, public_urls
+from kleinkram.standalone.address import Listening, assign_ports, check_listening, public_urls
 from kleinkram.standalone.data_dir import DataDir, load_secrets
 from kleinkram.standalone.errors import StandaloneError
 from kleinkram.standalone.http_client import create_owner_link, request
 from kleinkram.standalone.supervisor import stop_instance
 from tests.certificate import make_certificate
 from tests.integration.standalone.conftest import Instance
+from tests.ports import choose_port
 
 ELSEWHERE = "127.0.0.2"
 
@@ -26,6 +27,19 @@ def _open(port: int) -> bool:
     with socket.socket() as probe:
         probe.settimeout(2)
         return probe.connect_ex((ELSEWHERE, port)) == 0
+
+
+def test_no_service_gets_the_port_that_the_store_computes_for_its_admin_service() -> None:
+    listening = Listening(port=choose_port(), s3_port=choose_port())
+    first = assign_ports(listening, {})
+    assert first["admin_grpc"] == first["admin"] + 10_000
+    assert len(set(first.values())) == len(first)
+    assert assign_ports(listening, first) == first
+    # As instances of earlier versions may have chosen.
+    colliding = first | {"filer": first["admin_grpc"]}
+    del colliding["admin_grpc"]
+    second = assign_ports(listening, colliding)
+    assert second["filer"] != second["admin_grpc"] == first["admin"] + 10_000
 
 
 def test_by_default_only_this_machine_can_connect(shared_instance: Instance) -> None:
