@@ -48,6 +48,25 @@ INSERT INTO project (id, name, name_key, metadata_fields, created_by_id)
 INSERT INTO mission (id, project_id, name, name_key, metadata, notes, created_by_id, files_revision, derived_revision)
   VALUES (%(mission)s, %(project)s, 'Day 1', 'day 1', '{"robot": "anymal"}', 'rain', %(person)s, 3, 3)
 """
+_ACCEPTED = """
+INSERT INTO action (id, name, name_key, project_id, created_by_id)
+  VALUES (%(action)s, 'verify', 'verify', %(project)s, %(person)s);
+INSERT INTO action_version (id, action_id, number, definition, definition_sha256, created_by_id)
+  VALUES (%(version)s, %(action)s, 3, '{}', sha256('x'), %(person)s);
+INSERT INTO run (id, version_id, mission_id, parameters, network, cores, memory_bytes, disk_bytes, gpus, needs_images,
+    inputs_fingerprint, started_by_id, input_count, input_bytes)
+  VALUES (%(run)s, %(version)s, %(mission)s, '{}', 'none', 1, 1, 1, 0, false, sha256('x'), %(person)s, 1, 1);
+INSERT INTO check_acceptance (id, mission_id, check_name, because, inputs_sha256, created_by_id, ended, ended_at)
+  VALUES (%(current)s, %(mission)s, 'topic.rate', 'Known.', sha256('x'), %(person)s, NULL, NULL),
+    (%(withdrawn)s, %(mission)s, 'topic.rate', 'Known.', sha256('x'), %(person)s, 'withdrawn', now());
+INSERT INTO mission_checks (mission_id, verdict, files_revision, project_id, checks_number, counts, statuses, checks)
+  VALUES (%(mission)s, 'good', 3, %(project)s, 0, '{}', '{}', jsonb_build_array(
+    '{"name": "topic.rate", "status": "error", "topic": "/imu", "limit": 100.5}'
+      ::jsonb || jsonb_build_object('acceptance_id', %(current)s),
+    '{"name": "topic.rate", "status": "warning", "file": "a.mcap", "source": "action", "action": "verify"}'
+      ::jsonb || jsonb_build_object('acceptance_id', %(current)s, 'run_id', %(run)s),
+    '{"name": "topic.rate", "status": "error", "topic": "/other"}'::jsonb))
+"""
 # What a server of the earlier schema reads and writes while its database is upgraded.
 _READS = (
     "SELECT f.path, b.state, m.name, p.name, a.name FROM file f JOIN blob b ON b.id = f.blob_id"
@@ -125,6 +144,28 @@ def test_migrating_twice_changes_nothing(postgres: RunningPostgres, database: st
     before = postgres.sql("SELECT count(*) FROM pg_class", database=database)
     assert _migrate_as_process(postgres, database).returncode == 0
     assert postgres.sql("SELECT count(*) FROM pg_class", database=database) == before
+
+
+def test_an_earlier_acceptance_covers_what_it_covered(postgres: RunningPostgres) -> None:
+    name = postgres.create_database()
+    config = alembic_config(_url(postgres, name), _ROLE)
+    command.upgrade(config, "0104")
+    names = ("person", "project", "mission", "current", "withdrawn", "action", "version", "run")
+    ids = {one: str(uuid.uuid4()) for one in names}
+    with psycopg.connect(postgres.migrate_url(name), cursor_factory=psycopg.ClientCursor) as connection:
+        connection.execute(_FILL, ids)
+        connection.execute(_ACCEPTED, ids)
+    command.upgrade(config, "0105")
+    with psycopg.connect(postgres.serve_url(name)) as connection:
+        rows = connection.execute("SELECT ended, failures FROM check_acceptance ORDER BY ended NULLS FIRST").fetchall()
+        assert rows[0][0] is None
+        assert sorted(rows[0][1], key=str) == [
+            ["error", "/imu", None, 100.5, None, None],
+            ["warning", None, "a.mcap", None, "verify", 3],
+        ]
+        assert rows[1] == ("withdrawn", [])
+        assert connection.execute("SELECT is_outdated FROM mission_checks").fetchall() == [(True,)]
+    postgres.drop_database(name)
 
 
 @pytest.mark.parametrize(

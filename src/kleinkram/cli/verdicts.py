@@ -9,6 +9,7 @@ from kleinkram.cli.units import instant
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.checks import (
+    CellStatus,
     CheckAcceptanceRead,
     CheckMatrix,
     CheckNoteRead,
@@ -30,13 +31,10 @@ ProjectArgument = Annotated[
 ]
 CheckOption = Annotated[Text, option("--check", "NAME", "The check, such as topic.gap.")]
 TopicOption = Annotated[Text, option("--topic -t", "TOPIC", "The topic of the check; by default all topics.")]
-_STATUSES = {
-    CheckStatus.error: "error",
-    CheckStatus.warning: "warning",
-    CheckStatus.not_made: "not made",
-    CheckStatus.ok: "ok",
-    CheckStatus.needs_content: "needs content",
-}
+AcceptedTopicOption = Annotated[
+    Text, option("--topic -t", "TOPIC", "The topic of the check; by default all topics on which it fails now.")
+]
+_STATUSES = {status.value: status.value.replace("_", " ") for status in CellStatus}
 
 
 def show_mission_checks(
@@ -86,17 +84,18 @@ def accept(
     project: options.ProjectOption = None,
     mission: options.MissionOption = None,
     check: CheckOption = None,
-    topic: TopicOption = None,
-    because: Annotated[Text, option("--because", "TEXT", "The reason, for others.")] = None,
+    topic: AcceptedTopicOption = None,
+    because: Annotated[Text, option("--because", "TEXT", "The reason, for others, also those with a link.")] = None,
     withdraw: Annotated[bool, flag("--withdraw", "Withdraw the acceptance: the check counts again.")] = False,
 ) -> Output:
-    """Accept that a check of a mission fails: it no longer counts, until the files of the mission change."""
+    """Accept what fails of a check of a mission: it no longer counts, until the files change. New failures count."""
     if check is None or (because is None) != withdraw:
         raise InvalidInput(what="The command", reason="specify --check, and either --because or --withdraw")
     target = client.missions.get(options.the_ref("mission", name, mission), project=project)
     if because is not None:
         made = client.checks.accept(target.id, check, because=because, topic=topic)
-        return Output(made, f"{_check_of(made)} of {target.name} no longer counts, until its files change.")
+        said = f"What fails of {_check_of(made)} in {target.name} no longer counts, until its files change."
+        return Output(made, said)
     current = client.checks.mission(target.id).acceptances
     accepted = next((one for one in current if (one.check, one.topic) == (check, topic)), None)
     if accepted is None:
@@ -150,8 +149,7 @@ def _show_checks(mission: MissionRead, result: MissionChecksRead, *, list_all: b
         table(["status", "check", "where", "message", "source"], map(_cells, shown))
     if result.acceptances:
         line("")
-        rows = [(_check_of(one), one.created_by.name, one.because, one.ended) for one in result.acceptances]
-        table(["accepted", "by", "because", "ended"], [(*row[:3], row[3].value if row[3] else None) for row in rows])
+        table(["accepted", "by", "because", "ended"], map(_acceptance_cells, result.acceptances))
     if result.notes:
         line("")
         table(["note on", "by", "text"], [(_check_of(one), one.created_by.name, one.text) for one in result.notes])
@@ -160,8 +158,13 @@ def _show_checks(mission: MissionRead, result: MissionChecksRead, *, list_all: b
 
 
 def _cells(check: MissionCheck) -> tuple[object, ...]:
-    status = f"{_STATUSES[check.status]} (accepted)" if check.acceptance_id else _STATUSES[check.status]
+    status = _STATUSES[check.status.value] + (" (accepted)" if check.acceptance_id else "")
     return status, check.name, check.topic or check.file, check.message, check.action or check.source.value
+
+
+def _acceptance_cells(one: CheckAcceptanceRead) -> tuple[object, ...]:
+    ended = one.ended.value.replace("_", " ") if one.ended else None
+    return _check_of(one), one.created_by.name if one.created_by else None, one.because, ended
 
 
 def _why_unchecked(result: MissionChecksRead) -> str:
@@ -178,7 +181,7 @@ def _show_matrix(matrix: CheckMatrix) -> None:
             row.mission.name,
             row.verdict.value,
             instant(row.start_ns),
-            *(_STATUSES[row.cells[name]] if name in row.cells else None for name in matrix.checks),
+            *(_STATUSES[row.cells[name].value] if name in row.cells else None for name in matrix.checks),
         )
         for row in matrix.items
     ]

@@ -68,7 +68,9 @@ class Checks(ApiResource):
         return self._api.send("POST", f"{self._of_mission(mission)}/check-reports", CheckReportRead, report)
 
     def accept(self, mission: Ref, check: str, *, because: str, topic: str | None = None) -> CheckAcceptanceRead:
-        """Let a failing check of a mission, on one topic or all, no longer count until its files change.
+        """Let what fails of a check, on one topic or all, no longer count until the files of the mission change.
+
+        Another topic, outcome, limit, action or version that fails later is a new failure, which counts.
 
         Raises:
             InvalidRequest: no such check fails, or it is accepted already.

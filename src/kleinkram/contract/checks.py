@@ -193,8 +193,8 @@ class CheckSource(str, enum.Enum):
 class MissionCheck(Response):
     """The outcome of one check of a mission, as in `Check`.
 
-    `action` and `run_id` name the run that made it. `acceptance_id`: a person accepted that it fails, so that it does
-    not count.
+    `action`, `action_version` and `run_id` name the run that made it; share links do not show `run_id`.
+    `acceptance_id`: a person accepted that it fails, so that it does not count.
     """
 
     name: str
@@ -208,6 +208,7 @@ class MissionCheck(Response):
     time_ns: int | None = None
     source: CheckSource = CheckSource.server
     action: str | None = None
+    action_version: int | None = None
     run_id: uuid.UUID | None = None
     acceptance_id: uuid.UUID | None = None
 
@@ -231,7 +232,7 @@ class ProfileLeftOut(Response):
 
 
 class CheckAcceptanceCreate(Request):
-    """Accept that a check of a mission fails. Without a topic, on all topics."""
+    """Accept that a check of a mission fails as it does now. Without a topic, on all topics on which it fails now."""
 
     check: NameOfMissionCheck
     topic: CheckedTopic | None = None
@@ -239,21 +240,25 @@ class CheckAcceptanceCreate(Request):
 
 
 class AcceptanceEnd(str, enum.Enum):
-    """Why an acceptance ended: a person withdrew it, or the files that it was about changed."""
+    """Why an acceptance ended: a person withdrew it or accepted the check again, or the files changed."""
 
     withdrawn = "withdrawn"
+    replaced = "replaced"
     files_changed = "files_changed"
 
 
 class CheckAcceptanceRead(Response):
-    """A person's decision that a failing check of a mission does not count. `ended` is null while it applies."""
+    """A person's decision that what failed of a check does not count, and nothing that fails later.
+
+    `ended` is null while it applies. Share links do not show `created_by`.
+    """
 
     id: uuid.UUID
     check: str
     topic: str | None
     because: str
     created_at: datetime.datetime
-    created_by: PersonRef
+    created_by: PersonRef | None
     ended: AcceptanceEnd | None
     ended_at: datetime.datetime | None
     ended_by: PersonRef | None
@@ -283,7 +288,8 @@ class MissionChecksRead(Response):
 
     `evaluated_at` is null while nothing was checked. `is_current`: the checks are of the present files and by the
     present `checks.yaml`, whose version is `checks_number` (0 for none). `bad_since` is when the mission became bad.
-    With `all`, acceptances that ended are listed too.
+    With `all`, acceptances that ended are listed too. Share links show no notes and no reports, and only acceptances
+    that apply.
     """
 
     verdict: Verdict
@@ -300,6 +306,17 @@ class MissionChecksRead(Response):
     reports: list[CheckReportRead]
 
 
+class CellStatus(str, enum.Enum):
+    """The worst status of a check over its topics; `accepted`: what failed was accepted, and the rest passed."""
+
+    error = "error"
+    warning = "warning"
+    not_made = "not_made"
+    accepted = "accepted"
+    ok = "ok"
+    needs_content = "needs_content"
+
+
 class CheckMatrixRow(Response):
     """One mission of the matrix: of each check that was made, the worst status over its topics."""
 
@@ -307,7 +324,7 @@ class CheckMatrixRow(Response):
     start_ns: int | None
     verdict: Verdict
     counts: CheckCounts
-    cells: dict[str, CheckStatus]
+    cells: dict[str, CellStatus]
 
 
 class CheckMatrix(Response):

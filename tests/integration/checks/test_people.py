@@ -10,6 +10,7 @@ from tests.integration.api_server import Api
 from tests.integration.checks.judged import (
     GOOD,
     RULES,
+    SECOND_NS,
     SLOW,
     checked_project,
     derive,
@@ -89,6 +90,62 @@ def test_only_failing_checks_are_accepted_and_each_once(api: Api, bad_id: str) -
     _accept(api, bad_id, because="").refused(422, "invalid_request")
     _accept(api, bad_id).ok(201)
     assert "already" in _accept(api, bad_id).refused(422, "invalid_request")["problems"][0]["message"]
+
+
+def _outcomes(api: Api, mission_id: str) -> tuple[str, list[tuple[str, str, str | None]]]:
+    run_jobs(api)
+    return verdict(api, mission_id), failing(api, mission_id)
+
+
+def test_an_acceptance_on_all_topics_covers_those_that_failed_then(api: Api) -> None:
+    rules = RULES.replace("      /imu: {rate: 100 Hz", "      '/imu*': {rate: 100 Hz")
+    project_id = checked_project(api, rules)
+    topics = (topic("/imu", rate_hz=50), topic("/imu2"), topic("/camera", rate_hz=10, gap_ns=SECOND_NS))
+    mission_id = judged_mission(api, project_id, *topics)
+    accepted = _accept(api, mission_id).ok(201)
+    assert _outcomes(api, mission_id) == ("good", [])
+
+    # The same outcome by rules that changed elsewhere stays accepted.
+    set_rules(api, project_id, rules.replace("severity: warning", "severity: warning, max_gap: 2s")).ok()
+    assert _outcomes(api, mission_id) == ("good", [])
+    # Another topic fails: a new failure. The acceptance stays for what it covers.
+    stricter = rules.replace("/camera: {", "/camera: {rate: 20 Hz, ")
+    set_rules(api, project_id, stricter).ok()
+    assert _outcomes(api, mission_id) == ("warnings", [("topic.rate", "warning", "/camera")])
+    # Other limits and another severity, too.
+    set_rules(api, project_id, rules.replace("100 Hz", "90 Hz").replace("5%", "20%")).ok()
+    assert _outcomes(api, mission_id) == ("bad", [("topic.rate", "error", "/imu")])
+    set_rules(api, project_id, rules.replace("max_gap: 100ms", "severity: warning")).ok()
+    assert _outcomes(api, mission_id) == ("warnings", [("topic.rate", "warning", "/imu")])
+
+    # Accepted again, it covers what fails now, in place of the earlier one.
+    set_rules(api, project_id, stricter).ok()
+    run_jobs(api)
+    again = _accept(api, mission_id, because="The camera, too.").ok(201)
+    assert _outcomes(api, mission_id) == ("good", [])
+    read = api.get(f"/missions/{mission_id}/checks", {"all": "true"}).ok()
+    assert [(one["id"], one["ended"]) for one in read["acceptances"]] == [
+        (again["id"], None),
+        (accepted["id"], "replaced"),
+    ]
+    assert {one["acceptance_id"] for one in read["checks"] if one["status"] in ("error", "warning")} == {again["id"]}
+    assert read["acceptances"][1]["ended_by"] == read["acceptances"][0]["created_by"]
+
+
+def test_a_check_by_earlier_rules_cannot_be_accepted(api: Api, bad_id: str) -> None:
+    project_id = api.get(f"/missions/{bad_id}").ok()["project"]["id"]
+    set_rules(api, project_id, RULES.replace("100 Hz", "400 Hz")).ok()
+    assert "wait for its new checks" in str(_accept(api, bad_id).refused(422, "invalid_request"))
+    run_jobs(api)
+    _accept(api, bad_id).ok(201)
+
+
+def test_an_accepted_check_is_a_state_of_its_own_in_the_matrix(api: Api, bad_id: str) -> None:
+    project_id = api.get(f"/missions/{bad_id}").ok()["project"]["id"]
+    _accept(api, bad_id).ok(201)
+    run_jobs(api)
+    (row,) = api.get(f"/projects/{project_id}/checks/matrix").ok()["items"]
+    assert (row["verdict"], row["cells"]["topic.rate"], row["cells"]["topic.gap"]) == ("good", "accepted", "ok")
 
 
 def test_readers_see_acceptances_and_notes_and_add_none(api: Api, bad_id: str) -> None:

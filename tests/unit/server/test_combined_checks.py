@@ -2,17 +2,19 @@
 
 import itertools
 import uuid
+from typing import Any
 
 import pytest
 
 from kleinkram.checks.outcomes import LEFT_OUT
-from kleinkram.contract.checks import MAX_CHECKS, Check, CheckSource, CheckStatus, MissionCheck, Verdict
+from kleinkram.contract.checks import MAX_CHECKS, CellStatus, Check, CheckSource, CheckStatus, MissionCheck, Verdict
 from kleinkram.server.checks.combine import (
     Acceptance,
     CombinedChecks,
     Sources,
     UploaderReport,
     combine,
+    failure_of,
     is_content_outdated,
     reads_content,
 )
@@ -22,21 +24,24 @@ NOT_MADE, NEEDS_CONTENT = CheckStatus.not_made, CheckStatus.needs_content
 _ACCEPTED_ID = uuid.UUID(int=1)
 
 
-def made(name: str, status: CheckStatus, topic: str | None = None) -> Check:
-    return Check(name=name, status=status, message="measured", topic=topic)
+def made(name: str, status: CheckStatus, topic: str | None = None, **fields: Any) -> Check:
+    return Check(name=name, status=status, message="measured", topic=topic, **fields)
 
 
-def of_action(name: str, status: CheckStatus, topic: str | None = None) -> MissionCheck:
+def of_action(name: str, status: CheckStatus, topic: str | None = None, **fields: Any) -> MissionCheck:
     check = made(name, status, topic)
-    return MissionCheck.model_construct(**check.__dict__, source=CheckSource.action, action="verify")
+    source = {"source": CheckSource.action, "action": "verify", "action_version": 1}
+    return MissionCheck.model_construct(**check.__dict__, **(source | fields))
 
 
 def report(*checks: Check, present: bool = True, content: bool = True) -> UploaderReport:
     return UploaderReport(checks, is_by_present_rules=present, has_content=content)
 
 
-def accepted(check: str, topic: str | None = None) -> Acceptance:
-    return Acceptance(_ACCEPTED_ID, check, topic)
+def accepted(*checks: Check | MissionCheck) -> Acceptance:
+    """Return the acceptance of these failures of one check."""
+    failures = {failure_of(MissionCheck.model_construct(**check.__dict__)) for check in checks}
+    return Acceptance(_ACCEPTED_ID, checks[0].name, failures)
 
 
 def outcomes(combined: CombinedChecks) -> list[tuple[str, CheckStatus, CheckSource]]:
@@ -76,7 +81,8 @@ def test_the_worst_of_all_sources_decides(index: CheckStatus, content: CheckStat
     assert combined.verdict is (
         Verdict.bad if ERROR in made_of else Verdict.warnings if WARNING in made_of else Verdict.good
     )
-    assert combined.statuses == {"topic.rate": index, "image.black": content, "slam.drift": action}
+    shown = {name: status.value for name, status in combined.statuses.items()}
+    assert shown == {"topic.rate": index.value, "image.black": content.value, "slam.drift": action.value}
     order = [OK, WARNING, ERROR]
     assert [check.status for check in combined.checks] == sorted((index, content, action), key=order.index)[::-1]
 
@@ -154,16 +160,25 @@ def test_without_rules_of_the_project_a_whole_report_counts() -> None:
     assert combine(Sources(reports=reports[:1])).verdict is Verdict.bad
 
 
+_GAP = made("topic.gap", ERROR, "/imu", value=2, limit=1, unit="s", file="run.mcap")
+_DRIFT = of_action("slam.drift", ERROR)
+
+
 @pytest.mark.parametrize(
     ("acceptance", "verdict", "failed", "counts"),
     [
-        (accepted("topic.gap", "/imu"), Verdict.bad, ["topic.gap"], {"accepted": 1, "error": 1, "ok": 1}),
-        (accepted("topic.gap"), Verdict.good, [], {"accepted": 2, "ok": 1}),
-        (accepted("topic.gap", "/tf"), Verdict.bad, ["topic.gap"], {"error": 2, "ok": 1}),
-        (accepted("topic.rate"), Verdict.bad, ["topic.gap"], {"error": 2, "ok": 1}),
+        (accepted(made("topic.gap", ERROR, "/imu")), Verdict.bad, ["topic.gap"], {"accepted": 1, "error": 1, "ok": 1}),
+        (
+            accepted(made("topic.gap", ERROR, "/imu"), made("topic.gap", ERROR, "/lidar")),
+            Verdict.good,
+            [],
+            {"accepted": 2, "ok": 1},
+        ),
+        (accepted(made("topic.gap", ERROR, "/tf")), Verdict.bad, ["topic.gap"], {"error": 2, "ok": 1}),
+        (accepted(made("topic.rate", ERROR, "/imu")), Verdict.bad, ["topic.gap"], {"error": 2, "ok": 1}),
     ],
 )
-def test_an_acceptance_covers_its_check_on_its_topic(
+def test_an_acceptance_covers_what_failed_and_no_other_topic(
     acceptance: Acceptance, verdict: Verdict, failed: list[str], counts: dict[str, int]
 ) -> None:
     index = [made("topic.gap", ERROR, "/imu"), made("topic.gap", ERROR, "/lidar"), made("topic.rate", OK, "/imu")]
@@ -173,17 +188,58 @@ def test_an_acceptance_covers_its_check_on_its_topic(
     assert [check.status for check in combined.checks] == [ERROR, ERROR, OK]
 
 
+@pytest.mark.parametrize(
+    ("check", "is_covered"),
+    [
+        (_GAP, True),
+        (_GAP.model_copy(update={"message": "said otherwise by a later version", "value": 2.1}), True),
+        (_GAP.model_copy(update={"status": WARNING}), False),
+        (_GAP.model_copy(update={"status": NOT_MADE}), False),
+        (_GAP.model_copy(update={"topic": "/lidar"}), False),
+        (_GAP.model_copy(update={"file": "other.mcap"}), False),
+        (_GAP.model_copy(update={"limit": 0.5}), False),
+        (_GAP.model_copy(update={"name": "topic.rate"}), False),
+    ],
+)
+def test_a_failure_under_other_rules_is_a_new_one(check: Check, is_covered: bool) -> None:
+    combined = combine(Sources(index=[check], acceptances=[accepted(_GAP)]))
+    assert (combined.checks[0].acceptance_id == _ACCEPTED_ID) is is_covered
+    assert (combined.verdict is Verdict.good) is is_covered
+
+
+@pytest.mark.parametrize(
+    ("check", "is_covered"),
+    [
+        (_DRIFT, True),
+        (_DRIFT.model_copy(update={"run_id": uuid.UUID(int=2)}), True),
+        (_DRIFT.model_copy(update={"action_version": 2}), False),
+        (_DRIFT.model_copy(update={"action": "other"}), False),
+    ],
+)
+def test_a_finding_of_another_action_or_version_is_a_new_failure(check: MissionCheck, is_covered: bool) -> None:
+    combined = combine(Sources(actions=[check], acceptances=[accepted(_DRIFT)]))
+    assert (combined.verdict is Verdict.good) is is_covered
+
+
+def test_the_worst_status_of_a_check_says_whether_all_that_failed_was_accepted() -> None:
+    index = [_GAP, made("topic.gap", WARNING, "/lidar"), made("topic.gap", OK, "/tf")]
+    assert combine(Sources(index=index, acceptances=[accepted(_GAP)])).statuses == {"topic.gap": CellStatus.warning}
+    both = combine(Sources(index=index, acceptances=[accepted(*index[:2])]))
+    assert both.statuses == {"topic.gap": CellStatus.accepted}
+
+
 @pytest.mark.parametrize("status", [WARNING, ERROR, NOT_MADE])
 def test_checks_of_every_source_can_be_accepted(status: CheckStatus) -> None:
+    rate, black, drift = made("topic.rate", status), made("image.black", status), of_action("slam.drift", status)
     sources = Sources(
-        index=[made("topic.rate", status), made("image.black", NEEDS_CONTENT)],
-        reports=[report(made("image.black", status))],
-        actions=[of_action("slam.drift", status)],
-        acceptances=[accepted("topic.rate"), accepted("image.black"), accepted("slam.drift")],
+        index=[rate, made("image.black", NEEDS_CONTENT)],
+        reports=[report(black)],
+        actions=[drift],
+        acceptances=[accepted(rate), accepted(black), accepted(drift)],
     )
     combined = combine(sources)
     assert (combined.verdict, combined.counts, combined.failed) == (Verdict.good, {"accepted": 3}, [])
-    assert {*combined.statuses.values()} == {OK}
+    assert {*combined.statuses.values()} == {CellStatus.accepted}
     assert {check.acceptance_id for check in combined.checks} == {_ACCEPTED_ID}
 
 
@@ -207,7 +263,8 @@ def test_an_error_counts_at_once_and_nothing_is_good_before_all_is_made(
 
 
 def test_an_accepted_error_leaves_a_mission_outdated() -> None:
-    sources = Sources(index=[made("topic.rate", ERROR)], acceptances=[accepted("topic.rate")], is_outdated=True)
+    rate = made("topic.rate", ERROR)
+    sources = Sources(index=[rate], acceptances=[accepted(rate)], is_outdated=True)
     assert combine(sources).verdict is Verdict.outdated
 
 

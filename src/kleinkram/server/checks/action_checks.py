@@ -1,12 +1,14 @@
 """The checks of a mission that the result of an action amounts to. Pure."""
 
 from collections.abc import Iterator
+from typing import Any
 
 from kleinkram.contract.checks import Check, CheckSource, CheckStatus, MissionCheck, Verdict
 from kleinkram.contract.reports import Severity
 from kleinkram.server.runs.project_results import ActionResult, ResultState
 
 _STATUSES = {Severity.warning: CheckStatus.warning, Severity.error: CheckStatus.error}
+_MISSING, _FAILED = "results.missing", "results.failed"
 _VERDICTS = {Verdict.warnings: CheckStatus.warning, Verdict.bad: CheckStatus.error}
 
 
@@ -21,9 +23,9 @@ def checks_of_result(result: ActionResult, is_complete: bool) -> Iterator[Missio
     if result.state is ResultState.missing:
         status = CheckStatus.not_made if is_complete or result.message else CheckStatus.needs_content
         message = f"{name} has not run on these files" + (f": {result.message}" if result.message else "")
-        yield _check(result, "results.missing", status, message[:2000])
+        yield _check(result, _MISSING, status, message[:2000])
     elif result.state is ResultState.failed:
-        yield _check(result, "results.failed", CheckStatus.not_made, f"{name} failed: {result.message}"[:2000])
+        yield _check(result, _FAILED, CheckStatus.not_made, f"{name} failed: {result.message}"[:2000])
     elif result.state is ResultState.done:
         worst = {check.status for check in result.checks} | {_STATUSES[entry.severity] for entry in result.findings}
         status = _VERDICTS.get(result.verdict or Verdict.good, CheckStatus.ok)
@@ -39,16 +41,25 @@ def checks_of_result(result: ActionResult, is_complete: bool) -> Iterator[Missio
             yield _check(result, finding.code, _STATUSES[finding.severity], finding.message, **fields)
 
 
+def without_run(check: MissionCheck) -> MissionCheck:
+    """Return a check as people without an account see it: not its run, nor why that failed, which may name people."""
+    changes: dict[str, Any] = {"run_id": None}
+    if check.source is CheckSource.action and check.name in (_MISSING, _FAILED):
+        changes["message"] = check.message.partition(": ")[0]
+    return check.model_copy(update=changes)
+
+
 def _of_run(result: ActionResult, check: Check) -> MissionCheck:
-    return MissionCheck.model_construct(
-        **check.__dict__, source=CheckSource.action, action=result.name, run_id=result.run_id
-    )
+    return MissionCheck.model_construct(**check.__dict__, **_source_of(result))
 
 
 def _check(
     result: ActionResult, name: str, status: CheckStatus, message: str, **where: str | int | None
 ) -> MissionCheck:
     fields = {"name": name, "status": status, "message": message, **where}
-    return MissionCheck.model_validate(
-        fields | {"source": CheckSource.action, "action": result.name, "run_id": result.run_id}
-    )
+    return MissionCheck.model_validate(fields | _source_of(result))
+
+
+def _source_of(result: ActionResult) -> dict[str, Any]:
+    source = {"source": CheckSource.action, "action": result.name, "action_version": result.version}
+    return source | {"run_id": result.run_id}

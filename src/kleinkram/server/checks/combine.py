@@ -4,11 +4,13 @@ import uuid
 from collections import Counter
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from kleinkram.checks.outcomes import LEFT_OUT
 from kleinkram.contract.checks import (
     MAX_CHECKS,
     WORST_FIRST,
+    CellStatus,
     Check,
     CheckSource,
     CheckStatus,
@@ -18,17 +20,29 @@ from kleinkram.contract.checks import (
 )
 
 _FAILED = (CheckStatus.error, CheckStatus.warning, CheckStatus.not_made)
+_WORST_CELL_FIRST = tuple(CellStatus)
 _FROM_INDEX = ("file.", "recording.", "topic.", "checks.")
 _ALSO_FROM_INDEX = "clock.jump"
 
 
+class Failure(NamedTuple):
+    """What identifies a failing check of this name while the files are the same: other rules make other failures."""
+
+    status: CheckStatus
+    topic: str | None
+    file: str | None
+    limit: float | None
+    action: str | None
+    action_version: int | None
+
+
 @dataclass(frozen=True)
 class Acceptance:
-    """A failing check that a person accepted; `topic` is None for all topics."""
+    """What failed of a check when a person accepted it."""
 
     id: uuid.UUID
     check: str
-    topic: str | None
+    failures: Set[Failure]
 
 
 @dataclass(frozen=True)
@@ -46,14 +60,14 @@ class CombinedChecks:
 
     Attributes:
         counts: by status of those that count, and `accepted`.
-        statuses: of each check, the worst status over topics and sources; accepted ones are `ok`.
+        statuses: of each check, the worst status over topics and sources.
         failed: names of the checks with warnings or errors that nobody accepted.
     """
 
     verdict: Verdict
     checks: list[MissionCheck]
     counts: dict[str, int]
-    statuses: dict[str, CheckStatus]
+    statuses: dict[str, CellStatus]
     failed: list[str]
 
 
@@ -80,17 +94,16 @@ class Sources:
 @dataclass
 class _Summary:
     counts: Counter[str] = field(default_factory=Counter)
-    statuses: dict[str, CheckStatus] = field(default_factory=dict)
+    statuses: dict[str, CellStatus] = field(default_factory=dict)
     failed: set[str] = field(default_factory=set)
 
     def add(self, check: MissionCheck) -> None:
-        is_accepted = check.acceptance_id is not None
-        self.counts["accepted" if is_accepted else check.status.value] += 1
-        status = CheckStatus.ok if is_accepted else check.status
+        status = CellStatus(check.status.value) if check.acceptance_id is None else CellStatus.accepted
+        self.counts[status.value] += 1
         known = self.statuses.get(check.name)
-        if known is None or WORST_FIRST.index(status) < WORST_FIRST.index(known):
+        if known is None or _WORST_CELL_FIRST.index(status) < _WORST_CELL_FIRST.index(known):
             self.statuses[check.name] = status
-        if status in (CheckStatus.error, CheckStatus.warning):
+        if status in (CellStatus.error, CellStatus.warning):
             self.failed.add(check.name)
 
 
@@ -162,13 +175,18 @@ def _read(check: Check, source: CheckSource) -> MissionCheck:
     return MissionCheck.model_construct(**check.__dict__, source=source)
 
 
+def failure_of(check: MissionCheck) -> Failure:
+    """Return what identifies a failing check among those of its name."""
+    return Failure(check.status, check.topic, check.file, check.limit, check.action, check.action_version)
+
+
 def _accepted(checks: Iterable[MissionCheck], acceptances: Sequence[Acceptance]) -> Iterable[MissionCheck]:
     by_name: dict[str, list[Acceptance]] = {}
     for acceptance in acceptances:
         by_name.setdefault(acceptance.check, []).append(acceptance)
     for check in checks:
         matching = by_name.get(check.name, ()) if check.status in _FAILED else ()
-        applied = next((one for one in matching if one.topic is None or one.topic == check.topic), None)
+        applied = next((one for one in matching if failure_of(check) in one.failures), None)
         yield check if applied is None else check.model_copy(update={"acceptance_id": applied.id})
 
 

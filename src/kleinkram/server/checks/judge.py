@@ -26,6 +26,7 @@ from kleinkram.server.checks.action_checks import checks_of_result
 from kleinkram.server.checks.combine import (
     Acceptance,
     CombinedChecks,
+    Failure,
     Sources,
     UploaderReport,
     combine,
@@ -74,7 +75,7 @@ async def judge_missions(db: Connection, mission_ids: Sequence[uuid.UUID]) -> No
         return
     await _end_acceptances(db, judged)
     rules = {key: await _rules(db, *key) for key in {(one.project_id, one.checks_number) for one in judged}}
-    reports, acceptances = await _reports(db, judged), await _acceptances(db, judged)
+    reports, acceptances = await _reports(db, judged), await current_acceptances(db, [one.id for one in judged])
     results = await project_results(db, [one.id for one in judged])
     judgements = await asyncio.to_thread(
         lambda: [
@@ -172,12 +173,14 @@ async def _end_acceptances(db: Connection, judged: Sequence[JudgedMission]) -> N
 _APPLIES: ColumnElement[bool] = check_acceptance.c.ended.is_(None)
 
 
-async def _acceptances(db: Connection, judged: Sequence[JudgedMission]) -> Mapping[uuid.UUID, list[Acceptance]]:
+async def current_acceptances(db: Connection, mission_ids: Sequence[uuid.UUID]) -> Mapping[uuid.UUID, list[Acceptance]]:
+    """Return the acceptances that have not ended, by mission."""
     own = check_acceptance.c.mission_id
-    columns = (check_acceptance.c.id, own, check_acceptance.c.check_name, check_acceptance.c.topic)
+    columns = (check_acceptance.c.id, own, check_acceptance.c.check_name, check_acceptance.c.failures)
     acceptances: dict[uuid.UUID, list[Acceptance]] = defaultdict(list)
-    for row in await db.execute(select(*columns).where(among(own, [one.id for one in judged]), _APPLIES)):
-        acceptances[row.mission_id].append(Acceptance(row.id, row.check_name, row.topic))
+    for row in await db.execute(select(*columns).where(among(own, mission_ids), _APPLIES)):
+        failures = {Failure(CheckStatus(status), *others) for status, *others in row.failures}
+        acceptances[row.mission_id].append(Acceptance(row.id, row.check_name, failures))
     return acceptances
 
 

@@ -7,7 +7,6 @@ import uuid
 from typing import Any
 
 from sqlalchemy import Row, delete, func, insert, select, update
-from sqlalchemy.exc import IntegrityError
 
 from kleinkram.contract.checks import (
     AcceptanceEnd,
@@ -28,14 +27,16 @@ from kleinkram.contract.errors import FieldProblem, InvalidRequest, NotFound
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.people import PersonRef
-from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.checks import queries
+from kleinkram.server.checks.action_checks import without_run
+from kleinkram.server.checks.combine import Failure, failure_of
 from kleinkram.server.checks.facts import JudgedMission, read_missions
-from kleinkram.server.checks.judge import is_report_of
-from kleinkram.server.db import Connection, violated_constraint
+from kleinkram.server.checks.judge import current_acceptances, is_report_of
+from kleinkram.server.db import Connection
 from kleinkram.server.jobs.rejudge import judge_again
 from kleinkram.server.missions import service as missions
 from kleinkram.server.tables import check_acceptance, check_note, check_report, project_checks
@@ -49,7 +50,8 @@ async def get_mission_checks(
 ) -> MissionChecksRead:
     """Return the checks of a mission, worst first; with history, also acceptances that ended and outdated reports.
 
-    Actors who see only some of its files get none.
+    Actors who see only some of its files get none. Those without an account get no notes, reports, runs and names of
+    people, and only the acceptances that apply.
 
     Raises:
         NotFound: the mission does not exist, or is not visible.
@@ -58,11 +60,15 @@ async def get_mission_checks(
     if row is None:
         raise NotFound(resource_type="mission", ref=str(mission_id))
     is_shown = sees_whole_missions(actor) and row.checks is not None
+    checks = [MissionCheck.model_validate(check) for check in row.checks] if is_shown else []
     acceptances, notes, reports = await _additions(db, mission_id) if sees_whole_missions(actor) else ([], [], [])
+    if actor.kind is not ActorKind.person:
+        checks, notes, reports, with_history = [without_run(check) for check in checks], [], [], False
+        acceptances = [one.model_copy(update={"created_by": None}) for one in acceptances]
     return MissionChecksRead(
         verdict=row.verdict,
         counts=CheckCounts.model_validate(row.counts),
-        checks=[MissionCheck.model_validate(check) for check in row.checks] if is_shown else [],
+        checks=checks,
         checks_number=row.checks_number or 0 if is_shown else 0,
         profiles_applied=row.profiles_applied if is_shown else [],
         profiles_left_out=[ProfileLeftOut.model_validate(one) for one in row.profiles_left_out] if is_shown else [],
@@ -78,7 +84,7 @@ async def get_mission_checks(
 async def accept_check(
     db: Connection, actor: Actor, *, mission_id: uuid.UUID, accepted: CheckAcceptanceCreate
 ) -> CheckAcceptanceRead:
-    """Let a failing check of a mission no longer count, until its files change.
+    """Let what fails of a check no longer count, until the files change; replaces the acceptance that it had.
 
     Raises:
         NotFound: the mission does not exist, or is not visible.
@@ -86,24 +92,20 @@ async def accept_check(
         InvalidRequest: no such check of its present files fails, or it is accepted already.
     """
     ref, judged = await _lock(db, actor, "accept_check", mission_id)
-    row = (await db.execute(queries.checks_of_mission(actor, mission_id))).one()
-    if row.checks is not None and row.files_revision != judged.files_revision:
-        raise _invalid("check", "the files of this mission changed since it was checked; wait for its new checks")
-    if not any(_is_meant(check, accepted) for check in row.checks or ()):
-        raise _invalid("check", f"no check {accepted.check} of this mission fails{_on(accepted.topic)}")
+    failures = await _failures(db, actor, judged, accepted)
+    own = (check_acceptance.c.mission_id == mission_id, check_acceptance.c.check_name == accepted.check)
+    alike = (check_acceptance.c.topic.is_not_distinct_from(accepted.topic), check_acceptance.c.ended.is_(None))
+    replaced = {"ended": AcceptanceEnd.replaced.value, "ended_at": func.now(), "ended_by_id": actor.person_id}
+    await db.execute(update(check_acceptance).where(*own, *alike).values(**replaced))
     acceptance_id = uuid.uuid4()
     values: dict[str, object] = {
         "check_name": accepted.check,
         "topic": accepted.topic,
         "because": accepted.because,
+        "failures": [*failures],
     }
     values |= {"id": acceptance_id, "mission_id": mission_id, "inputs_sha256": judged.inputs_sha256}
-    try:
-        await db.execute(insert(check_acceptance).values(**values, created_by_id=actor.person_id))
-    except IntegrityError as error:
-        if violated_constraint(error) != "uq_check_acceptance_current":
-            raise
-        raise _invalid("check", f"{accepted.check} is accepted already{_on(accepted.topic)}") from error
+    await db.execute(insert(check_acceptance).values(**values, created_by_id=actor.person_id))
     await judge_again(db, [mission_id])
     after: Metadata = {"check": accepted.check, "topic": accepted.topic, "because": accepted.because}
     await audit(db, actor, _event("mission.accept_check", ref, after=after))
@@ -235,6 +237,24 @@ async def _acceptance(db: Connection, mission_id: uuid.UUID, acceptance_id: uuid
     if row is None:
         raise NotFound(resource_type="acceptance", ref=str(acceptance_id))
     return _to_acceptance(row)
+
+
+async def _failures(
+    db: Connection, actor: Actor, judged: JudgedMission, accepted: CheckAcceptanceCreate
+) -> set[Failure]:
+    """Return the failures that a person accepts. Raises InvalidRequest."""
+    row = (await db.execute(queries.checks_of_mission(actor, judged.id))).one()
+    checked = (row.files_revision, row.checks_number)
+    if row.checks is not None and checked != (judged.files_revision, judged.checks_number):
+        raise _invalid("check", "files or rules of this mission changed since it was checked; wait for its new checks")
+    meant = [MissionCheck.model_validate(check) for check in row.checks or () if _is_meant(check, accepted)]
+    if not meant:
+        raise _invalid("check", f"no check {accepted.check} of this mission fails{_on(accepted.topic)}")
+    failures = {failure_of(check) for check in meant}
+    current = (await current_acceptances(db, [judged.id]))[judged.id]
+    if failures <= {failure for one in current if one.check == accepted.check for failure in one.failures}:
+        raise _invalid("check", f"{accepted.check} is accepted already{_on(accepted.topic)}")
+    return failures
 
 
 def _is_meant(check: dict[str, Any], accepted: CheckAcceptanceCreate) -> bool:

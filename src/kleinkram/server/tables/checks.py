@@ -83,6 +83,8 @@ check_acceptance = sa.Table(
     sa.Column("because", sa.Text, nullable=False),
     # Hash of the paths and bytes of the files that it is about.
     sa.Column("inputs_sha256", sa.LargeBinary, nullable=False),
+    # Each a list of the values of `Failure` in server/checks/combine.py.
+    sa.Column("failures", JSONB, nullable=False, server_default="[]"),
     created_at_column(),
     sa.Column("created_by_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False),
     sa.Column("ended", sa.Text),
