@@ -55,7 +55,10 @@ def list_(
     unsatisfied: Annotated[
         bool, flag("--unsatisfied", "Select missions whose metadata does not satisfy the project.")
     ] = False,
-    sort: Annotated[MissionSort | None, option("--sort", None, "Set the order; a leading - reverses it.")] = None,
+    sort: Annotated[
+        MissionSort | None,
+        option("--sort", None, "Set the order; a leading - reverses it. By verdict: bad ones first."),
+    ] = None,
     limit: options.Limit = None,
     count: options.Count = False,
 ) -> Output:

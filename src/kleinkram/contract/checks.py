@@ -70,6 +70,16 @@ class Verdict(str, enum.Enum):
     unchecked = "unchecked"
 
 
+WORST_VERDICT_FIRST = (
+    Verdict.bad,
+    Verdict.warnings,
+    Verdict.outdated,
+    Verdict.running,
+    Verdict.unchecked,
+    Verdict.good,
+)
+
+
 class Check(Request):
     """The outcome of one check.
 

@@ -118,7 +118,7 @@ class MissionTemplate(Response):
 
 
 class MissionSort(str, enum.Enum):
-    """Orders of a list of missions."""
+    """Orders of a list of missions. `verdict`: bad ones first; of one verdict, in both directions, the latest first."""
 
     name = "name"
     name_desc = "-name"
@@ -126,6 +126,8 @@ class MissionSort(str, enum.Enum):
     created_desc = "-created"
     start = "start"
     start_desc = "-start"
+    verdict = "verdict"
+    verdict_desc = "-verdict"
 
 
 # An order by a field of the metadata: `meta.robot`, `-meta.site.latitude`. Missions without the field come last.

@@ -57,6 +57,12 @@ def test_missions_and_files_are_found_by_verdict_and_check(
     assert api.get("/search", {"query": query}).ok()["query"] == query.replace("BAD", "bad")
 
 
+def test_a_link_to_a_file_lists_by_verdict_without_showing_it(api: Api, missions: dict[str, str]) -> None:
+    file_id = api.all("/files", {"mission_id": missions["bad"]})[0]["id"]
+    guest = api.as_(people.share(api, missions["bad"], file_ids=[file_id]).secret)
+    assert [one["verdict"] for one in guest.all("/missions", {"sort": "verdict"})] == ["unchecked"]
+
+
 def test_unchecked_missions_are_found_too(api: Api, missions: dict[str, str]) -> None:
     names = _names_matching(api, missions, "verdict:unchecked topic:/imu")
     assert names == {"unchecked"}

@@ -6,7 +6,9 @@ from tests.integration.api_server import Api
 from tests.integration.checks.judged import (
     GOOD,
     RULES,
+    SECOND_NS,
     SLOW,
+    START_NS,
     checked_project,
     derive,
     failing,
@@ -182,3 +184,26 @@ def test_more_checks_than_are_listed_say_how_many_are_left_out(api: Api) -> None
     assert len(result["checks"]) == 10_000
     assert (result["checks"][-1]["name"], result["checks"][-1]["status"]) == ("checks.left_out", "not_made")
     assert result["verdict"] == "bad"
+
+
+@pytest.mark.parametrize("limit", [1, 2, 50])
+def test_missions_are_listed_by_verdict_worst_or_best_first_the_latest_first(api: Api, limit: int) -> None:
+    project_id = checked_project(api)
+    early = {"start_ns": START_NS - SECOND_NS}
+    missions = {"good": judged_mission(api, project_id, *GOOD), "warnings": judged_mission(api, project_id, GOOD[0])}
+    missions |= {"empty": str(api.mission(project_id)["id"]), "outdated": judged_mission(api, project_id, *GOOD)}
+    missions["old bad"] = str(api.mission(project_id)["id"])
+    put_file(api, missions["old bad"], "run.mcap", SLOW, **early)
+    missions["bad"] = judged_mission(api, project_id, *SLOW)
+    put_file(api, missions["outdated"], "more.mcap", (topic("/other"),))
+    names = {mission_id: name for name, mission_id in missions.items()}
+
+    def listed(sort: str) -> list[str]:
+        query = {"project_id": project_id, "sort": sort, "limit": str(limit)}
+        return [names[one["id"]] for one in api.all("/missions", query)]
+
+    assert listed("verdict") == ["bad", "old bad", "warnings", "outdated", "empty", "good"]
+    assert listed("-verdict") == ["good", "empty", "outdated", "warnings", "bad", "old bad"]
+    first = api.get("/missions", {"project_id": project_id, "sort": "verdict", "limit": "1"}).ok()
+    query = {"project_id": project_id, "sort": "-verdict", "cursor": first["next"]}
+    api.get("/missions", query).refused(422, "invalid_cursor")

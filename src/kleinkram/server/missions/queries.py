@@ -27,6 +27,7 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import JSONB, array
 
 from kleinkram.contract.access import Right
+from kleinkram.contract.checks import WORST_VERDICT_FIRST
 from kleinkram.contract.files import BlobState, ContentState, FileFilter
 from kleinkram.contract.missions import MissionFilter, MissionOrder, MissionRead, MissionRef, MissionSort
 from kleinkram.contract.projects import ProjectRef
@@ -50,6 +51,7 @@ from kleinkram.server.pagination import Order, PagedQuery
 from kleinkram.server.tables import DERIVED_ORIGIN, blob, file, mission, person, project, recording
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
+_BY_VERDICT = (MissionSort.verdict, MissionSort.verdict_desc)
 _TOTALS = ("file_count", "size_bytes", "message_count", "pending_file_count")
 
 
@@ -241,6 +243,8 @@ def mission_listing(
     matched = filter_missions(actor, visible_missions(actor), matching, plan)
     if by_files is not None:
         matched = filter_missions_by_files(actor, matched, by_files, plan)
+    if sort in _BY_VERDICT:
+        matched = join_checks(matched)
     return PagedQuery(matched, mission_order(actor, sort), to_missions, select_by_id)
 
 
@@ -251,6 +255,8 @@ def mission_order(actor: Actor, sort: MissionOrder) -> Order:
     """
     if not isinstance(sort, MissionSort):
         return _order_by_metadata(sort, is_seen=sees_whole_missions(actor))
+    if sort in _BY_VERDICT:
+        return _order_by_verdict(actor, is_descending=sort is MissionSort.verdict_desc)
     return _order_of_whole(sort) if sees_whole_missions(actor) else _order(sort, shown_span(actor)[0])
 
 
@@ -268,6 +274,15 @@ def _order(sort: MissionSort, start_ns: ColumnElement[int | None]) -> Order:
         "start": [func.coalesce(start_ns, unknown)],
     }
     return Order([*columns[sort.value.removeprefix("-")], mission.c.id], descending)
+
+
+def _order_by_verdict(actor: Actor, *, is_descending: bool) -> Order:
+    """Return the order by verdict, of a select with `join_checks`."""
+    rank = case({verdict.value: at for at, verdict in enumerate(WORST_VERDICT_FIRST)}, value=shown_verdict(actor))
+    start_ns = shown_span(actor)[0]
+    # The latest missions first, in the direction of the order; those without a time last.
+    start = func.coalesce(start_ns, _FIRST) if is_descending else func.coalesce(-start_ns, _LAST)
+    return Order([rank, start, mission.c.id], is_descending)
 
 
 def _order_by_metadata(sort: str, *, is_seen: bool) -> Order:

@@ -145,7 +145,7 @@ export function readRefusal(problem: Problem | null, shown: ReadonlySet<string>)
 }
 
 const PREFIX = "meta.";
-const SORTS: readonly string[] = ["name", "-name", "created", "-created", "start", "-start"];
+const SORTS: readonly string[] = ["name", "-name", "created", "-created", "start", "-start", "verdict", "-verdict"];
 /** Field columns shown by default. */
 const USUAL = 2;
 

@@ -116,7 +116,7 @@ it("compares text as text, numbers as numbers, and parts of text", () => {
 });
 
 it("takes no order from the address that the server does not know", () => {
-  expect(["meta.robot", "-meta.site.name", "-start", "size", "meta.", "x"].map(sortOf)).toEqual([
-    "meta.robot", "-meta.site.name", "-start", "-start", "-start", "-start",
+  expect(["meta.robot", "-meta.site.name", "-verdict", "size", "meta.", "x"].map(sortOf)).toEqual([
+    "meta.robot", "-meta.site.name", "-verdict", "-start", "-start", "-start",
   ]);
 });
