@@ -14,7 +14,7 @@ from kleinkram.checks.content.families import TopicOfRecording, planned_rules, u
 from kleinkram.checks.document import ClockRule, CountRange, FileRule, Profile, RecordingRule, Rule, TopicRule
 from kleinkram.checks.facts import FileFacts, MissionFacts, RecordingFacts, TopicFacts
 from kleinkram.checks.globs import glob_matcher, path_matches
-from kleinkram.checks.outcomes import Measured, against, collect, failed, hertz, make_check, percent, seconds
+from kleinkram.checks.outcomes import Measured, against, collect, failed, hertz, make_check, percent, seconds, size
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.recordings.model import Content, counted
 
@@ -201,13 +201,14 @@ def _check_files(glob: str, rule: FileRule, index: _Index) -> Iterator[Check]:
     if rule.min_size is not None and files:
         small = [file for file in files if file.size_bytes < rule.min_size]
         for file in small:
-            message = f"{file.size_bytes} bytes; expected at least {rule.min_size}"
+            value, limit = against(file.size_bytes, rule.min_size, size)
+            message = f"it has {value}; expected at least {limit}"
             measured = Measured(file.size_bytes, rule.min_size, "B")
             yield _Outcomes(rule, file=file.path).fails("file.size", message, measured=measured)
         if not small:
             smallest = min(file.size_bytes for file in files)
             measured = Measured(smallest, rule.min_size, "B")
-            yield outcomes.ok("file.size", f"the smallest has {smallest} bytes", measured=measured)
+            yield outcomes.ok("file.size", f"the smallest has {size(smallest)}", measured=measured)
 
 
 def _check_completeness(files: Sequence[FileFacts], rule: FileRule, all_files: _Outcomes) -> Iterator[Check]:

@@ -144,6 +144,14 @@ def hertz(rate_hz: float, digits: int = 4) -> str:
     return f"{rate_hz:.{digits}g} Hz"
 
 
+def size(size_bytes: float, digits: int = 3) -> str:
+    """Return bytes as text with the unit that suits them."""
+    for unit, factor in (("B", 1), ("kB", 10**3), ("MB", 10**6), ("GB", 10**9)):
+        if size_bytes < 999.5 * factor:
+            return f"{size_bytes / factor:.{digits}g} {unit}"
+    return f"{size_bytes / 10**12:.{max(digits, 6)}g} TB"
+
+
 def percent(share: float, digits: int = 3) -> str:
     """Return a share from 0 to 1 as a percentage."""
     return f"{share * 100:.{digits}g}%"

@@ -1,6 +1,6 @@
 """What the checks of a mission amount to: its verdict, with the checks, their numbers and the profiles applied."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import chain
@@ -62,7 +62,7 @@ class CheckResults:
 def evaluate_index(document: ChecksDocument, facts: MissionFacts) -> CheckResults:
     """Check a mission by the indexes of its files; checks that need messages are listed as `needs_content`."""
     profiles = document.applying_to(facts.metadata)
-    checks = chain(index_checks(profiles, facts), checks_needing_content(profiles, facts))
+    checks = _without_repetition(chain(index_checks(profiles, facts), checks_needing_content(profiles, facts)))
     return to_results(document, facts.metadata, checks, CheckDepth.index)
 
 
@@ -74,14 +74,26 @@ def evaluate(
     `more`: other checks that count.
     """
     profiles = document.applying_to(mission.facts.metadata)
-    by_content = _content_checks(profiles, mission) if depth is CheckDepth.content else None
+    by_content = content_checks(profiles, mission) if depth is CheckDepth.content else None
     others = checks_needing_content(profiles, mission.facts) if by_content is None else by_content
-    checks = chain(more, index_checks(profiles, mission.facts), others)
+    checks = chain(more, _without_repetition(chain(index_checks(profiles, mission.facts), others)))
     return to_results(document, mission.facts.metadata, checks, depth)
 
 
-def _content_checks(profiles: Sequence[Profile], mission: LocalMission) -> list[Check]:
-    """Open the recordings and check samples of their messages."""
+def _without_repetition(checks: Iterable[Check]) -> Iterator[Check]:
+    """Yield checks; what could not be made for want of a topic is left out after a `topic.missing` that says so."""
+    missing: set[str | None] = set()
+    for check in checks:
+        if check.name == "topic.missing" and check.status is not CheckStatus.ok:
+            missing.add(check.topic)
+        # A rule without topics names no file.
+        is_unmade = check.status is CheckStatus.not_made and check.file is None and not check.name.startswith("topic.")
+        if not is_unmade or check.topic not in missing:
+            yield check
+
+
+def content_checks(profiles: Sequence[Profile], mission: LocalMission) -> list[Check]:
+    """Open the recordings of a mission and check samples of their messages, in the order of the rules."""
     if next(planned_rules(profiles, ()), None) is None:
         return []
     from kleinkram.checks.content import check_content

@@ -1,7 +1,7 @@
 """A first `checks.yaml` from missions that are known to be good: what they have in common, with margins.
 
-The text is for people to edit: rounded numbers, comments, one line a rule. It only uses what the indexes say; rules
-about the content of messages are chosen by type and have their defaults.
+The text is for people to edit: rounded numbers, comments, one line a rule. It uses what the indexes say; rules about
+the content of messages are chosen by type and have their defaults, but for the axis of IMUs that points up.
 """
 
 import glob
@@ -13,9 +13,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import takewhile
 from typing import NamedTuple
 
-from kleinkram.checks.document import MAX_RULES
+from kleinkram.checks.document import MAX_RULES, read_checks
 from kleinkram.checks.facts import MissionFacts, TopicFacts
+from kleinkram.checks.local import LocalMission
 from kleinkram.checks.outcomes import storable
+from kleinkram.checks.results import content_checks
 from kleinkram.recordings.model import counted
 
 _PLAIN_KEY = re.compile(r"/?[A-Za-z0-9_][A-Za-z0-9_/.-]*")
@@ -27,6 +29,7 @@ _MAX_PERIODS = 20  # a topic with longer gaps is not periodic
 _GAP_MARGIN, _GAP_PERIODS = 2, 5
 _TOLERANCE, _TOLERANCE_MARGIN, _MAX_TOLERANCE = 0.1, 1.5, 0.4
 _COVERAGE_MARGIN = 0.05
+_MAX_CLEAR_TILT = 7.5  # degrees between an axis of an IMU and up; half of what the rule allows
 _MAX_NAMES = 3  # listed in a section about content; more become a glob
 _CONTENT_SECTIONS: Mapping[str, tuple[str, ...]] = {
     "images": ("sensor_msgs/Image", "sensor_msgs/CompressedImage"),
@@ -49,8 +52,10 @@ class _CommonTopic(NamedTuple):
     shares: Sequence[float]
 
 
-def suggest_checks(missions: Sequence[MissionFacts]) -> str:
+def suggest_checks(missions: Sequence[MissionFacts], up_axes: Mapping[str, str] | None = None) -> str:
     """Return the text of a `checks.yaml` that these missions pass from the index.
+
+    `up_axes`: of IMUs, by topic, as `measure_up_axes` returns them.
 
     Raises ValueError if they have no topic with messages in common.
     """
@@ -73,7 +78,7 @@ def suggest_checks(missions: Sequence[MissionFacts]) -> str:
         *_left_out_topics(missions, common, listed),
         "  clocks:",
         '    "*": {no_jump: true}',
-        *_content_sections(listed),
+        *_content_sections(listed, up_axes or {}),
     ]
     return "\n".join(lines) + "\n"
 
@@ -137,7 +142,7 @@ def _common_topics(missions: Sequence[MissionFacts]) -> Iterator[_CommonTopic]:
     for name, facts in sorted(by_name.items()):
         in_missions = sum(any(topic.name == name and topic.count for topic in mission.topics) for mission in missions)
         if in_missions == len(missions):
-            types = {topic.message_type and topic.message_type.replace("/msg/", "/") for topic in facts}
+            types = {_ros1_type(topic) for topic in facts}
             yield _CommonTopic(name, types.pop() if len(types) == 1 else None, facts, shares[name])
 
 
@@ -197,7 +202,46 @@ def _left_out_topics(
 # -- content ----------------------------------------------------------------------------------------------------------
 
 
-def _content_sections(topics: Sequence[_CommonTopic]) -> Iterator[str]:
+def measure_up_axes(missions: Sequence[LocalMission]) -> dict[str, str]:
+    """Return the axis that points up of the IMUs of which it is clear, by topic: the same in all missions.
+
+    Reads samples of messages; without the extra `reading`, returns nothing.
+    """
+    topics = {topic.name: topic for mission in missions for topic in mission.facts.topics if topic.message_type}
+    imus = [name for name, topic in topics.items() if _ros1_type(topic) in _CONTENT_SECTIONS["imu"]]
+    names = sorted(name for name in imus if _is_expressible(name))[: MAX_RULES // 3]
+    if not names:
+        return {}
+    rules = {glob.escape(name): [{"up": axis} for axis in "xyz"] for name in names}
+    document = {"version": 1, "profiles": [{"name": "up", "imu": rules}]}
+    profiles = read_checks(json.dumps(document, ensure_ascii=False)).profiles
+    axes: dict[str, set[str | None]] = defaultdict(set)
+    for mission in missions:
+        tilts: dict[tuple[str, str | None], list[float | None]] = defaultdict(list)
+        for check in content_checks(profiles, mission):
+            if check.name == "imu.tilt" and check.topic is not None:
+                tilts[check.topic, check.file].append(check.value)
+        for (topic_name, _), degrees in tilts.items():
+            axes[topic_name].add(_clear_axis(degrees))
+    unanimous = {name: next(iter(measured)) for name, measured in axes.items() if len(measured) == 1}
+    return {name: axis for name, axis in unanimous.items() if axis is not None}
+
+
+def _clear_axis(degrees: Sequence[float | None]) -> str | None:
+    """Return the axis that points up, from the angles between up and x, y and z."""
+    for axis, tilt in zip("xyz", degrees, strict=False):
+        if tilt is not None and tilt <= _MAX_CLEAR_TILT:
+            return axis
+        if tilt is not None and tilt >= 180 - _MAX_CLEAR_TILT:
+            return f"-{axis}"
+    return None
+
+
+def _ros1_type(topic: TopicFacts) -> str | None:
+    return topic.message_type and topic.message_type.replace("/msg/", "/")
+
+
+def _content_sections(topics: Sequence[_CommonTopic], up_axes: Mapping[str, str]) -> Iterator[str]:
     """Yield rules with their defaults for the topics of each kind that have enough messages."""
     sections = {
         section: [topic for topic in topics if topic.message_type in types and _has_samples(topic, section)]
@@ -208,10 +252,20 @@ def _content_sections(topics: Sequence[_CommonTopic]) -> Iterator[str]:
     for section, own in sections.items():
         if own:
             yield f"  {section}:"
-            yield from (f"    {_key(pattern)}: {{}}" for pattern in _patterns(section, [topic.name for topic in own]))
+            names = [topic.name for topic in own]
+            axes = {up_axes.get(name) for name in names} if section == "imu" else {None}
+            if len(axes) > 1:
+                settings = {glob.escape(name): _up_setting(up_axes.get(name)) for name in names}
+            else:
+                settings = dict.fromkeys(_patterns(section, names), _up_setting(axes.pop()))
+            yield from (f"    {_key(pattern)}: {_flow(values)}" for pattern, values in settings.items())
     for topic in topics:
         if topic.message_type == "sensor_msgs/BatteryState":
             yield f"  # batteries: {{{_key(glob.escape(topic.name))}: {{min_percentage: 20%}}}}"
+
+
+def _up_setting(axis: str | None) -> Mapping[str, str]:
+    return {} if axis is None else {"up": axis}
 
 
 def _has_samples(topic: _CommonTopic, section: str) -> bool:

@@ -314,14 +314,15 @@ def init(
 ) -> Output:
     """Write a first checks.yaml from good missions: their topics, rates, gaps and computers, with margins.
 
-    Read it and change it: it is only as good as the missions that it was made from.
+    With the extra `reading`, samples of messages say which axis of an IMU points up. Read it and change it: it is only
+    as good as the missions that it was made from.
     """
     from kleinkram.checks.local import read_mission
-    from kleinkram.checks.suggest import suggest_checks
+    from kleinkram.checks.suggest import measure_up_axes, suggest_checks
 
-    missions = [read_mission(mission_files([as_contents([path])]).files).facts for path in paths]
+    missions = [read_mission(mission_files([as_contents([path])]).files) for path in paths]
     try:
-        text = suggest_checks(missions)
+        text = suggest_checks([mission.facts for mission in missions], measure_up_axes(missions))
     except ValueError as error:
         raise NothingToDo(reason=f"There is nothing to make rules from: {error}") from None
     if output is None:

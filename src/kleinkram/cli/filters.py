@@ -56,14 +56,15 @@ class Choice:
 
 
 def with_choice(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command the filter options, which it receives as `choice`."""
+    """Give a command the options that are the fields of the class of its parameter `choice`."""
     signature = inspect.signature(command)
     own = [parameter for name, parameter in signature.parameters.items() if name != "choice"]
-    shared = inspect.signature(Choice).parameters
+    kind = signature.parameters["choice"].annotation
+    shared = inspect.signature(kind).parameters
 
     @functools.wraps(command)
     def run(**values: Any) -> Any:  # Any: Typer calls with whatever the options are
-        choice = Choice(**{name: values.pop(name) for name in shared})
+        choice = kind(**{name: values.pop(name) for name in shared})
         return command(choice=choice, **values)
 
     return set_parameters(run, [*own, *shared.values()])

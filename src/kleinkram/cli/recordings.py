@@ -17,6 +17,7 @@ from kleinkram.recordings.model import Content, Depth, Lost, RecordingFormat, Re
 
 if TYPE_CHECKING:
     from kleinkram.cli.transfer import ProgressBars
+    from kleinkram.recordings.sample import MissionTruth
 
 _CONTENTS = {
     Content.indexed: "complete",
@@ -187,27 +188,37 @@ def sample(
     """
     from kleinkram.recordings.sample import Defect, Faults, SampleFormat, generate_mission, generate_rig
 
-    what = f"The folder {str(directory)!r}"
     size_bytes = parse_size(size_)
-    try:
-        kinds = [SampleFormat(name) for name in formats] if formats else [*SampleFormat]
-        faults = Faults(
-            dropped_topic=drop_topic, truncate_to=truncate, defects=frozenset(Defect(name) for name in defects or ())
-        )
+    with _sample_errors(directory):
+        kinds = [SampleFormat(name) for name in formats or ()]
+        made = frozenset(Defect(name) for name in defects or ())
+        faults = Faults(dropped_topic=drop_topic, truncate_to=truncate, defects=made)
         if rig is Rig.vehicle:
             truth = generate_mission(
                 directory,
                 size_bytes=None if duration_s else size_bytes,
                 duration_s=duration_s,
                 seed=seed,
-                formats=kinds,
+                formats=kinds or [*SampleFormat],
                 faults=faults,
             )
-        elif formats and len(kinds) > 1:
+        elif len(kinds) > 1:
             raise ValueError("a legged robot records in one format")
         else:
-            kind = kinds[0] if formats else SampleFormat.mcap
+            kind = kinds[0] if kinds else SampleFormat.mcap
             truth = generate_rig(directory, duration_s=duration_s or 10, seed=seed, kind=kind, faults=faults)
+    items = [
+        {**vars(file), "path": str(file.path), "topics": [vars(topic) for topic in file.topics]} for file in truth.files
+    ]
+    return Output({"items": items}, lambda: _show_sample(truth))
+
+
+@contextlib.contextmanager
+def _sample_errors(directory: Path) -> Iterator[None]:
+    """Explain why a sample cannot be created in a folder."""
+    what = f"The folder {str(directory)!r}"
+    try:
+        yield
     except FileExistsError as error:
         raise InvalidInput(what=what, reason=str(error)) from None
     except ValueError as error:
@@ -216,11 +227,11 @@ def sample(
         raise InvalidInput(what=what, reason=error.strerror or str(error)) from None
     except KeyboardInterrupt:
         raise Interrupted from None
-    items = [
-        {**vars(file), "path": str(file.path), "topics": [vars(topic) for topic in file.topics]} for file in truth.files
-    ]
+
+
+def _show_sample(truth: "MissionTruth") -> None:
     rows = []
     for file in truth.files:
         content = (file.message_count, len(file.topics), span(file.start_ns, file.end_ns))
         rows.append((str(file.path), size(file.size_bytes), *content))
-    return Output({"items": items}, lambda: table(["file", "size", "messages", "topics", "span"], rows))
+    table(["file", "size", "messages", "topics", "span"], rows)

@@ -3,11 +3,12 @@
 import csv
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, TypeVar
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import AsJson, Many, Text, argument, flag, option
-from kleinkram.cli.filters import filter_of, ids_of
+from kleinkram.cli.commands import AsJson, Text, argument, flag, option
+from kleinkram.cli.filters import filter_of, ids_of, with_choice
 from kleinkram.cli.render import moment, show_json, table
 from kleinkram.cli.run_view import action_name, labels_text, number_text
 from kleinkram.cli.units import instant
@@ -27,73 +28,68 @@ from kleinkram.contract.runs import (
 
 ReadT = TypeVar("ReadT", bound=CheckRead | FindingRead | MetricRead)
 FilterT = TypeVar("FilterT", bound=ReportFilter)
-RunFilterArgument = Annotated[Text, argument("RUN", "Id of a run.")]
-ActionOption = Annotated[Text, option("--action", "GLOB", "Select by the name of the action, or NAME@VERSION.")]
-TopicOption = Annotated[Text, option("--topic", "GLOB", "Select by topic.")]
-LatestOption = Annotated[
-    bool, flag("--latest", "Select only the latest run that is done of each mission, action and parameters.")
-]
+
+
+@dataclass(frozen=True)
+class ReportChoice:
+    """The options that select what runs reported, named as the fields of `ReportFilter`."""
+
+    run: Annotated[Text, argument("RUN", "Id of a run.")] = None
+    project: options.ProjectsOption = None
+    mission: options.MissionsOption = None
+    action: Annotated[Text, option("--action", "GLOB", "Select by the name of the action, or NAME@VERSION.")] = None
+    topic: Annotated[Text, option("--topic", "GLOB", "Select by topic.")] = None
+    latest: Annotated[
+        bool, flag("--latest", "Select only the latest run that is done of each mission, action and parameters.")
+    ] = False
+
+
 CsvOption = Annotated[bool, flag("--csv", "Print CSV on stdout, with a column for each parameter.")]
 
 
+@with_choice
 def checks(
     client: Client,
-    run: RunFilterArgument = None,
-    project: options.ProjectsOption = None,
-    mission: options.MissionsOption = None,
-    action: ActionOption = None,
+    choice: ReportChoice,
     name: Annotated[Text, option("--name", "GLOB", "Select by name, such as 'imu.*'.")] = None,
     status: Annotated[list[CheckStatus] | None, option("--status", None, "Select by status; repeatable.")] = None,
-    topic: TopicOption = None,
-    latest: LatestOption = False,
     limit: options.Limit = None,
     as_csv: CsvOption = False,
     as_json: AsJson = False,
 ) -> None:
     """List the checks that one run reported, or the runs of a mission, of a project, or all."""
-    criteria = {"action": action, "name": name, "status": status, "topic": topic, "latest": latest}
-    matching = _filter(client, CheckFilter, run, project, mission, criteria)
+    matching = _filter(client, CheckFilter, choice, {"name": name, "status": status})
     headers = ["check", "status", "message", "value", "limit", "unit", "topic", "file", "at"]
     show_rows(client.runs.checks(matching, limit=limit), headers, _check_cells, as_csv=as_csv, as_json=as_json)
 
 
+@with_choice
 def findings(
     client: Client,
-    run: RunFilterArgument = None,
-    project: options.ProjectsOption = None,
-    mission: options.MissionsOption = None,
-    action: ActionOption = None,
+    choice: ReportChoice,
     code: Annotated[Text, option("--code --name", "GLOB", "Select by code, such as 'imu.*'.")] = None,
     severity: Annotated[list[Severity] | None, option("--severity", None, "Select by severity; repeatable.")] = None,
-    topic: TopicOption = None,
-    latest: LatestOption = False,
     limit: options.Limit = None,
     as_csv: CsvOption = False,
     as_json: AsJson = False,
 ) -> None:
     """List the findings of one run, or of the runs of a mission, of a project, or of all."""
-    criteria = {"action": action, "code": code, "severity": severity, "topic": topic, "latest": latest}
-    matching = _filter(client, FindingFilter, run, project, mission, criteria)
+    matching = _filter(client, FindingFilter, choice, {"code": code, "severity": severity})
     headers = ["severity", "finding", "message", "topic", "file", "at"]
     show_rows(client.runs.findings(matching, limit=limit), headers, _finding_cells, as_csv=as_csv, as_json=as_json)
 
 
+@with_choice
 def metrics(
     client: Client,
-    run: RunFilterArgument = None,
-    project: options.ProjectsOption = None,
-    mission: options.MissionsOption = None,
-    action: ActionOption = None,
+    choice: ReportChoice,
     name: Annotated[Text, option("--name", "GLOB", "Select by name, such as 'ate_*'.")] = None,
-    topic: TopicOption = None,
-    latest: LatestOption = False,
     limit: options.Limit = None,
     as_csv: CsvOption = False,
     as_json: AsJson = False,
 ) -> None:
     """List the metrics of one run, or of the runs of a mission, of a project, or of all, with their parameters."""
-    criteria = {"action": action, "name": name, "topic": topic, "latest": latest}
-    matching = _filter(client, MetricFilter, run, project, mission, criteria)
+    matching = _filter(client, MetricFilter, choice, {"name": name})
     headers = ["metric", "value", "unit", "topic", "labels", "file"]
     show_rows(client.runs.metrics(matching, limit=limit), headers, _metric_cells, as_csv=as_csv, as_json=as_json)
 
@@ -168,15 +164,13 @@ def _record(row: CheckRead | FindingRead | MetricRead) -> dict[str, object]:
     }
 
 
-def _filter(
-    client: Client, kind: type[FilterT], run: Text, project: Many, mission: Many, criteria: Mapping[str, object]
-) -> FilterT:
-    selected: dict[str, object] = {**criteria, **ids_of(client, project, mission)}
-    action = selected.get("action")
-    if isinstance(action, str):
-        selected["action"], selected["version"] = split_version(action)
-    if run is not None:
-        selected["run_id"] = client.runs.get(run).id
+def _filter(client: Client, kind: type[FilterT], choice: ReportChoice, own: Mapping[str, object]) -> FilterT:
+    selected = {**own, "topic": choice.topic, "latest": choice.latest}
+    selected |= ids_of(client, choice.project, choice.mission)
+    if choice.action is not None:
+        selected["action"], selected["version"] = split_version(choice.action)
+    if choice.run is not None:
+        selected["run_id"] = client.runs.get(choice.run).id
     return filter_of(kind, selected)
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 from kleinkram.cli import options
 from kleinkram.cli.commands import Text, argument, flag, option
 from kleinkram.cli.render import Output, details, line, note, table
-from kleinkram.cli.units import instant
+from kleinkram.cli.units import count, instant
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.checks import (
@@ -94,8 +94,9 @@ def accept(
     target = client.missions.get(options.the_ref("mission", name, mission), project=project)
     if because is not None:
         made = client.checks.accept(target.id, check, because=because, topic=topic)
-        said = f"What fails of {_check_of(made)} in {target.name} no longer counts, until its files change."
-        return Output(made, said)
+        covered = f"{count(made.failure_count, 'failure')} of {_check_of(made)} in {target.name}"
+        verb = "counts" if made.failure_count == 1 else "count"
+        return Output(made, f"{covered} no longer {verb}, until its files change.")
     current = client.checks.mission(target.id).acceptances
     accepted = next((one for one in current if (one.check, one.topic) == (check, topic)), None)
     if accepted is None:
@@ -149,7 +150,7 @@ def _show_checks(mission: MissionRead, result: MissionChecksRead, *, list_all: b
         table(["status", "check", "where", "message", "source"], map(_cells, shown))
     if result.acceptances:
         line("")
-        table(["accepted", "by", "because", "ended"], map(_acceptance_cells, result.acceptances))
+        table(["accepted", "failures", "by", "because", "ended"], map(_acceptance_cells, result.acceptances))
     if result.notes:
         line("")
         table(["note on", "by", "text"], [(_check_of(one), one.created_by.name, one.text) for one in result.notes])
@@ -164,7 +165,7 @@ def _cells(check: MissionCheck) -> tuple[object, ...]:
 
 def _acceptance_cells(one: CheckAcceptanceRead) -> tuple[object, ...]:
     ended = one.ended.value.replace("_", " ") if one.ended else None
-    return _check_of(one), one.created_by.name if one.created_by else None, one.because, ended
+    return _check_of(one), one.failure_count, one.created_by.name if one.created_by else None, one.because, ended
 
 
 def _why_unchecked(result: MissionChecksRead) -> str:

@@ -260,13 +260,15 @@ class AcceptanceEnd(str, enum.Enum):
 class CheckAcceptanceRead(Response):
     """A person's decision that what failed of a check does not count, and nothing that fails later.
 
-    `ended` is null while it applies. Share links do not show `created_by`.
+    `failure_count` is how many failures it covers. `ended` is null while it applies. Share links do not show
+    `created_by`.
     """
 
     id: uuid.UUID
     check: str
     topic: str | None
     because: str
+    failure_count: int
     created_at: datetime.datetime
     created_by: PersonRef | None
     ended: AcceptanceEnd | None

@@ -22,7 +22,8 @@ from kleinkram.contract.names import is_id
 from kleinkram.contract.problems import first_message
 from kleinkram.contract.search import FileQuery
 
-_KEY = re.compile(r"(?P<key>[A-Za-z][A-Za-z0-9_.]*)(?P<operator><=|>=|!=|[:=<>~])")
+# Names of metrics may contain `-`.
+_KEY = re.compile(r"(?P<key>metric\.[A-Za-z0-9_.-]*|[A-Za-z][A-Za-z0-9_.]*)(?P<operator><=|>=|!=|[:=<>~])")
 _PHRASE = re.compile(r'"(?P<inner>(?:[^"\\]|\\.)*)"(?=\s|$)|\S+', re.DOTALL)
 _ESCAPED = re.compile(r"\\(.)", re.DOTALL)
 

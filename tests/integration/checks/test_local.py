@@ -2,17 +2,18 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from kleinkram.checks.document import read_checks
 from kleinkram.checks.facts import MissionFacts, TopicFacts
-from kleinkram.checks.local import read_mission
-from kleinkram.checks.results import evaluate_index
-from kleinkram.checks.suggest import suggest_checks
-from kleinkram.contract.checks import CheckStatus, Verdict
+from kleinkram.checks.local import LocalMission, read_mission
+from kleinkram.checks.results import evaluate, evaluate_index
+from kleinkram.checks.suggest import measure_up_axes, suggest_checks
+from kleinkram.contract.checks import CheckDepth, CheckStatus, Verdict
 from kleinkram.recordings import Content
-from kleinkram.recordings.sample import Faults, SampleFormat, generate_mission, generate_rig
+from kleinkram.recordings.sample import Defect, Faults, SampleFormat, generate_mission, generate_rig
 from tests.recording_files.builders import T0, mcap_of
 
 MS = 1_000_000
@@ -142,9 +143,13 @@ def test_no_broken_file_ends_the_checks(recordings_dir: Path) -> None:
 # -- suggestions ------------------------------------------------------------------------------------------------------
 
 
-def _sample(folder: Path, seed: int, **faults: str) -> MissionFacts:
-    generate_mission(folder, duration_s=4, seed=seed, formats=[SampleFormat.mcap], faults=Faults(**faults))  # type: ignore[arg-type]  # texts only
-    return read_mission(_files(folder)).facts
+def _sample(folder: Path, seed: int, **faults: Any) -> MissionFacts:
+    return _sample_mission(folder, seed, **faults).facts
+
+
+def _sample_mission(folder: Path, seed: int, **faults: Any) -> LocalMission:
+    generate_mission(folder, duration_s=4, seed=seed, formats=[SampleFormat.mcap], faults=Faults(**faults))
+    return read_mission(_files(folder))
 
 
 def test_good_missions_pass_the_checks_that_are_made_from_them(tmp_path: Path) -> None:
@@ -157,6 +162,29 @@ def test_good_missions_pass_the_checks_that_are_made_from_them(tmp_path: Path) -
     assert "imu:\n    /imu/data: {}" in text
     unseen = _sample(tmp_path / "unseen", 4)
     assert evaluate_index(document, unseen).verdict is Verdict.good
+
+
+def test_the_axis_of_an_imu_that_points_up_is_measured_where_it_is_clear(tmp_path: Path) -> None:
+    good = [_sample_mission(tmp_path / str(seed), seed) for seed in (1, 2)]
+    assert measure_up_axes(good) == {"/imu/data": "z"}
+    text = suggest_checks([mission.facts for mission in good], {"/imu/data": "z"})
+    assert "imu:\n    /imu/data: {up: z}" in text
+    tilted = _sample_mission(tmp_path / "tilted", 3, defects=frozenset({Defect.tilted_gravity}))
+    results = evaluate(read_checks(text), tilted, CheckDepth.content)
+    assert [check.name for check in results.checks if check.status is CheckStatus.error] == ["imu.tilt"]
+    assert measure_up_axes([*good, tilted]) == {}, "the missions do not agree"
+    assert measure_up_axes([_sample_mission(tmp_path / "none", 4, dropped_topic="/imu/data")]) == {}
+
+
+def test_imus_of_different_axes_have_rules_of_their_own(tmp_path: Path) -> None:
+    generate_rig(tmp_path, duration_s=3)
+    facts = read_mission(_files(tmp_path)).facts
+    imus = sorted(topic.name for topic in facts.topics if topic.name.startswith("/imu/"))
+    same = read_checks(suggest_checks([facts], dict.fromkeys(imus, "-y"))).profiles[0]
+    assert {name: rule.up for name, (rule,) in same.imu.items()} == {"/imu/*": "-y"}
+    axes = dict(zip(imus, ["x", "y", "-z"], strict=False))
+    different = read_checks(suggest_checks([facts], axes)).profiles[0]
+    assert {name: rule.up for name, (rule,) in different.imu.items()} == {name: axes.get(name) for name in imus}
 
 
 def test_a_mission_that_lacks_a_topic_fails_the_checks_of_good_ones(tmp_path: Path) -> None:

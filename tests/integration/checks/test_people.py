@@ -103,6 +103,7 @@ def test_an_acceptance_on_all_topics_covers_those_that_failed_then(api: Api) -> 
     topics = (topic("/imu", rate_hz=50), topic("/imu2"), topic("/camera", rate_hz=10, gap_ns=SECOND_NS))
     mission_id = judged_mission(api, project_id, *topics)
     accepted = _accept(api, mission_id).ok(201)
+    assert accepted["failure_count"] == 1
     assert _outcomes(api, mission_id) == ("good", [])
 
     # The same outcome by rules that changed elsewhere stays accepted.
@@ -122,6 +123,7 @@ def test_an_acceptance_on_all_topics_covers_those_that_failed_then(api: Api) -> 
     set_rules(api, project_id, stricter).ok()
     run_jobs(api)
     again = _accept(api, mission_id, because="The camera, too.").ok(201)
+    assert again["failure_count"] == 2
     assert _outcomes(api, mission_id) == ("good", [])
     read = api.get(f"/missions/{mission_id}/checks", {"all": "true"}).ok()
     assert [(one["id"], one["ended"]) for one in read["acceptances"]] == [

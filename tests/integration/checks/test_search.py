@@ -81,14 +81,17 @@ def _run(api: Api, mission_id: str, finding: str, metric: float, *, name: str = 
 
 def test_missions_are_found_by_the_latest_results_of_runs(api: Api, missions: dict[str, str]) -> None:
     _run(api, missions["good"], "clock.jump", 0.9)
-    _run(api, missions["bad"], "clock.jump", 0.9)
+    named = _run(api, missions["bad"], "clock.jump", 0.9)
     assert _names_matching(api, missions, "finding:clock.*") == {"good", "bad"}
     _run(api, missions["good"], "none", 0.1)
     assert _names_matching(api, missions, "finding:clock.*") == {"bad"}
     assert _names_matching(api, missions, "metric.ate_rmse>0.5") == {"bad"}
     assert _names_matching(api, missions, "metric.ate_rmse<=0.1") == {"good"}
     assert _names_matching(api, missions, "metric.ate_rmse:0.9 verdict:bad") == {"bad"}
-    assert api.get("/search", {"query": "metric.ate_rmse>0.5"}).ok()["query"] == "metric.ate_rmse>0.5"
+    api.sql("UPDATE run_metric SET name = 'ate-rmse.3-d' WHERE run_id = %s", named)
+    assert _names_matching(api, missions, "metric.ate-rmse.3-d>0.5") == {"bad"}
+    for query in ("metric.ate_rmse>0.5", "metric.ate-rmse.3-d>-0.5", "-metric.ate-rmse<1"):
+        assert api.get("/search", {"query": query}).ok()["query"] == query
 
 
 @pytest.mark.parametrize("query", ["verdict:terrible", "metric.ate_rmse>much", "metric.ate_rmse", "verdict>bad"])

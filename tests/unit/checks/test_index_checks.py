@@ -9,7 +9,7 @@ import pytest
 from kleinkram.checks.document import read_checks
 from kleinkram.checks.facts import MissionFacts
 from kleinkram.checks.index_checks import check_index
-from kleinkram.checks.outcomes import LEFT_OUT, MAX_MADE
+from kleinkram.checks.outcomes import LEFT_OUT, MAX_MADE, size
 from kleinkram.contract.checks import MAX_CHECKS, CheckStatus, Verdict
 from kleinkram.recordings.model import Content, Problem
 from tests.unit.checks.missions import (
@@ -86,8 +86,26 @@ def test_the_size_of_each_file() -> None:
         1000,
         "B",
     )
+    assert check.message == "it has 999 B; expected at least 1 kB"
     good = only(evaluated(rules("files", "b*", "{min_size: 1kB}"), mission_facts(files=files)), "file.size")
-    assert (good.status, good.value) == (CheckStatus.ok, 50_000_000)
+    assert (good.status, good.value, good.message) == (CheckStatus.ok, 50_000_000, "the smallest has 50 MB")
+    close = only(evaluated(rules("files", "b*", "{min_size: 50000001}"), mission_facts(files=files)), "file.size")
+    assert close.message == "it has 50 MB; expected at least 50.000001 MB"
+
+
+@pytest.mark.parametrize(
+    ("size_bytes", "text"),
+    [
+        (0, "0 B"),
+        (999, "999 B"),
+        (999_499, "999 kB"),
+        (999_600, "1 MB"),
+        (1_234_567_890, "1.23 GB"),
+        (10**15, "1000 TB"),
+    ],
+)
+def test_sizes_are_written_with_the_unit_that_suits_them(size_bytes: int, text: str) -> None:
+    assert size(size_bytes) == text
 
 
 # -- recordings -------------------------------------------------------------------------------------------------------
@@ -417,6 +435,26 @@ profiles:
     assert names == {"imu.gravity", "imu.tilt", "imu.saturated", "imu.constant", "clock.stamp_offset"}
     assert results.verdict is Verdict.good
     assert results.counts[CheckStatus.needs_content] == 5
+
+
+def test_a_missing_topic_is_reported_once_and_not_by_each_check_that_needs_it() -> None:
+    text = """
+version: 1
+profiles:
+- topics: {/camera: {}, "/imu/*": {}, /odd: {required: false}}
+- name: content
+  images: {/camera: {}, "/other/*": {}}
+  imu: {"/imu/*": {}}
+  values: {/odd: {fields: ["*"]}}
+  clocks: {/camera: {no_jump: true}}
+"""
+    results = evaluated(read_checks(text), mission_facts())
+    listed = {(check.name, check.topic) for check in results.checks if check.topic in ("/camera", "/other/*", "/odd")}
+    assert ("topic.missing", "/camera") in listed
+    assert not [name for name, topic in listed if topic == "/camera" and name != "topic.missing"]
+    assert ("image.black", "/other/*") in listed, "nothing else says that no topic matches"
+    assert ("value.nan", "/odd") in listed, "it may be missing, so that nothing says it"
+    assert results.verdict is Verdict.bad
 
 
 def test_checks_of_the_content_alone_leave_a_mission_unchecked() -> None:

@@ -36,6 +36,7 @@ export type RunState = Schemas["RunState"];
 export type Artifact = Schemas["ArtifactRead"];
 export type Verdict = Schemas["Verdict"];
 export type CheckStatus = Schemas["CheckStatus"];
+export type CellStatus = Schemas["CellStatus"];
 export type CheckCounts = Schemas["CheckCounts"];
 export type Json = Schemas["JsonValue"];
 

@@ -1,5 +1,6 @@
 // The icons by their meaning.
 export {
+  mdiAccountCheckOutline as iconAccepted,
   mdiAccountGroupOutline as iconPeople,
   mdiAccountCircleOutline as iconMe,
   mdiAlertCircleOutline as iconBad,

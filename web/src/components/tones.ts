@@ -1,6 +1,6 @@
 // Tones of states, and their icon and color.
-import { iconAttention, iconBad, iconGood, iconNone, iconOutdated, iconProgress, iconUnknown } from "./icons";
-import type { BlobState, CheckStatus, ContentState, Verdict } from "@/api/types";
+import { iconAccepted, iconAttention, iconBad, iconGood, iconNone, iconOutdated, iconProgress, iconUnknown } from "./icons";
+import type { BlobState, CellStatus, ContentState, Verdict } from "@/api/types";
 
 export type Tone = "plain" | "accent" | "good" | "attention" | "bad";
 
@@ -46,18 +46,20 @@ export const verdictIcons: Readonly<Record<Verdict, string>> = {
   unchecked: iconNone,
 };
 
-export const statusTones: Readonly<Record<CheckStatus, Tone>> = {
+export const statusTones: Readonly<Record<CellStatus, Tone>> = {
   ok: "good",
   warning: "attention",
   error: "bad",
   not_made: "attention",
+  accepted: "accent",
   needs_content: "plain",
 };
 
-export const statusIcons: Readonly<Record<CheckStatus, string>> = {
+export const statusIcons: Readonly<Record<CellStatus, string>> = {
   ok: iconGood,
   warning: iconAttention,
   error: iconBad,
   not_made: iconUnknown,
+  accepted: iconAccepted,
   needs_content: iconNone,
 };

@@ -1,6 +1,6 @@
 // Texts of checks and verdicts: chips, the mission's and the project's checks.
 import type { components } from "@/api/schema";
-import type { CheckCounts, CheckStatus, Verdict } from "@/api/types";
+import type { CellStatus, CheckCounts, Verdict } from "@/api/types";
 import { counted, formatCount } from "@/components/format";
 
 interface Named {
@@ -17,10 +17,11 @@ export const verdictTexts: Readonly<Record<Verdict, Named>> = {
   unchecked: { label: "Unchecked", why: "No checks were made." },
 };
 
-export const statusTexts: Readonly<Record<CheckStatus, Named>> = {
+export const statusTexts: Readonly<Record<CellStatus, Named>> = {
   error: { label: "Error", why: "The check failed." },
   warning: { label: "Warning", why: "The check gave a warning." },
   not_made: { label: "Not made", why: "The check could not be made. It counts as a warning." },
+  accepted: { label: "Accepted", why: "A person accepted that the check fails. It does not count." },
   ok: { label: "Passed", why: "The check passed." },
   needs_content: { label: "Needs content", why: "The check reads the messages, and only the index was read. It does not count." },
 };
@@ -48,6 +49,7 @@ const sources: Readonly<Record<components["schemas"]["CheckSource"], Named>> = {
 
 const acceptanceEnds: Readonly<Record<components["schemas"]["AcceptanceEnd"], string>> = {
   withdrawn: "withdrawn",
+  replaced: "replaced by a later one",
   files_changed: "ended because the files changed",
 };
 
@@ -62,7 +64,6 @@ export const texts = {
   shown: (shown: number, all: number) => (shown === all ? counted(all, "check") : `${formatCount(shown)} of ${counted(all, "check")}`),
   noneMatch: "No matching checks.",
   limit: (limit: string) => `limit ${limit}`,
-  accepted: "Accepted",
   acceptedBecause: (because: string) => `Accepted: ${because}`,
   notes: (count: number) => counted(count, "note"),
   rowName: (name: string, where: string) => (where === "" ? name : `${name} on ${where}`),
@@ -82,7 +83,9 @@ export const texts = {
   leftOutProfile: (name: string, reason: string) => `${name}: ${reason}`,
   history: "Show history",
   acceptances: "Accepted checks",
-  acceptanceOf: (check: string, topic: string | null) => (topic === null ? `${check}, all topics` : `${check} on ${topic}`),
+  acceptanceOf: (check: string, topic: string | null) => (topic === null ? check : `${check} on ${topic}`),
+  failures: (count: number) => counted(count, "failure"),
+  actionOf: (name: string, version: number | null | undefined) => (typeof version === "number" ? `${name}@${version}` : name),
   acceptanceEnds,
   by: (name: string) => `by ${name}`,
   reports: "Reports of uploaders",
@@ -101,11 +104,12 @@ export const texts = {
     openRun: "Open the run",
     accept: "Accept",
     acceptTitle: "Accept this check",
-    acceptWhy: "It no longer counts in the verdict, until the files of the mission change. The audit log records who accepted it and why.",
+    acceptWhy: "What failed no longer counts in the verdict, until the files of the mission change. What fails later, on other topics or by other rules, counts. The audit log records who accepted it and why; people with a link to the mission can read the reason.",
     because: "Reason",
     becauseMissing: "Enter a reason.",
-    allTopics: "Accept this check on all topics",
-    acceptedNow: (name: string) => `${name} accepted.`,
+    allTopics: "Accept it on all topics on which it fails now",
+    allPlaces: "All failures of this check are accepted, of whichever file or action.",
+    acceptedNow: (name: string, failures: number) => `${counted(failures, "failure")} of ${name} accepted.`,
     withdraw: "Withdraw",
     withdrawn: (name: string) => `${name} counts again.`,
     notes: "Notes",
@@ -120,13 +124,6 @@ export const matrixTexts = {
   label: "Checks of the missions",
   mission: "Mission",
   legend: "Statuses",
-  statuses: {
-    error: statusTexts.error.label,
-    warning: statusTexts.warning.label,
-    not_made: statusTexts.not_made.label,
-    ok: "Passed or accepted",
-    needs_content: statusTexts.needs_content.label,
-  } satisfies Readonly<Record<CheckStatus, string>>,
   cell: (name: string, status: string) => `${name}: ${status}`,
   notChecked: (name: string) => `${name}: not checked`,
   explained: "Details of the cell",

@@ -5,6 +5,7 @@ export const texts = {
   title: "Share with a link",
   why: "Anyone with the link can view and download without an account until it expires. The audit log records their actions under the name of the link.",
   whole: "The entire mission, including future files",
+  wholeShows: "It also shows the verdict, the checks, and why failing checks were accepted; no notes, and no names of who accepted them.",
   some: (count: number) => counted(count, "selected file"),
   tooMany: (most: number) => `A link can share at most ${most} files, or an entire mission.`,
   what: "Shared content",

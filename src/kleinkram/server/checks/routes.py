@@ -5,7 +5,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Query
 
-from kleinkram.contract.base import Cursor, Page, PageSize
+from kleinkram.contract.base import Page
 from kleinkram.contract.checks import (
     CheckAcceptanceCreate,
     CheckAcceptanceRead,
@@ -24,7 +24,7 @@ from kleinkram.contract.checks import (
 from kleinkram.server.checks import documents, overview, service
 from kleinkram.server.http.dependencies import CurrentActor, Reading, Transaction
 from kleinkram.server.http.headers import IfMatch
-from kleinkram.server.pagination import PageRequest
+from kleinkram.server.pagination import CountedPageQuery, PageQuery
 
 router = APIRouter(prefix="/api/v1", tags=["checks"])
 
@@ -47,10 +47,10 @@ async def set_project_checks(
 
 @router.get("/projects/{project_id}/checks/versions", operation_id="list_checks_versions")
 async def list_checks_versions(
-    project_id: uuid.UUID, db: Reading, actor: CurrentActor, limit: PageSize = 100, cursor: Cursor | None = None
+    project_id: uuid.UUID, query: Annotated[PageQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[ChecksVersionRead]:
     """List the versions of a project's `checks.yaml`, latest first."""
-    return await documents.list_versions(db, actor, project_id=project_id, page=PageRequest(limit, cursor))
+    return await documents.list_versions(db, actor, project_id=project_id, page=query.page)
 
 
 @router.get("/projects/{project_id}/checks/versions/{number}", operation_id="get_checks_version")
@@ -63,15 +63,10 @@ async def get_checks_version(
 
 @router.get("/projects/{project_id}/checks/matrix", operation_id="get_check_matrix")
 async def get_check_matrix(
-    project_id: uuid.UUID,
-    db: Reading,
-    actor: CurrentActor,
-    limit: PageSize = 100,
-    cursor: Cursor | None = None,
-    count: bool = False,
+    project_id: uuid.UUID, query: Annotated[CountedPageQuery, Query()], db: Reading, actor: CurrentActor
 ) -> CheckMatrix:
     """Return a page of a project's missions, latest first, with the worst status of each check."""
-    return await overview.get_matrix(db, actor, project_id=project_id, page=PageRequest(limit, cursor, count))
+    return await overview.get_matrix(db, actor, project_id=project_id, page=query.page)
 
 
 @router.get("/projects/{project_id}/checks/trend", operation_id="get_check_trend")

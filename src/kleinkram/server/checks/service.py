@@ -282,6 +282,7 @@ def _to_acceptance(row: Row[Any]) -> CheckAcceptanceRead:
         check=row.check_name,
         topic=row.topic,
         because=row.because,
+        failure_count=len(row.failures),
         created_at=row.created_at,
         created_by=PersonRef(id=row.created_by_id, name=row.created_by_name),
         ended=row.ended,

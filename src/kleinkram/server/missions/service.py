@@ -33,9 +33,9 @@ from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, prepare_statement
+from kleinkram.server.jobs.decide_runs import decide_again
 from kleinkram.server.jobs.rejudge import judge_again
 from kleinkram.server.missions import queries
-from kleinkram.server.missions.automatic import decide_again
 from kleinkram.server.missions.metadata import (
     MetadataValidator,
     carried_over,

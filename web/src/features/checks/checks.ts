@@ -1,10 +1,12 @@
 // Display of checks: values with units, filters, order, and what belongs to a check.
 import type { Acceptance, Check, Note } from "./queries";
-import type { CheckCounts, CheckStatus } from "@/api/types";
+import type { CellStatus, CheckCounts, CheckStatus } from "@/api/types";
 import { dateOfNs, formatSize, formatUtc } from "@/components/format";
 
 /** The statuses, worst first. */
 export const STATUSES = ["error", "warning", "not_made", "ok", "needs_content"] as const satisfies readonly CheckStatus[];
+/** How checks count, worst first: accepted ones apart. */
+export const CATEGORIES = ["error", "warning", "not_made", "accepted", "ok", "needs_content"] as const satisfies readonly CellStatus[];
 export const SOURCES = ["server", "report", "action"] as const satisfies readonly Check["source"][];
 
 const LARGE = 10_000;
@@ -51,11 +53,8 @@ export interface CheckFilter {
   readonly source: string;
 }
 
-/** A status, or `accepted` for a check that no longer counts. */
-export type Category = CheckStatus | "accepted";
-
 /** Returns how a check counts. */
-export function countsAs({ status, acceptance_id: acceptance }: Check): Category {
+export function countsAs({ status, acceptance_id: acceptance }: Check): CellStatus {
   return acceptance ? "accepted" : status;
 }
 
@@ -74,11 +73,10 @@ export function filtered(checks: readonly Check[], { text, statuses, source }: C
 }
 
 /** Returns how many checks there are of each status, and accepted ones; only of those that occur, worst first. */
-export function categories(checks: readonly Check[]): readonly { readonly category: Category; readonly count: number }[] {
-  const counts = new Map<Category, number>();
+export function categories(checks: readonly Check[]): readonly { readonly category: CellStatus; readonly count: number }[] {
+  const counts = new Map<CellStatus, number>();
   for (const check of checks) counts.set(countsAs(check), (counts.get(countsAs(check)) ?? 0) + 1);
-  const order: readonly Category[] = ["error", "warning", "not_made", "accepted", "ok", "needs_content"];
-  return order.flatMap((category) => {
+  return CATEGORIES.flatMap((category) => {
     const count = counts.get(category);
     return count === undefined ? [] : [{ category, count }];
   });
