@@ -34,7 +34,6 @@ FilterT = TypeVar("FilterT", bound=ReportFilter)
 class ReportChoice:
     """The options that select what runs reported, named as the fields of `ReportFilter`."""
 
-    run: Annotated[Text, argument("RUN", "Id of a run.")] = None
     project: options.ProjectsOption = None
     mission: options.MissionsOption = None
     action: Annotated[Text, option("--action", "GLOB", "Select by the name of the action, or NAME@VERSION.")] = None
@@ -44,6 +43,7 @@ class ReportChoice:
     ] = False
 
 
+RunFilterArgument = Annotated[Text, argument("RUN", "Id of a run.")]
 CsvOption = Annotated[bool, flag("--csv", "Print CSV on stdout, with a column for each parameter.")]
 
 
@@ -51,6 +51,7 @@ CsvOption = Annotated[bool, flag("--csv", "Print CSV on stdout, with a column fo
 def checks(
     client: Client,
     choice: ReportChoice,
+    run: RunFilterArgument = None,
     name: Annotated[Text, option("--name", "GLOB", "Select by name, such as 'imu.*'.")] = None,
     status: Annotated[list[CheckStatus] | None, option("--status", None, "Select by status; repeatable.")] = None,
     limit: options.Limit = None,
@@ -58,7 +59,7 @@ def checks(
     as_json: AsJson = False,
 ) -> None:
     """List the checks that one run reported, or the runs of a mission, of a project, or all."""
-    matching = _filter(client, CheckFilter, choice, {"name": name, "status": status})
+    matching = _filter(client, CheckFilter, run, choice, {"name": name, "status": status})
     headers = ["check", "status", "message", "value", "limit", "unit", "topic", "file", "at"]
     show_rows(client.runs.checks(matching, limit=limit), headers, _check_cells, as_csv=as_csv, as_json=as_json)
 
@@ -67,6 +68,7 @@ def checks(
 def findings(
     client: Client,
     choice: ReportChoice,
+    run: RunFilterArgument = None,
     code: Annotated[Text, option("--code --name", "GLOB", "Select by code, such as 'imu.*'.")] = None,
     severity: Annotated[list[Severity] | None, option("--severity", None, "Select by severity; repeatable.")] = None,
     limit: options.Limit = None,
@@ -74,7 +76,7 @@ def findings(
     as_json: AsJson = False,
 ) -> None:
     """List the findings of one run, or of the runs of a mission, of a project, or of all."""
-    matching = _filter(client, FindingFilter, choice, {"code": code, "severity": severity})
+    matching = _filter(client, FindingFilter, run, choice, {"code": code, "severity": severity})
     headers = ["severity", "finding", "message", "topic", "file", "at"]
     show_rows(client.runs.findings(matching, limit=limit), headers, _finding_cells, as_csv=as_csv, as_json=as_json)
 
@@ -83,13 +85,14 @@ def findings(
 def metrics(
     client: Client,
     choice: ReportChoice,
+    run: RunFilterArgument = None,
     name: Annotated[Text, option("--name", "GLOB", "Select by name, such as 'ate_*'.")] = None,
     limit: options.Limit = None,
     as_csv: CsvOption = False,
     as_json: AsJson = False,
 ) -> None:
     """List the metrics of one run, or of the runs of a mission, of a project, or of all, with their parameters."""
-    matching = _filter(client, MetricFilter, choice, {"name": name})
+    matching = _filter(client, MetricFilter, run, choice, {"name": name})
     headers = ["metric", "value", "unit", "topic", "labels", "file"]
     show_rows(client.runs.metrics(matching, limit=limit), headers, _metric_cells, as_csv=as_csv, as_json=as_json)
 
@@ -164,13 +167,13 @@ def _record(row: CheckRead | FindingRead | MetricRead) -> dict[str, object]:
     }
 
 
-def _filter(client: Client, kind: type[FilterT], choice: ReportChoice, own: Mapping[str, object]) -> FilterT:
+def _filter(client: Client, kind: type[FilterT], run: Text, choice: ReportChoice, own: Mapping[str, object]) -> FilterT:
     selected = {**own, "topic": choice.topic, "latest": choice.latest}
     selected |= ids_of(client, choice.project, choice.mission)
     if choice.action is not None:
         selected["action"], selected["version"] = split_version(choice.action)
-    if choice.run is not None:
-        selected["run_id"] = client.runs.get(choice.run).id
+    if run is not None:
+        selected["run_id"] = client.runs.get(run).id
     return filter_of(kind, selected)
 
 

@@ -203,7 +203,7 @@ class CheckSource(str, enum.Enum):
 class MissionCheck(Response):
     """The outcome of one check of a mission, as in `Check`.
 
-    `action`, `action_version` and `run_id` name the run that made it; share links do not show `run_id`.
+    `action`, `action_version` and `run_id` name the run that made it; without an account, `run_id` is not shown.
     `acceptance_id`: a person accepted that it fails, so that it does not count.
     """
 
@@ -260,8 +260,8 @@ class AcceptanceEnd(str, enum.Enum):
 class CheckAcceptanceRead(Response):
     """A person's decision that what failed of a check does not count, and nothing that fails later.
 
-    `failure_count` is how many failures it covers. `ended` is null while it applies. Share links do not show
-    `created_by`.
+    `failure_count` is how many failures it covers. `ended` is null while it applies. Without an account, `created_by`
+    is not shown.
     """
 
     id: uuid.UUID
@@ -300,8 +300,8 @@ class MissionChecksRead(Response):
 
     `evaluated_at` is null while nothing was checked. `is_current`: the checks are of the present files and by the
     present `checks.yaml`, whose version is `checks_number` (0 for none). `bad_since` is when the mission became bad.
-    With `all`, acceptances that ended are listed too. Share links show no notes and no reports, and only acceptances
-    that apply.
+    With `all`, acceptances that ended are listed too. Without an account, there are no notes and no reports, and only
+    acceptances that apply.
     """
 
     verdict: Verdict

@@ -131,6 +131,7 @@ def _check_matrix(results: dict[str, Any]) -> None:
     assert "longest gap" in matrix["explained"]
     assert matrix["opened"].startswith("/missions/")
     assert matrix["trend"] == ["1 bad", "1 good"]
+    assert matrix["accepted"] == "topic.gap: Accepted"
 
 
 def _check_mission(results: dict[str, Any]) -> None:
@@ -140,8 +141,10 @@ def _check_mission(results: dict[str, Any]) -> None:
     assert "legs" in mission["leftOut"], "why a profile was not applied is said"
     assert mission["missingReason"] == "Enter a reason."
     assert mission["afterAccepting"]["topic.gap"] == "Accepted"
+    assert "topic.gap on /imu/data, 1 failure: the gap was a stop" in mission["acceptances"]
     assert mission["note"].startswith("seen by <b>Ada<b>")
     assert mission["afterWithdrawing"]["topic.gap"] == "Error"
     assert mission["history"] == "withdrawn"
     assert mission["inProject"] == {"good": "good", "bad": "bad"}
     assert mission["inSearch"] == ["bad"]
+    assert (mission["worstFirst"], mission["bestFirst"]) == (["bad", "good"], ["good", "bad"])

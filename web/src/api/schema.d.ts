@@ -2768,10 +2768,10 @@ export interface components {
     schemas: {
         /**
          * AcceptanceEnd
-         * @description Why an acceptance ended: a person withdrew it, or the files that it was about changed.
+         * @description Why an acceptance ended: a person withdrew it or accepted the check again, or the files changed.
          * @enum {string}
          */
-        AcceptanceEnd: "withdrawn" | "files_changed";
+        AcceptanceEnd: "withdrawn" | "replaced" | "files_changed";
         /**
          * AccessRead
          * @description A right that somebody has now, and its source; of several, the highest counts.
@@ -3275,6 +3275,12 @@ export interface components {
             retry_of_id?: string | null;
         };
         /**
+         * CellStatus
+         * @description The worst status of a check over its topics; `accepted`: what failed was accepted, and the rest passed.
+         * @enum {string}
+         */
+        CellStatus: "error" | "warning" | "not_made" | "accepted" | "ok" | "needs_content";
+        /**
          * Check
          * @description The outcome of one check.
          *
@@ -3302,7 +3308,7 @@ export interface components {
         };
         /**
          * CheckAcceptanceCreate
-         * @description Accept that a check of a mission fails. Without a topic, on all topics.
+         * @description Accept that a check of a mission fails as it does now. Without a topic, on all topics on which it fails now.
          */
         CheckAcceptanceCreate: {
             /** Because */
@@ -3314,7 +3320,10 @@ export interface components {
         };
         /**
          * CheckAcceptanceRead
-         * @description A person's decision that a failing check of a mission does not count. `ended` is null while it applies.
+         * @description A person's decision that what failed of a check does not count, and nothing that fails later.
+         *
+         *     `failure_count` is how many failures it covers. `ended` is null while it applies. Share links do not show
+         *     `created_by`.
          */
         CheckAcceptanceRead: {
             /** Because */
@@ -3326,11 +3335,13 @@ export interface components {
              * Format: date-time
              */
             created_at: string;
-            created_by: components["schemas"]["PersonRef"];
+            created_by: components["schemas"]["PersonRef"] | null;
             ended: components["schemas"]["AcceptanceEnd"] | null;
             /** Ended At */
             ended_at: string | null;
             ended_by: components["schemas"]["PersonRef"] | null;
+            /** Failure Count */
+            failure_count: number;
             /**
              * Id
              * Format: uuid
@@ -3402,7 +3413,7 @@ export interface components {
         CheckMatrixRow: {
             /** Cells */
             cells: {
-                [key: string]: components["schemas"]["CheckStatus"];
+                [key: string]: components["schemas"]["CellStatus"];
             };
             counts: components["schemas"]["CheckCounts"];
             mission: components["schemas"]["NamedRef"];
@@ -4971,14 +4982,16 @@ export interface components {
          * MissionCheck
          * @description The outcome of one check of a mission, as in `Check`.
          *
-         *     `action` and `run_id` name the run that made it. `acceptance_id`: a person accepted that it fails, so that it does
-         *     not count.
+         *     `action`, `action_version` and `run_id` name the run that made it; share links do not show `run_id`.
+         *     `acceptance_id`: a person accepted that it fails, so that it does not count.
          */
         MissionCheck: {
             /** Acceptance Id */
             acceptance_id?: string | null;
             /** Action */
             action?: string | null;
+            /** Action Version */
+            action_version?: number | null;
             /** File */
             file?: string | null;
             /** Limit */
@@ -5007,7 +5020,8 @@ export interface components {
          *
          *     `evaluated_at` is null while nothing was checked. `is_current`: the checks are of the present files and by the
          *     present `checks.yaml`, whose version is `checks_number` (0 for none). `bad_since` is when the mission became bad.
-         *     With `all`, acceptances that ended are listed too.
+         *     With `all`, acceptances that ended are listed too. Share links show no notes and no reports, and only acceptances
+         *     that apply.
          */
         MissionChecksRead: {
             /** Acceptances */
@@ -5153,10 +5167,10 @@ export interface components {
         };
         /**
          * MissionSort
-         * @description Orders of a list of missions.
+         * @description Orders of a list of missions. `verdict`: bad ones first; of one verdict, in both directions, the latest first.
          * @enum {string}
          */
-        MissionSort: "name" | "-name" | "created" | "-created" | "start" | "-start";
+        MissionSort: "name" | "-name" | "created" | "-created" | "start" | "-start" | "verdict" | "-verdict";
         /**
          * MissionTemplate
          * @description Template for the next mission of a project: as YAML, or as a form of `fields` with initial `values`.
