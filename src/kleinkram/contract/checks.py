@@ -319,14 +319,14 @@ class MissionChecksRead(Response):
 
 
 class CellStatus(str, enum.Enum):
-    """The worst status of a check over its topics; `accepted`: what failed was accepted, and the rest passed."""
+    """The worst status of a check over its topics, worst first; `accepted`: people accepted all that failed."""
 
     error = "error"
     warning = "warning"
     not_made = "not_made"
+    needs_content = "needs_content"
     accepted = "accepted"
     ok = "ok"
-    needs_content = "needs_content"
 
 
 class CheckMatrixRow(Response):

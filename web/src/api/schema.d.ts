@@ -3276,10 +3276,10 @@ export interface components {
         };
         /**
          * CellStatus
-         * @description The worst status of a check over its topics; `accepted`: what failed was accepted, and the rest passed.
+         * @description The worst status of a check over its topics, worst first; `accepted`: people accepted all that failed.
          * @enum {string}
          */
-        CellStatus: "error" | "warning" | "not_made" | "accepted" | "ok" | "needs_content";
+        CellStatus: "error" | "warning" | "not_made" | "needs_content" | "accepted" | "ok";
         /**
          * Check
          * @description The outcome of one check.
@@ -3322,8 +3322,8 @@ export interface components {
          * CheckAcceptanceRead
          * @description A person's decision that what failed of a check does not count, and nothing that fails later.
          *
-         *     `failure_count` is how many failures it covers. `ended` is null while it applies. Share links do not show
-         *     `created_by`.
+         *     `failure_count` is how many failures it covers. `ended` is null while it applies. Without an account, `created_by`
+         *     is not shown.
          */
         CheckAcceptanceRead: {
             /** Because */
@@ -4982,7 +4982,7 @@ export interface components {
          * MissionCheck
          * @description The outcome of one check of a mission, as in `Check`.
          *
-         *     `action`, `action_version` and `run_id` name the run that made it; share links do not show `run_id`.
+         *     `action`, `action_version` and `run_id` name the run that made it; without an account, `run_id` is not shown.
          *     `acceptance_id`: a person accepted that it fails, so that it does not count.
          */
         MissionCheck: {
@@ -5020,8 +5020,8 @@ export interface components {
          *
          *     `evaluated_at` is null while nothing was checked. `is_current`: the checks are of the present files and by the
          *     present `checks.yaml`, whose version is `checks_number` (0 for none). `bad_since` is when the mission became bad.
-         *     With `all`, acceptances that ended are listed too. Share links show no notes and no reports, and only acceptances
-         *     that apply.
+         *     With `all`, acceptances that ended are listed too. Without an account, there are no notes and no reports, and only
+         *     acceptances that apply.
          */
         MissionChecksRead: {
             /** Acceptances */

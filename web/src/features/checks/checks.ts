@@ -4,9 +4,9 @@ import type { CellStatus, CheckCounts, CheckStatus } from "@/api/types";
 import { dateOfNs, formatSize, formatUtc } from "@/components/format";
 
 /** The statuses, worst first. */
-export const STATUSES = ["error", "warning", "not_made", "ok", "needs_content"] as const satisfies readonly CheckStatus[];
+export const STATUSES = ["error", "warning", "not_made", "needs_content", "ok"] as const satisfies readonly CheckStatus[];
 /** How checks count, worst first: accepted ones apart. */
-export const CATEGORIES = ["error", "warning", "not_made", "accepted", "ok", "needs_content"] as const satisfies readonly CellStatus[];
+export const CATEGORIES = ["error", "warning", "not_made", "needs_content", "accepted", "ok"] as const satisfies readonly CellStatus[];
 export const SOURCES = ["server", "report", "action"] as const satisfies readonly Check["source"][];
 
 const LARGE = 10_000;
