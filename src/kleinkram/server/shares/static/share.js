@@ -80,13 +80,21 @@ function span(nanoseconds) {
   return `${(nanoseconds / 1e9).toFixed(1)} s`;
 }
 
-// Metadata, notes, and the recording time. A link to single files shows none of these.
+// The verdict with the checks that failed, such as "bad: 2 errors, 1 accepted".
+function verdictText({ verdict, checks }) {
+  const numbers = [[checks.error, "error"], [checks.warning, "warning"]].map(([count, noun]) => [count, count === 1 ? noun : `${noun}s`]);
+  const counted = [...numbers, [checks.not_made, "not made"], [checks.accepted, "accepted"]].filter(([count]) => count > 0);
+  return [verdict, counted.map(([count, what]) => `${count.toLocaleString("en-GB")} ${what}`).join(", ")].filter((text) => text !== "").join(": ");
+}
+
+// Metadata, notes, the recording time, and the verdict. A link to single files shows none of these.
 function showAbout(mission) {
   const facts = Object.entries(mission.metadata).map(([name, value]) => [name, asText(value)]);
   if (mission.start_ns !== null) {
     const began = new Date(mission.start_ns / 1e6).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" });
     facts.unshift(["Recorded", `${began}, ${span(mission.end_ns - mission.start_ns)}`]);
   }
+  if (mission.verdict !== "unchecked") facts.push(["Checks", verdictText(mission)]);
   if (mission.notes !== "") facts.push(["Notes", mission.notes]);
   document.getElementById("metadata").append(...facts.flatMap(([name, value]) => [element("dt", name), element("dd", value)]));
   if (facts.length > 0) document.getElementById("about").hidden = false;
