@@ -59,15 +59,22 @@ def test_a_bad_mission_shows_its_verdict_wherever_it_is_listed(api: Api, klein: 
 
 
 def test_a_check_is_accepted_withdrawn_and_noted(api: Api, klein: Klein, bad_id: str) -> None:
-    klein("mission", "accept", bad_id, "--check", "topic.rate", "--topic", "/imu", "--because", "The driver was old.")
+    of_imu = ("--check", "topic.rate", "--topic", "/imu")
+    printed = klein("mission", "accept", bad_id, *of_imu, "--because", "The driver was old.", as_json=False)
+    assert "1 failure of topic.rate on /imu in" in printed
     klein("mission", "note", bad_id, "--check", "topic.rate", "--text", "See the log.")
     run_jobs(api)
     shown = klein("checks", "mission", bad_id, as_json=False)
     for words in ("good (1 accepted)", "The driver was old.", "See the log.", "error (accepted)"):
         assert words in shown
+    project_id = api.get(f"/missions/{bad_id}").ok()["project"]["id"]
+    assert "accepted" in klein("checks", "matrix", project_id, as_json=False)
+    judged_mission(api, project_id, *SLOW, name="still bad")
+    worst_first = klein("mission", "list", "-p", project_id, "--sort", "verdict")["items"]
+    assert [one["verdict"] for one in worst_first] == ["bad", "good"]
     with pytest.raises(NotFound):
         klein("mission", "accept", bad_id, "--check", "topic.rate", "--withdraw")
-    klein("mission", "accept", bad_id, "--check", "topic.rate", "--topic", "/imu", "--withdraw")
+    klein("mission", "accept", bad_id, *of_imu, "--withdraw")
     run_jobs(api)
     assert klein("checks", "mission", bad_id)["verdict"] == "bad"
     with pytest.raises(InvalidRequest):
