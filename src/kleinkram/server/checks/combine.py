@@ -20,7 +20,8 @@ from kleinkram.contract.checks import (
 )
 
 _FAILED = (CheckStatus.error, CheckStatus.warning, CheckStatus.not_made)
-_WORST_CELL_FIRST = tuple(CellStatus)
+_CELLS = {status: CellStatus(status.value) for status in CheckStatus}
+_RANKS = {status: rank for rank, status in enumerate(CellStatus)}  # worst first
 _FROM_INDEX = ("file.", "recording.", "topic.", "checks.")
 _ALSO_FROM_INDEX = "clock.jump"
 
@@ -98,10 +99,10 @@ class _Summary:
     failed: set[str] = field(default_factory=set)
 
     def add(self, check: MissionCheck) -> None:
-        status = CellStatus(check.status.value) if check.acceptance_id is None else CellStatus.accepted
+        status = _CELLS[check.status] if check.acceptance_id is None else CellStatus.accepted
         self.counts[status.value] += 1
         known = self.statuses.get(check.name)
-        if known is None or _WORST_CELL_FIRST.index(status) < _WORST_CELL_FIRST.index(known):
+        if known is None or _RANKS[status] < _RANKS[known]:
             self.statuses[check.name] = status
         if status in (CellStatus.error, CellStatus.warning):
             self.failed.add(check.name)
