@@ -144,7 +144,7 @@ await page.locator("[role=row][data-index] [data-verdict]").nth(1).waitFor();
 const verdictIn = (id) => page.locator(`[role=row]:has(a[href*="${id}"]) [data-verdict]`).getAttribute("data-verdict");
 results.mission.inProject = { good: await verdictIn(missions.good), bad: await verdictIn(missions.bad) };
 const sortedBy = async (sort) => {
-  await page.getByRole("columnheader", { name: "Verdict" }).getByRole("button").click();
+  await page.getByRole("columnheader", { name: "Checks" }).getByRole("button").click();
   await page.waitForURL((url) => url.searchParams.get("sort") === sort);
   await settled();
   return page.locator("[role=row][data-index] [data-verdict]").evaluateAll((all) => all.map(({ dataset }) => dataset.verdict));

@@ -30,7 +30,7 @@ def made(name: str, status: CheckStatus, topic: str | None = None, **fields: Any
 
 def of_action(name: str, status: CheckStatus, topic: str | None = None, **fields: Any) -> MissionCheck:
     check = made(name, status, topic)
-    source = {"source": CheckSource.action, "action": "verify", "action_version": 1}
+    source: dict[str, Any] = {"source": CheckSource.action, "action": "verify", "action_version": 1}
     return MissionCheck.model_construct(**check.__dict__, **(source | fields))
 
 

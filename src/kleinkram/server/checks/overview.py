@@ -8,10 +8,10 @@ from sqlalchemy import DateTime, Numeric, Row, Select, cast, func, select
 
 from kleinkram.contract.base import NamedRef
 from kleinkram.contract.checks import (
+    CellStatus,
     CheckCounts,
     CheckMatrix,
     CheckMatrixRow,
-    CheckStatus,
     CheckTrend,
     TrendBucket,
     TrendStep,
@@ -73,7 +73,7 @@ def _by_failures(rows: list[CheckMatrixRow]) -> list[str]:
     failures: Counter[str] = Counter()
     for row in rows:
         for name, status in row.cells.items():
-            failures[name] += status in (CheckStatus.error, CheckStatus.warning)
+            failures[name] += status in (CellStatus.error, CellStatus.warning)
     return sorted(failures, key=lambda name: (-failures[name], name))
 
 
