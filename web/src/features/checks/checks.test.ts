@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { canBeAccepted, categories, failedCount, filtered, keyOf, measured, notesOf } from "./checks";
+import { canBeAccepted, categories, failedCount, filtered, keyOf, measured, notesOf, worstFirst } from "./checks";
 import { diffLines, folded } from "./diff";
 import { positionOf, textErrorOf } from "./rules";
 import { barsOf, cellAfter, columnsOf, MAX_BARS, worstOf } from "./matrix";
@@ -45,6 +45,11 @@ describe("checks of a mission", () => {
     const note = (id: string, name: string, topic: string | null) => ({ id, check: name, topic, text: id, created_at: "", created_by: { id: "", name: "" } }) satisfies Note;
     const notes = [note("one", "topic.rate", "/imu"), note("all", "topic.rate", null), note("other", "topic.rate", "/lidar"), note("gap", "topic.gap", "/imu")];
     expect(notesOf(rate, notes).map(({ id }) => id)).toEqual(["one", "all"]);
+  });
+  it("of a run are listed worst first, else as they were reported", () => {
+    const rows = [fine, content, rate, gap, black, accepted].map((one) => ({ check: one }));
+    expect(worstFirst(rows).map((row) => row.check)).toEqual([gap, accepted, rate, black, content, fine]);
+    expect(worstFirst([])).toEqual([]);
   });
   it("show values with their unit", () => {
     expect(measured(199.87654, "Hz")).toBe("199.88 Hz");

@@ -53,6 +53,11 @@ export interface CheckFilter {
   readonly source: string;
 }
 
+/** Returns what has a check with the worst first, else in its order. */
+export function worstFirst<Row extends { readonly check: { readonly status: CheckStatus } }>(rows: readonly Row[]): readonly Row[] {
+  return STATUSES.flatMap((status) => rows.filter((row) => row.check.status === status));
+}
+
 /** Returns how a check counts. */
 export function countsAs({ status, acceptance_id: acceptance }: Check): CellStatus {
   return acceptance ? "accepted" : status;
