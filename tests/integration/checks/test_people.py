@@ -120,7 +120,7 @@ def test_a_link_to_one_file_shows_no_checks(api: Api, bad_id: str) -> None:
 
 def test_a_report_of_an_uploader_adds_the_checks_of_content(api: Api) -> None:
     mission_id = judged_mission(api, checked_project(api, _IMAGES), *GOOD)
-    assert verdict(api, mission_id) == "good"
+    assert verdict(api, mission_id) == "unchecked"
     assert api.get(f"/missions/{mission_id}").ok()["checks"]["needs_content"] > 0
     report = _report(api, mission_id, _rules_hash(api, mission_id), _BLACK, *_LIGHT, _RATE).ok(201)
     assert (report["is_current"], report["verdict"], report["check_count"]) == (True, "bad", 4)
@@ -138,7 +138,7 @@ def test_a_report_of_other_files_does_not_count(api: Api) -> None:
     assert _report(api, mission_id, sha256, _BLACK, **{"run.mcap": "0" * 64}).ok(201)["is_current"] is False
     assert _report(api, mission_id, sha256, _BLACK, **{"gone.mcap": "0" * 64}).ok(201)["is_current"] is False
     run_jobs(api)
-    assert verdict(api, mission_id) == "good"
+    assert verdict(api, mission_id) == "unchecked"
     result = api.get(f"/missions/{mission_id}/checks").ok()
     assert result["reports"] == []
     assert len(api.get(f"/missions/{mission_id}/checks", {"all": "true"}).ok()["reports"]) == 2
