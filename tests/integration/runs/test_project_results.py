@@ -88,9 +88,7 @@ def test_the_reported_verdict_counts_without_checks(lab: Api, runner: FakeRunner
     assert verdict(lab, place.mission) == ("bad", {"results.verdict": "error"})
 
 
-def test_an_action_without_inputs_in_a_complete_mission_is_not_made(
-    lab: Api, runner: FakeRunner, place: Place
-) -> None:
+def test_an_action_without_inputs_in_a_complete_mission_is_not_made(lab: Api, runner: FakeRunner, place: Place) -> None:
     run_jobs(lab)
     add(lab, place.project, publish(lab, runner, place.project, inputs={"paths": ["*.mcap"]}))
     assert verdict(lab, place.mission) == ("unchecked", {"results.missing": "needs_content"})

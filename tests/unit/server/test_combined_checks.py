@@ -118,7 +118,9 @@ def test_of_each_person_the_latest_report_of_content_counts_alone() -> None:
     newer, older = report(made("image.black", OK)), report(made("image.black", ERROR), made("imu.tilt", ERROR))
     index = [made("image.black", NEEDS_CONTENT)]
     assert outcomes(combine(Sources(index=index, reports=[newer, older]))) == [("image.black", OK, CheckSource.report)]
-    assert combine(Sources(index=index, reports=[newer, report(made("image.black", OK)), older])).verdict is Verdict.good
+    assert (
+        combine(Sources(index=index, reports=[newer, report(made("image.black", OK)), older])).verdict is Verdict.good
+    )
     # A later report of the index alone does not hide what was found in the content.
     of_index = report(made("topic.rate", OK), content=False)
     assert combine(Sources(index=index, reports=[of_index, older])).verdict is Verdict.bad
