@@ -197,11 +197,23 @@ def test_a_check_of_earlier_files_cannot_be_accepted(api: Api, bad_id: str) -> N
     _accept(api, bad_id, topic="/imu").ok(201)
 
 
-def test_the_latest_reports_of_a_mission_stay(api: Api) -> None:
-    mission_id = judged_mission(api, str(api.project()["id"]), *GOOD)
-    made = [_report(api, mission_id, f"{number:064x}", _RATE).ok(201)["id"] for number in range(22)]
+def test_the_latest_reports_of_each_person_stay(api: Api) -> None:
+    mission_id = judged_mission(api, checked_project(api, _IMAGES), *GOOD)
+    sha256 = _rules_hash(api, mission_id)
+    first = _report(api, mission_id, sha256, _BLACK).ok(201)["id"]
+    helper = people.person(api)
+    people.grant(api, helper.group_id, Right.create, mission_id=mission_id)
+    other = api.as_(helper.token)
+    passed = {**_BLACK, "status": "ok"}
+    made = [_report(other, mission_id, f"{number:064x}", _RATE).ok(201)["id"] for number in range(7)]
+    made.append(_report(other, mission_id, sha256, passed, *_LIGHT).ok(201)["id"])
     listed = api.get(f"/missions/{mission_id}/checks", {"all": "true"}).ok()["reports"]
-    assert [one["id"] for one in listed] == made[:1:-1]
+    assert [one["id"] for one in listed] == [*made[:2:-1], first]
+    run_jobs(api)
+    assert failing(api, mission_id) == [("image.black", "error", "/camera")], "what another person found still counts"
+    _report(api, mission_id, sha256, passed, *_LIGHT).ok(201)
+    run_jobs(api)
+    assert (verdict(api, mission_id), failing(api, mission_id)) == ("good", [])
 
 
 def test_without_rules_of_the_project_the_report_is_the_verdict(api: Api) -> None:

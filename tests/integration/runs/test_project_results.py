@@ -96,7 +96,7 @@ def test_an_action_without_inputs_in_a_complete_mission_is_not_made(lab: Api, ru
     assert verdict(lab, place.mission) == ("warnings", {"results.missing": "not_made"})
     (check,) = lab.get(f"/missions/{place.mission['id']}/checks").ok()["checks"]
     assert "no file of the mission is its input" in check["message"]
-    empty = lab.post("/missions", {"project_id": place.project["id"], "name": "empty"}).ok(201)
+    empty = lab.mission(place.project["id"])
     complete(lab, empty)
     assert verdict(lab, empty) == ("unchecked", {})
 
