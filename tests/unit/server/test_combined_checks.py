@@ -158,8 +158,8 @@ def test_a_report_does_not_overrule_what_another_person_found(index: list[Check]
     for reports in ([bad, good], [good, bad], [good, good, bad]):
         combined = combine(Sources(index=index, reports=reports))
         assert combined.verdict is Verdict.bad
-        found = [(check.topic, check.status) for check in combined.checks]
-        assert found == [("/left", ERROR), ("/right", WARNING)]
+        statuses = [(check.topic, check.status) for check in combined.checks]
+        assert statuses == [("/left", ERROR), ("/right", WARNING)]
 
 
 def test_topics_that_a_report_left_out_keep_a_mission_from_being_good() -> None:
