@@ -176,7 +176,7 @@ def test_topics_that_a_report_left_out_keep_a_mission_from_being_good() -> None:
 
 def test_a_check_that_waits_for_one_topic_has_not_passed() -> None:
     index = [made("clock.stamp_jump", OK, "/imu"), made("clock.stamp_jump", NEEDS_CONTENT, "/lidar")]
-    assert combine(Sources(index=index)).statuses == {"clock.stamp_jump": NEEDS_CONTENT}
+    assert combine(Sources(index=index)).statuses == {"clock.stamp_jump": CellStatus.needs_content}
 
 
 def test_without_rules_of_the_project_a_whole_report_counts() -> None:
