@@ -1,6 +1,6 @@
 """What the checks of a mission amount to: its verdict, with the checks, their numbers and the profiles applied."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import chain
@@ -74,20 +74,23 @@ def evaluate(
     `more`: other checks that count.
     """
     profiles = document.applying_to(mission.facts.metadata)
-    by_content = _content_checks(profiles, mission) if depth is CheckDepth.content else None
-    others = checks_needing_content(profiles, mission.facts) if by_content is None else by_content
+    others = (
+        _content_checks(profiles, mission)
+        if depth is CheckDepth.content
+        else checks_needing_content(profiles, mission.facts)
+    )
     checks = chain(more, index_checks(profiles, mission.facts), others)
     return to_results(document, mission.facts.metadata, checks, depth)
 
 
-def _content_checks(profiles: Sequence[Profile], mission: LocalMission) -> list[Check]:
+def _content_checks(profiles: Sequence[Profile], mission: LocalMission) -> Iterator[Check]:
     """Open the recordings and check samples of their messages."""
     if next(planned_rules(profiles, ()), None) is None:
-        return []
+        return
     from kleinkram.checks.content import check_content
 
     with ExitStack() as stack:
-        return check_content(profiles, [_opened(recording, stack) for recording in mission.recordings])
+        yield from check_content(profiles, [_opened(recording, stack) for recording in mission.recordings])
 
 
 def _opened(recording: LocalRecording, stack: ExitStack) -> "OpenRecording":

@@ -21,7 +21,7 @@ from kleinkram.checks.document import (
     TransformRule,
     ValueRule,
 )
-from kleinkram.checks.globs import matches
+from kleinkram.checks.globs import Comparisons, matches
 from kleinkram.checks.outcomes import make_check
 from kleinkram.contract.checks import Check, CheckStatus
 
@@ -142,10 +142,15 @@ _UNBOUNDED: Mapping[type[Rule], tuple[str, ...]] = {
 
 
 def planned_rules(profiles: Sequence[Profile], topics: Sequence[TopicOfRecording]) -> Iterator[PlannedRule]:
-    """Yield the rules that need content, each with its topics, in the order of the document."""
+    """Yield the rules that need content, each with its topics, in the order of the document.
+
+    Raises TooManyComparisons.
+    """
+    comparisons = Comparisons([topic.topic for topic in topics])
     for profile in profiles:
         for family in FAMILIES:
             for pattern, rules in family.rules_of(profile).items():
+                comparisons.add(pattern, 1 + len(rules))  # once more for `why_none` of each rule
                 matching = [topic for topic in topics if _applies(family, pattern, topic)]
                 for rule in rules:
                     if names := content_checks_of(rule):

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, field
 
 from kleinkram.checks.outcomes import LEFT_OUT
+from kleinkram.contract.base import construct
 from kleinkram.contract.checks import (
     MAX_CHECKS,
     WORST_FIRST,
@@ -20,6 +21,7 @@ from kleinkram.contract.checks import (
 _FAILED = (CheckStatus.error, CheckStatus.warning, CheckStatus.not_made)
 _FROM_INDEX = ("file.", "recording.", "topic.", "checks.")
 _ALSO_FROM_INDEX = "clock.jump"
+_UNKNOWN = {name: field.default for name, field in MissionCheck.model_fields.items() if not field.is_required()}
 
 
 @dataclass(frozen=True)
@@ -159,7 +161,7 @@ def _all_checks(sources: Sources) -> Iterable[MissionCheck]:
 
 
 def _read(check: Check, source: CheckSource) -> MissionCheck:
-    return MissionCheck.model_construct(**check.__dict__, source=source)
+    return construct(MissionCheck, _UNKNOWN | check.__dict__ | {"source": source})
 
 
 def _accepted(checks: Iterable[MissionCheck], acceptances: Sequence[Acceptance]) -> Iterable[MissionCheck]:
