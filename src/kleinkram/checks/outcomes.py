@@ -85,11 +85,12 @@ def collect(checks: Iterable[Check], *, limit: int = MAX_CHECKS) -> CollectedChe
     counts = dict.fromkeys(WORST_FIRST, 0)
     for check in _up_to_limit(checks):
         listed = by_status[check.status]
-        if check in listed:
-            continue
-        counts[check.status] += 1
-        if len(listed) < limit:
-            listed[check] = None
+        number = len(listed)
+        listed[check] = None
+        if len(listed) > number:
+            counts[check.status] += 1
+        if len(listed) > limit:
+            listed.popitem()
     ordered = [check for status in WORST_FIRST for check in by_status[status]]
     total = sum(counts.values())
     if total > limit:

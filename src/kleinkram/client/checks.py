@@ -20,7 +20,6 @@ from kleinkram.contract.checks import (
     CheckStatus,
     ChecksVersionRead,
     CheckTrend,
-    MissionCheck,
     MissionCheckFilter,
     MissionChecksRead,
     ProjectChecksRead,
@@ -76,15 +75,14 @@ class Checks(ApiResource):
         `name` (a glob) and `status` (any of them) select checks; a mission has up to 10,000.
         """
         matching = checked(MissionCheckFilter, "The filter", name=name, status=[*status])
-        path, cursor = f"{self._of_mission(mission)}/checks", None
-        checks: list[MissionCheck] = []
-        while True:
-            query = query_of(matching, all=history or None, limit=MAX_PAGE_SIZE, cursor=cursor)
-            page = self._api.get(path, MissionChecksRead, query)
+        path = f"{self._of_mission(mission)}/checks"
+        query = query_of(matching, all=history or None, limit=MAX_PAGE_SIZE)
+        first = page = self._api.get(path, MissionChecksRead, query)
+        checks = [*first.checks]
+        while page.next is not None:
+            page = self._api.get(path, MissionChecksRead, [*query, ("cursor", page.next)])
             checks += page.checks
-            cursor = page.next
-            if cursor is None:
-                return page.model_copy(update={"checks": checks})
+        return first.model_copy(update={"checks": checks, "next": None})
 
     def report(self, mission: Ref, report: CheckReportCreate) -> CheckReportRead:
         """Store checks that were made of the files of a mission before or after they were uploaded."""

@@ -22,6 +22,7 @@ class Response(BaseModel):
 
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
+_set = object.__setattr__  # models are immutable
 
 
 def construct(model: type[ModelT], values: dict[str, Any]) -> ModelT:
@@ -30,13 +31,10 @@ def construct(model: type[ModelT], values: dict[str, Any]) -> ModelT:
     For the hundreds of thousands of checks that a project has: 1 µs, where `model_construct` takes 4 and validation 6.
     """
     made = model.__new__(model)
-    for name, value in (
-        ("__dict__", values),
-        ("__pydantic_fields_set__", set()),
-        ("__pydantic_extra__", None),
-        ("__pydantic_private__", None),
-    ):
-        object.__setattr__(made, name, value)
+    _set(made, "__dict__", values)
+    _set(made, "__pydantic_fields_set__", set())
+    _set(made, "__pydantic_extra__", None)
+    _set(made, "__pydantic_private__", None)
     return made
 
 

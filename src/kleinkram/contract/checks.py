@@ -288,7 +288,8 @@ class MissionCheckFilter(Request):
 class MissionChecksRead(Response):
     """One page of the checks of a mission, worst first, and its verdict and counts by all of them.
 
-    `next` is the cursor of the next page, null on the last. `evaluated_at` is null while nothing was checked.
+    `next` is the cursor of the next page, null on the last; acceptances, notes and reports come with the first one.
+    `evaluated_at` is null while nothing was checked.
     `is_current`: the checks are of the present files and by the present `checks.yaml`, whose version is `checks_number`
     (0 for none). `bad_since` is when the mission became bad. With `all`, acceptances that ended are listed too.
     """

@@ -1,9 +1,12 @@
 """Verdicts of missions, from the index of their files and the `checks.yaml` of their project."""
 
 import uuid
+from typing import Any
 
 import pytest
 
+from kleinkram.client import connect
+from kleinkram.contract.checks import Verdict
 from kleinkram.server.checks.judge import judge_missions
 from kleinkram.server.context import AppContext
 from tests.integration.api_server import Api
@@ -51,18 +54,20 @@ def test_the_checks_of_a_mission_come_in_pages_and_by_name_and_status(api: Api) 
     project_id = checked_project(api, RULES.replace("/imu:", '"/*":'))
     mission_id = judged_mission(api, project_id, *SLOW, topic("/lidar"))
     path = f"/missions/{mission_id}/checks"
+    api.post(f"/missions/{mission_id}/check-notes", {"check": "topic.rate", "text": "Known."}).ok(201)
     whole = api.get(path).ok()
     assert (len(whole["checks"]), whole["next"]) == (8, None)
-    pages, cursor = [], {}
-    while True:
-        page = api.get(path, {"limit": "3", **cursor}).ok()
-        pages.append(page.pop("checks"))
-        cursor = {"cursor": page["next"]}
-        assert {**page, "next": None} == {name: value for name, value in whole.items() if name != "checks"}
-        if page["next"] is None:
-            break
-    assert [len(page) for page in pages] == [3, 3, 2]
-    assert [check for page in pages for check in page] == whole["checks"]
+    pages: list[dict[str, Any]] = []
+    cursor: dict[str, str] = {}
+    while not pages or pages[-1]["next"] is not None:
+        pages.append(api.get(path, {"limit": "3", **cursor}).ok())
+        cursor = {"cursor": pages[-1]["next"]}
+    assert [len(page["checks"]) for page in pages] == [3, 3, 2]
+    assert [check for page in pages for check in page["checks"]] == whole["checks"]
+    assert {(page["verdict"], page["evaluated_at"], page["counts"]["ok"]) for page in pages} == {
+        ("bad", whole["evaluated_at"], 6)
+    }
+    assert [len(page["notes"]) for page in pages] == [1, 0, 0]
 
     def matching(**query: str) -> list[tuple[str, str]]:
         result = api.get(path, query).ok()
@@ -213,10 +218,10 @@ def test_more_checks_than_are_listed_say_how_many_are_left_out(api: Api) -> None
     project_id = checked_project(api, f"version: 1\nprofiles:\n  - topics:\n{globs}")
     topics = [topic(f"/t{number}", rate_hz=10) for number in range(6_000)]
     mission_id = judged_mission(api, project_id, *topics)
-    result = api.get(f"/missions/{mission_id}/checks").ok()
-    assert len(result["checks"]) == 10_000
-    assert (result["checks"][-1]["name"], result["checks"][-1]["status"]) == ("checks.left_out", "not_made")
-    assert result["verdict"] == "bad"
+    result = connect(api.url, token=api.token).checks.mission(mission_id)
+    assert (len(result.checks), result.next) == (10_000, None)
+    assert (result.checks[-1].name, result.checks[-1].status.value) == ("checks.left_out", "not_made")
+    assert result.verdict is Verdict.bad
 
 
 def test_judging_ends_early_where_it_takes_long_and_continues(api: Api) -> None:

@@ -21,7 +21,8 @@ from kleinkram.contract.checks import (
 _FAILED = (CheckStatus.error, CheckStatus.warning, CheckStatus.not_made)
 _FROM_INDEX = ("file.", "recording.", "topic.", "checks.")
 _ALSO_FROM_INDEX = "clock.jump"
-_UNKNOWN = {name: field.default for name, field in MissionCheck.model_fields.items() if not field.is_required()}
+_ADDED = {name: field.default for name, field in MissionCheck.model_fields.items() if name not in Check.model_fields}
+_ADDED_BY_SOURCE = {source: {**_ADDED, "source": source} for source in CheckSource}
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,7 @@ def _all_checks(sources: Sources) -> Iterable[MissionCheck]:
 
 
 def _read(check: Check, source: CheckSource) -> MissionCheck:
-    return construct(MissionCheck, _UNKNOWN | check.__dict__ | {"source": source})
+    return construct(MissionCheck, check.__dict__ | _ADDED_BY_SOURCE[source])
 
 
 def _accepted(checks: Iterable[MissionCheck], acceptances: Sequence[Acceptance]) -> Iterable[MissionCheck]:

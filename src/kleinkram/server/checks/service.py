@@ -42,7 +42,7 @@ from kleinkram.server.missions import service as missions
 from kleinkram.server.pagination import PageRequest, Rows, fetch_page
 from kleinkram.server.tables import check_acceptance, check_note, check_report, mission_checks, project_checks
 
-_MAX_NOTES = 10_000
+_MAX_NOTES = 1000
 _MAX_REPORTS = 20
 
 
@@ -70,7 +70,8 @@ async def get_mission_checks(
     rows = Rows([], None, None)
     if is_shown:
         rows = await fetch_page(db, *queries.listed_checks(mission_id, matching), page)
-    acceptances, notes, reports = await _additions(db, mission_id) if sees_whole_missions(actor) else ([], [], [])
+    has_additions = sees_whole_missions(actor) and page.cursor is None
+    acceptances, notes, reports = await _additions(db, mission_id) if has_additions else ([], [], [])
     return MissionChecksRead(
         verdict=row.verdict,
         counts=CheckCounts.model_validate(row.counts),

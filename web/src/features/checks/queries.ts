@@ -36,15 +36,18 @@ export function useMissionChecks(missionId: () => string, hasHistory: () => bool
 
 /** Load all pages: there are at most twenty. */
 async function loadMissionChecks(missionId: string, hasHistory: boolean, signal: AbortSignal): Promise<MissionChecks> {
-  const checks: Check[] = [];
-  let cursor: string | null | undefined;
-  for (;;) {
+  const load = (cursor?: string): Promise<MissionChecks> => {
     const query = { all: hasHistory, limit: MAX_PAGE, ...(cursor && { cursor }) };
-    const page: MissionChecks = await call(api.GET("/api/v1/missions/{mission_id}/checks", { params: { path: { mission_id: missionId }, query }, signal }));
+    return call(api.GET("/api/v1/missions/{mission_id}/checks", { params: { path: { mission_id: missionId }, query }, signal }));
+  };
+  const first = await load();
+  const checks = [...first.checks];
+  for (let next = first.next; next; ) {
+    const page = await load(next);
     checks.push(...page.checks);
-    cursor = page.next;
-    if (!cursor) return { ...page, checks };
+    next = page.next;
   }
+  return { ...first, checks, next: null };
 }
 
 /** Mutations of the checks of a mission. */
