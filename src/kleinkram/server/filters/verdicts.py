@@ -15,7 +15,9 @@ from sqlalchemy import (
     Double,
     Select,
     Text,
+    Uuid,
     and_,
+    any_,
     case,
     column,
     exists,
@@ -26,7 +28,7 @@ from sqlalchemy import (
     select,
     tuple_,
     type_coerce,
-    union,
+    union_all,
 )
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 
@@ -119,8 +121,8 @@ def check_conditions(actor: Actor, matching: MissionFilter | FileFilter) -> list
         conditions.append(mission.c.id.in_(_with_failed_check(matching.check)))
     if matching.finding:
         has_code = matches_any(run_finding.c.code, matching.finding)
-        conditions.append(mission.c.id.in_(_with_result(run_finding, has_code)))
-    conditions += [mission.c.id.in_(_with_metric(expression)) for expression in matching.metric]
+        conditions.append(_has_result(run_finding, has_code))
+    conditions += [_has_metric(expression) for expression in matching.metric]
     return conditions
 
 
@@ -150,25 +152,25 @@ def _with_failed_check(names: Sequence[str]) -> Select[tuple[uuid.UUID]]:
     return select(mission_checks.c.mission_id).where(or_(*conditions)).correlate(None)
 
 
-def _with_metric(expression: str) -> Select[tuple[uuid.UUID]]:
+def _has_metric(expression: str) -> ColumnElement[bool]:
     match = METRIC_EXPRESSION.fullmatch(expression.strip())
     if match is None:
         reason = "it is not a comparison of a metric with a number; write it like ate_rmse>0.5"
         raise InvalidQuery(expression=expression, reason=reason)
     compare = _COMPARISONS[match["operator"]]
     is_such = compare(run_metric.c.value, literal(float(match["value"]), Double))
-    return _with_result(run_metric, and_(run_metric.c.name == match["name"], is_such))
+    return _has_result(run_metric, and_(run_metric.c.name == match["name"], is_such))
 
 
-def _with_result(table: Any, condition: ColumnElement[bool]) -> Select[tuple[uuid.UUID]]:
-    """Return the missions of whose latest results one matches. A run that reuses another has that one's results.
+def _has_result(table: Any, condition: ColumnElement[bool]) -> ColumnElement[bool]:
+    """Return whether a result of `mission` matches. A run that reuses another has that one's results.
 
-    It begins with the results that match, by an index of their names, and not with all runs.
+    The missions are found once, as an array: as a subquery that is joined, they would be found for each mission. The
+    results that match come first, by an index of their names, so that other runs are not read.
     """
     version, later, its_version = action_version.alias(), run.alias("later"), action_version.alias()
-    own = select(run.c.id).join(table, table.c.run_id == run.c.id).where(run.c.reuses_id.is_(None), condition)
-    reused = select(run.c.id).join(table, table.c.run_id == run.c.reuses_id).where(condition)
-    of_same_action = or_(later.c.version_id == run.c.version_id, its_version.c.action_id == version.c.action_id)
+    found = select(table.c.run_id).where(condition).distinct().cte(nesting=True)
+    reusing = select(run.c.id).join(found, found.c.run_id == run.c.reuses_id).where(run.c.reuses_id.is_not(None))
     has_later = (
         exists()
         .select_from(later.join(its_version, its_version.c.id == later.c.version_id))
@@ -178,10 +180,11 @@ def _with_result(table: Any, condition: ColumnElement[bool]) -> Select[tuple[uui
             later.c.created_at >= run.c.created_at,  # for the index of runs of a mission
             tuple_(later.c.created_at, later.c.id) > tuple_(run.c.created_at, run.c.id),
             later.c.parameters == run.c.parameters,
-            of_same_action,
+            or_(later.c.version_id == run.c.version_id, its_version.c.action_id == version.c.action_id),
         )
         .correlate(run, version)
     )
-    stmt = select(run.c.mission_id).join(version, version.c.id == run.c.version_id)
-    of_results = run.c.id.in_(union(own.correlate(None), reused.correlate(None)))
-    return stmt.where(of_results, run.c.state == RunState.done.value, ~has_later).correlate(None)
+    of_results = run.c.id.in_(union_all(select(found.c.run_id), reusing.correlate(None)))
+    stmt = select(run.c.mission_id).distinct().join(version, version.c.id == run.c.version_id)
+    latest = stmt.where(of_results, run.c.state == RunState.done.value, ~has_later).correlate(None)
+    return mission.c.id == any_(func.array(latest.scalar_subquery(), type_=ARRAY(Uuid)))
