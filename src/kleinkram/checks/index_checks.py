@@ -62,7 +62,7 @@ def checks_needing_content(profiles: Sequence[Profile], facts: MissionFacts) -> 
             message = "it reads messages, and only the index was read"
             yield from unmade_checks(planned, CheckStatus.needs_content, message)
         else:
-            message = why_none(planned, topics) + (f", but {unread}" if unread else "")
+            message = why_none(planned) + (f", but {unread}" if unread else "")
             yield from unmade_checks(planned, CheckStatus.not_made, message)
 
 
