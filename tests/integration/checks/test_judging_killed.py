@@ -21,7 +21,7 @@ from tests.integration.conftest import StartApi
 from tests.integration.jobs import run_jobs
 from tests.integration.upload_client import wait_until
 
-_MISSIONS, _JUDGED_AT_ONCE = 80, 50
+_MISSIONS, _JUDGED_AT_ONCE = 80, 25
 _STORED = """
     SELECT mission.name, verdict, checks_number, is_outdated, counts, statuses, failed, checks, bad_since IS NOT NULL
     FROM mission_checks JOIN mission ON mission.id = mission_id WHERE mission.project_id = %s ORDER BY mission.name

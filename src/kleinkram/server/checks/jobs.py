@@ -12,8 +12,8 @@ from kleinkram.server.jobs.execution import RETRY_STRATEGY, app_context
 from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job, queue
 from kleinkram.server.tables import mission
 
-# Missions are locked while they are judged: usually for 200 ms. Where rules or reports are long, a batch ends early.
-_BATCH, _BATCH_S = 50, 0.5
+# Missions are locked while they are judged: usually for 100 ms. Where rules or reports are long, a batch ends early.
+_BATCH, _BATCH_S = 25, 1
 
 
 @queue.task(name=Job.judge_mission.value, pass_context=True, retry=RETRY_STRATEGY)

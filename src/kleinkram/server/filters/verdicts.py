@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from sqlalchemy import (
+    CTE,
     ColumnElement,
     Double,
     Select,
@@ -120,9 +121,8 @@ def check_conditions(actor: Actor, matching: MissionFilter | FileFilter) -> list
     if matching.check:
         conditions.append(mission.c.id.in_(_with_failed_check(matching.check)))
     if matching.finding:
-        has_code = matches_any(run_finding.c.code, matching.finding)
-        conditions.append(_has_result(run_finding, has_code))
-    conditions += [_has_metric(expression) for expression in matching.metric]
+        conditions.append(_is_among(_with_finding((*matching.finding,))))
+    conditions += [_is_among(_with_metric(expression)) for expression in matching.metric]
     return conditions
 
 
@@ -152,24 +152,35 @@ def _with_failed_check(names: Sequence[str]) -> Select[tuple[uuid.UUID]]:
     return select(mission_checks.c.mission_id).where(or_(*conditions)).correlate(None)
 
 
-def _has_metric(expression: str) -> ColumnElement[bool]:
+def _is_among(missions: CTE) -> ColumnElement[bool]:
+    """Return whether `mission` is one of these, which are found once: a join would find them for each mission."""
+    return mission.c.id == any_(func.array(select(missions.c.mission_id).scalar_subquery(), type_=ARRAY(Uuid)))
+
+
+# Parts of one statement share the same object, so that the database finds the missions once.
+@functools.lru_cache(maxsize=64)
+def _with_finding(globs: tuple[str, ...]) -> CTE:
+    return _with_result(run_finding, matches_any(run_finding.c.code, globs))
+
+
+@functools.lru_cache(maxsize=64)
+def _with_metric(expression: str) -> CTE:
     match = METRIC_EXPRESSION.fullmatch(expression.strip())
     if match is None:
         reason = "it is not a comparison of a metric with a number; write it like ate_rmse>0.5"
         raise InvalidQuery(expression=expression, reason=reason)
     compare = _COMPARISONS[match["operator"]]
     is_such = compare(run_metric.c.value, literal(float(match["value"]), Double))
-    return _has_result(run_metric, and_(run_metric.c.name == match["name"], is_such))
+    return _with_result(run_metric, and_(run_metric.c.name == match["name"], is_such))
 
 
-def _has_result(table: Any, condition: ColumnElement[bool]) -> ColumnElement[bool]:
-    """Return whether a result of `mission` matches. A run that reuses another has that one's results.
+def _with_result(table: Any, condition: ColumnElement[bool]) -> CTE:
+    """Return the missions of whose latest results one matches. A run that reuses another has that one's results.
 
-    The missions are found once, as an array: as a subquery that is joined, they would be found for each mission. The
-    results that match come first, by an index of their names, so that other runs are not read.
+    The results that match come first, by an index of their names, so that other runs are not read.
     """
     version, later, its_version = action_version.alias(), run.alias("later"), action_version.alias()
-    found = select(table.c.run_id).where(condition).distinct().cte(nesting=True)
+    found = select(table.c.run_id).where(condition).cte()
     reusing = select(run.c.id).join(found, found.c.run_id == run.c.reuses_id).where(run.c.reuses_id.is_not(None))
     has_later = (
         exists()
@@ -186,5 +197,4 @@ def _has_result(table: Any, condition: ColumnElement[bool]) -> ColumnElement[boo
     )
     of_results = run.c.id.in_(union_all(select(found.c.run_id), reusing.correlate(None)))
     stmt = select(run.c.mission_id).distinct().join(version, version.c.id == run.c.version_id)
-    latest = stmt.where(of_results, run.c.state == RunState.done.value, ~has_later).correlate(None)
-    return mission.c.id == any_(func.array(latest.scalar_subquery(), type_=ARRAY(Uuid)))
+    return stmt.where(of_results, run.c.state == RunState.done.value, ~has_later).correlate(None).cte()
