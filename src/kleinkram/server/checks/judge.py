@@ -149,7 +149,9 @@ def _judge(
     sources = Sources(
         index=index,
         reports=reports,
-        actions=[check for result in action_results for check in checks_of_result(result, judged.is_complete)],
+        actions=[check for result in action_results for check in checks_of_result(result, judged.is_complete)]
+        if judged.all_files
+        else [],
         acceptances=acceptances,
         is_running=judged.is_reading or any(one.is_running for one in action_results),
     )
@@ -198,6 +200,7 @@ async def _reports(db: Connection, judged: JudgedMission, rules: _Rules | None) 
     rows = await db.execute(counting_reports(judged, None if rules is None else rules.sha256))
     return [
         UploaderReport(
+            person_id=row.created_by_id,
             checks=_CHECKS.validate_python(row.checks or ()),
             is_by_present_rules=row.is_by_present_rules,
             has_content=row.depth == CheckDepth.content.value,
