@@ -6,10 +6,10 @@ section, a rule belongs to the names that match a glob (`*` also matches `/`), a
 
 import difflib
 from collections.abc import Mapping
-from fnmatch import fnmatchcase
 from typing import Annotated, Literal, TypeVar, get_args
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     Field,
@@ -24,6 +24,7 @@ from pydantic.json_schema import JsonSchemaValue, WithJsonSchema
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
 from typing_extensions import Self
 
+from kleinkram.checks.globs import check_rule_glob, matches
 from kleinkram.contract import units
 from kleinkram.contract.base import Request
 from kleinkram.contract.checks import MAX_CHECKS_CHARACTERS, CheckSeverity
@@ -31,7 +32,7 @@ from kleinkram.contract.errors import YamlInvalid
 from kleinkram.contract.problems import message_of
 from kleinkram.untrusted_yaml import Document, Path, read_yaml
 
-MAX_PROFILES, MAX_RULES = 50, 1000
+MAX_PROFILES, MAX_RULES, MAX_VALUES = 50, 1000, 1000
 _MAX_NS, _MAX_NUMBER = 2**62, 1e9
 SCHEMA_ID = "urn:kleinkram:checks:1"
 
@@ -109,7 +110,7 @@ SizeBytes = Annotated[
     WithJsonSchema({"anyOf": [{"type": "integer", "minimum": 0}, {"type": "string"}], "examples": ["10MB"]}),
 ]
 Positive = Annotated[FiniteFloat, Field(gt=0)]
-Glob = Annotated[str, Field(min_length=1, max_length=1024)]
+Glob = Annotated[str, Field(min_length=1, max_length=1024), AfterValidator(check_rule_glob)]
 
 
 class CountRange(Request):
@@ -373,9 +374,18 @@ def value_matches(value: JsonValue, expected: JsonValue) -> bool:
     if isinstance(value, list):
         return any(value_matches(item, expected) for item in value)
     if isinstance(value, str) and isinstance(expected, str):
-        return fnmatchcase(value, expected)
+        return matches(value, expected)
     # 1 is 1.0, but not true.
     return isinstance(value, bool) is isinstance(expected, bool) and value == expected
+
+
+def _value_count(expected: JsonValue) -> int:
+    return sum(map(_value_count, expected)) if isinstance(expected, list) else 1
+
+
+_OF_DOCUMENT = "checks_document"
+# Where pydantic found that a key itself is wrong.
+_OF_KEY = "[key]"
 
 
 class ChecksDocument(Request):
@@ -390,7 +400,18 @@ class ChecksDocument(Request):
         for number, name in enumerate(names):
             if name in names[:number]:
                 reason = f"two profiles are named {name!r}; give each a name of its own"
-                raise PydanticCustomError("profile_name", "{reason}", {"reason": reason, "at": ("profiles", number)})
+                raise PydanticCustomError(_OF_DOCUMENT, "{reason}", {"reason": reason, "at": ("profiles", number)})
+        return self
+
+    @model_validator(mode="after")
+    def _conditions_are_few(self) -> Self:
+        count = 0
+        for number, profile in enumerate(self.profiles):
+            count += sum(map(_value_count, profile.when.values()))
+            if count > MAX_VALUES:
+                reason = f"all `when` together have more than {MAX_VALUES:,} values"
+                at = ("profiles", number, "when")
+                raise PydanticCustomError(_OF_DOCUMENT, "{reason}", {"reason": reason, "at": at})
         return self
 
     def applying_to(self, metadata: Mapping[str, JsonValue]) -> list[Profile]:
@@ -440,7 +461,7 @@ def _path_in(value: JsonValue, location: tuple[int | str, ...]) -> Path:
     """Return the part of pydantic's location that is in the text: single rules are no list there."""
     path: list[int | str] = []
     for step in location:
-        if isinstance(value, dict) and isinstance(step, str):
+        if isinstance(value, dict) and isinstance(step, str) and (step in value or step != _OF_KEY):
             path.append(step)
             value = value.get(step)
         elif isinstance(value, list) and isinstance(step, int) and step < len(value):
@@ -451,7 +472,7 @@ def _path_in(value: JsonValue, location: tuple[int | str, ...]) -> Path:
 
 def _reason(problem: ErrorDetails, path: Path) -> str:
     where = ".".join(str(step) for step in path)
-    message = problem["ctx"]["reason"] if problem["type"] == "profile_name" else message_of(problem)
+    message = problem["ctx"]["reason"] if problem["type"] == _OF_DOCUMENT else message_of(problem)
     if problem["type"] == "extra_forbidden":
         known = _known_names(problem["loc"])
         close = difflib.get_close_matches(str(problem["loc"][-1]), known, n=1)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from kleinkram.checks.content.families import TopicOfRecording, planned_rules, unmade_checks, why_none
 from kleinkram.checks.document import ClockRule, CountRange, FileRule, Profile, RecordingRule, Rule, TopicRule
 from kleinkram.checks.facts import FileFacts, MissionFacts, RecordingFacts, TopicFacts
-from kleinkram.checks.globs import glob_matcher, path_matches
+from kleinkram.checks.globs import Comparisons, glob_matcher, path_matches
 from kleinkram.checks.outcomes import Measured, against, collect, failed, hertz, make_check, percent, seconds, size
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.recordings.model import Content, counted
@@ -62,7 +62,7 @@ def checks_needing_content(profiles: Sequence[Profile], facts: MissionFacts) -> 
             message = "it reads messages, and only the index was read"
             yield from unmade_checks(planned, CheckStatus.needs_content, message)
         else:
-            message = why_none(planned, topics) + (f", but {unread}" if unread else "")
+            message = why_none(planned) + (f", but {unread}" if unread else "")
             yield from unmade_checks(planned, CheckStatus.not_made, message)
 
 
@@ -94,21 +94,30 @@ class _Index:
             for problem in recording.problems
             if problem.code == "gaps-upper-bound"
         }
-        self._recordings_by_name = {recording.name: recording for recording in facts.recordings}
-        self._topics_by_name: dict[str, list[TopicFacts]] = {}
+        self.topics_by_name: dict[str, list[TopicFacts]] = {}
         for topic in facts.topics:
-            self._topics_by_name.setdefault(topic.name, []).append(topic)
+            self.topics_by_name.setdefault(topic.name, []).append(topic)
+        self._of_files = Comparisons([file.path for file in facts.files])
+        self._of_recordings = Comparisons([name for recording in facts.recordings for name in _names_of(recording)])
+        self._of_topics = Comparisons([topic.name for topic in facts.topics])
+
+    def files_matching(self, glob: str) -> list[FileFacts]:
+        """Raises TooManyComparisons, like the other methods that take a glob."""
+        self._of_files.add(glob, 2)
+        return [file for file in self.facts.files if path_matches(file.path, glob)]
+
+    def recordings_matching(self, glob: str) -> list[RecordingFacts]:
+        """Return recordings whose name or one of whose files matches: the recording `nuc` has the file `nuc/0.mcap`."""
+        self._of_recordings.add(glob, 2)
+        recordings = self.facts.recordings
+        return [one for one in recordings if any(path_matches(name, glob) for name in _names_of(one))]
 
     def topics_matching(self, glob: str) -> list[TopicFacts]:
         matcher = glob_matcher(glob)
         if matcher is None:
-            return self._topics_by_name.get(glob, [])
+            return self.topics_by_name.get(glob, [])
+        self._of_topics.add(glob)
         return [topic for topic in self.facts.topics if matcher(topic.name)]
-
-    def is_in_recording(self, topic: TopicFacts, glob: str) -> bool:
-        """Return whether a recording that matches has messages of a topic."""
-        recordings = (self._recordings_by_name[name] for name in topic.recordings if name in self._recordings_by_name)
-        return any(_recording_matches(recording, glob) for recording in recordings)
 
     def clock_doubt(self, topic: TopicFacts) -> str | None:
         """Return why the times of a topic are unreliable."""
@@ -191,7 +200,7 @@ def _range_text(allowed: CountRange) -> str:
 
 
 def _check_files(glob: str, rule: FileRule, index: _Index) -> Iterator[Check]:
-    files = _matching_files(glob, index.facts.files)
+    files = index.files_matching(glob)
     outcomes = _Outcomes(rule, file=glob)
     if not files and rule.required:
         yield outcomes.fails("file.missing", f"no file matches {glob}")
@@ -231,10 +240,6 @@ def _check_completeness(files: Sequence[FileFacts], rule: FileRule, all_files: _
         yield all_files.ok("file.incomplete", f"{counted(complete_count, 'recording')} complete")
 
 
-def _matching_files(glob: str, files: Sequence[FileFacts]) -> list[FileFacts]:
-    return [file for file in files if path_matches(file.path, glob)]
-
-
 def _match_text(number: int, noun: str, glob: str) -> str:
     if number == 0:
         return f"no {noun} matches {glob}, and none is required"
@@ -245,7 +250,7 @@ def _match_text(number: int, noun: str, glob: str) -> str:
 
 
 def _check_recordings(glob: str, rule: RecordingRule, index: _Index) -> Iterator[Check]:
-    recordings = [recording for recording in index.facts.recordings if _recording_matches(recording, glob)]
+    recordings = index.recordings_matching(glob)
     outcomes = _Outcomes(rule, file=glob)
     if not recordings and rule.required:
         names = [recording.name for recording in index.facts.recordings]
@@ -259,9 +264,8 @@ def _check_recordings(glob: str, rule: RecordingRule, index: _Index) -> Iterator
         yield from _check_recording(recording, rule, index)
 
 
-def _recording_matches(recording: RecordingFacts, glob: str) -> bool:
-    """Return whether its name or one of its files matches: the recording `nuc` has the file `nuc/nuc_0.mcap`."""
-    return any(path_matches(path, glob) for path in (recording.name, *recording.paths))
+def _names_of(recording: RecordingFacts) -> tuple[str, ...]:
+    return (recording.name, *recording.paths)
 
 
 def _enumeration(names: Sequence[str]) -> str:
@@ -310,13 +314,14 @@ def _check_recording_is_complete(recording: RecordingFacts, outcomes: _Outcomes)
 
 
 def _check_topics(glob: str, rule: TopicRule, index: _Index) -> Iterator[Check]:
-    topics = index.topics_matching(glob)
+    matching = topics = index.topics_matching(glob)
     if rule.recording is not None:
-        topics = [topic for topic in topics if index.is_in_recording(topic, rule.recording)]
+        names = {recording.name for recording in index.recordings_matching(rule.recording)}
+        topics = [topic for topic in topics if not names.isdisjoint(topic.recordings)]
     filled = [topic for topic in topics if topic.count != 0]
     outcomes = _Outcomes(rule, topic=glob)
     if not filled and rule.required:
-        yield outcomes.fails("topic.missing", _why_missing(glob, rule, index), index.unread)
+        yield outcomes.fails("topic.missing", _why_missing(glob, rule, matching), index.unread)
         return
     yield outcomes.ok("topic.missing", _found_text(filled, glob))
     for topic in topics if rule.required else filled:
@@ -327,8 +332,7 @@ def _check_topics(glob: str, rule: TopicRule, index: _Index) -> Iterator[Check]:
                 yield _Outcomes(rule, topic=topic.name).count("topic.count", 0, rule.count, "message", index.unread)
 
 
-def _why_missing(glob: str, rule: TopicRule, index: _Index) -> str:
-    topics = index.topics_matching(glob)
+def _why_missing(glob: str, rule: TopicRule, topics: Sequence[TopicFacts]) -> str:
     recordings = dict.fromkeys(name for topic in topics for name in topic.recordings)
     if rule.recording is not None and recordings:
         return f"it is in {', '.join(recordings)}, but in no recording that matches {rule.recording}"
@@ -444,15 +448,13 @@ def _check_clocks(glob: str, rule: ClockRule, index: _Index) -> Iterator[Check]:
         return
     topics = index.topics_matching(glob)
     names = {name for topic in topics for name in topic.recordings}
-    topic_names = {topic.name for topic in index.facts.topics}
+    topic_names = {topic.name for topic in topics}
     recordings = [recording for recording in index.facts.recordings if recording.name in names]
     for recording in recordings:
         outcomes = _Outcomes(rule, file=recording.name)
         jumps = [problem for problem in recording.problems if problem.code == "clock-jump"]
         # A problem is of one topic, or of several, or of all topics of a file.
-        ours = [
-            jump for jump in jumps if jump.where not in topic_names or any(topic.name == jump.where for topic in topics)
-        ]
+        ours = [jump for jump in jumps if jump.where not in index.topics_by_name or jump.where in topic_names]
         if ours:
             yield outcomes.fails("clock.jump", f"{ours[0].where}: {ours[0].message}")
         elif recording.content in _UNREAD:

@@ -74,8 +74,11 @@ def evaluate(
     `more`: other checks that count.
     """
     profiles = document.applying_to(mission.facts.metadata)
-    by_content = content_checks(profiles, mission) if depth is CheckDepth.content else None
-    others = checks_needing_content(profiles, mission.facts) if by_content is None else by_content
+    others = (
+        content_checks(profiles, mission)
+        if depth is CheckDepth.content
+        else checks_needing_content(profiles, mission.facts)
+    )
     checks = chain(more, _without_repetition(chain(index_checks(profiles, mission.facts), others)))
     return to_results(document, mission.facts.metadata, checks, depth)
 
@@ -92,14 +95,14 @@ def _without_repetition(checks: Iterable[Check]) -> Iterator[Check]:
             yield check
 
 
-def content_checks(profiles: Sequence[Profile], mission: LocalMission) -> list[Check]:
+def content_checks(profiles: Sequence[Profile], mission: LocalMission) -> Iterator[Check]:
     """Open the recordings of a mission and check samples of their messages, in the order of the rules."""
     if next(planned_rules(profiles, ()), None) is None:
-        return []
+        return
     from kleinkram.checks.content import check_content
 
     with ExitStack() as stack:
-        return check_content(profiles, [_opened(recording, stack) for recording in mission.recordings])
+        yield from check_content(profiles, [_opened(recording, stack) for recording in mission.recordings])
 
 
 def _opened(recording: LocalRecording, stack: ExitStack) -> "OpenRecording":

@@ -45,11 +45,13 @@ def show_mission_checks(
     all_: Annotated[
         bool, flag("--all", "List the checks that passed, too, and acceptances and reports that no longer count.")
     ] = False,
+    check: Annotated[Text, option("--check", "NAME", "Only the checks of this name, which may be a glob.")] = None,
+    status: Annotated[list[CheckStatus] | None, option("--status", None, "Select by status; repeatable.")] = None,
 ) -> Output:
     """Show the verdict of a mission, and the checks that failed."""
     target = client.missions.get(options.the_ref("mission", name, mission), project=project)
-    result = client.checks.mission(target.id, history=all_)
-    return Output(result, lambda: _show_checks(target, result, list_all=all_))
+    result = client.checks.mission(target.id, history=all_, name=check, status=status or ())
+    return Output(result, lambda: _show_checks(target, result, list_all=all_ or bool(status)))
 
 
 def show_matrix(
@@ -154,7 +156,7 @@ def _show_checks(mission: MissionRead, result: MissionChecksRead, *, list_all: b
     if result.notes:
         line("")
         table(["note on", "by", "text"], [(_check_of(one), one.created_by.name, one.text) for one in result.notes])
-    if not result.checks or result.verdict is Verdict.unchecked:
+    if not any(result.counts.model_dump().values()) or result.verdict is Verdict.unchecked:
         note(_why_unchecked(result))
 
 

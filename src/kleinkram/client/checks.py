@@ -2,10 +2,12 @@
 
 import difflib
 import uuid
+from collections.abc import Sequence
 
 from kleinkram.client._http import query_of
 from kleinkram.client._resources import ApiResource, Listing, Ref, checked, pages
 from kleinkram.client.missions import Missions, Projects
+from kleinkram.contract.base import MAX_PAGE_SIZE
 from kleinkram.contract.checks import (
     CheckAcceptanceCreate,
     CheckAcceptanceRead,
@@ -15,8 +17,10 @@ from kleinkram.contract.checks import (
     CheckNoteRead,
     CheckReportCreate,
     CheckReportRead,
+    CheckStatus,
     ChecksVersionRead,
     CheckTrend,
+    MissionCheckFilter,
     MissionChecksRead,
     ProjectChecksRead,
     ProjectChecksUpdate,
@@ -58,10 +62,27 @@ class Checks(ApiResource):
         )
         return "\n".join(lines)
 
-    def mission(self, mission: Ref, *, history: bool = False) -> MissionChecksRead:
-        """Return the checks of a mission, worst first, and its verdict; with `history`, also what no longer counts."""
-        query = query_of(None, all=history or None)
-        return self._api.get(f"{self._of_mission(mission)}/checks", MissionChecksRead, query)
+    def mission(
+        self,
+        mission: Ref,
+        *,
+        history: bool = False,
+        name: str | None = None,
+        status: Sequence[CheckStatus | str] = (),
+    ) -> MissionChecksRead:
+        """Return the checks of a mission, worst first, and its verdict; with `history`, also what no longer counts.
+
+        `name` (a glob) and `status` (any of them) select checks; a mission has up to 10,000.
+        """
+        matching = checked(MissionCheckFilter, "The filter", name=name, status=[*status])
+        path = f"{self._of_mission(mission)}/checks"
+        query = query_of(matching, all=history or None, limit=MAX_PAGE_SIZE)
+        first = page = self._api.get(path, MissionChecksRead, query)
+        checks = [*first.checks]
+        while page.next is not None:
+            page = self._api.get(path, MissionChecksRead, [*query, ("cursor", page.next)])
+            checks += page.checks
+        return first.model_copy(update={"checks": checks, "next": None})
 
     def report(self, mission: Ref, report: CheckReportCreate) -> CheckReportRead:
         """Store checks that were made of the files of a mission before or after they were uploaded."""

@@ -3,7 +3,7 @@
 import datetime
 import hashlib
 import uuid
-from typing import Annotated, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import to_json
@@ -19,6 +19,23 @@ class Response(BaseModel):
     """Base of responses: immutable; unknown fields are ignored, so that older clients understand newer servers."""
 
     model_config = ConfigDict(frozen=True)
+
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+_set = object.__setattr__  # models are immutable
+
+
+def construct(model: type[ModelT], values: dict[str, Any]) -> ModelT:
+    """Return a model without validation; `values` has each field, valid, and is not used for anything else.
+
+    For the hundreds of thousands of checks that a project has: 1 µs, where `model_construct` takes 4 and validation 6.
+    """
+    made = model.__new__(model)
+    _set(made, "__dict__", values)
+    _set(made, "__pydantic_fields_set__", set())
+    _set(made, "__pydantic_extra__", None)
+    _set(made, "__pydantic_private__", None)
+    return made
 
 
 class NamedRef(Response):

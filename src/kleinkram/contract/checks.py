@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field, FiniteFloat
 
 from kleinkram.contract.base import ETag, NamedRef, Request, Response, etag_of
-from kleinkram.contract.names import FilePath, check_text
+from kleinkram.contract.names import FilePath, Term, check_text
 from kleinkram.contract.people import PersonRef
 
 MAX_CHECKS = 10_000
@@ -299,18 +299,27 @@ class CheckNoteRead(Response):
     created_by: PersonRef
 
 
-class MissionChecksRead(Response):
-    """The checks of a mission, worst first, and its verdict.
+class MissionCheckFilter(Request):
+    """A filter for the checks of a mission. `name` may be a glob; of several statuses, any may match."""
 
-    `evaluated_at` is null while nothing was checked. `is_current`: the checks are of the present files and by the
-    present `checks.yaml`, whose version is `checks_number` (0 for none). `bad_since` is when the mission became bad.
-    With `all`, acceptances that ended are listed too. Without an account, there are no notes and no reports, and only
-    acceptances that apply.
+    name: Term | None = None
+    status: Annotated[list[CheckStatus], Field(max_length=len(CheckStatus))] = []
+
+
+class MissionChecksRead(Response):
+    """One page of the checks of a mission, worst first, and its verdict and counts by all of them.
+
+    `next` is the cursor of the next page, null on the last; acceptances, notes and reports come with the first one.
+    `evaluated_at` is null while nothing was checked.
+    `is_current`: the checks are of the present files and by the present `checks.yaml`, whose version is `checks_number`
+    (0 for none). `bad_since` is when the mission became bad. With `all`, acceptances that ended are listed too. Without
+    an account, there are no notes and no reports, and only acceptances that apply.
     """
 
     verdict: Verdict
     counts: CheckCounts
     checks: list[MissionCheck]
+    next: str | None = None
     checks_number: int
     profiles_applied: list[str]
     profiles_left_out: list[ProfileLeftOut]

@@ -52,6 +52,10 @@ def test_a_bad_mission_shows_its_verdict_wherever_it_is_listed(api: Api, klein: 
     assert "/imu" in shown
     assert "topic.gap" not in shown
     assert "topic.gap" in klein("checks", "mission", bad_id, "--all", as_json=False)
+    passed = klein("checks", "mission", bad_id, "--check", "topic.g*", "--status", "ok", as_json=False)
+    assert "topic.gap" in passed
+    assert "topic.rate" not in passed
+    assert klein("checks", "mission", bad_id, "--check", "image.*")["checks"] == []
     matrix = klein("checks", "matrix", mission["project"]["id"], as_json=False)
     assert mission["name"] in matrix
     assert "error" in matrix
@@ -110,5 +114,6 @@ def test_the_sdk_sets_lists_and_compares_rules(api: Api, client: Client) -> None
 def test_the_sdk_finds_missions_by_verdict(client: Client, bad_id: str) -> None:
     (mission,) = client.missions.list(verdict="bad", check="topic.rate", project=client.missions.get(bad_id).project)
     assert str(mission.id) == bad_id
+    assert [one.name for one in client.checks.mission(bad_id, status=["error"]).checks] == ["topic.rate"]
     matrix = client.checks.matrix(mission.project.id, limit=1)
     assert matrix.items[0].cells["topic.rate"].value == "error"

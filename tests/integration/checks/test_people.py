@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from kleinkram.client import connect
 from kleinkram.contract.access import Right
 from tests.integration import people
 from tests.integration.api_server import Api
@@ -288,6 +289,8 @@ def test_a_report_with_ten_thousand_checks_is_stored_and_one_more_is_refused(api
     _report(api, mission_id, "0" * 64, *checks).ok(201)
     run_jobs(api)
     assert api.get(f"/missions/{mission_id}").ok()["checks"]["ok"] == 10_000
+    listed = connect(api.url, token=api.token).checks.mission(mission_id).checks
+    assert [one.topic for one in listed] == [f"/t{number}" for number in range(10_000)]
     _report(api, mission_id, "0" * 64, *checks, _RATE).refused(422, "invalid_request")
 
 

@@ -94,6 +94,20 @@ def test_missions_are_found_by_the_latest_results_of_runs(api: Api, missions: di
         assert api.get("/search", {"query": query}).ok()["query"] == query
 
 
+def test_a_run_that_reuses_another_has_its_results(api: Api, missions: dict[str, str]) -> None:
+    reused_id = _run(api, missions["good"], "reused.code", 0.3)
+    run_id = _run(api, missions["warnings"], "none", 0.3)
+    api.sql("DELETE FROM run_finding WHERE run_id = %s", run_id)
+    api.sql("UPDATE run SET reuses_id = %s WHERE id = %s", reused_id, run_id)
+    assert _names_matching(api, missions, "finding:reused.*") == {"good", "warnings"}
+    _run(api, missions["good"], "none", 0.3)
+    assert _names_matching(api, missions, "finding:reused.code") == {"warnings"}
+    assert _names_matching(api, missions, "-finding:reused.code verdict:warnings") == set()
+    _run(api, missions["warnings"], "reused.code", 0.3, name="another action")
+    _run(api, missions["warnings"], "none", 0.3)
+    assert _names_matching(api, missions, "finding:reused.code") == {"warnings"}, "of another action"
+
+
 @pytest.mark.parametrize("query", ["verdict:terrible", "metric.ate_rmse>much", "metric.ate_rmse", "verdict>bad"])
 def test_a_faulty_search_says_what_is_wrong(api: Api, query: str) -> None:
     if query == "metric.ate_rmse":  # a plain word

@@ -1,7 +1,14 @@
 """Verdicts of missions, from the index of their files and the `checks.yaml` of their project."""
 
+import uuid
+from typing import Any
+
 import pytest
 
+from kleinkram.client import connect
+from kleinkram.contract.checks import Verdict
+from kleinkram.server.checks.judge import judge_missions
+from kleinkram.server.context import AppContext
 from tests.integration.api_server import Api
 from tests.integration.checks.judged import (
     GOOD,
@@ -19,7 +26,7 @@ from tests.integration.checks.judged import (
     topic,
     verdict,
 )
-from tests.integration.jobs import run_jobs
+from tests.integration.jobs import on_site, run_jobs
 
 
 @pytest.fixture(name="project_id")
@@ -43,6 +50,39 @@ def test_a_wrong_rate_makes_a_mission_bad_with_value_and_limit(api: Api, project
     assert failing(api, mission_id) == [("topic.rate", "error", "/imu")]
     (rate,) = (one for one in api.get(f"/missions/{mission_id}/checks").ok()["checks"] if one["status"] == "error")
     assert (rate["value"], rate["unit"], rate["source"]) == (50, "Hz", "server")
+
+
+def test_the_checks_of_a_mission_come_in_pages_and_by_name_and_status(api: Api) -> None:
+    project_id = checked_project(api, RULES.replace("/imu:", '"/*":'))
+    mission_id = judged_mission(api, project_id, *SLOW, topic("/lidar"))
+    path = f"/missions/{mission_id}/checks"
+    api.post(f"/missions/{mission_id}/check-notes", {"check": "topic.rate", "text": "Known."}).ok(201)
+    whole = api.get(path).ok()
+    assert (len(whole["checks"]), whole["next"]) == (8, None)
+    pages: list[dict[str, Any]] = []
+    cursor: dict[str, str] = {}
+    while not pages or pages[-1]["next"] is not None:
+        pages.append(api.get(path, {"limit": "3", **cursor}).ok())
+        cursor = {"cursor": pages[-1]["next"]}
+    assert [len(page["checks"]) for page in pages] == [3, 3, 2]
+    assert [check for page in pages for check in page["checks"]] == whole["checks"]
+    assert {(page["verdict"], page["evaluated_at"], page["counts"]["ok"]) for page in pages} == {
+        ("bad", whole["evaluated_at"], 6)
+    }
+    assert [len(page["notes"]) for page in pages] == [1, 0, 0]
+
+    def matching(**query: str) -> list[tuple[str, str]]:
+        result = api.get(path, query).ok()
+        assert result["counts"] == whole["counts"], "of all checks"
+        return [(one["name"], one["topic"]) for one in result["checks"]]
+
+    assert matching(status="error") == [("topic.rate", "/camera"), ("topic.rate", "/imu")]
+    assert matching(name="topic.rate", status="ok") == [("topic.rate", "/lidar")]
+    assert [name for name, _ in matching(name="topic.g*")] == ["topic.gap"] * 3
+    assert matching(name="image.*") == []
+    api.get(path, {"cursor": "other"}).refused(422, "invalid_cursor")
+    api.get(path, {"status": "fine"}).refused(422, "invalid_request")
+    api.get(path, {"limit": "501"}).refused(422, "invalid_request")
 
 
 def test_a_rule_that_only_warns_makes_warnings(api: Api, project_id: str) -> None:
@@ -180,10 +220,27 @@ def test_more_checks_than_are_listed_say_how_many_are_left_out(api: Api) -> None
     project_id = checked_project(api, f"version: 1\nprofiles:\n  - topics:\n{globs}")
     topics = [topic(f"/t{number}", rate_hz=10) for number in range(6_000)]
     mission_id = judged_mission(api, project_id, *topics)
-    result = api.get(f"/missions/{mission_id}/checks").ok()
-    assert len(result["checks"]) == 10_000
-    assert (result["checks"][-1]["name"], result["checks"][-1]["status"]) == ("checks.left_out", "not_made")
-    assert result["verdict"] == "bad"
+    result = connect(api.url, token=api.token).checks.mission(mission_id)
+    assert (len(result.checks), result.next) == (10_000, None)
+    assert (result.checks[-1].name, result.checks[-1].status.value) == ("checks.left_out", "not_made")
+    assert result.verdict is Verdict.bad
+
+
+def test_judging_ends_early_where_it_takes_long_and_continues(api: Api) -> None:
+    project_id = str(api.project()["id"])
+    ids = sorted(uuid.UUID(judged_mission(api, project_id, *GOOD)) for _ in range(3))
+    set_rules(api, project_id, RULES).ok()
+    judged = "SELECT mission_id FROM mission_checks WHERE project_id = %s ORDER BY mission_id"
+
+    async def judge(context: AppContext) -> uuid.UUID | None:
+        async with context.database.begin() as db:
+            return await judge_missions(db, ids, within_s=0)
+
+    assert on_site(api, judge) == ids[0]
+    assert [row[0] for row in api.sql(judged, project_id)] == ids[:1]
+    assert judging_jobs(api) == ["judge_project"]
+    assert [row[0] for row in api.sql(judged, project_id)] == ids
+    assert {verdict(api, str(mission_id)) for mission_id in ids} == {"good"}
 
 
 @pytest.mark.parametrize("limit", [1, 2, 50])

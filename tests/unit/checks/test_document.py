@@ -105,6 +105,24 @@ def test_a_name_has_one_rule_or_several_or_only_the_defaults() -> None:
         pytest.param(HEAD + "topics:\n    /a: !!python/object:os.system {}\n", 4, 9, "tags (!)", id="tag"),
         pytest.param("version: 1\nprofiles:\n- {}\n---\na: 1\n", 4, 1, "a second document", id="two documents"),
         pytest.param("version: 1\nprofiles:\n- name: \x00\n", 3, 9, "U+0000", id="NUL"),
+        pytest.param(
+            HEAD + f"topics:\n    /a: {{}}\n    '{'*a' * 17}': {{}}\n",
+            5,
+            5,
+            f"topics.{'*a' * 17}: a glob with 17 `*`; at most 16 are allowed",
+            id="stars in a name",
+        ),
+        pytest.param(
+            HEAD + f"topics:\n    /a: {{rate: 1, recording: '{'*a' * 17}'}}\n", 4, 19, "17 `*`", id="stars in a value"
+        ),
+        pytest.param(HEAD + "topics:\n    '': {}\n", 4, 5, "topics.: it is too short", id="empty name"),
+        pytest.param(
+            f"version: 1\nprofiles:\n- when: {{a: [{'a, ' * 600}a]}}\n- name: b\n  when: {{b: [{'b, ' * 600}b]}}\n",
+            5,
+            3,
+            "when: all `when` together have more than 1,000 values",
+            id="conditions",
+        ),
     ],
 )
 def test_an_error_has_line_column_and_what_is_allowed(text: str, line: int, column: int, reason: str) -> None:

@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
-from kleinkram.checks.document import read_checks
+from kleinkram.checks.document import ChecksDocument, ImageRule, Profile, TopicRule, read_checks
 from kleinkram.checks.facts import MissionFacts
+from kleinkram.checks.globs import matches
 from kleinkram.checks.index_checks import check_index
 from kleinkram.checks.outcomes import LEFT_OUT, MAX_MADE, size
 from kleinkram.contract.checks import MAX_CHECKS, CheckStatus, Verdict
@@ -540,6 +541,46 @@ def test_rules_that_ask_for_very_many_checks_are_not_made_to_the_end() -> None:
     assert results.verdict is Verdict.warnings
     assert results.checks[0].name == LEFT_OUT
     assert f"more than {MAX_MADE:,}" in results.checks[0].message
+
+
+def test_globs_are_compared_up_to_a_number_of_steps_and_a_row_says_so() -> None:
+    topics = [topic_facts(f"/robot/sensor_{number}/image") for number in range(2000)]
+    globs = {f"*s*n*o*{number}*m*{number}*": [TopicRule(required=False)] for number in range(999)}
+    document = ChecksDocument(version=1, profiles=[Profile(topics={"/robot/sensor_1/image": [TopicRule()], **globs})])
+    results = evaluated(document, mission_facts(*topics))
+    assert results.verdict is Verdict.warnings
+    made, left_out = [check for check in results.checks if check.name != LEFT_OUT], only(results, LEFT_OUT)
+    assert left_out.status is CheckStatus.not_made
+    assert "too many names" in left_out.message
+    assert made[0].topic == "/robot/sensor_1/image"
+    assert 500 < len(made) < 1000
+
+    few = ChecksDocument(version=1, profiles=[Profile(topics=dict([*globs.items()][:500]))])
+    assert len(evaluated(few, mission_facts(*topics)).checks) == 500
+
+
+def test_globs_for_content_are_compared_up_to_a_number_of_steps() -> None:
+    topics = [topic_facts(f"/robot/sensor_{number}/image") for number in range(2000)]
+    globs = {f"*s*n*o*{number}*m*{number}*": [ImageRule()] for number in range(1000)}
+    document = ChecksDocument(version=1, profiles=[Profile(topics={"*/image": [TopicRule()]}, images=globs)])
+    results = evaluated(document, mission_facts(*topics))
+    assert "too many names" in only(results, LEFT_OUT).message
+    assert only(results, "topic.missing").status is CheckStatus.ok
+
+
+@pytest.mark.parametrize(
+    ("glob", "name", "does_match"),
+    [
+        ("/a/**/b", "/a/x/y/b", True),
+        ("/a/***", "/a/", True),
+        ("*a" * 16, "/" + "a" * 1000, True),
+        ("*a" * 16 + "b", "a" * 1000, False),
+        ("*" + "a" * 500 + "b", "a" * 1000, False),
+        ("*[ab]*?c", "xbyc", True),
+    ],
+)
+def test_long_globs_and_names_are_compared(glob: str, name: str, does_match: bool) -> None:
+    assert matches(name, glob) is does_match
 
 
 # -- profiles ---------------------------------------------------------------------------------------------------------

@@ -1371,7 +1371,7 @@ export interface paths {
         };
         /**
          * Get Mission Checks
-         * @description Return the checks of a mission and its verdict; with `all`, also what no longer counts.
+         * @description Return a page of the checks of a mission and its verdict; with `all`, also what no longer counts.
          */
         get: operations["get_mission_checks"];
         put?: never;
@@ -5016,12 +5016,13 @@ export interface components {
         };
         /**
          * MissionChecksRead
-         * @description The checks of a mission, worst first, and its verdict.
+         * @description One page of the checks of a mission, worst first, and its verdict and counts by all of them.
          *
-         *     `evaluated_at` is null while nothing was checked. `is_current`: the checks are of the present files and by the
-         *     present `checks.yaml`, whose version is `checks_number` (0 for none). `bad_since` is when the mission became bad.
-         *     With `all`, acceptances that ended are listed too. Without an account, there are no notes and no reports, and only
-         *     acceptances that apply.
+         *     `next` is the cursor of the next page, null on the last; acceptances, notes and reports come with the first one.
+         *     `evaluated_at` is null while nothing was checked.
+         *     `is_current`: the checks are of the present files and by the present `checks.yaml`, whose version is `checks_number`
+         *     (0 for none). `bad_since` is when the mission became bad. With `all`, acceptances that ended are listed too. Without
+         *     an account, there are no notes and no reports, and only acceptances that apply.
          */
         MissionChecksRead: {
             /** Acceptances */
@@ -5037,6 +5038,8 @@ export interface components {
             evaluated_at: string | null;
             /** Is Current */
             is_current: boolean;
+            /** Next */
+            next?: string | null;
             /** Notes */
             notes: components["schemas"]["CheckNoteRead"][];
             /** Profiles Applied */
@@ -10295,6 +10298,10 @@ export interface operations {
         parameters: {
             query?: {
                 all?: boolean;
+                cursor?: string | null;
+                limit?: number;
+                name?: string | null;
+                status?: components["schemas"]["CheckStatus"][];
             };
             header?: never;
             path: {

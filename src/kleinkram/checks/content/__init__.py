@@ -61,7 +61,7 @@ def check_content(
         for topic in item.recording.topics
     ]
     rules, left_out = _bounded(planned_rules(profiles, topics))
-    rows = list(islice(_unplanned(rules, topics, recordings), MAX_CHECKS))
+    rows = list(islice(_unplanned(rules, recordings), MAX_CHECKS))
     opened = {item.name: item.recording for item in recordings if item.recording is not None}
     rows += _made([planned for planned in rules if planned.topics], opened, budget_bytes)
     if left_out:
@@ -99,14 +99,12 @@ def _bounded(rules: Iterator[PlannedRule]) -> tuple[list[PlannedRule], int]:
     return bounded, left_out
 
 
-def _unplanned(
-    rules: Sequence[PlannedRule], topics: Sequence[TopicOfRecording], recordings: Sequence[OpenRecording]
-) -> Iterator[Check]:
+def _unplanned(rules: Sequence[PlannedRule], recordings: Sequence[OpenRecording]) -> Iterator[Check]:
     """Yield the checks of rules that apply to no topic, and of recordings that could not be opened."""
     unopened = [item for item in recordings if item.recording is None]
     for planned in rules:
         if not planned.topics:
-            message = why_none(planned, topics)
+            message = why_none(planned)
             if unopened:
                 message = f"{message}; {unopened[0].name} could not be read: {unopened[0].reason}"
             yield from unmade_checks(planned, CheckStatus.not_made, message)

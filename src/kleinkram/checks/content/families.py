@@ -21,7 +21,7 @@ from kleinkram.checks.document import (
     TransformRule,
     ValueRule,
 )
-from kleinkram.checks.globs import matches
+from kleinkram.checks.globs import Comparisons, matches
 from kleinkram.checks.outcomes import make_check
 from kleinkram.contract.checks import Check, CheckStatus
 
@@ -54,13 +54,17 @@ class Family:
 
 
 class PlannedRule(NamedTuple):
-    """A rule, the names of its checks, and the topics that it applies to."""
+    """A rule, the names of its checks, and the topics that it applies to.
+
+    `other`: if there are none, one that matches, but has other messages.
+    """
 
     family: Family
     pattern: str
     rule: Rule
     names: tuple[str, ...]
     topics: list[TopicOfRecording]
+    other: TopicOfRecording | None = None
 
     @property
     def samples(self) -> int:
@@ -142,14 +146,21 @@ _UNBOUNDED: Mapping[type[Rule], tuple[str, ...]] = {
 
 
 def planned_rules(profiles: Sequence[Profile], topics: Sequence[TopicOfRecording]) -> Iterator[PlannedRule]:
-    """Yield the rules that need content, each with its topics, in the order of the document."""
+    """Yield the rules that need content, each with its topics, in the order of the document.
+
+    Raises TooManyComparisons.
+    """
+    comparisons = Comparisons([topic.topic for topic in topics])
     for profile in profiles:
         for family in FAMILIES:
             for pattern, rules in family.rules_of(profile).items():
-                matching = [topic for topic in topics if _applies(family, pattern, topic)]
+                comparisons.add(pattern)
+                matching = [topic for topic in topics if topic.topic == pattern or matches(topic.topic, pattern)]
+                applying = [topic for topic in matching if _applies(family, pattern, topic)]
+                other = matching[0] if matching and not applying else None
                 for rule in rules:
                     if names := content_checks_of(rule):
-                        yield PlannedRule(family, pattern, rule, names, matching)
+                        yield PlannedRule(family, pattern, rule, names, applying, other)
 
 
 def unmade_checks(planned: PlannedRule, status: CheckStatus, message: str, file: str | None = None) -> Iterator[Check]:
@@ -161,20 +172,20 @@ def unmade_checks(planned: PlannedRule, status: CheckStatus, message: str, file:
             yield make_check(name, status, message, topic=planned.pattern, file=file)
 
 
-def why_none(planned: PlannedRule, topics: Sequence[TopicOfRecording]) -> str:
+def why_none(planned: PlannedRule) -> str:
     """Return why a rule applies to no topic."""
-    others = [topic for topic in topics if matches(topic.topic, planned.pattern)]
-    if others:
+    if planned.other is not None:
         return (
             f"no topic that matches {planned.pattern} has {planned.family.noun}: "
-            f"{others[0].topic} has {others[0].message_type or 'no type'}"
+            f"{planned.other.topic} has {planned.other.message_type or 'no type'}"
         )
     return f"no topic matches {planned.pattern}"
 
 
 def _applies(family: Family, pattern: str, topic: TopicOfRecording) -> bool:
-    if topic.topic == pattern:
-        return True
-    if not matches(topic.topic, pattern):
-        return False
-    return family.types is None or topic.message_type.replace(".", "/").rpartition("/")[2] in family.types
+    """Return whether a topic that matches has messages of a section; one with its full name does."""
+    return (
+        topic.topic == pattern
+        or family.types is None
+        or topic.message_type.replace(".", "/").rpartition("/")[2] in family.types
+    )

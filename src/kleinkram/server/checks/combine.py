@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from kleinkram.checks.outcomes import LEFT_OUT
+from kleinkram.contract.base import construct
 from kleinkram.contract.checks import (
     MAX_CHECKS,
     WORST_FIRST,
@@ -24,6 +25,8 @@ _CELLS = {status: CellStatus(status.value) for status in CheckStatus}
 _RANKS = {status: rank for rank, status in enumerate(CellStatus)}  # worst first
 _FROM_INDEX = ("file.", "recording.", "topic.", "checks.")
 _ALSO_FROM_INDEX = "clock.jump"
+_ADDED = {name: field.default for name, field in MissionCheck.model_fields.items() if name not in Check.model_fields}
+_ADDED_BY_SOURCE = {source: {**_ADDED, "source": source} for source in CheckSource}
 
 
 class Failure(NamedTuple):
@@ -198,7 +201,7 @@ def _all_checks(sources: Sources) -> Iterable[MissionCheck]:
 
 
 def _read(check: Check, source: CheckSource) -> MissionCheck:
-    return MissionCheck.model_construct(**check.__dict__, source=source)
+    return construct(MissionCheck, check.__dict__ | _ADDED_BY_SOURCE[source])
 
 
 def failure_of(check: MissionCheck) -> Failure:

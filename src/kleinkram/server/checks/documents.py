@@ -3,6 +3,7 @@
 import asyncio
 import hashlib
 import uuid
+from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import Row, Select, func, insert, select, update
@@ -93,7 +94,13 @@ async def document_of(db: Connection, project_id: uuid.UUID, number: int) -> tup
     columns = (project_checks.c.text, project_checks.c.sha256)
     stored = select(*columns).where(project_checks.c.project_id == project_id, project_checks.c.number == number)
     row = (await db.execute(stored)).one()
-    return await asyncio.to_thread(read_checks, row.text), row.sha256
+    return await asyncio.to_thread(_parsed, row.text), row.sha256
+
+
+@lru_cache(maxsize=8)
+def _parsed(text: str) -> ChecksDocument:
+    """A long text takes a second, and is needed for each batch of missions, while these are locked."""
+    return read_checks(text)
 
 
 async def _current(db: Connection, project_id: uuid.UUID) -> ProjectChecksRead:

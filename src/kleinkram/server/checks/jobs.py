@@ -12,8 +12,8 @@ from kleinkram.server.jobs.execution import RETRY_STRATEGY, app_context
 from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job, queue
 from kleinkram.server.tables import mission
 
-# Missions are locked while they are judged: a batch takes about 200 ms.
-_BATCH = 50
+# Missions are locked while they are judged: usually for 100 ms. Where rules or reports are long, a batch ends early.
+_BATCH, _BATCH_S = 25, 1
 
 
 @queue.task(name=Job.judge_mission.value, pass_context=True, retry=RETRY_STRATEGY)
@@ -34,8 +34,7 @@ async def judge_project(job_context: JobContext, ref: str) -> None:
             mission_ids = (await db.execute(stmt)).scalars().all()
             if not mission_ids:
                 return
-            await judge_missions(db, mission_ids)
-        after = mission_ids[-1]
+            after = await judge_missions(db, mission_ids, within_s=_BATCH_S) or mission_ids[-1]
 
 
 async def judge_forgotten(db: Connection, *, limit: int) -> None:

@@ -6,6 +6,8 @@ follows has them judged again.
 
 import asyncio
 import datetime
+import math
+import time
 import uuid
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -13,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from pydantic import TypeAdapter
-from sqlalchemy import ColumnElement, Row, case, delete, func, or_, select, update
+from sqlalchemy import ColumnElement, case, delete, func, or_, select, update
 from sqlalchemy.dialects.postgresql import insert
 
 from kleinkram.checks.document import ChecksDocument
@@ -34,6 +36,7 @@ from kleinkram.server.checks.combine import (
 )
 from kleinkram.server.checks.documents import document_of
 from kleinkram.server.checks.facts import JudgedMission, read_missions
+from kleinkram.server.checks.queries import counting_reports
 from kleinkram.server.db import Connection, among
 from kleinkram.server.jobs.rejudge import lock_what_projects_name
 from kleinkram.server.missions import service as missions
@@ -42,7 +45,8 @@ from kleinkram.server.tables import check_acceptance, check_report, mission_chec
 
 _CHECKS = TypeAdapter(list[Check])
 _MISSION_CHECKS = TypeAdapter(list[MissionCheck])
-_STORED_BATCH = 100
+# Each may have tens of thousands of checks, which are in memory together.
+_AT_ONCE = 10
 
 
 @dataclass(frozen=True)
@@ -63,40 +67,41 @@ class _Judgement:
     combined: CombinedChecks
 
 
-async def judge_missions(db: Connection, mission_ids: Sequence[uuid.UUID]) -> None:
-    """Judge missions in the caller's transaction, which should be short: it locks them.
+_Inputs = tuple[JudgedMission, _Rules | None, Sequence[UploaderReport], Sequence[Acceptance], Sequence[ActionResult]]
 
-    Those whose recordings are not derived yet are left out: deriving them has them judged.
+
+async def judge_missions(
+    db: Connection, mission_ids: Sequence[uuid.UUID], *, within_s: float = math.inf
+) -> uuid.UUID | None:
+    """Judge missions, by id, in the caller's transaction, which should be short: it locks them.
+
+    Those whose recordings are not derived yet are left out: deriving them has them judged. After `within_s`, the others
+    are left as they are; the last one that was judged is returned then.
     """
+    deadline = time.monotonic() + within_s
     locked = await missions.lock_missions(db, mission_ids)
     await lock_what_projects_name(db, locked)
     judged = [one for one in await read_missions(db, [*locked]) if one.facts is not None]
     if not judged:
-        return
+        return None
     await _end_acceptances(db, judged)
     rules = {key: await _rules(db, *key) for key in {(one.project_id, one.checks_number) for one in judged}}
-    reports, acceptances = await _reports(db, judged), await current_acceptances(db, [one.id for one in judged])
-    results = await project_results(db, [one.id for one in judged])
-    judgements = await asyncio.to_thread(
-        lambda: [
-            _judge(
-                one,
-                rules[one.project_id, one.checks_number],
-                reports[one.id],
-                acceptances[one.id],
-                results.get(one.id, ()),
-            )
-            for one in judged
-        ]
-    )
-    await _store(db, judgements)
-    await publish(db, _events(judged))
-
-
-def is_report_of(row: Row[Any], files: Mapping[str, str], recorded_files: Mapping[str, str]) -> bool:
-    """Return whether a report is about the present files: all recorded ones, and none that changed or is gone."""
-    reported: Mapping[str, str] = row.files
-    return reported.items() <= files.items() and recorded_files.items() <= reported.items()
+    acceptances = await current_acceptances(db, [one.id for one in judged])
+    with_reports = await _with_reports(db, judged)
+    count = 0
+    while count < len(judged) and (count == 0 or time.monotonic() < deadline):
+        some = judged[count : count + _AT_ONCE]
+        results = await project_results(db, [one.id for one in some])
+        inputs = []
+        for one in some:
+            own_rules = rules[one.project_id, one.checks_number]
+            reports = await _reports(db, one, own_rules) if one.id in with_reports else ()
+            inputs.append((one, own_rules, reports, acceptances[one.id], results.get(one.id, ())))
+        judgements = await asyncio.to_thread(_judge_until, deadline, inputs)
+        await _store(db, judgements)
+        count += len(judgements)
+    await publish(db, _events(judged[:count]))
+    return judged[count - 1].id if count < len(judged) else None
 
 
 def _events(judged: Sequence[JudgedMission]) -> list[ChangeEvent]:
@@ -118,10 +123,20 @@ async def _rules(db: Connection, project_id: uuid.UUID, number: int) -> _Rules |
     return _Rules(document, sha256)
 
 
+def _judge_until(deadline: float, inputs: Sequence[_Inputs]) -> list[_Judgement]:
+    """Judge missions in their order; the first, and others before the deadline."""
+    judgements: list[_Judgement] = []
+    for one in inputs:
+        if judgements and time.monotonic() >= deadline:
+            break
+        judgements.append(_judge(*one))
+    return judgements
+
+
 def _judge(
     judged: JudgedMission,
     rules: _Rules | None,
-    reports: Sequence[Row[Any]],
+    reports: Sequence[UploaderReport],
     acceptances: Sequence[Acceptance],
     action_results: Sequence[ActionResult],
 ) -> _Judgement:
@@ -135,7 +150,7 @@ def _judge(
             index = results.checks
     sources = Sources(
         index=index,
-        reports=[_report(row, rules) for row in reports if is_report_of(row, judged.all_files, judged.recorded_files)],
+        reports=reports,
         actions=[check for result in action_results for check in checks_of_result(result, judged.is_complete)]
         if judged.all_files
         else [],
@@ -145,15 +160,6 @@ def _judge(
     is_outdated = is_content_outdated(sources) or any(one.state is ResultState.outdated for one in action_results)
     combined = combine(replace(sources, is_outdated=is_outdated))
     return _Judgement(judged, results, combined)
-
-
-def _report(row: Row[Any], rules: _Rules | None) -> UploaderReport:
-    return UploaderReport(
-        person_id=row.created_by_id,
-        checks=_CHECKS.validate_python(row.checks),
-        is_by_present_rules=rules is None or rules.sha256 == row.document_sha256,
-        has_content=row.depth == CheckDepth.content.value,
-    )
 
 
 def _unreadable(rules: _Rules) -> Check:
@@ -187,12 +193,24 @@ async def current_acceptances(db: Connection, mission_ids: Sequence[uuid.UUID]) 
     return acceptances
 
 
-async def _reports(db: Connection, judged: Sequence[JudgedMission]) -> Mapping[uuid.UUID, list[Row[Any]]]:
-    stmt = select(check_report).where(among(check_report.c.mission_id, [one.id for one in judged]))
-    reports: dict[uuid.UUID, list[Row[Any]]] = defaultdict(list)
-    for row in await db.execute(stmt.order_by(check_report.c.created_at.desc(), check_report.c.id)):
-        reports[row.mission_id].append(row)
-    return reports
+async def _with_reports(db: Connection, judged: Sequence[JudgedMission]) -> set[uuid.UUID]:
+    """Return the missions that have reports; most have none."""
+    own = check_report.c.mission_id
+    return {*(await db.execute(select(own).where(among(own, [one.id for one in judged])).distinct())).scalars()}
+
+
+async def _reports(db: Connection, judged: JudgedMission, rules: _Rules | None) -> list[UploaderReport]:
+    """Return the reports that count, latest first: one mission may have many, of ten thousand checks each."""
+    rows = await db.execute(counting_reports(judged, None if rules is None else rules.sha256))
+    return [
+        UploaderReport(
+            person_id=row.created_by_id,
+            checks=_CHECKS.validate_python(row.checks or ()),
+            is_by_present_rules=row.is_by_present_rules,
+            has_content=row.depth == CheckDepth.content.value,
+        )
+        for row in rows
+    ]
 
 
 async def _store(db: Connection, judgements: Sequence[_Judgement]) -> None:
@@ -213,8 +231,7 @@ async def _store(db: Connection, judgements: Sequence[_Judgement]) -> None:
         statement = statement.on_conflict_do_update(
             index_elements=["mission_id"], set_={**changed, "bad_since": since, "evaluated_at": func.now()}
         )
-        for start in range(0, len(rows), _STORED_BATCH):
-            await db.execute(statement, rows[start : start + _STORED_BATCH])
+        await db.execute(statement, rows)
 
 
 def _is_empty(judgement: _Judgement) -> bool:

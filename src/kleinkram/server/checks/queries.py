@@ -3,11 +3,30 @@
 import uuid
 from typing import Any
 
-from sqlalchemy import Select, and_, exists, not_, or_, select
+from sqlalchemy import (
+    BigInteger,
+    ColumnElement,
+    Select,
+    and_,
+    case,
+    cast,
+    column,
+    exists,
+    func,
+    not_,
+    or_,
+    select,
+    true,
+)
+from sqlalchemy.dialects.postgresql import JSONB
 
+from kleinkram.contract.checks import MissionCheckFilter
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_missions
+from kleinkram.server.checks.facts import JudgedMission
+from kleinkram.server.db import matches
 from kleinkram.server.filters.verdicts import is_current, join_checks, shown_counts, shown_verdict
+from kleinkram.server.pagination import Order
 from kleinkram.server.tables import (
     check_acceptance,
     check_note,
@@ -38,20 +57,24 @@ def outdated_missions() -> Select[Any]:
 
 
 def checks_of_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
-    """Return one visible mission with its stored checks; their columns are null where there are none."""
-    names = (
-        "checks",
-        "checks_number",
-        "files_revision",
-        "profiles_applied",
-        "profiles_left_out",
-        "evaluated_at",
-        "bad_since",
-    )
+    """Return one visible mission with what is stored of its checks, but not these; null where nothing is."""
+    names = ("checks_number", "files_revision", "profiles_applied", "profiles_left_out", "evaluated_at", "bad_since")
     columns = (mission.c.id, *(mission_checks.c[name] for name in names), is_current().label("is_current"))
     shown = (shown_verdict(actor).label("verdict"), shown_counts(actor).label("counts"))
     stmt = visible_missions(actor).with_only_columns(*columns, *shown, maintain_column_froms=True)
     return join_checks(stmt).where(mission.c.id == mission_id)
+
+
+def listed_checks(mission_id: uuid.UUID, matching: MissionCheckFilter) -> tuple[Select[Any], Order]:
+    """Return the stored checks of a mission that match, each as JSON, and their order: worst first."""
+    each = func.jsonb_array_elements(mission_checks.c.checks)
+    one = each.table_valued(column("stored", JSONB), with_ordinality="number").render_derived(name="one")
+    stmt = select(one.c.stored).join_from(mission_checks, one, true()).where(mission_checks.c.mission_id == mission_id)
+    if matching.name is not None:
+        stmt = stmt.where(matches(one.c.stored["name"].astext, matching.name))
+    if matching.status:
+        stmt = stmt.where(one.c.stored["status"].astext.in_([status.value for status in matching.status]))
+    return stmt, Order([cast(one.c.number, BigInteger)], name="checks of a mission")
 
 
 def acceptances_of(mission_id: uuid.UUID) -> Select[Any]:
@@ -71,8 +94,37 @@ def notes_of(mission_id: uuid.UUID) -> Select[Any]:
 
 
 def reports_of(mission_id: uuid.UUID) -> Select[Any]:
-    """Return the reports of a mission, latest first."""
-    stmt = select(check_report, person.c.name.label("created_by_name"))
+    """Return the reports of a mission, latest first, without their checks and files."""
+    names = ("id", "document_sha256", "depth", "verdict", "created_at", "created_by_id")
+    columns: list[ColumnElement[Any]] = [check_report.c[name] for name in names]
+    keys = func.jsonb_object_keys(check_report.c.files).table_valued("path")
+    columns += [
+        func.jsonb_array_length(check_report.c.checks).label("check_count"),
+        select(func.count()).select_from(keys).scalar_subquery().label("file_count"),
+    ]
+    stmt = select(*columns, person.c.name.label("created_by_name"))
     stmt = stmt.join(person, person.c.id == check_report.c.created_by_id)
     newest = (check_report.c.created_at.desc(), check_report.c.id)
     return stmt.where(check_report.c.mission_id == mission_id).order_by(*newest)
+
+
+def is_of_files(judged: JudgedMission) -> ColumnElement[bool]:
+    """Whether a report is about the present files: all recorded ones, and none that changed or is gone."""
+    files = check_report.c.files
+    return and_(files.contained_by({**judged.all_files}), files.contains({**judged.recorded_files}))
+
+
+def counting_reports(judged: JudgedMission, present_rules: bytes | None) -> Select[Any]:
+    """Return the reports about the present files of which the verdict is made, latest first.
+
+    These are the latest of each person, depth, and by the present rules (any, if there are none) or others. Of others,
+    the checks are null: it only counts that they exist.
+    """
+    own = check_report.c
+    # Not a constant, which DISTINCT ON refuses.
+    is_present = own.document_sha256.is_not(None) if present_rules is None else own.document_sha256 == present_rules
+    checks = case((is_present, own.checks)).label("checks")
+    columns = (own.created_by_id, own.depth, is_present.label("is_by_present_rules"), own.created_at, own.id, checks)
+    stmt = select(*columns).where(own.mission_id == judged.id, is_of_files(judged))
+    latest = stmt.distinct(*columns[:3]).order_by(*columns[:3], own.created_at.desc(), own.id).subquery()
+    return select(latest).order_by(latest.c.created_at.desc(), latest.c.id)

@@ -4,6 +4,7 @@ import uuid
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query
+from pydantic import Field
 
 from kleinkram.contract.base import Page
 from kleinkram.contract.checks import (
@@ -16,6 +17,7 @@ from kleinkram.contract.checks import (
     CheckReportRead,
     ChecksVersionRead,
     CheckTrend,
+    MissionCheckFilter,
     MissionChecksRead,
     ProjectChecksRead,
     ProjectChecksUpdate,
@@ -27,6 +29,13 @@ from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.pagination import CountedPageQuery, PageQuery
 
 router = APIRouter(prefix="/api/v1", tags=["checks"])
+
+
+class MissionChecksQuery(MissionCheckFilter, PageQuery):
+    """The query of the checks of a mission."""
+
+    with_history: bool = Field(False, alias="all")
+
 
 VersionNumber = Annotated[int, Path(ge=1, lt=2**31)]
 
@@ -79,10 +88,12 @@ async def get_check_trend(
 
 @router.get("/missions/{mission_id}/checks", operation_id="get_mission_checks")
 async def get_mission_checks(
-    mission_id: uuid.UUID, db: Reading, actor: CurrentActor, with_history: Annotated[bool, Query(alias="all")] = False
+    mission_id: uuid.UUID, query: Annotated[MissionChecksQuery, Query()], db: Reading, actor: CurrentActor
 ) -> MissionChecksRead:
-    """Return the checks of a mission and its verdict; with `all`, also what no longer counts."""
-    return await service.get_mission_checks(db, actor, mission_id=mission_id, with_history=with_history)
+    """Return a page of the checks of a mission and its verdict; with `all`, also what no longer counts."""
+    return await service.get_mission_checks(
+        db, actor, mission_id=mission_id, matching=query, page=query.page, with_history=query.with_history
+    )
 
 
 @router.post("/missions/{mission_id}/check-reports", operation_id="create_check_report", status_code=201)

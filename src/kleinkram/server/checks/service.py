@@ -4,6 +4,7 @@ Every change has the mission judged again.
 """
 
 import uuid
+from collections.abc import Set
 from typing import Any
 
 from sqlalchemy import Row, delete, func, insert, select, update
@@ -18,6 +19,7 @@ from kleinkram.contract.checks import (
     CheckReportCreate,
     CheckReportRead,
     MissionCheck,
+    MissionCheckFilter,
     MissionChecksRead,
     ProfileLeftOut,
     Verdict,
@@ -35,33 +37,45 @@ from kleinkram.server.checks import queries
 from kleinkram.server.checks.action_checks import without_run
 from kleinkram.server.checks.combine import Failure, failure_of
 from kleinkram.server.checks.facts import JudgedMission, read_missions
-from kleinkram.server.checks.judge import current_acceptances, is_report_of
+from kleinkram.server.checks.judge import current_acceptances
 from kleinkram.server.db import Connection
 from kleinkram.server.jobs.rejudge import judge_again
 from kleinkram.server.missions import service as missions
-from kleinkram.server.tables import check_acceptance, check_note, check_report, project_checks
+from kleinkram.server.pagination import PageRequest, Rows, fetch_page
+from kleinkram.server.tables import check_acceptance, check_note, check_report, mission_checks, project_checks
 
-_MAX_NOTES = 10_000
+_MAX_NOTES = 1000
 _MAX_REPORTS_OF_PERSON = 5
 
 
 async def get_mission_checks(
-    db: Connection, actor: Actor, *, mission_id: uuid.UUID, with_history: bool
+    db: Connection,
+    actor: Actor,
+    *,
+    mission_id: uuid.UUID,
+    matching: MissionCheckFilter,
+    page: PageRequest,
+    with_history: bool,
 ) -> MissionChecksRead:
-    """Return the checks of a mission, worst first; with history, also acceptances that ended and outdated reports.
+    """Return a page of the checks of a mission, worst first, and what else is known of its verdict.
 
-    Actors who see only some of its files get none. Those without an account get no notes, reports, runs and names of
-    people, and only the acceptances that apply.
+    With history, also acceptances that ended and outdated reports. Actors who see only some of its files get none.
+    Those without an account get no notes, reports, runs and names of people, and only the acceptances that apply.
 
     Raises:
         NotFound: the mission does not exist, or is not visible.
+        InvalidCursor: the cursor belongs to another list.
     """
     row = (await db.execute(queries.checks_of_mission(actor, mission_id))).one_or_none()
     if row is None:
         raise NotFound(resource_type="mission", ref=str(mission_id))
-    is_shown = sees_whole_missions(actor) and row.checks is not None
-    checks = [MissionCheck.model_validate(check) for check in row.checks] if is_shown else []
-    acceptances, notes, reports = await _additions(db, mission_id) if sees_whole_missions(actor) else ([], [], [])
+    is_shown = sees_whole_missions(actor) and row.evaluated_at is not None
+    rows = Rows([], None, None)
+    if is_shown:
+        rows = await fetch_page(db, *queries.listed_checks(mission_id, matching), page)
+    checks = [MissionCheck.model_validate(one.stored) for one in rows.items]
+    has_additions = sees_whole_missions(actor) and page.cursor is None
+    acceptances, notes, reports = await _additions(db, mission_id) if has_additions else ([], [], [])
     if actor.kind is not ActorKind.person:
         checks, notes, reports, with_history = [without_run(check) for check in checks], [], [], False
         acceptances = [one.model_copy(update={"created_by": None}) for one in acceptances]
@@ -69,6 +83,7 @@ async def get_mission_checks(
         verdict=row.verdict,
         counts=CheckCounts.model_validate(row.counts),
         checks=checks,
+        next=rows.next,
         checks_number=row.checks_number or 0 if is_shown else 0,
         profiles_applied=row.profiles_applied if is_shown else [],
         profiles_left_out=[ProfileLeftOut.model_validate(one) for one in row.profiles_left_out] if is_shown else [],
@@ -200,7 +215,7 @@ async def create_report(
     after: Metadata = {"verdict": verdict.value, "depth": report.depth.value, "checks": len(report.checks)}
     await audit(db, actor, _event("mission.report_checks", ref, after=after))
     row = (await db.execute(queries.reports_of(mission_id).where(check_report.c.id == report_id))).one()
-    return _to_report(row, judged, await _present_rules(db, judged))
+    return _to_report(row, await _current_reports(db, judged))
 
 
 async def _lock(
@@ -221,15 +236,18 @@ async def _additions(
     if not rows:
         return acceptances, notes, []
     (judged,) = await read_missions(db, [mission_id])
-    rules = await _present_rules(db, judged)
-    return acceptances, notes, [_to_report(row, judged, rules) for row in rows]
+    current = await _current_reports(db, judged)
+    return acceptances, notes, [_to_report(row, current) for row in rows]
 
 
-async def _present_rules(db: Connection, judged: JudgedMission) -> bytes | None:
-    """Return the hash of the project's `checks.yaml`; None without one."""
+async def _current_reports(db: Connection, judged: JudgedMission) -> set[uuid.UUID]:
+    """Return the reports of the present files and by the present rules; by any, if the project has none."""
     own = (project_checks.c.project_id == judged.project_id, project_checks.c.number == judged.checks_number)
     sha256: bytes | None = (await db.execute(select(project_checks.c.sha256).where(*own))).scalar_one_or_none()
-    return sha256
+    stmt = select(check_report.c.id).where(check_report.c.mission_id == judged.id, queries.is_of_files(judged))
+    if sha256 is not None:
+        stmt = stmt.where(check_report.c.document_sha256 == sha256)
+    return {*(await db.execute(stmt)).scalars()}
 
 
 async def _acceptance(db: Connection, mission_id: uuid.UUID, acceptance_id: uuid.UUID) -> CheckAcceptanceRead:
@@ -244,7 +262,8 @@ async def _failures(
     db: Connection, actor: Actor, judged: JudgedMission, accepted: CheckAcceptanceCreate
 ) -> set[Failure]:
     """Return the failures that a person accepts. Raises InvalidRequest."""
-    row = (await db.execute(queries.checks_of_mission(actor, judged.id))).one()
+    stmt = queries.checks_of_mission(actor, judged.id).add_columns(mission_checks.c.checks)
+    row = (await db.execute(stmt)).one()
     checked = (row.files_revision, row.checks_number)
     if row.checks is not None and checked != (judged.files_revision, judged.checks_number):
         raise _invalid("check", "files or rules of this mission changed since it was checked; wait for its new checks")
@@ -303,16 +322,15 @@ def _to_note(row: Row[Any]) -> CheckNoteRead:
     )
 
 
-def _to_report(row: Row[Any], judged: JudgedMission, present_rules: bytes | None) -> CheckReportRead:
-    is_by_present_rules = present_rules is None or present_rules == row.document_sha256
+def _to_report(row: Row[Any], current_ids: Set[uuid.UUID]) -> CheckReportRead:
     return CheckReportRead(
         id=row.id,
         verdict=Verdict(row.verdict),
         depth=row.depth,
         document_sha256=row.document_sha256.hex(),
-        check_count=len(row.checks),
-        file_count=len(row.files),
-        is_current=is_by_present_rules and is_report_of(row, judged.all_files, judged.recorded_files),
+        check_count=row.check_count,
+        file_count=row.file_count,
+        is_current=row.id in current_ids,
         created_at=row.created_at,
         created_by=PersonRef(id=row.created_by_id, name=row.created_by_name),
     )

@@ -11,13 +11,15 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from sqlalchemy import (
+    CTE,
     ColumnElement,
     Double,
     Select,
     Text,
+    Uuid,
     and_,
+    any_,
     case,
-    cast,
     column,
     exists,
     func,
@@ -25,7 +27,9 @@ from sqlalchemy import (
     literal_column,
     or_,
     select,
+    tuple_,
     type_coerce,
+    union_all,
 )
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 
@@ -117,9 +121,8 @@ def check_conditions(actor: Actor, matching: MissionFilter | FileFilter) -> list
     if matching.check:
         conditions.append(mission.c.id.in_(_with_failed_check(matching.check)))
     if matching.finding:
-        has_code = matches_any(run_finding.c.code, matching.finding)
-        conditions.append(mission.c.id.in_(_with_result(run_finding, has_code)))
-    conditions += [mission.c.id.in_(_with_metric(expression)) for expression in matching.metric]
+        conditions.append(_is_among(_with_finding((*matching.finding,))))
+    conditions += [_is_among(_with_metric(expression)) for expression in matching.metric]
     return conditions
 
 
@@ -149,7 +152,19 @@ def _with_failed_check(names: Sequence[str]) -> Select[tuple[uuid.UUID]]:
     return select(mission_checks.c.mission_id).where(or_(*conditions)).correlate(None)
 
 
-def _with_metric(expression: str) -> Select[tuple[uuid.UUID]]:
+def _is_among(missions: CTE) -> ColumnElement[bool]:
+    """Return whether `mission` is one of these, which are found once: a join would find them for each mission."""
+    return mission.c.id == any_(func.array(select(missions.c.mission_id).scalar_subquery(), type_=ARRAY(Uuid)))
+
+
+# Parts of one statement share the same object, so that the database finds the missions once.
+@functools.lru_cache(maxsize=64)
+def _with_finding(globs: tuple[str, ...]) -> CTE:
+    return _with_result(run_finding, matches_any(run_finding.c.code, globs))
+
+
+@functools.lru_cache(maxsize=64)
+def _with_metric(expression: str) -> CTE:
     match = METRIC_EXPRESSION.fullmatch(expression.strip())
     if match is None:
         reason = "it is not a comparison of a metric with a number; write it like ate_rmse>0.5"
@@ -159,13 +174,27 @@ def _with_metric(expression: str) -> Select[tuple[uuid.UUID]]:
     return _with_result(run_metric, and_(run_metric.c.name == match["name"], is_such))
 
 
-def _with_result(table: Any, condition: ColumnElement[bool]) -> Select[tuple[uuid.UUID]]:
-    """Return the missions of whose latest results one matches. A run that reuses another has that one's results."""
-    of = (run.c.mission_id, func.coalesce(cast(action_version.c.action_id, Text), cast(run.c.version_id, Text)))
-    done = select(run.c.mission_id, func.coalesce(run.c.reuses_id, run.c.id).label("result_id"))
-    done = done.join(action_version, action_version.c.id == run.c.version_id).where(run.c.state == RunState.done.value)
-    order = (*of, run.c.parameters, run.c.created_at.desc(), run.c.id.desc())
-    latest = done.distinct(*of, run.c.parameters).order_by(*order).subquery()
-    return (
-        select(latest.c.mission_id).join(table, table.c.run_id == latest.c.result_id).where(condition).correlate(None)
+def _with_result(table: Any, condition: ColumnElement[bool]) -> CTE:
+    """Return the missions of whose latest results one matches. A run that reuses another has that one's results.
+
+    The results that match come first, by an index of their names, so that other runs are not read.
+    """
+    version, later, its_version = action_version.alias(), run.alias("later"), action_version.alias()
+    found = select(table.c.run_id).where(condition).cte()
+    reusing = select(run.c.id).join(found, found.c.run_id == run.c.reuses_id).where(run.c.reuses_id.is_not(None))
+    has_later = (
+        exists()
+        .select_from(later.join(its_version, its_version.c.id == later.c.version_id))
+        .where(
+            later.c.mission_id == run.c.mission_id,
+            later.c.state == RunState.done.value,
+            later.c.created_at >= run.c.created_at,  # for the index of runs of a mission
+            tuple_(later.c.created_at, later.c.id) > tuple_(run.c.created_at, run.c.id),
+            later.c.parameters == run.c.parameters,
+            or_(later.c.version_id == run.c.version_id, its_version.c.action_id == version.c.action_id),
+        )
+        .correlate(run, version)
     )
+    of_results = run.c.id.in_(union_all(select(found.c.run_id), reusing.correlate(None)))
+    stmt = select(run.c.mission_id).distinct().join(version, version.c.id == run.c.version_id)
+    return stmt.where(of_results, run.c.state == RunState.done.value, ~has_later).correlate(None).cte()

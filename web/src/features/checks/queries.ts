@@ -19,6 +19,7 @@ export type TrendStep = Schemas["TrendStep"];
 export type MatrixRow = Schemas["CheckMatrixRow"] & { readonly names: readonly string[] };
 
 const PAGE = 100;
+const MAX_PAGE = 500;
 const MAX_VERSIONS = 500;
 const FAST_POLL_MS = 2_000;
 
@@ -26,12 +27,27 @@ const FAST_POLL_MS = 2_000;
 export function useMissionChecks(missionId: () => string, hasHistory: () => boolean = () => false, isEnabled: () => boolean = () => true) {
   return useQuery({
     queryKey: computed(() => [...keys.missionChecks(missionId()), hasHistory()]),
-    queryFn: ({ signal }) =>
-      call(api.GET("/api/v1/missions/{mission_id}/checks", { params: { path: { mission_id: missionId() }, query: { all: hasHistory() } }, signal })),
+    queryFn: ({ signal }) => loadMissionChecks(missionId(), hasHistory(), signal),
     enabled: isEnabled,
     placeholderData: keepPreviousData,
     refetchInterval: (running) => (running.state.data?.verdict === "running" ? FAST_POLL_MS : false),
   });
+}
+
+/** Load all pages: there are at most twenty. */
+async function loadMissionChecks(missionId: string, hasHistory: boolean, signal: AbortSignal): Promise<MissionChecks> {
+  const load = (cursor?: string): Promise<MissionChecks> => {
+    const query = { all: hasHistory, limit: MAX_PAGE, ...(cursor && { cursor }) };
+    return call(api.GET("/api/v1/missions/{mission_id}/checks", { params: { path: { mission_id: missionId }, query }, signal }));
+  };
+  const first = await load();
+  const checks = [...first.checks];
+  for (let next = first.next; next; ) {
+    const page = await load(next);
+    checks.push(...page.checks);
+    next = page.next;
+  }
+  return { ...first, checks, next: null };
 }
 
 /** Mutations of the checks of a mission. */
