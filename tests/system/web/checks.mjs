@@ -143,14 +143,14 @@ await page.goto(`${address}/projects/${project}`);
 await page.locator("[role=row][data-index] [data-verdict]").nth(1).waitFor();
 const verdictIn = (id) => page.locator(`[role=row]:has(a[href*="${id}"]) [data-verdict]`).getAttribute("data-verdict");
 results.mission.inProject = { good: await verdictIn(missions.good), bad: await verdictIn(missions.bad) };
-const sortedBy = async (sort) => {
+const sortedBy = async (sort, first) => {
   await page.getByRole("columnheader", { name: "Checks" }).getByRole("button").click();
   await page.waitForURL((url) => url.searchParams.get("sort") === sort);
-  await settled();
+  await page.locator(`[role=row][data-index="0"] [data-verdict=${first}]`).waitFor(); // until then, the rows of the earlier order
   return page.locator("[role=row][data-index] [data-verdict]").evaluateAll((all) => all.map(({ dataset }) => dataset.verdict));
 };
-results.mission.worstFirst = await sortedBy("verdict");
-results.mission.bestFirst = await sortedBy("-verdict");
+results.mission.worstFirst = await sortedBy("verdict", "bad");
+results.mission.bestFirst = await sortedBy("-verdict", "unchecked");
 await checkPage(page, "checks-project");
 await page.setViewportSize({ width: 360, height: 780 });
 const details = page.getByRole("button", { name: /^Details of/ }).first();
