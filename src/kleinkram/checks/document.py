@@ -404,7 +404,7 @@ class ChecksDocument(Request):
         return self
 
     @model_validator(mode="after")
-    def _conditions_are_few(self) -> Self:
+    def _conditions_have_a_limit(self) -> Self:
         count = 0
         for number, profile in enumerate(self.profiles):
             count += sum(map(_value_count, profile.when.values()))

@@ -1,6 +1,7 @@
 """Base classes and shared types of requests and responses: ETags, pages, expiry times."""
 
 import datetime
+import functools
 import hashlib
 import uuid
 from typing import Annotated, Any, Generic, TypeVar
@@ -32,10 +33,15 @@ def construct(model: type[ModelT], values: dict[str, Any]) -> ModelT:
     """
     made = model.__new__(model)
     _set(made, "__dict__", values)
-    _set(made, "__pydantic_fields_set__", set())
+    _set(made, "__pydantic_fields_set__", _field_names(model))
     _set(made, "__pydantic_extra__", None)
     _set(made, "__pydantic_private__", None)
     return made
+
+
+@functools.cache
+def _field_names(model: type[BaseModel]) -> set[str]:
+    return {*model.model_fields}
 
 
 class NamedRef(Response):

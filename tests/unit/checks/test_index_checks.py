@@ -555,8 +555,8 @@ def test_globs_are_compared_up_to_a_number_of_steps_and_a_row_says_so() -> None:
     assert made[0].topic == "/robot/sensor_1/image"
     assert 500 < len(made) < 1000
 
-    few = ChecksDocument(version=1, profiles=[Profile(topics=dict([*globs.items()][:500]))])
-    assert len(evaluated(few, mission_facts(*topics)).checks) == 500
+    shorter = ChecksDocument(version=1, profiles=[Profile(topics=dict([*globs.items()][:500]))])
+    assert len(evaluated(shorter, mission_facts(*topics)).checks) == 500
 
 
 def test_globs_for_content_are_compared_up_to_a_number_of_steps() -> None:

@@ -17,6 +17,7 @@ def test_a_constructed_model_is_like_a_validated_one() -> None:
     assert (made, hash(made), made.model_dump_json()) == (valid, hash(valid), valid.model_dump_json())
     assert [copy.copy(made), copy.deepcopy(made), pickle.loads(pickle.dumps(made))] == [valid] * 3
     assert made.model_copy(update={"topic": "/imu"}) == valid.model_copy(update={"topic": "/imu"})
+    assert made.model_dump(exclude_unset=True) == valid.model_dump(exclude_unset=True), "as requests are sent"
     assert made.model_dump(exclude_defaults=True) == valid.model_dump(exclude_defaults=True)
     assert repr(made) == repr(valid)
     with pytest.raises(ValidationError):

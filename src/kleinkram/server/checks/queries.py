@@ -67,8 +67,8 @@ def checks_of_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
 
 def listed_checks(mission_id: uuid.UUID, matching: MissionCheckFilter) -> tuple[Select[Any], Order]:
     """Return the stored checks of a mission that match, each as JSON, and their order: worst first."""
-    each = func.jsonb_array_elements(mission_checks.c.checks)
-    one = each.table_valued(column("stored", JSONB), with_ordinality="number").render_derived(name="one")
+    unnested = func.jsonb_array_elements(mission_checks.c.checks)
+    one = unnested.table_valued(column("stored", JSONB), with_ordinality="number").render_derived(name="one")
     stmt = select(one.c.stored).join_from(mission_checks, one, true()).where(mission_checks.c.mission_id == mission_id)
     if matching.name is not None:
         stmt = stmt.where(matches(one.c.stored["name"].astext, matching.name))

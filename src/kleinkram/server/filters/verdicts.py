@@ -180,8 +180,12 @@ def _with_result(table: Any, condition: ColumnElement[bool]) -> CTE:
     The results that match come first, by an index of their names, so that other runs are not read.
     """
     version, later, its_version = action_version.alias(), run.alias("later"), action_version.alias()
-    found = select(table.c.run_id).where(condition).cte()
-    reusing = select(run.c.id).join(found, found.c.run_id == run.c.reuses_id).where(run.c.reuses_id.is_not(None))
+    matching_results = select(table.c.run_id).where(condition).cte()
+    reusing = (
+        select(run.c.id)
+        .join(matching_results, matching_results.c.run_id == run.c.reuses_id)
+        .where(run.c.reuses_id.is_not(None))
+    )
     has_later = (
         exists()
         .select_from(later.join(its_version, its_version.c.id == later.c.version_id))
@@ -195,6 +199,6 @@ def _with_result(table: Any, condition: ColumnElement[bool]) -> CTE:
         )
         .correlate(run, version)
     )
-    of_results = run.c.id.in_(union_all(select(found.c.run_id), reusing.correlate(None)))
+    of_results = run.c.id.in_(union_all(select(matching_results.c.run_id), reusing.correlate(None)))
     stmt = select(run.c.mission_id).distinct().join(version, version.c.id == run.c.version_id)
     return stmt.where(of_results, run.c.state == RunState.done.value, ~has_later).correlate(None).cte()
