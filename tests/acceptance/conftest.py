@@ -94,12 +94,18 @@ class Instance:
 
 
 def wait_until(condition: Callable[[], bool], description: str) -> None:
-    """Wait until a condition holds; fail with its description after a timeout."""
+    """Wait until a condition holds; fail with its description after a timeout.
+
+    Conditions that start a command take a second of CPU time each, so that at most half of the time is theirs.
+    """
     deadline = time.monotonic() + TIMEOUT_S
+    started = time.monotonic()
     while not condition():
-        if time.monotonic() > deadline:
+        ended = time.monotonic()
+        if ended > deadline:
             pytest.fail(f"timeout while waiting for: {description}")
-        time.sleep(0.02)
+        time.sleep(max(0.02, ended - started))
+        started = time.monotonic()
 
 
 def end(process: "subprocess.Popen[str]") -> Ran:

@@ -17,7 +17,7 @@ from kleinkram.recordings.sample import Defect, Faults, SampleFormat, generate_m
 from kleinkram.recordings.sample.robots import legged, vehicle
 
 ROOT = Path(__file__).parents[3]
-SECONDS = 6.0
+SECONDS = 4.0
 VEHICLE_CHECKS = """
 version: 1
 profiles:

@@ -37,7 +37,7 @@ def _topic(facts: MissionFacts, name: str) -> TopicFacts:
 
 @pytest.mark.parametrize("kind", [*SampleFormat])
 def test_the_facts_of_a_sample_are_those_that_it_was_made_with(kind: SampleFormat, tmp_path: Path) -> None:
-    truth = generate_mission(tmp_path, duration_s=2, formats=[kind])
+    truth = generate_mission(tmp_path, duration_s=2, size_bytes=1_000_000, formats=[kind])
     facts = read_mission(_files(tmp_path)).facts
     assert (facts.start_ns, facts.end_ns) == (truth.files[0].start_ns, truth.files[0].end_ns)
     (recording,) = facts.recordings
