@@ -142,8 +142,9 @@ def test_no_broken_file_ends_the_checks(recordings_dir: Path) -> None:
 # -- suggestions ------------------------------------------------------------------------------------------------------
 
 
-def _sample(folder: Path, seed: int, **faults: str) -> MissionFacts:
-    generate_mission(folder, duration_s=4, seed=seed, formats=[SampleFormat.mcap], faults=Faults(**faults))  # type: ignore[arg-type]  # texts only
+def _sample(folder: Path, seed: int, dropped_topic: str | None = None) -> MissionFacts:
+    faults = Faults(dropped_topic=dropped_topic)
+    generate_mission(folder, duration_s=4, size_bytes=1_000_000, seed=seed, formats=[SampleFormat.mcap], faults=faults)
     return read_mission(_files(folder)).facts
 
 
