@@ -6,6 +6,7 @@ Use with `pytest_plugins = ["tests.services"]`, or `-p tests.services`. Both die
 import itertools
 import os
 import secrets
+import shutil
 import signal
 import subprocess
 import tempfile
@@ -20,6 +21,18 @@ from kleinkram.standalone import object_store, postgres, processes
 from tests.ports import choose_port
 
 _numbers = itertools.count(1)
+_MEMORY = Path("/dev/shm")
+_ENOUGH_BYTES = 4 * 2**30
+
+
+def fast_folder() -> str | None:
+    """Return a file system in memory with room for all workers of a test run; None, which is the default, without one.
+
+    There, creating a database takes 0.03 s of CPU time instead of 0.4 s. A container has 64 MB of it by default.
+    """
+    if _MEMORY.is_dir() and os.access(_MEMORY, os.W_OK) and shutil.disk_usage(_MEMORY).free > _ENOUGH_BYTES:
+        return str(_MEMORY)
+    return None
 
 
 @dataclass(frozen=True)
@@ -86,7 +99,7 @@ class RunningStore:
 @pytest.fixture(scope="session", name="postgres")
 def _postgres() -> Iterator[RunningPostgres]:
     """The session's PostgreSQL."""
-    with tempfile.TemporaryDirectory(prefix="klein-pg-") as name:
+    with tempfile.TemporaryDirectory(prefix="klein-pg-", dir=fast_folder()) as name:
         folder = Path(name)
         cluster = postgres.PostgresCluster(
             binaries=postgres.locate_postgres(),
@@ -97,8 +110,8 @@ def _postgres() -> Iterator[RunningPostgres]:
             passwords={role: secrets.token_hex(16) for role in (postgres.ADMIN, postgres.MIGRATE, postgres.SERVE)},
         )
         postgres.initialise(cluster)
-        # What is lost by a crash of the machine is only a test's.
-        process = postgres.start(cluster, extra={"fsync": "off", "max_connections": "400"})
+        # What is lost by a crash of the machine is only a test's; the log should not fill the memory.
+        process = postgres.start(cluster, extra={"fsync": "off", "max_connections": "400", "max_wal_size": "128MB"})
         try:
             _wait_until(lambda: postgres.is_ready(cluster, process), process, cluster.log)
             postgres.prepare_database(cluster)
@@ -110,7 +123,7 @@ def _postgres() -> Iterator[RunningPostgres]:
 @pytest.fixture(scope="session", name="store")
 def _store() -> Iterator[RunningStore]:
     """The session's S3 store."""
-    with tempfile.TemporaryDirectory(prefix="klein-s3-") as name:
+    with tempfile.TemporaryDirectory(prefix="klein-s3-", dir=fast_folder()) as name:
         folder = Path(name)
         plan = object_store.StoreFolder(
             program=object_store.locate_weed(),

@@ -7,7 +7,7 @@ import threading
 import time
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -49,12 +49,17 @@ class Answer:
 
 @dataclass
 class Api:
-    """A running API with its own database: requests with a token (initially of the owner), and direct SQL access."""
+    """A running API with its own database: requests with a token (initially of the owner), and direct SQL access.
+
+    Attributes:
+        at_end: what tests opened for it, to be closed before it ends.
+    """
 
     url: str
     token: str | None
     app: FastAPI
     database: psycopg.Connection[tuple[Any, ...]]
+    at_end: ExitStack = field(default_factory=ExitStack)
     _pool: urllib3.PoolManager = field(default_factory=lambda: urllib3.PoolManager(retries=False, timeout=30))
 
     def as_(self, token: str | None) -> "Api":
@@ -169,7 +174,8 @@ def serving(settings: Mapping[str, Any], *, admin_url: str, folder: Path, port: 
             assert thread.is_alive(), "the API did not start; the log says why"
             assert time.monotonic() < deadline, "the API took too long to start"
             thread.join(0.01)
-        yield Api(f"http://127.0.0.1:{listener.getsockname()[1]}", token, app, database)
+        with ExitStack() as at_end:
+            yield Api(f"http://127.0.0.1:{listener.getsockname()[1]}", token, app, database, at_end)
     finally:
         server.should_exit = True
         thread.join(20)

@@ -1,11 +1,13 @@
 """Run background jobs inside a test until the queue is empty."""
 
 import asyncio
+import threading
 import uuid
-from collections.abc import Awaitable, Callable
-from typing import Any, TypeVar
+from collections.abc import Awaitable, Callable, Coroutine
+from contextlib import AsyncExitStack
+from typing import Any, NamedTuple, TypeVar
 
-from procrastinate import JobContext, PsycopgConnector
+from procrastinate import App, JobContext, PsycopgConnector
 from procrastinate.worker import Worker
 
 from kleinkram.server import worker
@@ -15,7 +17,7 @@ from kleinkram.server.db import open_database
 from kleinkram.server.jobs.execution import BackPressure, record_failure
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.overviews.jobs import DerivationDebounce, MetadataCache
-from kleinkram.server.s3.storage import open_storage
+from kleinkram.server.s3.storage import Storage, open_storage
 from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.api_server import Api
 
@@ -31,14 +33,90 @@ def run_jobs(api: Api, *, store: str | None = None) -> list[str]:
     assert worker.JOB_MODULES
     ran: list[str] = []
     while api.sql(_DUE) != [(0,)]:
-        ran += on_site(api, _hurry, store=store)
+        ran += in_worker(api, _run_due) if store is None else on_site(api, _run_due_once, store=store)
     return ran
 
 
-async def _hurry(context: AppContext) -> list[str]:
+class WorkerResources(NamedTuple):
+    """What a worker holds open between jobs."""
+
+    context: AppContext
+    connector: PsycopgConnector
+
+
+class _TestWorker:
+    """An event loop in a thread of its own, with connections that stay open until the API ends.
+
+    With new ones for each round, a round costs 0.1 s of CPU time: PostgreSQL starts processes for them, and SQLAlchemy
+    compiles each statement again.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="test-worker", daemon=True)
+        self._thread.start()
+        self._opened = AsyncExitStack()
+        self._database = open_database(settings, statement_timeout_s=None)
+        try:
+            self._storage, self._connector = self.run(self._open())
+        except BaseException:
+            self.close()
+            raise
+
+    async def _open(self) -> tuple[Storage, PsycopgConnector]:
+        self._opened.push_async_callback(self._database.close)
+        storage = await self._opened.enter_async_context(open_storage(self.settings))
+        connector = _connector(self.settings)
+        await connector.open_async()
+        self._opened.push_async_callback(connector.close_async)
+        return storage, connector
+
+    def run(self, work: Coroutine[Any, Any, T]) -> T:
+        """Wait for a coroutine that runs in the loop."""
+        return asyncio.run_coroutine_threadsafe(work, self._loop).result()
+
+    def resources(self, api: Api) -> WorkerResources:
+        """Return what jobs need; the store has the capabilities that the API has found."""
+        storage = self._storage.with_capabilities(api.app.state.storage.capabilities)
+        return WorkerResources(AppContext(self._database, storage, self.settings), self._connector)
+
+    def close(self) -> None:
+        """Close the connections and the loop."""
+        self.run(self._opened.aclose())
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+
+_workers: dict[str, _TestWorker] = {}
+_starting = threading.Lock()
+
+
+def in_worker(api: Api, work: Callable[[WorkerResources], Coroutine[Any, Any, T]]) -> T:
+    """Do something with the connections of the worker of an API."""
+    with _starting:
+        test_worker = _workers.get(api.url)
+        if test_worker is None:
+            test_worker = _workers[api.url] = _TestWorker(api.app.state.settings)
+            api.at_end.callback(lambda: _workers.pop(api.url).close())
+    return test_worker.run(work(test_worker.resources(api)))
+
+
+async def _run_due(resources: WorkerResources) -> list[str]:
+    with queue.replace_connector(resources.connector) as app:
+        return await _drain(app, resources.context, _no_back_pressure(resources.context), _NoRests())
+
+
+async def _run_due_once(context: AppContext) -> list[str]:
+    return await drain(context, _no_back_pressure(context))
+
+
+def _no_back_pressure(context: AppContext) -> BackPressure:
+    """Jobs need not wait for uploads that tests left unfinished."""
     back_pressure = BackPressure(context.database)
-    back_pressure.end()  # jobs need not wait for uploads that tests left unfinished
-    return await drain(context, back_pressure)
+    back_pressure.end()
+    return back_pressure
 
 
 class _NoRests(DerivationDebounce):
@@ -50,34 +128,42 @@ class _NoRests(DerivationDebounce):
 
 async def drain(context: AppContext, back_pressure: BackPressure, rests: DerivationDebounce | None = None) -> list[str]:
     """Run what waits, as courteous as it is given; returns the name of each job."""
+    with queue.replace_connector(_connector(context.settings)) as app:
+        async with app.open_async():
+            return await _drain(app, context, back_pressure, rests or _NoRests())
+
+
+def _connector(settings: Settings) -> PsycopgConnector:
+    return PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=4)
+
+
+async def _drain(app: App, context: AppContext, back_pressure: BackPressure, rests: DerivationDebounce) -> list[str]:
     ran: list[str] = []
 
     async def note(call_next: Callable[[], Awaitable[Any]], job_context: JobContext, _worker: Worker) -> Any:
         ran.append(job_context.job.task_name)
         return await call_next()
 
-    connector = PsycopgConnector(conninfo=plain_dsn(context.settings.database_url), min_size=1, max_size=4)
-    with queue.replace_connector(connector) as app:
-        async with app.open_async(), ReaderProcesses() as readers:
-            await app.run_worker_async(
-                wait=False,
-                concurrency=4,
-                install_signal_handlers=False,
-                listen_notify=False,
-                worker_middleware=[record_failure, note],
-                additional_context={
-                    "context": context,
-                    "readers": readers,
-                    "back_pressure": back_pressure,
-                    "metadata_cache": MetadataCache(readers),
-                    "derivation_debounce": rests or _NoRests(),
-                },
-            )
+    async with ReaderProcesses() as readers:
+        await app.run_worker_async(
+            wait=False,
+            concurrency=4,
+            install_signal_handlers=False,
+            listen_notify=False,
+            worker_middleware=[record_failure, note],
+            additional_context={
+                "context": context,
+                "readers": readers,
+                "back_pressure": back_pressure,
+                "metadata_cache": MetadataCache(readers),
+                "derivation_debounce": rests,
+            },
+        )
     return ran
 
 
 def on_site(api: Api, work: Callable[[AppContext], Awaitable[T]], *, store: str | None = None) -> T:
-    """Do something with a database and a store of its own, as a job would."""
+    """Do something with a new database and store, as a job of a new process would."""
     settings: Settings = api.app.state.settings
     if store is not None:
         settings = settings.model_copy(update={"s3_internal_url": store})

@@ -6,7 +6,7 @@ import uuid
 
 import pytest
 
-from tests.acceptance.conftest import end, wait_until
+from tests.acceptance.conftest import wait_until
 from tests.system import backend
 from tests.system.cluster import Cluster
 
@@ -34,12 +34,11 @@ def test_each_mission_is_run_once_through_kills_of_every_process(cluster: Cluste
     klein.run("project", "create", "p")
     klein.run("action", "create", cluster.home / "verify.py", "-p", "p")
     klein.run("project", "actions", "add", "verify", "-p", "p", "--on", "complete")
-    uploads = []
     for number in range(_MISSIONS):
-        notes = cluster.home / f"notes-{number}.txt"
+        notes = cluster.home / "drives" / f"drive-{number}" / "notes.txt"
+        notes.parent.mkdir(parents=True)
         notes.write_text(f"notes of drive {number}: {uuid.UUID(int=chance.getrandbits(128))}")
-        uploads.append(klein.start("upload", "-p", "p", "-m", f"drive-{number}", "--create", "--wait", notes))
-    assert [end(upload).code for upload in uploads] == [0] * _MISSIONS
+    klein.run("upload", "-p", "p", "--mission-per-folder", "--create", "--wait", cluster.home / "drives")
     for number, victim in enumerate(_VICTIMS):
         complete = ("mission", "complete", f"drive-{number}", "-p", "p")
         wait_until(lambda: klein.run(*complete, code=None).code == 0, "the server to answer")  # noqa: B023  at once

@@ -14,7 +14,7 @@ from kleinkram.cli import options
 from kleinkram.cli.commands import Subcommands, argument, flag, option
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.render import Output, as_list, as_table, details, line, note, table
-from kleinkram.cli.run import SetOption, launch, parameter_values
+from kleinkram.cli.run import launch
 from kleinkram.cli.run_reports import split_version
 from kleinkram.cli.run_view import show_results, write_log
 from kleinkram.cli.units import duration, size
@@ -51,7 +51,7 @@ def run_local(
     action: PathArgument,
     mission: options.MissionOption = None,
     project: options.ProjectOption = None,
-    parameters: SetOption = None,
+    parameters: options.SetOption = None,
     out: Annotated[Path, option("--out", "DIR", "Write results to DIR, which must be empty or new.")] = Path("out"),
     no_build: Annotated[bool, flag("--no-build", "Use the existing image, even if there is a Dockerfile.")] = False,
     ignore_verdict: Annotated[bool, flag("--ignore-verdict", "Exit with 0 also if the verdict is bad.")] = False,
@@ -65,7 +65,7 @@ def run_local(
     from kleinkram.runner.local_run import run_locally
 
     definition = read_manifest(action)
-    values = parameter_values(definition, parameters or [])
+    values = options.parameter_values(definition, parameters or [])
     if mission is None:
         raise InvalidInput(what="The command", reason="specify a mission with -m")
     executor = _executor(definition)

@@ -5,7 +5,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,6 +18,9 @@ from kleinkram.client.config import find_endpoint, load_endpoints
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.projects import ProjectRead
+
+if TYPE_CHECKING:  # few commands need them
+    from kleinkram.contract.actions import ActionDefinition, ParameterValues
 
 _COMPLETION_TIMEOUT_S = 1.0
 _MAX_COMPLETIONS = 100
@@ -83,6 +86,9 @@ LimitRate = Annotated[Text, option("--limit-rate", "RATE", "Transfer at most RAT
 Connections = Annotated[int, option("--connections", "N", "Run N transfers at the same time.", min=1, max=32)]
 
 
+SetOption = Annotated[Many, option("--set", "NAME=VALUE", "Set a parameter; repeatable.")]
+
+
 def _check_etag(text: str | None) -> str | None:
     if text is not None and not re.fullmatch("[0-9a-f]{16}", text):
         raise InvalidInput(what="--if-match", reason="an ETag has 16 characters; --json and `info` show it")
@@ -92,6 +98,22 @@ def _check_etag(text: str | None) -> str | None:
 IfMatch = Annotated[
     Text, option("--if-match", "ETAG", "Change it only if it still has this ETag.", callback=_check_etag)
 ]
+
+
+def parameter_values(definition: "ActionDefinition", assignments: Iterable[str]) -> "ParameterValues":
+    """Return the checked values that `NAME=VALUE` assignments set for the parameters of an action."""
+    known = {parameter.name: parameter for parameter in definition.parameters}
+    values: ParameterValues = {}
+    try:
+        for assignment in assignments:
+            name, equals, text = assignment.partition("=")
+            if not equals:
+                raise InvalidInput(what=f"The parameter {assignment!r}", reason="write it as NAME=VALUE")
+            values[name] = known[name].read(text) if name in known else text
+        definition.fill_in(values)
+    except ValueError as error:
+        raise InvalidInput(what="The parameters", reason=str(error)) from None
+    return values
 
 
 def the_ref(what: str, positional: str | None, option: str | None) -> str:

@@ -5,7 +5,6 @@ from typing import Annotated
 from kleinkram.cli import options
 from kleinkram.cli.commands import Subcommands, Text, argument, option
 from kleinkram.cli.render import Output, as_table
-from kleinkram.cli.run import SetOption, parameter_values
 from kleinkram.cli.run_view import action_name, labels_text
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
@@ -28,12 +27,12 @@ def add(
     idle: Annotated[
         Text, option("--idle", "TIME", "With --on idle: without a change for TIME (10m if not set).")
     ] = None,
-    parameters: SetOption = None,
+    parameters: options.SetOption = None,
 ) -> Output:
     """Have an action run by itself, once on the same files with the same version. Its runs act for you."""
     target = client.projects.get(_required(project))
     published = client.actions.get(action, project=target.id)
-    values = parameter_values(client.actions.version(published, None).definition, parameters or [])
+    values = options.parameter_values(client.actions.version(published, None).definition, parameters or [])
     if idle is not None and on is not RunTrigger.idle:
         raise InvalidInput(what="The command", reason="--idle requires --on idle")
     idle_s = None if idle is None else _seconds(idle)

@@ -2,7 +2,7 @@
 
 import enum
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated
@@ -23,12 +23,10 @@ from kleinkram.client import Client
 from kleinkram.client.actions import read_manifest
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.contract import runs as contract
-from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.checks import CheckStatus, Verdict
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.problems import from_problem
 
-SetOption = Annotated[Many, option("--set", "NAME=VALUE", "Set a parameter; repeatable.")]
 ForceOption = Annotated[bool, flag("--force", "Run again, even if an identical run has results.")]
 IgnoreVerdictOption = Annotated[
     bool, flag("--ignore-verdict", "With --follow, exit with 0 also if a run is done and its verdict is bad.")
@@ -45,7 +43,7 @@ def launch(
     project: options.ProjectsOption = None,
     query: Annotated[Text, option("--query -q", "QUERY", "Run on each mission that the query finds.")] = None,
     where: WhereOption = None,
-    parameters: SetOption = None,
+    parameters: options.SetOption = None,
     force: ForceOption = False,
     follow_it: FollowOption = False,
     ignore_verdict: IgnoreVerdictOption = False,
@@ -71,7 +69,7 @@ def launch(
         projects = {mission.project.id for mission in targets}
         published = client.actions.get(name, project=projects.pop() if len(projects) == 1 else None)
         definition = client.actions.version(published, version).definition
-    values = parameter_values(definition, parameters or [])
+    values = options.parameter_values(definition, parameters or [])
     names = ", ".join(f"{mission.project.name}/{mission.name}" for mission in targets[:_MAX_NAMES])
     names += f" and {len(targets) - _MAX_NAMES} more" if len(targets) > _MAX_NAMES else ""
     if dry_run:
@@ -90,22 +88,6 @@ def launch(
     )
     verdict = Counted.state_alone if ignore_verdict else Counted.verdict
     _show_launched(client, targets, outcomes, counted=verdict if follow_it else None, as_json=as_json)
-
-
-def parameter_values(definition: ActionDefinition, assignments: Iterable[str]) -> ParameterValues:
-    """Return the checked values that `NAME=VALUE` assignments set for the parameters of an action."""
-    known = {parameter.name: parameter for parameter in definition.parameters}
-    values: ParameterValues = {}
-    try:
-        for assignment in assignments:
-            name, equals, text = assignment.partition("=")
-            if not equals:
-                raise InvalidInput(what=f"The parameter {assignment!r}", reason="write it as NAME=VALUE")
-            values[name] = known[name].read(text) if name in known else text
-        definition.fill_in(values)
-    except ValueError as error:
-        raise InvalidInput(what="The parameters", reason=str(error)) from None
-    return values
 
 
 def _missions(client: Client, names: Sequence[str], choice: Choice) -> list[MissionRead]:

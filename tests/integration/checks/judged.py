@@ -3,10 +3,9 @@
 import uuid
 from typing import Any
 
-from kleinkram.server.context import AppContext
 from kleinkram.server.recordings.derive import derive_again
 from tests.integration.api_server import Answer, Api
-from tests.integration.jobs import on_site, run_jobs
+from tests.integration.jobs import WorkerResources, in_worker, run_jobs
 from tests.integration.sample import Sample
 
 START_NS = 1_700_000_000 * 10**9
@@ -58,12 +57,12 @@ def put_underived_file(api: Api, mission_id: str, path: str, topics: tuple[dict[
 def derive(api: Api, *mission_ids: str) -> None:
     """Request that the recordings of missions are derived, as every change of files does."""
 
-    async def request(context: AppContext) -> None:
-        async with context.database.begin() as db:
+    async def request(resources: WorkerResources) -> None:
+        async with resources.context.database.begin() as db:
             for mission_id in mission_ids:
                 await derive_again(db, uuid.UUID(mission_id))
 
-    on_site(api, request)
+    in_worker(api, request)
 
 
 def judged_mission(api: Api, project_id: str, *topics: dict[str, Any], **fields: Any) -> str:

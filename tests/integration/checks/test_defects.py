@@ -17,7 +17,7 @@ from kleinkram.recordings.sample import Defect, Faults, SampleFormat, generate_m
 from kleinkram.recordings.sample.robots import legged, vehicle
 
 ROOT = Path(__file__).parents[3]
-SECONDS = 6.0
+SECONDS = 3.0
 VEHICLE_CHECKS = """
 version: 1
 profiles:
@@ -155,7 +155,7 @@ def failed_topics(results: CheckResults) -> set[str]:
 def test_each_defect_is_found(robot: str, defect: Defect, tmp_path: Path) -> None:
     faults = Faults(defects=frozenset({defect}))
     # The offset must be less than the share of the mission that a topic need not cover.
-    seconds = 2 * SECONDS if defect is Defect.recorder_offset else SECONDS
+    seconds = 3 * SECONDS if defect is Defect.recorder_offset else SECONDS
     if robot == "legged":
         generate_rig(tmp_path, duration_s=seconds, faults=faults)
     else:
@@ -179,8 +179,8 @@ def test_each_defect_is_found(robot: str, defect: Defect, tmp_path: Path) -> Non
 
 GOOD = [
     *(("vehicle", kind, seed, seconds) for kind in SampleFormat for seed, seconds in ((1, 10.0), (2, 3.0), (3, 30.0))),
-    *(("legged", SampleFormat.mcap, seed, seconds) for seed, seconds in ((1, 10.0), (2, 5.0), (3, 15.0), (4, 3.0))),
-    *(("legged", kind, 5, 6.0) for kind in (SampleFormat.bag, SampleFormat.db3)),
+    *(("legged", SampleFormat.mcap, seed, seconds) for seed, seconds in ((1, 7.0), (2, 5.0), (3, 9.0), (4, 3.0))),
+    *(("legged", kind, 5, 4.0) for kind in (SampleFormat.bag, SampleFormat.db3)),
 ]
 
 

@@ -21,7 +21,7 @@ from tests.integration.conftest import StartApi
 from tests.integration.jobs import run_jobs
 from tests.integration.upload_client import wait_until
 
-_MISSIONS, _JUDGED_AT_ONCE = 80, 25
+_MISSIONS, _JUDGED_AT_ONCE = 60, 25
 _STORED = """
     SELECT mission.name, verdict, checks_number, is_outdated, counts, statuses, failed, checks, bad_since IS NOT NULL
     FROM mission_checks JOIN mission ON mission.id = mission_id WHERE mission.project_id = %s ORDER BY mission.name
@@ -87,7 +87,7 @@ def test_a_project_is_judged_to_its_end_after_its_worker_was_killed(start_api: S
     ids = [row[0] for row in api.sql("SELECT id FROM mission WHERE project_id = %s ORDER BY id", project_id)]
     own_url = plain_dsn(api.app.state.settings.database_url)
     with psycopg.connect(own_url) as blocker, _working(api, tmp_path / "first.log") as worker:
-        blocker.execute("SELECT 1 FROM mission_checks WHERE mission_id = %s FOR UPDATE", [ids[_JUDGED_AT_ONCE + 20]])
+        blocker.execute("SELECT 1 FROM mission_checks WHERE mission_id = %s FOR UPDATE", [ids[_JUDGED_AT_ONCE + 5]])
         wait_until(lambda: api.sql(_WAITS) != [(0,)], limit_s=60)
         worker.send_signal(signal.SIGKILL)
         worker.wait(60)

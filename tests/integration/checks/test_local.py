@@ -38,7 +38,7 @@ def _topic(facts: MissionFacts, name: str) -> TopicFacts:
 
 @pytest.mark.parametrize("kind", [*SampleFormat])
 def test_the_facts_of_a_sample_are_those_that_it_was_made_with(kind: SampleFormat, tmp_path: Path) -> None:
-    truth = generate_mission(tmp_path, duration_s=2, formats=[kind])
+    truth = generate_mission(tmp_path, duration_s=2, size_bytes=1_000_000, formats=[kind])
     facts = read_mission(_files(tmp_path)).facts
     assert (facts.start_ns, facts.end_ns) == (truth.files[0].start_ns, truth.files[0].end_ns)
     (recording,) = facts.recordings
@@ -148,7 +148,8 @@ def _sample(folder: Path, seed: int, **faults: Any) -> MissionFacts:
 
 
 def _sample_mission(folder: Path, seed: int, **faults: Any) -> LocalMission:
-    generate_mission(folder, duration_s=4, seed=seed, formats=[SampleFormat.mcap], faults=Faults(**faults))
+    formats = [SampleFormat.mcap]
+    generate_mission(folder, duration_s=4, size_bytes=1_000_000, seed=seed, formats=formats, faults=Faults(**faults))
     return read_mission(_files(folder))
 
 

@@ -1,26 +1,24 @@
 """`klein checks set|get|diff|history`, `klein check -p`, and the checks of `klein upload`, against a real server."""
 
 import json
-import os
-import subprocess
-import sys
 import uuid
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
 from kleinkram.checks.facts import MissionFacts
 from kleinkram.checks.local import read_mission
+from kleinkram.cli import main as entry
 from kleinkram.recordings.sample import Faults, SampleFormat, generate_mission
 from kleinkram.server.checks.facts import read_missions
 from kleinkram.server.context import AppContext
 from tests.integration.api_server import Api
 from tests.integration.jobs import on_site, run_jobs
 
-Klein = Callable[..., "subprocess.CompletedProcess[str]"]
+Klein = Callable[..., "Output"]
 RULES = """\
 version: 1
 profiles:
@@ -30,21 +28,31 @@ profiles:
   imu:
     /imu/data: {}
 """
+_SIZE = 1_000_000
 
 
-@pytest.fixture(scope="module")
-def klein(api: Api, tmp_path_factory: pytest.TempPathFactory) -> Klein:
-    """Run a command, and check its exit code."""
-    home = tmp_path_factory.mktemp("home")
-    inherited = {key: value for key, value in os.environ.items() if not key.startswith(("KLEINKRAM_", "COLUMNS"))}
-    ours = {name: str(home / name) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME")}
-    known = {"KLEINKRAM_URL": api.url, "KLEINKRAM_TOKEN": str(api.token)}
+class Output(NamedTuple):
+    """What a command printed."""
 
-    def run(*arguments: object, code: int = 0) -> "subprocess.CompletedProcess[str]":
-        words = [sys.executable, "-c", "from kleinkram.cli.main import main; main()", *map(str, arguments)]
-        done = subprocess.run(words, env={**inherited, **ours, **known}, capture_output=True, text=True, timeout=100)
-        assert done.returncode == code, f"{words}: {done}"
-        return done
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def klein(api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Klein:
+    """Run a command as a terminal would, but in this process, and check its exit code."""
+    for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME"):
+        monkeypatch.setenv(name, str(tmp_path / "home" / name))
+    monkeypatch.setenv("KLEINKRAM_URL", api.url)
+    monkeypatch.setenv("KLEINKRAM_TOKEN", str(api.token))
+
+    def run(*arguments: object, code: int = 0) -> Output:
+        monkeypatch.setattr("sys.argv", ["klein", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            entry.main()
+        output = Output(*capsys.readouterr())
+        assert (ended.value.code or 0) == code, f"{arguments}: {ended.value.code} {output}"
+        return output
 
     return run
 
@@ -63,7 +71,7 @@ def rules(tmp_path: Path) -> Path:
 
 
 def _drive(folder: Path, **faults: Any) -> Path:
-    generate_mission(folder, duration_s=3, formats=[SampleFormat.mcap], faults=Faults(**faults))
+    generate_mission(folder, duration_s=3, size_bytes=_SIZE, formats=[SampleFormat.mcap], faults=Faults(**faults))
     return folder
 
 
@@ -209,7 +217,7 @@ def test_local_files_and_a_server_give_the_same_facts(
     source = recordings_dir / folder
     if folder == "sample":
         source = tmp_path / "sample"
-        generate_mission(source, duration_s=3, formats=[*SampleFormat])
+        generate_mission(source, duration_s=3, size_bytes=3 * _SIZE, formats=[*SampleFormat])
     elif folder == "jump":
         source = recordings_dir / "derived" / "auv_clock_jump_back.mcap"
     paths = f"{source}/" if source.is_dir() else str(source)

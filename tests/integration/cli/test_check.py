@@ -30,7 +30,9 @@ def drive(tmp_path: Path) -> Path:
 
 
 def _mission(folder: Path, **faults: Any) -> Path:
-    generate_mission(folder / "run", duration_s=3, formats=[SampleFormat.mcap], faults=Faults(**faults))
+    generate_mission(
+        folder / "run", duration_s=3, size_bytes=1_000_000, formats=[SampleFormat.mcap], faults=Faults(**faults)
+    )
     (folder / "checks.yaml").write_text(RULES)
     return folder / "run"
 

@@ -10,7 +10,7 @@ from typer.testing import CliRunner, Result
 
 from kleinkram.cli.errors import ExitCode, NotConfirmed
 from kleinkram.cli.main import app
-from kleinkram.cli.run import parameter_values
+from kleinkram.cli.options import parameter_values
 from kleinkram.cli.run_reports import split_version
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import ActionDefinition, Parameter, ParameterType

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
@@ -40,7 +42,10 @@ EVERY = [
 Messages = list[tuple[int, bytes]]
 
 
-def make(robot: str, folder: Path, *defects: Defect) -> MissionTruth:
+Make = Callable[..., MissionTruth]
+
+
+def generate(robot: str, folder: Path, *defects: Defect) -> MissionTruth:
     faults = Faults(defects=frozenset(defects))
     if robot == "legged":
         return generate_rig(folder, duration_s=SECONDS, seed=5, faults=faults)
@@ -49,9 +54,27 @@ def make(robot: str, folder: Path, *defects: Defect) -> MissionTruth:
     )
 
 
+@pytest.fixture(scope="module", name="make")
+def _make(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Make]:
+    """Makes a mission of a robot with some defects, once for all tests."""
+    folder = tmp_path_factory.mktemp("missions")
+
+    @cache
+    def make(robot: str, *defects: Defect) -> MissionTruth:
+        return generate(robot, folder / "-".join([robot, *(defect.value for defect in defects)]), *defects)
+
+    yield make
+    shutil.rmtree(folder)
+
+
 @pytest.fixture(scope="module")
-def good(tmp_path_factory: pytest.TempPathFactory) -> dict[str, MissionTruth]:
-    return {name: make(name, tmp_path_factory.mktemp(name)) for name in ROBOTS}
+def good(make: Make) -> dict[str, MissionTruth]:
+    return {name: make(name) for name in ROBOTS}
+
+
+@pytest.fixture(scope="module")
+def good_messages(good: dict[str, MissionTruth]) -> dict[str, dict[tuple[str, str], Messages]]:
+    return {name: messages_of(mission) for name, mission in good.items()}
 
 
 def messages_of(mission: MissionTruth) -> dict[tuple[str, str], Messages]:
@@ -77,9 +100,13 @@ def recorded(robot: Robot, target: str) -> set[tuple[str, str]]:
 
 @pytest.mark.parametrize(("name", "defect"), EVERY)
 def test_a_defect_changes_only_its_target(
-    name: str, defect: Defect, good: dict[str, MissionTruth], tmp_path: Path
+    name: str,
+    defect: Defect,
+    make: Make,
+    good: dict[str, MissionTruth],
+    good_messages: dict[str, dict[tuple[str, str], Messages]],
 ) -> None:
-    mission = make(name, tmp_path / "m", defect)
+    mission = make(name, defect)
     if defect is Defect.truncated:
         sound, cut = (
             next(f for f in m.files if f.path.stem == ROBOTS[name].targets[defect]) for m in (good[name], mission)
@@ -88,7 +115,7 @@ def test_a_defect_changes_only_its_target(
         assert cut.truncated
         assert [f.truncated for f in mission.files].count(True) == 1
         return
-    before, after = messages_of(good[name]), messages_of(mission)
+    before, after = good_messages[name], messages_of(mission)
     changed = {topic for topic in before | after if before.get(topic) != after.get(topic)}
     expected = set() if defect is Defect.missing_file else recorded(ROBOTS[name], ROBOTS[name].targets[defect])
     if defect is Defect.clock_jump:
@@ -103,7 +130,7 @@ def test_the_legged_robot_can_have_every_defect() -> None:
 
 def test_a_defect_that_the_vehicle_cannot_have_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"vehicle cannot have the defect missing-computer; the legged robot can"):
-        make("vehicle", tmp_path, Defect.missing_computer)
+        generate("vehicle", tmp_path, Defect.missing_computer)
 
 
 def test_an_unknown_defect_is_refused_with_a_similar_name() -> None:
@@ -111,8 +138,8 @@ def test_an_unknown_defect_is_refused_with_a_similar_name() -> None:
         Defect("black-cam")
 
 
-def test_defects_combine(tmp_path: Path) -> None:
-    mission = make("legged", tmp_path, Defect.missing_computer, Defect.gap, Defect.no_fix)
+def test_defects_combine(make: Make) -> None:
+    mission = make("legged", Defect.missing_computer, Defect.gap, Defect.no_fix)
     assert [file.path.stem for file in mission.files] == ["nuc", "jetson", "lpc"]
     assert longest_gap_s(mission, "/lidar/hesai/points") > 0.7
     assert {fix.status.status for fix in values(mission, "/gnss/fix")} == {-1, 0}
@@ -175,73 +202,73 @@ def test_good_pictures(robot: str, good: dict[str, MissionTruth]) -> None:
 
 
 @BOTH
-def test_black_camera(robot: str, tmp_path: Path) -> None:
-    dark = pictures(make(robot, tmp_path, Defect.black_camera), robot)
+def test_black_camera(robot: str, make: Make) -> None:
+    dark = pictures(make(robot, Defect.black_camera), robot)
     assert all(picture.max() < 8 for picture in late(dark))
     assert dark[0].mean() > 60
 
 
 @BOTH
-def test_overexposed_camera(robot: str, tmp_path: Path) -> None:
-    bright = pictures(make(robot, tmp_path, Defect.overexposed_camera), robot)
+def test_overexposed_camera(robot: str, make: Make) -> None:
+    bright = pictures(make(robot, Defect.overexposed_camera), robot)
     assert all(picture.min() > 245 for picture in late(bright))
     assert bright[0].mean() < 180
 
 
 @BOTH
-def test_frozen_camera(robot: str, tmp_path: Path) -> None:
-    mission = make(robot, tmp_path, Defect.frozen_camera)
+def test_frozen_camera(robot: str, make: Make) -> None:
+    mission = make(robot, Defect.frozen_camera)
     topic = ROBOTS[robot].targets[Defect.frozen_camera]
     assert len({bytes(picture.data) for picture in late(values(mission, topic))}) == 1
     assert all(-0.1 < offset < 0 for offset in offsets_s(mission, topic))
 
 
 @BOTH
-def test_blurred_camera(robot: str, tmp_path: Path) -> None:
-    blurry = pictures(make(robot, tmp_path, Defect.blurred_camera), robot)
+def test_blurred_camera(robot: str, make: Make) -> None:
+    blurry = pictures(make(robot, Defect.blurred_camera), robot)
     assert all(sharpness(picture) < 10 for picture in late(blurry))
     assert all(60 < picture.mean() < 180 for picture in blurry)
     assert sharpness(blurry[0]) > 100
 
 
 @BOTH
-def test_gap(robot: str, good: dict[str, MissionTruth], tmp_path: Path) -> None:
+def test_gap(robot: str, good: dict[str, MissionTruth], make: Make) -> None:
     topic = ROBOTS[robot].targets[Defect.gap]
     assert longest_gap_s(good[robot], topic) < 0.2
-    assert longest_gap_s(make(robot, tmp_path, Defect.gap), topic) == pytest.approx(0.2 * SECONDS, abs=0.11)
+    assert longest_gap_s(make(robot, Defect.gap), topic) == pytest.approx(0.2 * SECONDS, abs=0.11)
 
 
 @BOTH
-def test_wrong_rate(robot: str, good: dict[str, MissionTruth], tmp_path: Path) -> None:
-    mission, topic = make(robot, tmp_path, Defect.wrong_rate), ROBOTS[robot].targets[Defect.wrong_rate]
+def test_wrong_rate(robot: str, good: dict[str, MissionTruth], make: Make) -> None:
+    mission, topic = make(robot, Defect.wrong_rate), ROBOTS[robot].targets[Defect.wrong_rate]
     assert len(values(mission, topic)) == pytest.approx(len(values(good[robot], topic)) / 2, abs=1)
 
 
 @BOTH
-def test_dropped_topic(robot: str, tmp_path: Path) -> None:
-    mission = make(robot, tmp_path, Defect.dropped_topic)
+def test_dropped_topic(robot: str, make: Make) -> None:
+    mission = make(robot, Defect.dropped_topic)
     dropped = ROBOTS[robot].targets[Defect.dropped_topic]
     for file in mission.files:
         assert dropped not in {topic.name for topic in summary_of(mission, file.path.stem).topics}
 
 
 @BOTH
-def test_wrong_type(robot: str, tmp_path: Path) -> None:
-    mission = make(robot, tmp_path, Defect.wrong_type)
+def test_wrong_type(robot: str, make: Make) -> None:
+    mission = make(robot, Defect.wrong_type)
     types = {topic.name: topic.message_type for file in mission.files for topic in file.topics}
     assert types["/odom"] == "geometry_msgs/msg/PoseWithCovarianceStamped"
     assert all(math.hypot(p.pose.pose.position.x, p.pose.pose.position.y) < 40 for p in values(mission, "/odom"))
 
 
 @BOTH
-def test_repeated_static_transforms(robot: str, good: dict[str, MissionTruth], tmp_path: Path) -> None:
+def test_repeated_static_transforms(robot: str, good: dict[str, MissionTruth], make: Make) -> None:
     assert len(values(good[robot], "/tf_static")) == 1
-    assert len(values(make(robot, tmp_path, Defect.repeated_static), "/tf_static")) == SECONDS
+    assert len(values(make(robot, Defect.repeated_static), "/tf_static")) == SECONDS
 
 
 @BOTH
-def test_silent_start_and_end(robot: str, tmp_path: Path) -> None:
-    mission = make(robot, tmp_path, Defect.silent_start, Defect.silent_end)
+def test_silent_start_and_end(robot: str, make: Make) -> None:
+    mission = make(robot, Defect.silent_start, Defect.silent_end)
     start, end = (min(f.start_ns for f in mission.files), max(f.end_ns for f in mission.files))
     spans = {topic.name: (topic.first_ns, topic.last_ns) for file in mission.files for topic in file.topics}
     first, last = spans[ROBOTS[robot].targets[Defect.silent_start]]
@@ -253,10 +280,10 @@ def test_silent_start_and_end(robot: str, tmp_path: Path) -> None:
 
 
 @BOTH
-def test_clock_jump(robot: str, good: dict[str, MissionTruth], tmp_path: Path) -> None:
+def test_clock_jump(robot: str, good: dict[str, MissionTruth], make: Make) -> None:
     stem = ROBOTS[robot].targets[Defect.clock_jump]
     assert all(topic.out_of_order_count == 0 for topic in summary_of(good[robot], stem).topics)
-    mission = make(robot, tmp_path, Defect.clock_jump)
+    mission = make(robot, Defect.clock_jump)
     topics = summary_of(mission, stem).topics
     assert all(topic.out_of_order_count for topic in topics if (topic.count or 0) > 30)
     imu = "/imu/data" if robot == "vehicle" else "/imu/zed"
@@ -280,10 +307,10 @@ def test_stamps(
     defect: Defect,
     expected: Callable[[float, float], float],
     good: dict[str, MissionTruth],
-    tmp_path: Path,
+    make: Make,
 ) -> None:
     topic = ROBOTS[robot].targets[defect]
-    sound, wrong = offsets_s(good[robot], topic), offsets_s(make(robot, tmp_path, defect), topic)
+    sound, wrong = offsets_s(good[robot], topic), offsets_s(make(robot, defect), topic)
     assert all(-0.1 < offset < 0 for offset in sound)
     predicted = [expected(offset, number / 10) for number, offset in enumerate(sound)]
     assert wrong == pytest.approx(predicted, abs=0.001)
@@ -294,34 +321,34 @@ def accelerations(mission: MissionTruth, topic: str) -> list[tuple[float, float,
 
 
 @BOTH
-def test_gravity(robot: str, good: dict[str, MissionTruth], tmp_path: Path) -> None:
+def test_gravity(robot: str, good: dict[str, MissionTruth], make: Make) -> None:
     topic = ROBOTS[robot].targets[Defect.tilted_gravity]
     sound = accelerations(good[robot], topic)[0]
     assert math.hypot(*sound) == pytest.approx(9.81, abs=0.2)
     assert math.acos(sound[2] / math.hypot(*sound)) < 0.03
-    tilted = accelerations(make(robot, tmp_path / "tilted", Defect.tilted_gravity), topic)[0]
+    tilted = accelerations(make(robot, Defect.tilted_gravity), topic)[0]
     assert math.hypot(*tilted) == pytest.approx(9.81, abs=0.2)
     assert math.degrees(math.acos(tilted[2] / math.hypot(*tilted))) == pytest.approx(30, abs=2)
-    wrong = accelerations(make(robot, tmp_path / "wrong", Defect.wrong_gravity), topic)[0]
+    wrong = accelerations(make(robot, Defect.wrong_gravity), topic)[0]
     assert math.hypot(*wrong) == pytest.approx(10.79, abs=0.2)
 
 
 @BOTH
-def test_saturated_and_constant_imu(robot: str, tmp_path: Path) -> None:
+def test_saturated_and_constant_imu(robot: str, make: Make) -> None:
     topic = ROBOTS[robot].targets[Defect.saturated_imu]
-    saturated = accelerations(make(robot, tmp_path / "saturated", Defect.saturated_imu), topic)
+    saturated = accelerations(make(robot, Defect.saturated_imu), topic)
     assert {abs(x) for x, _, _ in late(saturated)} == {156.96}
     assert abs(saturated[0][0]) < 1
-    constant = accelerations(make(robot, tmp_path / "constant", Defect.constant_imu), topic)
+    constant = accelerations(make(robot, Defect.constant_imu), topic)
     assert len(set(constant)) == 1
 
 
 @BOTH
-def test_position_without_fix_and_with_jumps(robot: str, tmp_path: Path) -> None:
+def test_position_without_fix_and_with_jumps(robot: str, make: Make) -> None:
     topic = ROBOTS[robot].targets[Defect.no_fix]
-    fixes = values(make(robot, tmp_path / "none", Defect.no_fix), topic)
+    fixes = values(make(robot, Defect.no_fix), topic)
     assert {fix.status.status for fix in late(fixes)} == {-1}
-    jumping = values(make(robot, tmp_path / "jump", Defect.position_jump), topic)
+    jumping = values(make(robot, Defect.position_jump), topic)
     metres = [
         111_320 * math.cos(math.radians(a.latitude)) * abs(b.longitude - a.longitude) for a, b in pairwise(jumping)
     ]
@@ -330,13 +357,13 @@ def test_position_without_fix_and_with_jumps(robot: str, tmp_path: Path) -> None
 
 
 @BOTH
-def test_empty_clouds_and_far_points(robot: str, good: dict[str, MissionTruth], tmp_path: Path) -> None:
+def test_empty_clouds_and_far_points(robot: str, good: dict[str, MissionTruth], make: Make) -> None:
     topic = ROBOTS[robot].targets[Defect.empty_clouds]
-    clouds = values(make(robot, tmp_path / "empty", Defect.empty_clouds), topic)
+    clouds = values(make(robot, Defect.empty_clouds), topic)
     assert {(cloud.width, len(cloud.data)) for cloud in late(clouds)} == {(0, 0)}
     assert ranges(values(good[robot], topic)[-1]).max() < 80
     assert ranges(values(good[robot], topic)[-1]).min() > 0.5
-    distances = ranges(values(make(robot, tmp_path / "far", Defect.far_points), topic)[-1])
+    distances = ranges(values(make(robot, Defect.far_points), topic)[-1])
     assert 0.05 < (distances > 80).mean() <= 0.25
 
 
@@ -347,9 +374,9 @@ def ranges(cloud: Any) -> np.ndarray[Any, Any]:
 
 
 @BOTH
-def test_disconnected_transforms(robot: str, good: dict[str, MissionTruth], tmp_path: Path) -> None:
+def test_disconnected_transforms(robot: str, good: dict[str, MissionTruth], make: Make) -> None:
     assert roots(good[robot]) == {"odom"}
-    assert roots(make(robot, tmp_path, Defect.disconnected_tf)) == {"odom", "payload"}
+    assert roots(make(robot, Defect.disconnected_tf)) == {"odom", "payload"}
 
 
 def roots(mission: MissionTruth) -> set[str]:
@@ -358,42 +385,38 @@ def roots(mission: MissionTruth) -> set[str]:
 
 
 @BOTH
-def test_odometry_with_jumps_and_nan(robot: str, tmp_path: Path) -> None:
-    jumping = [m.pose.pose.position.x for m in values(make(robot, tmp_path / "jump", Defect.odometry_jump), "/odom")]
+def test_odometry_with_jumps_and_nan(robot: str, make: Make) -> None:
+    jumping = [m.pose.pose.position.x for m in values(make(robot, Defect.odometry_jump), "/odom")]
     assert max(abs(b - a) for a, b in pairwise(jumping)) == pytest.approx(300, abs=1)
-    positions = [m.pose.pose.position for m in values(make(robot, tmp_path / "nan", Defect.nan), "/odom")]
+    positions = [m.pose.pose.position for m in values(make(robot, Defect.nan), "/odom")]
     assert all(math.isnan(position.x) for position in late(positions))
     assert not any(math.isnan(position.y) for position in positions)
 
 
-def test_joints_and_battery(good: dict[str, MissionTruth], tmp_path: Path) -> None:
+def test_joints_and_battery(good: dict[str, MissionTruth], make: Make) -> None:
     sound = values(good["legged"], "/joint_states")
     assert all(len({joint.position[number] for joint in sound}) > 100 for number in range(12))
     assert max(position for joint in sound for position in joint.position) < 2
-    stuck = values(make("legged", tmp_path / "stuck", Defect.stuck_value), "/joint_states")
+    stuck = values(make("legged", Defect.stuck_value), "/joint_states")
     assert {tuple(joint.position) for joint in stuck} == {(0.4,) * 12}
-    high = values(make("legged", tmp_path / "high", Defect.value_range), "/joint_states")
+    high = values(make("legged", Defect.value_range), "/joint_states")
     assert {joint.position[0] for joint in late(high)} == {1e6}
     assert values(good["legged"], "/battery")[-1].percentage == pytest.approx(0.8, abs=0.01)
-    low = values(make("legged", tmp_path / "low", Defect.low_battery), "/battery")
+    low = values(make("legged", Defect.low_battery), "/battery")
     assert (low[0].percentage, low[0].voltage) == pytest.approx((0.08, 41), abs=0.1)
 
 
-def test_computers(good: dict[str, MissionTruth], tmp_path: Path) -> None:
-    missing = make("legged", tmp_path / "missing", Defect.missing_computer)
+def test_computers(good: dict[str, MissionTruth], make: Make) -> None:
+    missing = make("legged", Defect.missing_computer)
     assert [file.path.stem for file in missing.files] == ["nuc", "jetson", "lpc"]
-    assert not (tmp_path / "missing/opc").exists()
+    assert not (missing.directory / "opc").exists()
     starts, ends = ({f.path.stem: t for f, t in times} for times in skews(good["legged"]))
     assert max(starts.values()) < 0.1
     assert max(ends.values()) < 0.1
-    starts, ends = (
-        {f.path.stem: t for f, t in times} for times in skews(make("legged", tmp_path / "l", Defect.late_computer))
-    )
+    starts, ends = ({f.path.stem: t for f, t in times} for times in skews(make("legged", Defect.late_computer)))
     assert starts.pop("jetson") == pytest.approx(0.4 * SECONDS, abs=0.1)
     assert max(*starts.values(), *ends.values()) < 0.1
-    starts, ends = (
-        {f.path.stem: t for f, t in times} for times in skews(make("legged", tmp_path / "e", Defect.early_end))
-    )
+    starts, ends = ({f.path.stem: t for f, t in times} for times in skews(make("legged", Defect.early_end)))
     assert ends.pop("jetson") == pytest.approx(0.4 * SECONDS, abs=0.1)
     assert max(*starts.values(), *ends.values()) < 0.1
 
@@ -420,20 +443,20 @@ def test_an_empty_recording_is_readable(kind: SampleFormat, tmp_path: Path) -> N
     assert (summary.content, summary.message_count) == (Content.indexed, 0)
 
 
-def test_a_truncated_computer_is_recovered(tmp_path: Path) -> None:
-    mission = make("legged", tmp_path, Defect.truncated)
+def test_a_truncated_computer_is_recovered(make: Make) -> None:
+    mission = make("legged", Defect.truncated)
     contents = {file.path.stem: summary_of(mission, file.path.stem).content for file in mission.files}
     assert contents.pop("nuc") is Content.recovered
     assert set(contents.values()) == {Content.indexed}
 
 
-def test_a_missing_file(good: dict[str, MissionTruth], tmp_path: Path) -> None:
+def test_a_missing_file(good: dict[str, MissionTruth], make: Make) -> None:
     assert "lidar_hesai:" in (good["legged"].directory / "calibration.yaml").read_text()
-    make("legged", tmp_path, Defect.missing_file)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["jetson", "lpc", "nuc", "opc"]
+    mission = make("legged", Defect.missing_file)
+    assert sorted(path.name for path in mission.directory.iterdir()) == ["jetson", "lpc", "nuc", "opc"]
 
 
-def test_recorder_offset(good: dict[str, MissionTruth], tmp_path: Path) -> None:
+def test_recorder_offset(good: dict[str, MissionTruth], make: Make) -> None:
     def differences_s(mission: MissionTruth, topic: str, *stems: str) -> list[float]:
         """Return the differences between the log times that two files have for the same bytes."""
         times, others = ({data: time for time, data in messages_of(mission)[stem, topic]} for stem in stems)
@@ -443,7 +466,7 @@ def test_recorder_offset(good: dict[str, MissionTruth], tmp_path: Path) -> None:
 
     for topic, *stems in (("/imu/base", "nuc", "lpc"), ("/tf", "lpc", "opc")):
         assert set(differences_s(good["legged"], topic, *stems)) == {0}
-    wrong = make("legged", tmp_path, Defect.recorder_offset)
+    wrong = make("legged", Defect.recorder_offset)
     assert set(differences_s(wrong, "/imu/base", "nuc", "lpc")) == {0.25}
     assert set(differences_s(wrong, "/tf", "lpc", "opc")) == {0}
     assert offsets_s(wrong, "/gnss/fix") == pytest.approx(offsets_s(good["legged"], "/gnss/fix"))

@@ -12,7 +12,7 @@ from kleinkram.server.maintenance import maintain_runs
 from kleinkram.server.runs.automatic import start_due_runs
 from tests.integration import people
 from tests.integration.api_server import Api
-from tests.integration.jobs import on_site, run_jobs
+from tests.integration.jobs import in_worker, on_site, run_jobs
 from tests.integration.runs.conftest import FakeRunner, Place, definition
 from tests.integration.upload_client import upload
 
@@ -41,7 +41,7 @@ def runs(lab: Api, mission: Any) -> list[Any]:
 def maintain(lab: Api) -> None:
     """Do what the maintenance does each minute, and all jobs."""
     run_jobs(lab)
-    on_site(lab, maintain_runs)
+    in_worker(lab, lambda resources: maintain_runs(resources.context))
     run_jobs(lab)
 
 

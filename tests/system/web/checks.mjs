@@ -1,7 +1,7 @@
 // Checks and verdicts: writes rules with an error and corrects them, walks the matrix by keys, accepts a check and withdraws
 // that, and finds verdicts in lists, search, and runs. Prints the results as JSON. Arguments: the folder with playwright-core
 // and axe-core, the browser, a sign-in link, the server's address, the folder for screenshots, and as JSON: the ids of the
-// project and the missions, the rules, and rules with an error.
+// project and the missions, the rules, and rules with an error. What every_page.mjs shows too is checked only there.
 import { openBrowser } from "./browsing.mjs";
 
 const [web, executablePath, link, address, pictures, input] = process.argv.slice(2);
@@ -16,7 +16,6 @@ const settled = () => page.waitForFunction(() => document.querySelector("main .s
 // Rules: an error is shown at its line; the corrected text is saved; a second version is compared with the first.
 await page.goto(`${address}/projects/${project}?tab=checks`);
 await page.getByText("No missions checked yet").waitFor();
-await checkPage(page, "checks-none");
 await page.getByRole("button", { name: "Rules" }).first().click();
 await page.getByRole("button", { name: "Write it here" }).click();
 const editor = page.getByLabel("checks.yaml", { exact: true });
@@ -41,7 +40,6 @@ await page.locator("[data-diff] .added").waitFor();
 results.rules.versions = await page.locator("[data-versions] .version").count();
 results.rules.added = await page.locator("[data-diff] .added > span:last-child").allInnerTexts();
 results.rules.removed = await page.locator("[data-diff] .removed > span:last-child").allInnerTexts();
-await checkPage(page, "checks-rules");
 
 // The matrix: what the server says of both missions, keys, and what a cell says in full.
 await page.getByRole("button", { name: "Missions", exact: true }).click();
@@ -86,7 +84,6 @@ await page.getByLabel("Time without changes").fill("1440");
 await page.getByRole("button", { name: "Add action" }).click();
 await page.locator("[data-action]").waitFor();
 results.actions = { added: await page.locator("[data-action]").innerText() };
-await checkPage(page, "checks-actions");
 await page.getByRole("button", { name: "Remove verify all" }).click();
 await page.locator("dialog[open]").getByRole("button", { name: "Remove", exact: true }).click();
 await page.locator("[data-action]").waitFor({ state: "detached" });
@@ -103,7 +100,6 @@ results.mission = {
   statuses: await page.locator("[data-checks] [role=row][data-index] .chip").allInnerTexts(),
   leftOut: await page.locator("[data-summary]").innerText(),
 };
-await checkPage(page, "checks-mission");
 const open = (name) => page.locator("[data-checks] [data-row-link]", { hasText: name }).first().click();
 await open("topic.gap");
 await page.locator("[data-accept]").waitFor();
@@ -118,7 +114,6 @@ await page.getByRole("textbox", { name: "Note" }).fill("seen by <b>Ada<b>");
 await page.getByRole("button", { name: "Add note", exact: true }).click();
 await page.locator("[data-check-notes] li").waitFor();
 results.mission.note = await page.locator("[data-check-notes] li").innerText();
-await checkPage(page, "checks-dialog-accepted");
 await page.getByRole("button", { name: "Close" }).last().click();
 await page.locator("[data-acceptances]").waitFor();
 results.mission.afterAccepting = await chips();
@@ -161,24 +156,20 @@ await page.goto(`${address}/search?tab=missions&q=verdict:bad`);
 await page.locator("[data-results] [role=row][data-index] [data-verdict]").first().waitFor();
 await settled();
 results.mission.inSearch = await page.locator("[data-results] [data-verdict]").evaluateAll((all) => all.map(({ dataset }) => dataset.verdict));
-await checkPage(page, "checks-search");
 await page.goto(`${address}/`);
 await page.locator("[data-failed-checks]").waitFor();
 await settled();
 results.home = await page.locator("[data-failed-checks]").innerText();
-await checkPage(page, "checks-home");
 
 // Runs: one that found errors is not green.
 await page.goto(`${address}/runs`);
 await page.locator("[role=row][data-index] .chip").first().waitFor();
-await checkPage(page, "checks-runs");
 await page.locator("[data-row-link]").first().click();
 await page.locator("[data-state=done]").waitFor();
 results.run = { state: (await page.locator("[data-state=done] .chip").innerText()).trim() };
 await page.getByRole("link", { name: /^Checks/ }).click();
 await page.locator("[role=row][data-index] .chip").first().waitFor();
 results.run.checks = await page.getByRole("table").innerText();
-await checkPage(page, "checks-run");
 await page.getByRole("link", { name: /^Metrics/ }).click();
 await page.getByText("method: icp").waitFor();
 results.run.metrics = await page.getByRole("table").innerText();

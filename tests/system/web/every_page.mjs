@@ -122,7 +122,8 @@ async function checkPage(page, name, { path = null, ready = null, expectedTexts 
     const over = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
     if (over > 0) results.overflowing.push(`${name} ${view}: ${over} px`);
     if (await page.evaluate(isCurrentTabCutOff)) results.overflowing.push(`${name} ${view}: the current tab is not completely visible`);
-    if (fullPage) {
+    if (fullPage && (view === "desktop" || WITH_PICTURES)) {
+      // Lists render the rows in sight only.
       const height = await page.evaluate(() => document.documentElement.scrollHeight);
       await page.setViewportSize({ width: size.width, height: Math.min(MAX_HEIGHT, Math.max(size.height, height)) });
       await waitUntilSettled(page, colorScheme);
@@ -292,7 +293,6 @@ await page.keyboard.press("Shift+?");
 await checkPage(page, "dialog-keys", { ...dialogOnly, ready: "dialog[open]" });
 
 // Pages of the server, not of the app, for a signed-in person.
-await checkPage(page, "account", { path: "/account" });
 await checkPage(page, "device", { path: `/sign-in/device?user_code=${encodeURIComponent(texts.value)}`, expectedTexts: [texts.value] });
 const loginQuery = new URLSearchParams({ port: "4444", state: texts.value, code_challenge: "x", client: texts.value });
 await checkPage(page, "cli", { path: `/sign-in/cli?${loginQuery}`, ready: "#decision:not([hidden])", expectedTexts: [texts.value] });

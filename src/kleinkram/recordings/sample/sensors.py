@@ -12,7 +12,7 @@ import random
 from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 from kleinkram.recordings.sample import jpeg, scene
 from kleinkram.recordings.sample.defects import Defect
@@ -50,9 +50,9 @@ class SensorContext:
     defects: frozenset[Defect]
     onset_s: float
 
-    def random(self, purpose: str) -> random.Random:
-        """Return the random numbers for a purpose: always the same."""
-        return random.Random(f"{self.seed} {self.topic} {purpose}")  # noqa: S311 - repeatable samples, not secrets
+    def seed_of(self, purpose: str) -> str:
+        """Return the seed of the random numbers for a purpose: always the same."""
+        return f"{self.seed} {self.topic} {purpose}"
 
     def layout(self, *items: list[Item]) -> Layout:
         """Compile a layout from its parts."""
@@ -64,12 +64,35 @@ class SensorContext:
 
     @cached_property
     def _values(self) -> list[float]:
-        chance = self.random("noise")
-        return [chance.gauss(0, 1) for _ in range(_NOISE_VALUES)]
+        return _noise_table(self.seed_of("noise"))
 
     def noise(self, number: int, index: int) -> float:
         """Return a normally distributed value for one quantity of a message."""
         return self._values[(number * 7 + index) % _NOISE_VALUES]
+
+
+# The tables below depend on their seeds alone, and take a quarter of the time of a drive of a few seconds: the files of
+# a mission, and missions of one seed with different defects, share them.
+
+
+@lru_cache(maxsize=32)
+def _noise_table(seed: str) -> list[float]:
+    chance = _random(seed)
+    return [chance.gauss(0, 1) for _ in range(_NOISE_VALUES)]
+
+
+@lru_cache(maxsize=8)
+def _lidar_view(points: int, seed: str) -> scene.LidarView:
+    return scene.LidarView(points, _random(seed))
+
+
+@lru_cache(maxsize=32)
+def _camera_view(tiles: tuple[int, int], seed: str) -> scene.CameraView:
+    return scene.CameraView(*tiles, _random(seed))
+
+
+def _random(seed: str) -> random.Random:
+    return random.Random(seed)  # noqa: S311 - repeatable samples, not secrets
 
 
 SensorFactory = Callable[[SensorContext], Maker]
@@ -78,8 +101,8 @@ SensorFactory = Callable[[SensorContext], Maker]
 def camera(context: SensorContext, *, frame: str, tiles: tuple[int, int], size_bytes: int, mount: Mount) -> Maker:
     """Make JPEG pictures of `tiles` (columns, rows), each padded to about `size_bytes`."""
     layout = context.layout(header(frame, context.encoding), [("s", "jpeg"), ("I", None)])
-    noise = context.random("padding").randbytes(min(_NOISE_BYTES, max(size_bytes, 1) * 16))
-    view = scene.CameraView(*tiles, context.random("picture"))
+    noise = _random(context.seed_of("padding")).randbytes(min(_NOISE_BYTES, max(size_bytes, 1) * 16))
+    view = _camera_view(tiles, context.seed_of("picture"))
     frozen: list[bytes] = []
 
     def picture(number: int, seconds: float) -> bytes:
@@ -109,7 +132,7 @@ def camera(context: SensorContext, *, frame: str, tiles: tuple[int, int], size_b
 
 def lidar(context: SensorContext, *, frame: str, points: int, mount: Mount) -> Maker:
     """Make point clouds of x, y, z and intensity (float32), of 16 rings."""
-    view = scene.LidarView(points, context.random("lidar"))
+    view = _lidar_view(points, context.seed_of("lidar"))
     fields: list[Item] = [("I", 4)]
     for number, name in enumerate(("x", "y", "z", "intensity")):
         fields += [("s", name), ("I", number * 4), ("B", _FLOAT32), ("I", 1)]
