@@ -79,23 +79,19 @@ class InputTrajectory:
     paths: tuple[Path, ...]
 
 
-def read_trajectories(source: str, recordings: Sequence[InputRecording]) -> Iterator[InputTrajectory | TrajectoryRefused]:
-    """Yield the trajectories that a text names (see the module), or why one of several cannot be used.
+def read_trajectories(source: str, recordings: Sequence[InputRecording]) -> list[InputTrajectory | TrajectoryRefused]:
+    """Return the trajectories that a text names (see the module), or why one of several cannot be used.
 
     Raises:
         TrajectoryRefused: there is none, or several recordings have the topic.
     """
     paths = [path for path in _input_paths() if fnmatchcase(path, source)]
     if paths:
-        for path in paths:
-            try:
-                yield InputTrajectory(read_file(in_dir / path, name=path), (in_dir / path,))
-            except TrajectoryRefused as refusal:
-                if len(paths) == 1:
-                    raise
-                yield refusal
-        return
-    yield _from_recording(source, recordings)
+        results = [_read_file(path) for path in paths]
+        if len(results) == 1 and isinstance(results[0], TrajectoryRefused):
+            raise results[0]
+        return results
+    return [_from_recording(source, recordings)]
 
 
 def read_trajectory(source: str, recordings: Sequence[InputRecording]) -> InputTrajectory:
@@ -104,13 +100,20 @@ def read_trajectory(source: str, recordings: Sequence[InputRecording]) -> InputT
     Raises:
         TrajectoryRefused: there is none, it cannot be used, or there are several.
     """
-    results = [*read_trajectories(source, recordings)]
+    results = read_trajectories(source, recordings)
     if len(results) > 1:
         names = [result.name if isinstance(result, TrajectoryRefused) else result.trajectory.name for result in results]
         raise TrajectoryRefused(source, f"{len(names)} files match, but one is needed: {_shown(names)}")
     if isinstance(results[0], TrajectoryRefused):
         raise results[0]
     return results[0]
+
+
+def _read_file(path: str) -> InputTrajectory | TrajectoryRefused:
+    try:
+        return InputTrajectory(read_file(in_dir / path, name=path), (in_dir / path,))
+    except TrajectoryRefused as refusal:
+        return refusal
 
 
 def _input_paths() -> list[str]:
@@ -122,7 +125,9 @@ def _from_recording(source: str, recordings: Sequence[InputRecording]) -> InputT
     name, rest = (match["recording"], match["rest"]) if match else ("*", source)
     selected = [recording for recording in recordings if fnmatchcase(recording.name, name)]
     if match and not selected:
-        raise TrajectoryRefused(source, f"no recording is called {name}; there are {_shown([r.name for r in recordings])}")
+        raise TrajectoryRefused(
+            source, f"no recording is called {name}; there are {_shown([r.name for r in recordings])}"
+        )
     if rest.startswith("tf:"):
         parent, arrow, child = rest.removeprefix("tf:").partition("->")
         if not (arrow and parent.strip() and child.strip()):

@@ -25,7 +25,7 @@
 # name = "mount"
 # type = "string"
 # default = ""
-# description = "Where the lidar is on the robot, such as tf:base_link->lidar: the trajectory is then that of the robot."
+# description = "Where the lidar is on the robot, such as tf:base_link->lidar, for the trajectory of the robot."
 #
 # [[tool.kleinkram.parameters]]
 # name = "max_range"
@@ -145,7 +145,9 @@ def cloud_topic(recordings: Sequence[InputRecording], name: str) -> tuple[InputR
     if not clouds:
         raise TrajectoryRefused("topic", "the mission has no topic of point clouds (sensor_msgs/PointCloud2)")
     if not name and len(clouds) > 1:
-        raise TrajectoryRefused("topic", f"the mission has {len(clouds)} topics of point clouds, name one: {', '.join(clouds)}")
+        raise TrajectoryRefused(
+            "topic", f"the mission has {len(clouds)} topics of point clouds, name one: {', '.join(clouds)}"
+        )
     chosen = name or clouds[0]
     return only_recording(chosen, recordings, lambda topic: topic.name == chosen), topics[chosen]
 

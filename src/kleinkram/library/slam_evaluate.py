@@ -9,7 +9,10 @@
 #
 # [tool.kleinkram.inputs]
 # derived = true
-# paths = ["*.tum", "*.txt", "*.csv", "*.mcap", "*.bag", "*.db3", "*.mcap.zst*", "*.db3.zst*", "*.bag.zst*", "*metadata.yaml"]
+# paths = [
+#   "*.tum", "*.txt", "*.csv",
+#   "*.mcap", "*.bag", "*.db3", "*.mcap.zst*", "*.db3.zst*", "*.bag.zst*", "*metadata.yaml",
+# ]
 #
 # [[tool.kleinkram.parameters]]
 # name = "estimate"
@@ -21,7 +24,7 @@
 # name = "reference"
 # type = "string"
 # default = ""
-# description = "One file, topic or pair of frames; by default what the metadata field `reference` of the mission names."
+# description = "One file, topic or pair of frames; by default the metadata field `reference` of the mission."
 #
 # [[tool.kleinkram.parameters]]
 # name = "alignment"
@@ -128,7 +131,7 @@ def evaluate_all() -> None:
     settings = read_settings()
     recordings = input_recordings()
     reference = read_reference(recordings)
-    candidates = [*read_trajectories(str(parameters()["estimate"]).strip(), recordings)]
+    candidates = read_trajectories(str(parameters()["estimate"]).strip(), recordings)
     if len(candidates) > 1:
         candidates = [candidate for candidate in candidates if name_of(candidate) != reference.name]
     results: list[Result] = []
@@ -158,7 +161,9 @@ def read_settings() -> Settings:
     for text in str(values["deltas"]).split(","):
         match = DELTA.fullmatch(text.strip())
         if match is None or float(match[1]) <= 0 or (match[2].startswith("f") and "." in match[1]):
-            raise TrajectoryRefused("deltas", f"{text.strip()!r} is none: write metres, seconds or frames, as in 1 m, 1 s")
+            raise TrajectoryRefused(
+                "deltas", f"{text.strip()!r} is none: write metres, seconds or frames, as in 1 m, 1 s"
+            )
         unit = UNITS[match[2]]
         deltas.append(Delta(float(match[1]), unit, f"{float(match[1]):g} {match[2]}"))
     return Settings(str(values["alignment"]), float(values["tolerance"]), tuple(deltas))
@@ -170,8 +175,8 @@ def read_reference(recordings: Sequence[InputRecording]) -> Trajectory:
     if not isinstance(source, str) or not source.strip():
         raise TrajectoryRefused(
             "reference",
-            f"the mission {context().mission.name} names none: set its metadata field reference, or the parameter, to a "
-            "file, a topic such as /odom, or transforms such as tf:map->base_link",
+            f"the mission {context().mission.name} names none: set its metadata field reference, or the parameter, "
+            "to a file, a topic such as /odom, or transforms such as tf:map->base_link",
         )
     try:
         return read_trajectory(source.strip(), recordings).trajectory
@@ -189,7 +194,9 @@ def check_comparable(estimate: Trajectory, reference: Trajectory) -> None:
     own, other = estimate.stamps_ns, reference.stamps_ns
     if own is None and other is None:
         if len(estimate) != len(reference):
-            reason = f"has {len(estimate)} poses without stamps, but the reference {reference.name} has {len(reference)}"
+            reason = (
+                f"has {len(estimate)} poses without stamps, but the reference {reference.name} has {len(reference)}"
+            )
             raise TrajectoryRefused(estimate.name, reason)
         return
     if own is None or other is None:
@@ -304,7 +311,9 @@ def aligned(name: str, estimate: Any, reference: Any, alignment: str) -> float:
         try:
             _, _, scale = estimate.align(reference, correct_scale=alignment == "sim3")
         except GeometryException:
-            reason = f"its {estimate.num_poses} matched poses lie on a line or in a point, which determines no alignment"
+            reason = (
+                f"its {estimate.num_poses} matched poses lie on a line or in a point, which determines no alignment"
+            )
             raise TrajectoryRefused(name, f"{reason} by {alignment}; yaw, origin and none need less") from None
         return float(scale)
     return 1.0
@@ -316,9 +325,7 @@ def yaw_alignment(points: Any, targets: Any) -> tuple[Any, Any]:
     sine = (centred[:, 0] * onto[:, 1] - centred[:, 1] * onto[:, 0]).sum()
     cosine = (centred[:, 0] * onto[:, 0] + centred[:, 1] * onto[:, 1]).sum()
     angle = np.arctan2(sine, cosine)
-    rotation = np.array(
-        [[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]]
-    )
+    rotation = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
     return rotation, targets.mean(axis=0) - rotation @ points.mean(axis=0)
 
 
@@ -348,7 +355,9 @@ def report_relative(name: str, data: tuple[Any, Any], delta: Delta, labels: Mapp
     reference, estimate = data
     pairs = pairs_of(estimate, delta)
     if not pairs:
-        report.finding("warning", "trajectory.pairs", f"no two poses of {name} are {delta.text} apart: no relative error")
+        report.finding(
+            "warning", "trajectory.pairs", f"no two poses of {name} are {delta.text} apart: no relative error"
+        )
         return
     with_delta = {**labels, "delta": delta.text}
     relative = [

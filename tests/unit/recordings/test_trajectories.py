@@ -127,6 +127,7 @@ def test_any_bytes_are_a_trajectory_or_refused(tmp_path_factory: pytest.TempPath
     assert len(trajectory) > 0
 
 
+NEARLY_UPRIGHT = (0, 0, 0, 2)
 NUMBER = st.floats(-1e6, 1e6).map(lambda value: value + 0.0)
 POSE = st.tuples(st.tuples(NUMBER, NUMBER, NUMBER), st.tuples(*[st.floats(-1, 1)] * 4))
 
@@ -135,7 +136,7 @@ POSE = st.tuples(st.tuples(NUMBER, NUMBER, NUMBER), st.tuples(*[st.floats(-1, 1)
 def test_what_is_written_is_read_again(
     tmp_path_factory: pytest.TempPathFactory, poses: list[Any], first_ns: int, step_ns: int
 ) -> None:
-    orientations = np.array([quaternion for _, quaternion in poses]) + [0, 0, 0, 2]
+    orientations = np.array([quaternion for _, quaternion in poses]) + np.array(NEARLY_UPRIGHT)
     orientations /= np.linalg.norm(orientations, axis=1, keepdims=True)
     # Seconds up to 2262, so that the unit of the stamps is known.
     stamps_ns = np.array([SECOND + first_ns + number * step_ns for number in range(len(poses))], dtype=np.int64)
@@ -224,7 +225,9 @@ def test_the_last_path_of_a_topic_counts() -> None:
 def test_a_path_with_a_doubled_stamp_is_refused() -> None:
     with (
         Recording.open(ros2_mcap([path_message(T0, [T0, T0 + 5, T0 + 5])])) as recording,
-        pytest.raises(TrajectoryRefused, match=r"^/path: pose 2 of its last path: its stamp .* is that of the pose before"),
+        pytest.raises(
+            TrajectoryRefused, match=r"^/path: pose 2 of its last path: its stamp .* is that of the pose before"
+        ),
     ):
         read_topic(recording, "/path")
 
@@ -232,8 +235,14 @@ def test_a_path_with_a_doubled_stamp_is_refused() -> None:
 @pytest.mark.parametrize(
     ("stamps_ns", "sentence"),
     [
-        ([T0, T0 + 5, T0 + 5], "the message logged at 1700000000.000000002 s: its stamp 1700000000.000000005 s is that of"),
-        ([T0 + 5, T0], "the message logged at 1700000000.000000001 s: its stamp 1700000000.000000000 s is earlier than"),
+        (
+            [T0, T0 + 5, T0 + 5],
+            "the message logged at 1700000000.000000002 s: its stamp 1700000000.000000005 s is that of",
+        ),
+        (
+            [T0 + 5, T0],
+            "the message logged at 1700000000.000000001 s: its stamp 1700000000.000000000 s is earlier than",
+        ),
         ([0, 0], "its poses have no stamps: all are 0"),
     ],
 )
@@ -257,9 +266,7 @@ def test_a_topic_of_another_type_is_refused() -> None:
             read_topic(recording, "/imu")
         with pytest.raises(NoSuchTopic):
             read_topic(recording, "/nothing")
-    assert str(caught.value) == (
-        "/imu: is of type sensor_msgs/msg/Imu, which has no poses; topics with poses: /odom"
-    )
+    assert str(caught.value) == ("/imu: is of type sensor_msgs/msg/Imu, which has no poses; topics with poses: /odom")
 
 
 def test_json_messages_without_stamps_are_refused() -> None:

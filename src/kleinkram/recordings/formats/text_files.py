@@ -180,7 +180,7 @@ def unit_of_stamp(text: str) -> str:
 
 @dataclass
 class TrajectoryStatistics:
-    """What is known of the poses of a trajectory so far. `unit`: of its stamps; empty before the first one that is not 0."""
+    """What is known of the poses so far. `unit`: of their stamps; empty before the first one that is not 0."""
 
     unit: str = ""
     poses: int = 0

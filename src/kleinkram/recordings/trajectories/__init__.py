@@ -13,8 +13,8 @@ write_tum(odometry, "odometry.tum")
 
 Stamps are integer nanoseconds, positions metres, orientations unit quaternions (x, y, z, w). What cannot be compared is
 refused with a sentence that names the line or the time (`TrajectoryRefused`): stamps that go backward or are doubled,
-numbers that are not finite, quaternions without a direction. Nothing is sorted, left out or repaired. Memory: 64 bytes a
-pose. Requires numpy (`open-kleinkram[reading]`).
+numbers that are not finite, quaternions without a direction. Nothing is sorted, left out or repaired. Memory: about 200
+bytes a pose. Requires numpy (`open-kleinkram[reading]`).
 """
 
 from kleinkram.recordings.errors import TrajectoryRefused

@@ -68,7 +68,9 @@ def write_tum(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
         raise TrajectoryRefused(trajectory.name, "has no stamps, which the format of TUM requires")
     with Path(path).open("w", encoding="ascii") as file:
         file.write("# timestamp[s] x[m] y[m] z[m] qx qy qz qw\n")
-        rows = zip(trajectory.stamps_ns.tolist(), trajectory.positions.tolist(), trajectory.orientations.tolist(), strict=True)
+        rows = zip(
+            trajectory.stamps_ns.tolist(), trajectory.positions.tolist(), trajectory.orientations.tolist(), strict=True
+        )
         for stamp_ns, position, orientation in rows:
             file.write(f"{seconds_text(stamp_ns)} {' '.join(map(repr, (*position, *orientation)))}\n")
 
@@ -85,11 +87,10 @@ class _Lines:
 
     def first_values(self) -> str:
         """Return the first line with values, which `__iter__` yields again; before it, `comment` is the last one."""
-        for self.number, line in self._lines:
-            text = line.decode("utf-8", "replace").strip()
+        for text in self._texts():
             if text.startswith("#"):
                 self.comment = text.lstrip("# ")
-            elif text:
+            else:
                 self._first = text
                 return text
         raise TrajectoryRefused(self.name, "has no poses")
@@ -101,9 +102,12 @@ class _Lines:
     def __iter__(self) -> Iterator[str]:
         if self._first is not None:
             yield self._first
-        for self.number, line in self._lines:
-            text = line.decode("utf-8", "replace").strip()
-            if text and not text.startswith("#"):
+        yield from (text for text in self._texts() if not text.startswith("#"))
+
+    def _texts(self) -> Iterator[str]:
+        for number, line in self._lines:
+            self.number = number
+            if text := line.decode("utf-8", "replace").strip():
                 yield text
 
     def refusal(self, reason: str) -> TrajectoryRefused:

@@ -214,9 +214,7 @@ def _product(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np
     return np.concatenate([vector, scalar], axis=1)
 
 
-def _slerp(
-    one: NDArray[np.float64], other: NDArray[np.float64], shares: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _slerp(one: NDArray[np.float64], other: NDArray[np.float64], shares: NDArray[np.float64]) -> NDArray[np.float64]:
     cosines = (one * other).sum(axis=1, keepdims=True)
     other = np.where(cosines < 0, -other, other)  # the shorter way
     angles = np.arccos(np.clip(np.abs(cosines), 0, 1))
