@@ -82,6 +82,7 @@ STATISTICS = ("rmse", "mean", "median", "std", "min", "max")
 NS = 10**9
 LEAST_MATCHED = 0.5
 DELTA_TOLERANCE = 0.1  # as evo's `rel_delta_tol`
+END_TOLERANCE = 0.01  # the last pose ends a pair only if it is late enough
 LONGEST_LABEL = 200
 UNITS = {"m": "m", "s": "s", "frame": "frames", "frames": "frames"}
 DELTA = re.compile(r"(\d+(?:\.\d+)?)\s*(m|s|frames?)")
@@ -98,7 +99,7 @@ class Delta(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Settings:
+class EvaluationOptions:
     """The parameters of the run."""
 
     alignment: str
@@ -128,7 +129,7 @@ def main() -> None:
 
 def evaluate_all() -> None:
     """Compare all estimates, report the numbers, and draw them; of several, an unusable one becomes a finding."""
-    settings = read_settings()
+    options = read_options()
     recordings = input_recordings()
     reference = read_reference(recordings)
     candidates = read_trajectories(str(parameters()["estimate"]).strip(), recordings)
@@ -140,7 +141,7 @@ def evaluate_all() -> None:
         try:
             if isinstance(candidate, TrajectoryRefused):
                 raise candidate
-            results.append(evaluate(candidate.trajectory, reference, settings))
+            results.append(evaluate(candidate.trajectory, reference, options))
         except TrajectoryRefused as refusal:
             if len(candidates) == 1:
                 raise
@@ -154,7 +155,7 @@ def evaluate_all() -> None:
         report.preview(path, title)
 
 
-def read_settings() -> Settings:
+def read_options() -> EvaluationOptions:
     """Return the parameters. Raises TrajectoryRefused for a delta that cannot be read."""
     values = parameters()
     deltas = []
@@ -166,7 +167,7 @@ def read_settings() -> Settings:
             )
         unit = UNITS[match[2]]
         deltas.append(Delta(float(match[1]), unit, f"{float(match[1]):g} {match[2]}"))
-    return Settings(str(values["alignment"]), float(values["tolerance"]), tuple(deltas))
+    return EvaluationOptions(str(values["alignment"]), float(values["tolerance"]), tuple(deltas))
 
 
 def read_reference(recordings: Sequence[InputRecording]) -> Trajectory:
@@ -221,7 +222,7 @@ def span_text(trajectory: Trajectory) -> str:
     return " to ".join(f"{int(trajectory.stamps_ns[at]) / NS:.3f}" for at in (0, -1))
 
 
-def evaluate(estimate: Trajectory, reference: Trajectory, settings: Settings) -> Result:
+def evaluate(estimate: Trajectory, reference: Trajectory, options: EvaluationOptions) -> Result:
     """Compare two trajectories and report the numbers.
 
     Raises:
@@ -230,15 +231,16 @@ def evaluate(estimate: Trajectory, reference: Trajectory, settings: Settings) ->
     check_comparable(estimate, reference)
     from evo.core import metrics
 
-    matched_reference, matched = associated(estimate, reference, settings.tolerance_s)
-    scale = aligned(estimate.name, matched, matched_reference, settings.alignment)
+    matched_reference, matched = associated(estimate, reference, options.tolerance_s)
+    scale = aligned(estimate.name, matched, matched_reference, options.alignment)
     labels = {
         "estimate": estimate.name[-LONGEST_LABEL:],
-        "alignment": settings.alignment,
-        "tolerance": f"{settings.tolerance_s:g} s",
+        "reference": reference.name[-LONGEST_LABEL:],
+        "alignment": options.alignment,
+        "tolerance": f"{options.tolerance_s:g} s",
     }
     report_sizes(estimate, reference, matched, labels)
-    if settings.alignment == "sim3":
+    if options.alignment == "sim3":
         report.metric("scale", scale, labels=labels)
     data = (matched_reference, matched)
     for prefix, unit, relation in (
@@ -250,7 +252,7 @@ def evaluate(estimate: Trajectory, reference: Trajectory, settings: Settings) ->
         report_statistics(prefix, unit, absolute, labels)
         if prefix == "ate":
             errors_m = absolute.error
-    for delta in settings.deltas:
+    for delta in options.deltas:
         report_relative(estimate.name, data, delta, labels)
     times = np.asarray(getattr(matched, "timestamps", np.arange(matched.num_poses)), dtype=float)
     print(f"{estimate.name}: ATE {np.sqrt(np.mean(errors_m**2)):.6f} m (rmse) of {matched.num_poses} poses", flush=True)
@@ -398,6 +400,8 @@ def pairs_by_time(times_s: Any, delta_s: float) -> Pairs:
     first = 0
     while first < len(times_s) - 1:
         target = times_s[first] + delta_s
+        if times_s[-1] < target - END_TOLERANCE * delta_s:
+            break
         after = int(np.clip(np.searchsorted(times_s, target), first + 1, len(times_s) - 1))
         nearest = after - 1 if after - 1 > first and target - times_s[after - 1] < times_s[after] - target else after
         if abs(times_s[nearest] - target) <= DELTA_TOLERANCE * delta_s:

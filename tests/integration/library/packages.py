@@ -56,5 +56,7 @@ def _install(requirements: list[str], folder: Path) -> None:
     command = [*pip, "--target", str(folder), *requirements]
     try:
         subprocess.run(command, check=True, timeout=_TIMEOUT_S, capture_output=True, text=True)
-    except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
-        missing(f"{' '.join(requirements)} cannot be fetched from the package index: {(error.stderr or '')[-300:]}")
+    except subprocess.TimeoutExpired:
+        missing(f"{' '.join(requirements)} cannot be fetched from the package index within {_TIMEOUT_S} s")
+    except subprocess.CalledProcessError as error:
+        missing(f"{' '.join(requirements)} cannot be fetched from the package index: {str(error.stderr)[-300:]}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +54,8 @@ def test_tum_has_stamps_to_the_nanosecond(tmp_path: Path) -> None:
     assert stamps_of(trajectory) == [1_500_000_000, 2_000_000_001]
     assert trajectory.positions.tolist() == [[1, 2, 3], [4, 5, 6]]
     assert trajectory.orientations.tolist() == [[0, 0, 0, 1], [0, 0, 1, 0]]
-    assert (len(trajectory), trajectory.length_m) == (2, pytest.approx(math.sqrt(27)))
+    assert len(trajectory) == 2
+    assert trajectory.length_m == pytest.approx(math.sqrt(27))
 
 
 def test_tum_with_stamps_in_nanoseconds(tmp_path: Path) -> None:
@@ -174,7 +175,7 @@ def transform_of(x: float, orientation: Sequence[float] = IDENTITY) -> dict[str,
     return {"translation": {"x": x, "y": 0.0, "z": 0.0}, "rotation": dict(zip("xyzw", orientation, strict=True))}
 
 
-VALUES = {
+VALUES: dict[str, Callable[[float], dict[str, Any]]] = {
     "nav_msgs/Odometry": lambda x: {"pose": {"pose": pose_of(x)}, "child_frame_id": "base_link"},
     "geometry_msgs/PoseStamped": lambda x: {"pose": pose_of(x)},
     "geometry_msgs/PoseWithCovarianceStamped": lambda x: {"pose": {"pose": pose_of(x)}},
@@ -324,7 +325,7 @@ def test_a_pair_of_frames(make: Any) -> None:
         trajectory = read_transforms(recording, "odom", "/base")
     assert stamps_of(trajectory) == [T0, T0 + 1, T0 + 2]
     assert trajectory.positions[:, 0].tolist() == [0, 1, 2]
-    assert (trajectory.frame, trajectory.child_frame) == ("odom", "base")
+    assert (trajectory.name, trajectory.frame, trajectory.child_frame) == ("tf:odom->base", "odom", "base")
 
 
 def test_a_chain_of_frames_is_interpolated_and_goes_both_ways() -> None:
@@ -366,7 +367,7 @@ def test_frames_that_are_not_connected_are_refused(parent: str, child: str, sent
     timed = [tf(T0, "odom", "base", transform_of(0.0)), tf(T0, "left", "right", transform_of(0.0))]
     with Recording.open(ros2_mcap(timed)) as recording, pytest.raises(TrajectoryRefused) as caught:
         read_transforms(recording, parent, child)
-    assert str(caught.value) == f"tf {parent}->{child}: {sentence}"
+    assert str(caught.value) == f"tf:{parent}->{child}: {sentence}"
 
 
 def test_two_transforms_with_one_stamp_are_refused() -> None:

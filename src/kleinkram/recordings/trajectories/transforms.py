@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Iterator
+from dataclasses import replace
 from functools import reduce
 from typing import NamedTuple
 
@@ -49,7 +50,7 @@ def read_transforms(recording: Recording, parent: str, child: str) -> Trajectory
         SourceError: the bytes cannot be read.
     """
     parent, child = parent.lstrip("/"), child.lstrip("/")
-    name = f"tf {parent}->{child}"
+    name = f"tf:{parent}->{child}"
     if parent == child:
         raise TrajectoryRefused(name, "both frames are the same")
     topics = [topic.name for topic in recording.topics if topic.message_type in _TYPES]
@@ -63,7 +64,7 @@ def read_transforms(recording: Recording, parent: str, child: str) -> Trajectory
             raise TrajectoryRefused(name, f"the recording has more than {_MAX_FRAMES} transforms")
         direct.add(sample)
     if (parent, child) in edges:
-        return direct.trajectory((parent, child))
+        return replace(direct.trajectory((parent, child)), name=name)
     way = _way(name, edges, parent, child)
     series = _Series(name, way)
     for sample in _samples(recording, topics, name):
@@ -168,5 +169,4 @@ def _chained(name: str, steps: list[Trajectory]) -> Trajectory:
         if common is None or not len(common):
             raise TrajectoryRefused(name, "its transforms have no time in common")
         steps = [step if step.stamps_ns is None else step.at(common) for step in steps]
-    whole = reduce(Trajectory.followed_by, steps)
-    return Trajectory(name, whole.stamps_ns, whole.positions, whole.orientations, whole.frame, whole.child_frame)
+    return replace(reduce(Trajectory.followed_by, steps), name=name)
