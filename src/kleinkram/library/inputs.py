@@ -34,11 +34,15 @@ _SHOWN = 10
 
 @dataclass(frozen=True)
 class InputRecording:
-    """A recording among the inputs. `paths`: its files, a metadata.yaml first; `topics`: by name."""
+    """A recording among the inputs. `paths`: its files, a metadata.yaml first; `topics`: by name.
+
+    `is_derived`: a run made it, such as a conversion of another recording.
+    """
 
     name: str
     paths: tuple[Path, ...]
     topics: tuple[Topic, ...]
+    is_derived: bool = False
 
     @contextmanager
     def open(self) -> Iterator[Recording]:
@@ -60,12 +64,14 @@ def _opened(paths: Sequence[Path]) -> Iterator[Recording]:
 def input_recordings() -> list[InputRecording]:
     """Return the recordings among the inputs, by name, with their topics. One that cannot be read becomes a finding."""
     recordings: list[InputRecording] = []
+    derived = {file.path for file in context().files if file.is_derived}
     for group in read_folder(in_dir).groups:
         names = [*([group.metadata_path] if group.metadata_path else []), *group.members]
         paths = tuple(in_dir / name for name in names)
         try:
             with _opened(paths) as recording:
-                recordings.append(InputRecording(group.name, paths, recording.topics))
+                is_derived = not derived.isdisjoint(group.members)
+                recordings.append(InputRecording(group.name, paths, recording.topics, is_derived))
         except RecordingError as error:
             report.finding("warning", "recording.unreadable", str(error)[:1000], file=paths[-1])
     return recordings
@@ -143,12 +149,13 @@ def _from_recording(source: str, recordings: Sequence[InputRecording]) -> InputT
 def only_recording(
     source: str, recordings: Sequence[InputRecording], condition: Callable[[Topic], bool]
 ) -> InputRecording:
-    """Return the only recording with a topic that meets a condition.
+    """Return the only recording with a topic that meets a condition; one that no run made comes before its copies.
 
     Raises:
         TrajectoryRefused: there is none or several; the sentence says how to name one.
     """
     matching = [recording for recording in recordings if any(map(condition, recording.topics))]
+    matching = [recording for recording in matching if not recording.is_derived] or matching
     if not matching:
         files = _input_paths()
         raise TrajectoryRefused(source, f"the inputs have no such file or topic; the files are {_shown(files)}")
