@@ -13,7 +13,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal
@@ -165,8 +165,12 @@ def parse_stamp(text: str, unit: str = "s") -> int:
     return stamp
 
 
-def _unit_of(text: str) -> str:
-    """Return the unit of a first stamp: the largest in which int64 nanoseconds can hold it."""
+def unit_of_stamp(text: str) -> str:
+    """Return the unit of a first stamp: the largest in which int64 nanoseconds can hold it.
+
+    Raises:
+        ValueError: it is not a time.
+    """
     for unit in _UNITS:
         with suppress(ValueError):
             parse_stamp(text, unit)
@@ -175,8 +179,8 @@ def _unit_of(text: str) -> str:
 
 
 @dataclass
-class Trajectory:
-    """The poses of a trajectory so far. `unit`: of its stamps; empty before the first one that is not 0."""
+class TrajectoryStatistics:
+    """What is known of the poses so far. `unit`: of their stamps; empty before the first one that is not 0."""
 
     unit: str = ""
     poses: int = 0
@@ -211,7 +215,7 @@ class Trajectory:
 
     def _add_stamp(self, text: str, number: float) -> None:
         if not self.unit and number:
-            self.unit = _unit_of(text)
+            self.unit = unit_of_stamp(text)
         stamp = parse_stamp(text, self.unit or "s")
         self.backward += stamp < self.last_ns
         self.last_ns = stamp
@@ -250,7 +254,7 @@ class Trajectory:
 
 def describe_trajectory(kind: RecordingFormat, reader: SequentialReader) -> RecordingSummary:
     """Read a complete trajectory. Its times are those of its poses, as integer nanoseconds; KITTI has none."""
-    trajectory = Trajectory()
+    trajectory = TrajectoryStatistics()
     columns = 8 if kind is RecordingFormat.tum else 12
     for number, line in enumerate(read_lines(reader), 1):
         cells = line.split()
@@ -278,13 +282,13 @@ def describe_table(reader: SequentialReader) -> RecordingSummary:
     """Read a complete table. Its first line is a header if no cell of it is a number."""
     names: list[str] = []
     columns = rows = 0
-    trajectory: Trajectory | None = None
+    trajectory: TrajectoryStatistics | None = None
     for number, line in enumerate(read_lines(reader), 1):
         if not line.strip():
             continue
         if columns == 0:
             # The names of EuRoC's tables are behind a comment sign.
-            cells = _cells(line.lstrip(b"#"))
+            cells = split_cells(line.lstrip(b"#").decode("utf-8", "replace"))
             columns = len(cells)
             if line.startswith(b"#") or not any(map(_is_number, cells)):
                 names = cells
@@ -293,9 +297,8 @@ def describe_table(reader: SequentialReader) -> RecordingSummary:
             continue
         rows += 1
         pose = line.split(b",")[:_POSE_COLUMNS]
-        if rows == 1 and _are_poses(names, columns, pose):
-            unit = re.search(r"\[\s*(s|ms|us|ns)\s*\]", names[0]) if names else None
-            trajectory = Trajectory(unit=unit[1] if unit else "")
+        if rows == 1 and are_poses(names, columns, pose):
+            trajectory = TrajectoryStatistics(unit=stamp_unit_in(names))
         if trajectory is not None:
             trajectory.add(pose, number)
     facts = [Fact("columns", columns), Fact("rows", rows)]
@@ -305,7 +308,13 @@ def describe_table(reader: SequentialReader) -> RecordingSummary:
     return trajectory.summary(RecordingFormat.csv, facts)
 
 
-def _are_poses(names: list[str], columns: int, pose: list[bytes]) -> bool:
+def stamp_unit_in(names: Sequence[str]) -> str:
+    """Return the unit that the name of the first column states, such as "timestamp [ns]"; empty if it states none."""
+    unit = re.search(r"\[\s*(s|ms|us|ns)\s*\]", names[0]) if names else None
+    return unit[1] if unit else ""
+
+
+def are_poses(names: Sequence[str], columns: int, pose: Sequence[bytes]) -> bool:
     """Return whether a table holds poses, by its column names, or by a unit quaternion."""
     if columns < _POSE_COLUMNS:
         return False
@@ -318,8 +327,8 @@ def _are_poses(names: list[str], columns: int, pose: list[bytes]) -> bool:
     return columns in _EUROC_COLUMNS and abs(hypot(*numbers[4:]) - 1) < _UNIT_TOLERANCE
 
 
-def _cells(line: bytes) -> list[str]:
-    text = line.decode("utf-8", "replace")
+def split_cells(text: str) -> list[str]:
+    """Return the cells of a row of a table."""
     try:
         cells = next(csv.reader([text]), [])
     except csv.Error:
@@ -340,7 +349,7 @@ TUM, KITTI = (
         f"a trajectory ({kind.value.upper()}), not a recording",
         partial(describe_trajectory, kind),
         f"it is a trajectory ({kind.value.upper()}), {_NO_MESSAGES} number of poses, path length and time span, and "
-        "`numpy.loadtxt` or evo for the poses",
+        "`kleinkram.recordings.trajectories` for the poses",
     )
     for kind in (RecordingFormat.tum, RecordingFormat.kitti)
 )
@@ -348,5 +357,6 @@ CSV = text_format(
     RecordingFormat.csv,
     "a table (CSV), not a recording",
     describe_table,
-    f"it is a table (CSV), {_NO_MESSAGES} columns, rows and poses, and `pandas.read_csv` for the rows",
+    f"it is a table (CSV), {_NO_MESSAGES} columns, rows and poses, `pandas.read_csv` for the rows, and "
+    "`kleinkram.recordings.trajectories` for the poses",
 )

@@ -1,0 +1,30 @@
+"""Which recording of a mission an action reads."""
+
+import pytest
+
+from kleinkram.library.inputs import InputRecording, only_recording
+from kleinkram.recordings import Schema, Topic
+from kleinkram.recordings.trajectories import TrajectoryRefused
+
+ODOMETRY = Topic("/odom", "nav_msgs/Odometry", Schema("nav_msgs/Odometry", "ros1msg", b""), "ros1", 1, None)
+
+
+def recording(name: str, *, is_derived: bool = False) -> InputRecording:
+    return InputRecording(name, (), (ODOMETRY,), is_derived)
+
+
+def is_odometry(topic: Topic) -> bool:
+    return topic.name == "/odom"
+
+
+def test_the_original_comes_before_copies_that_runs_made() -> None:
+    original, copy = recording("drive.bag"), recording("derived/drive.mcap", is_derived=True)
+    assert only_recording("/odom", [copy, original], is_odometry) is original
+    assert only_recording("/odom", [copy], is_odometry) is copy
+
+
+def test_of_two_originals_one_must_be_named() -> None:
+    with pytest.raises(
+        TrajectoryRefused, match=r"^/odom: 2 recordings have it: a.bag, b.bag; name one, such as a.bag:/odom"
+    ):
+        only_recording("/odom", [recording("a.bag"), recording("b.bag")], is_odometry)
