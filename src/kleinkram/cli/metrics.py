@@ -63,7 +63,7 @@ def _show_names(names: MetricNames) -> None:
 @app.command("table")
 def show_table(
     client: Client,
-    metric: Annotated[str, option("--metric -m", "NAME", "The metric, such as ate_rmse.")],
+    metric: Annotated[str, option("--metric", "NAME", "The metric, such as ate_rmse.")],
     rows: Annotated[
         str, option("--rows", "ROWS", "Make a row of each mission, project, or value of a FIELD.")
     ] = "mission",
@@ -84,9 +84,7 @@ def show_table(
         Better | None, option("--better", None, "Set which values are better, if the action does not declare it.")
     ] = None,
     project: options.ProjectsOption = None,
-    mission: Annotated[
-        list[str] | None, option("--mission", "MISSION", "Select a mission by name, glob or id; repeatable.")
-    ] = None,
+    mission: options.MissionsOption = None,
     query: Annotated[Text, option("--query -q", "QUERY", "Select the missions that the query finds.")] = None,
     where: WhereOption = None,
     action: ActionOption = None,

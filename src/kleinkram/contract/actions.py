@@ -175,7 +175,7 @@ class Resources(Request):
 class Better(str, enum.Enum):
     """Which values of a metric are better; `none`: neither, as of a count."""
 
-    lower = "lower"
+    lower = "lower"  # type: ignore[assignment]  # hides a method of str, which nobody calls
     higher = "higher"
     none = "none"
 

@@ -41,7 +41,7 @@ class Aggregate(str, enum.Enum):
     min = "min"
     max = "max"
     latest = "latest"
-    count = "count"
+    count = "count"  # type: ignore[assignment]  # hides a method of str, which nobody calls
 
 
 class TextFormat(str, enum.Enum):

@@ -52,7 +52,13 @@ class Lab:
         """Run the action on a mission, with these values of `ate`, or metrics; return the id of the run."""
         run_id = self.launch(name, version, **set_to)
         metrics = [value if isinstance(value, dict) else {"name": "ate", "value": value} for value in values]
-        self.runner.finish(self.runner.claim(), end, report={"metrics": metrics}, exit_code=int(end != "done")).ok()
+        self.runner.finish(
+            self.runner.claim(),
+            end,
+            report={"metrics": metrics},
+            exit_code=int(end != "done"),
+            image_digest="sha256:stock",
+        ).ok()
         return run_id
 
     def table(self, **query: Any) -> Any:

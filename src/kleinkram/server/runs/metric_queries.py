@@ -289,8 +289,13 @@ def _aggregated(source: CTE, aggregate: Aggregate) -> ColumnElement[Any]:
         return func.percentile_cont(0.5).within_group(value)
     if aggregate is Aggregate.latest:
         return _first(value, Double(), (source.c.created_at.desc(), source.c.metric_id.desc()))
-    functions = {Aggregate.mean: func.avg, Aggregate.min: func.min, Aggregate.max: func.max}
-    return functions[aggregate](value) if aggregate in functions else cast(func.count(), Double)
+    others: dict[Aggregate, ColumnElement[Any]] = {
+        Aggregate.mean: func.avg(value),
+        Aggregate.min: func.min(value),
+        Aggregate.max: func.max(value),
+        Aggregate.count: cast(func.count(), Double),
+    }
+    return others[aggregate]
 
 
 def _first(value: ColumnElement[Any], kind: Any, order: Sequence[ColumnElement[Any]]) -> ColumnElement[Any]:

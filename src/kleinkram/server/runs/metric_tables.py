@@ -225,7 +225,7 @@ def _columns(dimensions: Sequence[str], content: _Content) -> list[_Key]:
             values = dict(zip(of_runs, part, strict=True))
             with_values.add(tuple(values.get(at) for at in range(len(dimensions))))
 
-    def order(key: _Key) -> list[object]:
+    def order(key: _Key) -> list[tuple[int, float, str, str]]:
         names = [
             content.actions.get(str(value), "") if dimensions[at] == "action" else value for at, value in enumerate(key)
         ]
