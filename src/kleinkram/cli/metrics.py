@@ -20,7 +20,13 @@ from kleinkram.contract.metrics import (
     MetricTableQuery,
     TextFormat,
 )
-from kleinkram.contract.text_tables import metric_text_table, metric_title, significant, write_table
+from kleinkram.contract.text_tables import (
+    TableValue,
+    metric_text_table,
+    metric_title,
+    significant,
+    write_table,
+)
 
 app = Subcommands("Show and compare the metrics that runs reported.")
 ActionOption = Annotated[Text, option("--action", "GLOB", "Select by the name of the action, or NAME@VERSION.")]
@@ -135,20 +141,16 @@ def _print(read: MetricTable, output_format: OutputFormat, digits: int) -> None:
 
 def _show(read: MetricTable, digits: int) -> None:
     written = metric_text_table(read)
-    cells = [
-        [
-            value
-            if value is None or isinstance(value, str)
-            else significant(value, digits) + _mark(written.best, at, column)
-            for column, value in enumerate(row)
-        ]
-        for at, row in enumerate(written.rows)
-    ]
+
+    def cell(at: int, column: int, value: TableValue) -> str | None:
+        if value is None or isinstance(value, str):
+            return value
+        # So that digits stay in line, beside the column of differences.
+        no_mark = " " if written.best and column <= len(read.columns) else ""
+        return significant(value, digits) + ("*" if (at, column) in written.best else no_mark)
+
+    cells = [[cell(at, column, value) for column, value in enumerate(row)] for at, row in enumerate(written.rows)]
     line(metric_title(read) + (" (* best of its row)" if written.best else ""))
     table(written.headers, cells)
     for text in written.notes:
         line(text)
-
-
-def _mark(best: frozenset[tuple[int, int]], at: int, column: int) -> str:
-    return "*" if (at, column) in best else " " if best else ""

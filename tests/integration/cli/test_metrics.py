@@ -96,7 +96,7 @@ def test_a_table_is_printed_with_marks_reasons_and_the_comparison() -> None:
         "ate_rmse [m], median, lower is better (* best of its row)",
         "MISSION   SLAM@1  SLAM@2    DIFFERENCE",
         "day      0.3000   0.01235*     -0.2877",
-        "n_1       1.000   failed    -",
+        "n_1       1.000   failed             -",
         "slam@2 against slam@1: 1 pair, median difference -0.2877 m, mean difference -0.2877 m,"
         " 1 win, 0 losses, 0 ties.",
         "Results of one column differ in param.method.",

@@ -141,10 +141,10 @@ async def list_metric_names(db: Connection, actor: Actor, *, matching: MetricNam
 
 async def _declared(db: Connection, runs: Any, metric: str) -> dict[str, _Declared]:
     """Return what each action declares of a metric, by its key."""
-    found: dict[str, _Declared] = {}
+    declared: dict[str, _Declared] = {}
     for row in await db.execute(queries.declarations(runs, metric)):
-        found[row.action_key] = next(_to_declared(entry) for entry in row.declared if entry["name"] == metric)
-    return found
+        declared[row.action_key] = next(_to_declared(entry) for entry in row.declared if entry["name"] == metric)
+    return declared
 
 
 def _to_declared(entry: Mapping[str, Any]) -> _Declared:
@@ -384,9 +384,9 @@ def _find_column(table: MetricTableRead, name: str) -> int:
     if (key := name_key(name.strip())) in labels:
         return labels.index(key)
     parts = {part.strip() for part in key.split(",")}
-    found = [at for at, label in enumerate(labels) if parts <= {*label.split(", ")}]
-    if len(found) == 1:
-        return found[0]
+    matching = [at for at, label in enumerate(labels) if parts <= {*label.split(", ")}]
+    if len(matching) == 1:
+        return matching[0]
     shown = "; ".join(column.label for column in table.columns) or "none"
-    reason = f"{'several columns have' if found else 'no column has'} this label; the columns are {shown}"
+    reason = f"{'several columns have' if matching else 'no column has'} this label; the columns are {shown}"
     raise InvalidQuery(expression=name, reason=reason)
