@@ -264,9 +264,9 @@ def test_rows_are_projects_or_values_of_metadata(work: Lab) -> None:
 def test_values_with_several_units_are_refused(work: Lab) -> None:
     for name in ("a", "b"):
         work.mission(name)
-    work.run("a", {"name": "ate", "value": 1, "unit": "m"})
+    work.run("a", 1)
     work.run("b", {"name": "ate", "value": 1, "unit": "mm"})
-    assert "the units m and mm" in work.refused()
+    assert "the units m and mm" in work.refused(), "the unit of the first is the declared one"
     assert work.table(mission_id=work.missions["b"])["unit"] == "mm"
     assert _values(work.table(aggregate="count")) == {"a": [1], "b": [1]}
 

@@ -183,6 +183,7 @@ def cells(source: CTE, matching: MetricTableQuery) -> Select[Any]:
         runs[1:MAX_CELL_RUNS].label("run_ids"),
         func.min(source.c.unit).label("first_unit"),
         func.max(source.c.unit).label("last_unit"),
+        func.bool_or(source.c.unit.is_(None)).label("lacks_unit"),
     ).group_by(source.c.row_key, *keys)
 
 

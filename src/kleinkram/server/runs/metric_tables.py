@@ -71,14 +71,14 @@ class _Content:
         cells: by row and column.
         states: what became of the runs, by row, and by the dimensions that runs have.
         actions: the names of actions by their keys.
-        units: those that were reported.
+        units: those that were reported; None among them where a value has none.
     """
 
     names: Mapping[str | None, tuple[str, str, str]]
     cells: Mapping[tuple[str | None, _Key], MetricCell]
     states: Mapping[tuple[str | None, _Key], _State]
     actions: Mapping[str, str]
-    units: frozenset[str]
+    units: frozenset[str | None]
 
 
 async def get_metric_table(db: Connection, actor: Actor, *, matching: MetricTableQuery) -> MetricTableRead:
@@ -179,13 +179,14 @@ async def _read_content(db: Connection, actor: Actor, matching: MetricTableQuery
     if len(states) == limit:
         _check_size(matching, len(names), len({key for _, key in states}))
     cells: dict[tuple[str | None, _Key], MetricCell] = {}
-    units: set[str] = set()
+    units: set[str | None] = set()
     source = queries.results(relevant, matching)
     for row in (await db.execute(queries.cells(source, matching).limit(limit))).mappings():
         key = tuple(row[f"d{at}"] for at in range(len(dimensions)))
         numbers = {name: row[name] for name in ("value", "count", "run_count", "run_ids")}
         cells[row["row_key"], key] = MetricCell(**numbers)
         units |= {unit for unit in (row["first_unit"], row["last_unit"]) if unit}
+        units |= {None} if row["lacks_unit"] else set()
         _note_action(actions, dimensions, row)
     if matching.all_rows:
         stmt = queries.rows_without_runs(actor, matching).limit(MAX_ROWS + 1)
@@ -275,11 +276,13 @@ def _check_size(matching: MetricTableQuery, rows: int, columns: int) -> None:
         raise InvalidQuery(expression=matching.rows, reason=reason)
 
 
-def _unit(matching: MetricTableQuery, units: frozenset[str], declared: _Declared) -> str | None:
+def _unit(matching: MetricTableQuery, reported: frozenset[str | None], declared: _Declared) -> str | None:
+    """Return the unit of all values; those that were reported without one have that of the declaration."""
     if matching.aggregate is Aggregate.count:
         return None
+    units = {unit or declared.unit for unit in reported} - {None}
     if len(units) > 1:
-        named = " and ".join(sorted(units)[:5])
+        named = " and ".join(sorted(unit for unit in units if unit)[:5])
         reason = f"its values have the units {named}; narrow the filter by action, version, topic or label"
         raise InvalidQuery(expression=matching.metric, reason=reason)
     return next(iter(units), declared.unit)

@@ -25,12 +25,20 @@ export function useMetricNames(projectId: () => string) {
   });
 }
 
+/** Tables are expensive: they are loaded again only while runs of them have not ended. */
+const POLL_MS = 30_000;
+
+function isRunning(table: MetricTable): boolean {
+  return table.rows.some(({ cells }) => cells.some(({ missing }) => missing === "running"));
+}
+
 /** A table of a metric; nothing is loaded while the query is null. */
 export function useMetricTable(query: () => TableQuery | null) {
   return useQuery({
     queryKey: computed(() => keys.metricTable(query() ?? {})),
     queryFn: ({ signal }) => tableOf(query() ?? { metric: "" }, signal),
     enabled: () => query() !== null,
+    refetchInterval: ({ state }) => (state.data !== undefined && isRunning(state.data) ? POLL_MS : false),
     placeholderData: keepPreviousData,
   });
 }
