@@ -292,6 +292,10 @@ def _show(action: ActionRead, version: ActionVersionRead) -> None:
             default = "(required)" if entry.default is None else '""' if entry.default == "" else entry.default
             rows.append((entry.name, entry.type.value, default, entry.unit, entry.choices, entry.description))
         table(["parameter", "type", "default", "unit", "choices", "description"], rows)
+    if definition.metrics:
+        line("")
+        metrics = [(entry.name, entry.unit, entry.better.value, entry.description) for entry in definition.metrics]
+        table(["metric", "unit", "better", "description"], metrics)
 
 
 def _inputs(inputs: Inputs) -> str:

@@ -39,6 +39,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "stats": ("search", "stats", "Count hours, bytes, files and messages by group."),
     "action": ("action", "app", "Manage, try out and run actions."),
     "run": ("run", "app", "Manage runs of actions, and get their results."),
+    "metrics": ("metrics", "app", "Show and compare the metrics that runs reported."),
     "lineage": ("search", "lineage", "Show where a file comes from, and what was created from it."),
     "runner": ("runner", "app", "Run and list runners: machines that run actions."),
     "move": ("file", "move", "Move a mission or files."),

@@ -16,12 +16,15 @@ from kleinkram.cli.units import size
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.files import FileSort
+from kleinkram.contract.metrics import TextFormat
 from kleinkram.contract.query import render
 from kleinkram.contract.runs import LineageFile, LineageRead
-from kleinkram.contract.search import StatsRow
+from kleinkram.contract.search import StatsRead, StatsRow
+from kleinkram.contract.text_tables import NO_GROUP, TableValue, TextTable, write_table
 
 _GROUPS = frozenset(("project", "mission", "topic", "type", "month", "format"))
 _NS_PER_HOUR = 3600 * 1_000_000_000
+_SIZE_UNITS = (("TB", 10**12), ("GB", 10**9), ("MB", 10**6), ("kB", 10**3), ("B", 1))
 
 
 class Shown(str, enum.Enum):
@@ -98,11 +101,13 @@ def stats(
     ] = "project",
     derived: Annotated[bool, flag("--derived", "Count also files that runs made from others.")] = False,
     as_csv: Annotated[bool, flag("--csv", "Print CSV on stdout.")] = False,
+    as_markdown: Annotated[bool, flag("--markdown", "Print a Markdown table on stdout.")] = False,
+    as_latex: Annotated[bool, flag("--latex", "Print a LaTeX table on stdout; it needs booktabs.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Count the hours, bytes, files, messages and missions of what was recorded, or of what the options select."""
-    if as_csv and as_json:
-        raise InvalidInput(what="The command", reason="specify --csv or --json, not both")
+    if sum((as_csv, as_markdown, as_latex, as_json)) > 1:
+        raise InvalidInput(what="The command", reason="specify one of --csv, --markdown, --latex and --json")
     group = by if by in _GROUPS or by.startswith("metadata.") else f"metadata.{by}"
     read = client.stats.get(group, file_filter(client, choice), derived=derived)
     if as_json:
@@ -113,8 +118,11 @@ def stats(
         for row in read.rows:
             counts = [row.missions, row.files, row.recordings, row.duration_ns, row.size_bytes, row.messages]
             writer.writerow([row.group or "", *counts])
+    elif as_markdown or as_latex:
+        written = _stats_table(by, read)
+        sys.stdout.write(write_table(written, TextFormat.markdown if as_markdown else TextFormat.latex))
     else:
-        rows = [_stats_cells(row.group or "(none)", row) for row in read.rows]
+        rows = [_stats_cells(row.group or NO_GROUP, row) for row in read.rows]
         headers = [by, "missions", "files", "recordings", "hours", "size", "messages"]
         table(headers, [*rows, _stats_cells("total", read.total)])
 
@@ -122,6 +130,21 @@ def stats(
 def _stats_cells(group: str, row: StatsRow) -> tuple[object, ...]:
     hours = f"{row.duration_ns / _NS_PER_HOUR:.4f}"
     return group, row.missions, row.files, row.recordings, hours, size(row.size_bytes), row.messages
+
+
+def _stats_table(by: str, read: StatsRead) -> TextTable:
+    """Return statistics with units: hours, and bytes in the unit that suits the total."""
+    unit, bytes_per_unit = next(
+        ((name, number) for name, number in _SIZE_UNITS if read.total.size_bytes >= number), _SIZE_UNITS[-1]
+    )
+
+    def cells(group: str, row: StatsRow) -> list[TableValue]:
+        counts = [row.missions, row.files, row.recordings]
+        return [group, *counts, row.duration_ns / _NS_PER_HOUR, row.size_bytes / bytes_per_unit, row.messages]
+
+    headers = [by, "missions", "files", "recordings", "duration [h]", f"size [{unit}]", "messages"]
+    rows = [cells(row.group or NO_GROUP, row) for row in read.rows]
+    return TextTable(headers, rows, totals=[cells("total", read.total)])
 
 
 def lineage(

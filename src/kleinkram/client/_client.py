@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from kleinkram.client.actions import Actions, ProjectActions
     from kleinkram.client.checks import Checks
     from kleinkram.client.files import Files, Recordings, Uploads
+    from kleinkram.client.metrics import Metrics
     from kleinkram.client.missions import Missions, Projects
     from kleinkram.client.people import Access, Groups, People
     from kleinkram.client.runs import Runners, Runs
@@ -69,6 +70,7 @@ class Client:
     project_actions: "ProjectActions"
     runs: "Runs"
     runners: "Runners"
+    metrics: "Metrics"
     access: "Access"
     groups: "Groups"
     people: "People"

@@ -253,18 +253,7 @@ class Runs(ApiResource):
         """Return the filter of keywords and a filter together."""
         if not fields:
             return matching
-        selected = dict(fields)
-        projects: list[uuid.UUID] = []
-        if (value := selected.pop("project", None)) is not None:
-            projects = [Projects(self._api).id_of(cast(Ref, ref)) for ref in refs_of("project", value)]
-            selected["project_ids"] = projects
-        if (value := selected.pop("mission", None)) is not None:
-            project_id = projects[0] if len(projects) == 1 else None
-            ids = []
-            for ref in cast(list[Ref], refs_of("mission", value)):
-                is_qualified = isinstance(ref, str) and "/" in ref
-                ids.append(Missions(self._api).id_of(ref, project=None if is_qualified else project_id))
-            selected["mission_ids"] = ids
+        selected = with_ids(self._api, fields)
         if (run := selected.pop("run", None)) is not None:
             selected["run_id"] = known_id(cast(Ref, run), "run") or run
         for name in ("state", "severity", "status", "verdict"):
@@ -272,6 +261,23 @@ class Runs(ApiResource):
                 selected[name] = [selected[name]]
         requested = matching.model_dump(exclude_defaults=True) if matching else {}
         return checked(kind, "The filter", **requested, **selected)
+
+
+def with_ids(api: Api, fields: Mapping[str, object]) -> dict[str, object]:
+    """Return the fields of a filter with the ids of `project` and `mission`, each one or several."""
+    selected = dict(fields)
+    projects: list[uuid.UUID] = []
+    if (value := selected.pop("project", None)) is not None:
+        projects = [Projects(api).id_of(cast(Ref, ref)) for ref in refs_of("project", value)]
+        selected["project_ids"] = projects
+    if (value := selected.pop("mission", None)) is not None:
+        project_id = projects[0] if len(projects) == 1 else None
+        ids = []
+        for ref in cast(list[Ref], refs_of("mission", value)):
+            is_qualified = isinstance(ref, str) and "/" in ref
+            ids.append(Missions(api).id_of(ref, project=None if is_qualified else project_id))
+        selected["mission_ids"] = ids
+    return selected
 
 
 def _run_id(ref: Ref) -> uuid.UUID:

@@ -19,10 +19,12 @@ from kleinkram.contract.base import ETag, Request, Response, etag_of
 from kleinkram.contract.names import Label, Name, Term, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
+from kleinkram.contract.reports import Code
 from kleinkram.contract.units import read_duration, read_size
 
 MAX_SCRIPT_CHARACTERS = 500_000
 MAX_PARAMETERS = 100
+MAX_DECLARED_METRICS = 100
 MAX_VALUE_CHARACTERS = 10_000
 
 ParameterName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
@@ -170,6 +172,23 @@ class Resources(Request):
     labels: Annotated[list[Label], Field(max_length=20)] = []
 
 
+class Better(str, enum.Enum):
+    """Which values of a metric are better; `none`: neither, as of a count."""
+
+    lower = "lower"  # type: ignore[assignment]  # hides a method of str, which nobody calls
+    higher = "higher"
+    none = "none"
+
+
+class DeclaredMetric(Request):
+    """A metric that an action reports. `unit` is that of values which are reported without one."""
+
+    name: Code
+    unit: Annotated[str, AfterValidator(check_text), Field(max_length=32)] | None = None
+    better: Better = Better.none
+    description: Annotated[str, AfterValidator(check_text), Field(max_length=1000)] = ""
+
+
 class ParametersWrong(ValueError):
     """Invalid parameter values of an action: a sentence by the name of each parameter."""
 
@@ -184,6 +203,7 @@ class ActionDefinition(Request):
     `command` is an argument list; empty: the image's own command. A script is started with Python, and its
     `dependencies` (PEP 508) must be installed in the default image, or in the image that it names.
     `right` is the right on the mission that launching requires, and the right of the run's token.
+    `metrics` describes metrics for tables; an action may report others, too.
     """
 
     name: Name
@@ -193,6 +213,7 @@ class ActionDefinition(Request):
     script: Annotated[str, AfterValidator(check_text), Field(max_length=MAX_SCRIPT_CHARACTERS)] | None = None
     dependencies: Annotated[list[Term], Field(max_length=200)] = []
     parameters: Annotated[list[Parameter], Field(max_length=MAX_PARAMETERS)] = []
+    metrics: Annotated[list[DeclaredMetric], Field(max_length=MAX_DECLARED_METRICS)] = []
     inputs: Inputs = Inputs()
     resources: Resources = Resources()
     network: Network = Network.none
@@ -206,9 +227,10 @@ class ActionDefinition(Request):
             raise ValueError("a script has no 'command'")
         if self.script is None and self.dependencies:
             raise ValueError("only a script has 'dependencies'; an image contains its own")
-        names = [parameter.name for parameter in self.parameters]
-        if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise ValueError(f"the parameter {twice[0]!r} is declared twice")
+        for what, declared in (("parameter", self.parameters), ("metric", self.metrics)):
+            names = [entry.name for entry in declared]
+            if twice := sorted({name for name in names if names.count(name) > 1}):
+                raise ValueError(f"the {what} {twice[0]!r} is declared twice")
         return self
 
     def fill_in(self, values_by_name: ParameterValues) -> ParameterValues:

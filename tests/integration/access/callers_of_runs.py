@@ -90,6 +90,14 @@ RUN_OPERATIONS: dict[str, tuple[Caller, ...]] = {
     "list_run_checks": (Caller(get("/run-checks", mission_id="{mission}"), Target.mission, shows=has_items),),
     "list_findings": (Caller(get("/findings", mission_id="{mission}"), Target.mission, shows=has_items),),
     "list_run_metrics": (Caller(get("/run-metrics", mission_id="{mission}"), Target.mission, shows=has_items),),
+    "list_metrics": (Caller(get("/metrics", mission_id="{mission}"), Target.mission, shows=has_items),),
+    "get_metric_table": (
+        Caller(
+            get("/metrics/table", metric="count", mission_id="{mission}"),
+            Target.mission,
+            shows=lambda table, _: bool(table["rows"]),
+        ),
+    ),
     "get_lineage": (Caller(get("/files/{file}/lineage"), Target.file),),
     "list_runners": (Caller(get("/runners"), Target.server),),
     "register_runner": (Caller(post("/runners", _hello), Target.server),),

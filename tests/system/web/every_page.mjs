@@ -176,6 +176,7 @@ await checkPage(eve, "new-home", { path: "/", expectedTexts: [texts.person] });
 await checkPage(eve, "new-projects", { path: "/projects" });
 await checkPage(eve, "new-search", { path: "/search" });
 await checkPage(eve, "new-upload", { path: "/upload" });
+await checkPage(eve, "new-metrics", { path: "/run-metrics" });
 await checkPage(eve, "new-trash", { path: "/trash" });
 await checkPage(eve, "new-tokens", { path: "/tokens" });
 await checkPage(eve, "new-people", { path: "/people" });
@@ -246,6 +247,9 @@ for (const part of ["artifacts", "inputs", "definition"]) await checkPage(page, 
 await checkPage(page, "run-findings", { path: ofRun("tab=findings"), expectedTexts: [texts.value, texts.topic] });
 await checkPage(page, "run-metrics", { path: ofRun("tab=metrics"), ready: "[role=row][data-index]", expectedTexts: [texts.topic, texts.label] });
 await checkPage(page, "run-checks", { path: ofRun("tab=checks"), ready: "[role=row][data-index]", expectedTexts: [texts.value, texts.topic] });
+const tableQuery = new URLSearchParams([["metric", "evil"], ["project", ids.project], ...["action", "topic", "label.method"].map((name) => ["columns", name])]);
+await checkPage(page, "metrics", { path: `/run-metrics?${tableQuery}`, ready: "[data-metrics] [data-index]", expectedTexts: [mission, texts.topic, texts.label, "<b>m"] });
+await checkPage(page, "metrics-nothing", { path: "/run-metrics" });
 await checkPage(page, "upload", { path: "/upload" });
 const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Choose files" }).click()]);
 await chooser.setFiles({ name: texts.recording, mimeType: "", buffer: Buffer.from("x") });

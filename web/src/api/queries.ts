@@ -69,6 +69,8 @@ export const keys = {
   action: (id: string) => ["actions", "one", id],
   runs: (query: Query = {}) => ["runs", "list", query],
   run: (id: string) => ["runs", "one", id],
+  metricNames: (query: Query = {}) => ["metrics", "names", query],
+  metricTable: (query: Query) => ["metrics", "table", query],
   lineage: (fileId: string) => ["files", "one", fileId, "lineage"],
   people: (query: Query = {}) => ["people", "list", query],
   person: (id: string) => ["people", "one", id],

@@ -1194,6 +1194,46 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/metrics": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Metrics
+         * @description List the names of the metrics that runs reported.
+         */
+        get: operations["list_metrics"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/metrics/table": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Metric Table
+         * @description Get a table of one metric: missions, or groups of them, by version, parameter, label or topic.
+         */
+        get: operations["get_metric_table"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/missions": {
         parameters: {
             query?: never;
@@ -2833,6 +2873,7 @@ export interface components {
          *     `command` is an argument list; empty: the image's own command. A script is started with Python, and its
          *     `dependencies` (PEP 508) must be installed in the default image, or in the image that it names.
          *     `right` is the right on the mission that launching requires, and the right of the run's token.
+         *     `metrics` describes metrics for tables; an action may report others, too.
          */
         ActionDefinition: {
             /**
@@ -2861,6 +2902,11 @@ export interface components {
              *     }
              */
             inputs: components["schemas"]["Inputs"];
+            /**
+             * Metrics
+             * @default []
+             */
+            metrics: components["schemas"]["DeclaredMetric"][];
             /** Name */
             name: string;
             /** @default none */
@@ -3073,6 +3119,12 @@ export interface components {
             uploads: components["schemas"]["StateAmount"];
         };
         /**
+         * Aggregate
+         * @description How several values of a cell become one number. `latest` is that of the latest run, `count` their number.
+         * @enum {string}
+         */
+        Aggregate: "median" | "mean" | "min" | "max" | "latest" | "count";
+        /**
          * AlreadyPresent
          * @description The mission already has this file. Send nothing. `file` is null without the right to read.
          */
@@ -3223,6 +3275,12 @@ export interface components {
             share: components["schemas"]["CredentialRef"] | null;
             token: components["schemas"]["CredentialRef"] | null;
         };
+        /**
+         * Better
+         * @description Which values of a metric are better; `none`: neither, as of a count.
+         * @enum {string}
+         */
+        Better: "lower" | "higher" | "none";
         /**
          * BlobState
          * @description State of a file's bytes: received by the store, read and verified by the server, missing, or altered.
@@ -3693,6 +3751,23 @@ export interface components {
             id: string;
             /** Name */
             name: string;
+        };
+        /**
+         * DeclaredMetric
+         * @description A metric that an action reports. `unit` is that of values which are reported without one.
+         */
+        DeclaredMetric: {
+            /** @default none */
+            better: components["schemas"]["Better"];
+            /**
+             * Description
+             * @default
+             */
+            description: string;
+            /** Name */
+            name: string;
+            /** Unit */
+            unit?: string | null;
         };
         /**
          * Deduplicated
@@ -4957,6 +5032,109 @@ export interface components {
             value: number;
         };
         /**
+         * MetricCell
+         * @description A cell. `count` is the number of values, `run_count` that of their runs, of which `run_ids` are at most 20.
+         *
+         *     Where there is no value, `missing` says why, and `run_ids` names a run behind that, if there is one.
+         */
+        MetricCell: {
+            /**
+             * Count
+             * @default 0
+             */
+            count: number;
+            missing?: components["schemas"]["Missing"] | null;
+            rank?: components["schemas"]["Rank"] | null;
+            /**
+             * Run Count
+             * @default 0
+             */
+            run_count: number;
+            /**
+             * Run Ids
+             * @default []
+             */
+            run_ids: string[];
+            /** Value */
+            value?: number | null;
+        };
+        /**
+         * MetricColumn
+         * @description A column. `values` are by dimension; null where a result has none, such as no topic.
+         */
+        MetricColumn: {
+            /** Action Id */
+            action_id?: string | null;
+            /** Label */
+            label: string;
+            /** Values */
+            values: {
+                [key: string]: boolean | number | string | null;
+            };
+        };
+        /**
+         * MetricComparison
+         * @description The second column compared with the first, row by row.
+         *
+         *     `differences` (second minus first) are by row, null where one of both has no value. Wins are rows in which the
+         *     second is better; they are null where neither direction is.
+         */
+        MetricComparison: {
+            /** Differences */
+            differences: (number | null)[];
+            /** First */
+            first: number;
+            /** Losses */
+            losses: number | null;
+            /** Mean Difference */
+            mean_difference: number | null;
+            /** Median Difference */
+            median_difference: number | null;
+            /** Pair Count */
+            pair_count: number;
+            /** Second */
+            second: number;
+            /** Ties */
+            ties: number;
+            /** Wins */
+            wins: number | null;
+        };
+        /**
+         * MetricDimension
+         * @description What could distinguish columns: a name such as `param.method`, and its number of values in these results.
+         */
+        MetricDimension: {
+            /** Name */
+            name: string;
+            /** Value Count */
+            value_count: number;
+        };
+        /**
+         * MetricName
+         * @description A metric that runs reported, as their actions declare it.
+         */
+        MetricName: {
+            better: components["schemas"]["Better"];
+            /** Description */
+            description: string;
+            /** Name */
+            name: string;
+            /** Run Count */
+            run_count: number;
+            /** Unit */
+            unit: string | null;
+        };
+        /**
+         * MetricNames
+         * @description The metrics that runs reported, by name; `truncated` where there are more than 1000.
+         */
+        MetricNames: {
+            /** Items */
+            items: components["schemas"]["MetricName"][];
+            /** Truncated */
+            truncated: boolean;
+        };
+        /**
          * MetricRead
          * @description A metric, and the run that reported it with its parameters.
          */
@@ -4978,6 +5156,56 @@ export interface components {
              */
             run_id: string;
         };
+        /**
+         * MetricRow
+         * @description A row. `label` is null for missions without the metadata field. `mission` and `project` are what it is about.
+         */
+        MetricRow: {
+            /** Cells */
+            cells: components["schemas"]["MetricCell"][];
+            /** Label */
+            label: string | null;
+            mission?: components["schemas"]["MissionRef"] | null;
+            project?: components["schemas"]["ProjectRef"] | null;
+        };
+        /**
+         * MetricTableRead
+         * @description A table of a metric. Columns are in the order of their values, rows of their labels.
+         *
+         *     `varying` names what differs between results of one column and is no column itself. `dimensions` are those of which
+         *     the results have several values.
+         */
+        MetricTableRead: {
+            aggregate: components["schemas"]["Aggregate"];
+            better: components["schemas"]["Better"];
+            /** Column Dimensions */
+            column_dimensions: string[];
+            /** Columns */
+            columns: components["schemas"]["MetricColumn"][];
+            comparison?: components["schemas"]["MetricComparison"] | null;
+            /** Description */
+            description: string;
+            /** Dimensions */
+            dimensions: components["schemas"]["MetricDimension"][];
+            /** Metric */
+            metric: string;
+            /** Row Group */
+            row_group: string;
+            /** Rows */
+            rows: components["schemas"]["MetricRow"][];
+            /** Text */
+            text?: string | null;
+            /** Unit */
+            unit: string | null;
+            /** Varying */
+            varying: string[];
+        };
+        /**
+         * Missing
+         * @description Why a cell has no value: the runs that would fill it.
+         * @enum {string}
+         */
+        Missing: "no_run" | "running" | "failed" | "cancelled" | "no_metric";
         /**
          * MissionCheck
          * @description The outcome of one check of a mission, as in `Check`.
@@ -6040,6 +6268,12 @@ export interface components {
             /** Title */
             title: string;
         };
+        /**
+         * Rank
+         * @description The place of a value in its row. Equal values share it.
+         * @enum {string}
+         */
+        Rank: "best" | "worst";
         /**
          * ReadDepth
          * @description How content was read: by the file's own index, or every byte of it.
@@ -7116,6 +7350,12 @@ export interface components {
             /** Used Bytes */
             used_bytes: number;
         };
+        /**
+         * TextFormat
+         * @description A format in which a table can be written.
+         * @enum {string}
+         */
+        TextFormat: "csv" | "markdown" | "latex";
         /**
          * TimeAxis
          * @description The bins that several densities share: `bins` of `bin_ns` each, the first from `start_ns` on.
@@ -9926,6 +10166,92 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["RecoveryCodes"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_metrics: {
+        parameters: {
+            query?: {
+                action?: string | null;
+                action_id?: string | null;
+                mission_id?: string | null;
+                mission_ids?: string[];
+                project_id?: string | null;
+                project_ids?: string[];
+                version?: number | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MetricNames"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_metric_table: {
+        parameters: {
+            query: {
+                action?: string | null;
+                action_id?: string | null;
+                aggregate?: components["schemas"]["Aggregate"];
+                all_rows?: boolean;
+                better?: components["schemas"]["Better"] | null;
+                columns?: string[];
+                compare?: string[];
+                digits?: number;
+                metric: string;
+                mission_id?: string | null;
+                mission_ids?: string[];
+                project_id?: string | null;
+                project_ids?: string[];
+                query?: string | null;
+                rows?: string;
+                text?: components["schemas"]["TextFormat"] | null;
+                topic?: string | null;
+                version?: number | null;
+                where?: string[];
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MetricTableRead"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */

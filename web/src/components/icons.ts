@@ -49,6 +49,7 @@ export {
   mdiPulse as iconTopic,
   mdiRestart as iconRetry,
   mdiShieldCheckOutline as iconVerified,
+  mdiTableLarge as iconTable,
   mdiThemeLightDark as iconTheme,
   mdiTrayArrowUp as iconUpload,
   mdiWeatherNight as iconDark,

@@ -28,6 +28,7 @@ export const routes: RouteRecordRaw[] = [
   { path: "/actions", name: "actions", component: () => import("@/features/actions/ActionsPage.vue") },
   { path: "/actions/:actionId", name: "action", component: () => import("@/features/actions/ActionPage.vue") },
   { path: "/runs", name: "runs", component: () => import("@/features/runs/RunsPage.vue") },
+  { path: "/run-metrics", name: "metrics", component: () => import("@/features/metrics/MetricsPage.vue") },
   { path: "/runs/new", name: "launch", component: () => import("@/features/launch/LaunchPage.vue") },
   { path: "/runs/:runId", name: "run", component: () => import("@/features/runs/RunPage.vue") },
   { path: "/people", name: "people", component: () => import("@/features/people/PeoplePage.vue") },

@@ -144,6 +144,8 @@ const reads: Readonly<Record<string, string>> = {
   list_recordings: "the recordings of a mission",
   list_run_inputs: "the inputs of a run",
   list_run_metrics: "the metrics of every project",
+  list_metrics: "the names of the metrics of every project",
+  get_metric_table: "a table of a metric",
   list_runners: "the runners",
   list_project_actions: "the actions that a project runs by itself",
   list_run_checks: "the checks of runs",

@@ -8,6 +8,7 @@ export const texts = {
     search: "Search",
     upload: "Upload",
     runs: "Runs",
+    metrics: "Metrics",
     actions: "Actions",
     people: "People",
     groups: "Groups",

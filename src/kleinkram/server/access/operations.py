@@ -142,6 +142,8 @@ OPERATIONS: dict[str, Permission] = {
     "list_run_checks": _visible(guests=False),
     "list_findings": _visible(guests=False),
     "list_run_metrics": _visible(guests=False),
+    "list_metrics": _visible(guests=False),
+    "get_metric_table": _visible(guests=False),
     "get_lineage": Permission(ResourceKind.mission, Right.read, _READ),
     # Runners, for their own runs
     "list_runners": Permission(ResourceKind.server, None, _ADMIN),
@@ -263,6 +265,7 @@ WEB_PATHS = (
     "people",
     "projects",
     "public",
+    "run-metrics",
     "runs",
     "search",
     "sessions",

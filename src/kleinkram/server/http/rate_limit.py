@@ -45,6 +45,8 @@ _OPERATION_KINDS = {
     "get_project_stats": "searches",
     "get_overview": "searches",
     "list_topics": "searches",
+    "list_metrics": "searches",
+    "get_metric_table": "searches",
     "download_files": "downloads",
     "begin_uploads": "uploads",
     "verify_file": "verifications",

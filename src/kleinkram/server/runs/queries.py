@@ -7,6 +7,7 @@ from typing import Any
 from sqlalchemy import Column, ColumnElement, Select, Table, Text, case, exists, false, func, select
 
 from kleinkram.contract.access import Scope
+from kleinkram.contract.metrics import MetricNameFilter
 from kleinkram.contract.runs import (
     MAX_LISTED_METRICS,
     CheckFilter,
@@ -51,11 +52,11 @@ _MISSION = (
     mission.c.project_id.label("project_id"),
     project.c.name.label("project_name"),
 )
-_ACTION_NAME = action_version.c.definition["name"].astext
+ACTION_NAME = action_version.c.definition["name"].astext
 _OF_RUN = (run.c.mission_id, run.c.parameters, run.c.ended_at)
 _ACTION = (
     action.c.id.label("action_id"),
-    func.coalesce(action.c.name, _ACTION_NAME).label("action_name"),
+    func.coalesce(action.c.name, ACTION_NAME).label("action_name"),
     action_version.c.number.label("action_number"),
 )
 
@@ -99,7 +100,7 @@ def one_run(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
 
 def filter_runs(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[Any]:
     """Apply a filter to a select of runs."""
-    conditions = [*_of_missions(matching), *_of_actions(matching)]
+    conditions = [*of_missions(matching), *of_actions(matching)]
     if matching.state:
         conditions.append(run.c.state.in_([state.value for state in matching.state]))
     if matching.verdict:
@@ -196,35 +197,37 @@ def _reported_by_runs(actor: Actor, table: Table, matching: ReportFilter) -> Sel
         stmt = stmt.where(matches(table.c.topic, matching.topic))
     if matching.latest:
         stmt = stmt.where(run.c.id.in_(_latest_results(matching)))
-    return stmt.where(*_of_missions(matching), *_of_actions(matching))
+    return stmt.where(*of_missions(matching), *of_actions(matching))
 
 
 def _latest_results(matching: ReportFilter) -> Select[Any]:
     """Return the runs with the results of the latest run that is done, of each mission, action and parameters."""
-    of = (run.c.mission_id, func.coalesce(action.c.id.cast(Text), _ACTION_NAME), run.c.parameters)
+    of = (run.c.mission_id, func.coalesce(action.c.id.cast(Text), ACTION_NAME), run.c.parameters)
     joined = (
         select(func.coalesce(run.c.reuses_id, run.c.id))
         .join(mission, mission.c.id == run.c.mission_id)
         .join(action_version, action_version.c.id == run.c.version_id)
         .outerjoin(action, action.c.id == action_version.c.action_id)
     )
-    done = joined.where(run.c.state == RunState.done.value, *_of_missions(matching), *_of_actions(matching))
+    done = joined.where(run.c.state == RunState.done.value, *of_missions(matching), *of_actions(matching))
     latest = done.distinct(*of).order_by(*of, run.c.created_at.desc(), run.c.id.desc())
     # Its own tables, not those of the select around it.
     return latest.correlate(None)
 
 
-def _of_actions(matching: RunFilter | ReportFilter) -> list[ColumnElement[bool]]:
+def of_actions(matching: RunFilter | ReportFilter | MetricNameFilter) -> list[ColumnElement[bool]]:
+    """Return the conditions of a filter on the action."""
     conditions = []
     if matching.action_id is not None:
         conditions.append(action_version.c.action_id == matching.action_id)
     if matching.action is not None:
         published = matches_key(action.c.name_key, matching.action)
-        conditions.append(published | matches(_ACTION_NAME, matching.action))
+        conditions.append(published | matches(ACTION_NAME, matching.action))
     return conditions
 
 
-def _of_missions(matching: RunFilter | ReportFilter) -> list[ColumnElement[bool]]:
+def of_missions(matching: RunFilter | ReportFilter | MetricNameFilter) -> list[ColumnElement[bool]]:
+    """Return the conditions of a filter on missions and projects."""
     values = (
         (run.c.mission_id, matching.mission_id, matching.mission_ids),
         (mission.c.project_id, matching.project_id, matching.project_ids),

@@ -8,10 +8,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kleinkram.contract import runs
 from kleinkram.contract.base import Page
+from kleinkram.contract.metrics import MetricNameFilter, MetricNames, MetricTableQuery, MetricTableRead
 from kleinkram.contract.project_actions import ProjectActionAdd, ProjectActionList, ProjectActionRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
 from kleinkram.server.pagination import CountedPageQuery, PageQuery
-from kleinkram.server.runs import launch, lifecycle, logs, project_actions, service
+from kleinkram.server.runs import launch, lifecycle, logs, metric_tables, project_actions, service
 
 router = APIRouter(prefix="/api/v1", tags=["runs"])
 
@@ -153,6 +154,20 @@ async def list_run_metrics(
 ) -> Page[runs.MetricRead]:
     """List metrics, latest first."""
     return await service.list_metrics(db, actor, matching=query, page=query.page)
+
+
+@router.get("/metrics", operation_id="list_metrics")
+async def list_metrics(query: Annotated[MetricNameFilter, Query()], db: Reading, actor: CurrentActor) -> MetricNames:
+    """List the names of the metrics that runs reported."""
+    return await metric_tables.list_metric_names(db, actor, matching=query)
+
+
+@router.get("/metrics/table", operation_id="get_metric_table")
+async def get_metric_table(
+    query: Annotated[MetricTableQuery, Query()], db: Reading, actor: CurrentActor
+) -> MetricTableRead:
+    """Get a table of one metric: missions, or groups of them, by version, parameter, label or topic."""
+    return await metric_tables.get_metric_table(db, actor, matching=query)
 
 
 @router.get("/files/{file_id}/lineage", operation_id="get_lineage")
