@@ -246,7 +246,11 @@ class Settings(BaseSettings):
         "affiliations), `everybody` or `admins`.",
     )
 
-    body_limit_bytes: int = Field(default=4 * 1024 * 1024, ge=65_536, description="Maximum size of a request body.")
+    body_limit_bytes: int = Field(
+        default=4 * 1024 * 1024,
+        ge=65_536,
+        description="Maximum size of a request body. Reports of runs and of checks may have 32 MiB.",
+    )
     connections_per_address: int = Field(
         default=512,
         ge=16,
