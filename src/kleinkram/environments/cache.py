@@ -109,8 +109,10 @@ class EnvironmentCache:
         _check_python(request)
         needed = sum(package.is_needed(request.python.markers()) for package in packages)
         while (environment := self.find(request.key)) is None:
-            with self._locked_exclusively(request.key, wait) as lock:
-                if not self._is_complete(request.key):
+            with self._try_lock(request.key) as lock:
+                if lock is None:  # another caller builds it, or uses it already
+                    wait(_RETRY_S)
+                elif not self._is_complete(request.key):
                     message = f"Installing {needed} package{'s' * (needed != 1)}"
                     self._build(request, lock, Preparation(wait, partial(show, message), compile_in))
         return environment
@@ -195,17 +197,11 @@ class EnvironmentCache:
 
     def _remove(self, key: str, *, if_complete: bool = True) -> bool:
         """Remove an environment, or what a killed build left, unless it is in use; return whether it was removed."""
-        lock = self._open_lock(key)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if not self._is_current(key, lock) or (not if_complete and self._is_complete(key)):
+        with self._try_lock(key) as lock:
+            if lock is None or (not if_complete and self._is_complete(key)):
                 return False
             self._remove_folders(key)
             (self._folder / f"{key}{_LOCK}").unlink(missing_ok=True)
-        except BlockingIOError:
-            return False
-        finally:
-            os.close(lock)
         return True
 
     def _remove_folders(self, key: str) -> None:
@@ -218,18 +214,16 @@ class EnvironmentCache:
                 remove_read_only(abandoned)
 
     @contextlib.contextmanager
-    def _locked_exclusively(self, key: str, wait: Wait) -> Iterator[int]:
+    def _try_lock(self, key: str) -> Iterator[int | None]:
+        """Yield a lock on an environment that nobody else builds or uses; None where somebody does."""
         lock = self._open_lock(key)
         try:
-            while True:
-                with contextlib.suppress(BlockingIOError):
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    if self._is_current(key, lock):
-                        break
-                    os.close(lock)
-                    lock = self._open_lock(key)
-                wait(_RETRY_S)
-            yield lock
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            is_locked = self._is_current(key, lock)
+        except BlockingIOError:
+            is_locked = False
+        try:
+            yield lock if is_locked else None
         finally:
             os.close(lock)
 

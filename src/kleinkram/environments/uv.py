@@ -115,11 +115,12 @@ def _environment(scratch: Path) -> Mapping[str, str]:
 # What uv prints for the failures of its users, and the sentence for each.
 _NOT_FOUND = re.compile(r"(\S+) was not found in the (?:package registry|provided package locations)")
 _NO_WHEEL = re.compile(r"(\S+) has no (?:usable )?wheels?")
-_NO_VERSION = re.compile(r"there (?:is|are) no versions? of (\S+)")
-_PYTHON = re.compile(r"(?:and |Because )(\S+) depends on Python([<>=!~.,\d]+)")
+_NO_VERSION = re.compile(r"there (?:is|are) no versions? of (\S+)|only \S+ (?:is|are) available and you require (\S+),")
+_PYTHON = re.compile(r"(?:and |Because )(\S+) (?:depends on Python|requires Python )([<>=!~.,\d]+)")
 _HASH = re.compile(r"Hash mismatch for `([^`]+)`")
 _FOLDER = re.compile(r"`--find-links` directory: (\S+)")
 _STATUS = re.compile(r"HTTP status (?:client|server) error \((\d+)")
+_FORBIDDEN = re.compile(r"authentication credentials \((\d+)|returned a (40[13]) ")
 _AWAY = re.compile(r"Request failed|[Ee]rror sending request|Failed to fetch|dns error|tcp connect|timed out")
 _USERINFO = re.compile(r"//[^/\s@]+@")
 
@@ -133,11 +134,13 @@ def explain(output: str) -> str:
         return "The disk is full."
     if match := _FOLDER.search(text):
         return f"The folder of wheels {match[1]} cannot be read."
-    if (match := _STATUS.search(text)) and match[1] != "404":
-        return f"The package index refuses access (HTTP status {match[1]})."
+    if match := _FORBIDDEN.search(text):
+        return f"The package index refuses access (HTTP status {match[1] or match[2]})."
+    if match := _STATUS.search(text):
+        return f"The package index does not answer (HTTP status {match[1]})."
     if match := _NOT_FOUND.search(text):
         return f"There is no package {match[1]} in the package index."
-    if (match := _PYTHON.search(text)) and "Python version" in text:
+    if match := _PYTHON.search(text):
         return (
             f"{match[1]} requires Python {match[2]}: "
             f'the header of the script needs requires-python = "{match[2].partition(",")[0]}".'
@@ -145,7 +148,7 @@ def explain(output: str) -> str:
     if match := _NO_WHEEL.search(text):
         return f"The package {match[1]} has no wheel; packages are not built from source."
     if (match := _NO_VERSION.search(text)) and "depends on" not in text:
-        return f"There is no release {match[1].rstrip(',')} in the package index."
+        return f"There is no release {(match[1] or match[2]).rstrip(',')} in the package index."
     if "No solution found" in text:
         cause = text.partition("cause: ")[2].partition(" hint: ")[0] or text
         return f"The packages do not fit together: {_shorten(cause)}"
