@@ -172,7 +172,9 @@ class ActiveRun:
             # Its lease ends, and the server decides what happens.
             _log.exception("the run %s is given up", self.assignment.run_id)
         finally:
-            if not is_detached:
+            if is_detached:
+                self._release_environment()
+            else:
                 self._log.close()
                 try:
                     self._executor.remove(self._job())

@@ -1,11 +1,15 @@
-"""A package index of the test's own, without the proxies of this machine."""
+"""A package index of the test's own, without the proxies of this machine; runners of a fake server that use it."""
 
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.integration.runner.conftest import docker, podman
+from tests.integration.runner_loop.conftest import runners, server
 from tests.package_index import PackageIndex, serve_index
+
+__all__ = ["docker", "podman", "runners", "server"]
 
 
 @pytest.fixture
