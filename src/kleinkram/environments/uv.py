@@ -141,10 +141,8 @@ def explain(output: str) -> str:
     if match := _NOT_FOUND.search(text):
         return f"There is no package {match[1]} in the package index."
     if match := _PYTHON.search(text):
-        return (
-            f"{match[1]} requires Python {match[2]}: "
-            f'the header of the script needs requires-python = "{match[2].partition(",")[0]}".'
-        )
+        python = match[2].partition(",")[0]
+        return f'{match[1]} requires Python {python}: the header of the script needs requires-python = "{python}".'
     if match := _NO_WHEEL.search(text):
         return f"The package {match[1]} has no wheel; packages are not built from source."
     if (match := _NO_VERSION.search(text)) and "depends on" not in text:
