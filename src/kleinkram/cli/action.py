@@ -147,13 +147,16 @@ def _executor(definition: ActionDefinition, index: "PackageIndex | None") -> "Ex
 
     choice = ExecutorChoice.process if definition.image is None else ExecutorChoice.docker
     try:
-        environments = None if index is None else local_environments(index)
+        environments = local_environments(index) if index is not None and definition.lock is not None else None
         executor = choose_executor(choice, ImagePolicy(), DEFAULT_IMAGE, environments=environments)
     except InvalidInput as error:
         if definition.image is None:
             raise
         why = f"it runs an image, which requires a container engine, and {error.reason}"
         raise InvalidInput(what=f"The action {definition.name}", reason=why) from None
+    except OSError as error:
+        reason = f"{error.filename}: {error.strerror}"
+        raise InvalidInput(what="The folder for packages", reason=reason) from error
     note(f"Running {definition.name} {_ISOLATIONS[executor.abilities.isolation]}")
     return executor
 

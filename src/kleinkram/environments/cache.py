@@ -180,7 +180,11 @@ class EnvironmentCache:
                 remove_read_only(new)
 
     def _make_space(self, needed_bytes: int) -> None:
-        """Remove the environments that were used longest ago, and by nobody now, until there is space."""
+        """Remove the environments that were used longest ago, and by nobody now, until there is space.
+
+        Raises:
+            CannotInstall: there is not enough for this one alone.
+        """
         complete: list[tuple[float, int, str]] = []
         for path in self._folder.glob(f"*/{_COMPLETE}"):
             with contextlib.suppress(OSError, ValueError, KeyError):
@@ -188,6 +192,8 @@ class EnvironmentCache:
                     complete.append(
                         (path.stat().st_mtime, json.loads(path.read_text())["size_bytes"], path.parent.name)
                     )
+        if needed_bytes > self._limit_bytes:
+            raise CannotInstall(f"They need {needed_bytes / 1e9:.1f} GB; {self._limit_bytes / 1e9:.1f} GB are allowed.")
         excess_bytes = sum(size_bytes for _, size_bytes, _ in complete) + needed_bytes - self._limit_bytes
         for _, size_bytes, key in sorted(complete):
             if excess_bytes <= 0:
