@@ -138,7 +138,10 @@ class _Outcomes:
     topic: str | None = None
     file: str | None = None
 
-    def ok(self, name: str, message: str, measured: Measured | None = None) -> Check:
+    def ok(self, name: str, message: str, doubt: str | None = None, measured: Measured | None = None) -> Check:
+        """Return a passed check; with `doubt`, one that could not be made."""
+        if doubt is not None:
+            return self.not_made(name, f"{message}, but {doubt}", measured=measured)
         return make_check(name, CheckStatus.ok, message, topic=self.topic, file=self.file, measured=measured)
 
     def fails(self, name: str, message: str, doubt: str | None = None, measured: Measured | None = None) -> Check:
@@ -160,20 +163,20 @@ class _Outcomes:
             return self.fails(name, message, doubt, measured=Measured(number, allowed.min))
         if allowed.max is not None and number > allowed.max:
             return self.fails(name, f"{text}; expected {_range_text(allowed)}", measured=Measured(number, allowed.max))
-        return self.ok(name, text, measured=Measured(number, allowed.min))
+        return self.ok(name, text, doubt if allowed.max is not None else None, Measured(number, allowed.min))
 
     def span(self, name: str, span_ns: int, limit_ns: int, what: str, doubt: str | None = None) -> Check:
         """Compare a span with its upper bound; `what` has `{}` for the span."""
         measured = Measured(span_ns / 1e9, limit_ns / 1e9, "s")
         if span_ns <= limit_ns:
-            return self.ok(name, what.format(seconds(span_ns)), measured=measured)
+            return self.ok(name, what.format(seconds(span_ns)), doubt, measured)
         value, limit = against(span_ns, limit_ns, seconds)
         return self.fails(name, f"{what.format(value)}; allowed are {limit}", doubt, measured=measured)
 
     def coverage(self, name: str, share: float, smallest: float, what: str, doubt: str | None = None) -> Check:
         measured = Measured(share, smallest)
         if share >= smallest:
-            return self.ok(name, f"{what} {percent(share)} of the mission", measured=measured)
+            return self.ok(name, f"{what} {percent(share)} of the mission", doubt, measured)
         value, limit = against(share, smallest, percent)
         return self.fails(name, f"{what} {value} of the mission; expected at least {limit}", doubt, measured=measured)
 
@@ -381,7 +384,7 @@ def _check_rate(
     measured = Measured(rate_hz, limit, "Hz")
     # Rates are quotients; one that is at the bound must not fail by rounding.
     if lowest * (1 - 1e-9) <= rate_hz <= highest * (1 + 1e-9):
-        return outcomes.ok("topic.rate", f"{hertz(rate_hz)}; {expected}", measured=measured)
+        return outcomes.ok("topic.rate", f"{hertz(rate_hz)}; {expected}", doubt, measured)
     return outcomes.fails("topic.rate", f"{hertz(rate_hz)}; {expected}", doubt, measured=measured)
 
 
@@ -393,9 +396,10 @@ def _check_gap(topic: TopicFacts, limit_ns: int, outcomes: _Outcomes, index: _In
     if topic.count == 0:
         return outcomes.fails("topic.gap", f"no message; allowed are gaps of {seconds(limit_ns)}")
     if topic.longest_gap_ns is not None:
-        return outcomes.span("topic.gap", topic.longest_gap_ns, limit_ns, "longest gap {}", index.gap_doubt(topic))
+        doubt = index.gap_doubt(topic) if topic.longest_gap_ns > limit_ns else index.clock_doubt(topic)
+        return outcomes.span("topic.gap", topic.longest_gap_ns, limit_ns, "longest gap {}", doubt)
     if topic.count == 1:
-        return outcomes.ok("topic.gap", "1 message")
+        return outcomes.not_made("topic.gap", "1 message, which makes no gap")
     return outcomes.not_made("topic.gap", "its longest gap is not known")
 
 

@@ -210,7 +210,7 @@ def check_mission(
 
 def exit_code_of(results: "CheckResults", strict: bool) -> int:
     """Return the exit code of `klein check`."""
-    if results.verdict is Verdict.unchecked:
+    if results.verdict is Verdict.unchecked and not results.counts.get(CheckStatus.ok, 0):
         return ExitCode.not_found
     if results.verdict is Verdict.bad:
         return ERRORS
@@ -255,6 +255,8 @@ def results_text(results: "CheckResults", source: str, *, list_all: bool = False
 def _why_unchecked(results: "CheckResults") -> str:
     if not results.profiles_applied:
         return "Nothing was checked: no profile applies. Name the metadata of the mission with -w FIELD=VALUE."
+    if results.counts.get(CheckStatus.ok, 0):
+        return "All checks from the index passed; those of the messages were not made. Leave out --index-only."
     if results.counts.get(CheckStatus.needs_content, 0):
         return "Nothing was checked: all rules are about messages, which were not read. Leave out --index-only."
     return "Nothing was checked: the profiles have no rules."

@@ -155,7 +155,7 @@ def _show_checks(mission: MissionRead, result: MissionChecksRead, *, list_all: b
     if result.notes:
         line("")
         table(["note on", "by", "text"], [(_check_of(one), one.created_by.name, one.text) for one in result.notes])
-    if not result.checks:
+    if not result.checks or result.verdict is Verdict.unchecked:
         note(_why_unchecked(result))
 
 
@@ -167,6 +167,8 @@ def _cells(check: MissionCheck) -> tuple[object, ...]:
 def _why_unchecked(result: MissionChecksRead) -> str:
     if result.verdict is Verdict.running:
         return "The checks are being made."
+    if result.counts.needs_content:
+        return "Checks of the messages are still to be made: by `klein upload --check`, or an action of the project."
     if result.profiles_left_out:
         return "No profile of the project's checks.yaml applies to this mission."
     return "Nothing was checked; `klein checks set` sets the rules of a project."

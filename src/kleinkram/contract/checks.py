@@ -38,7 +38,7 @@ class CheckStatus(str, enum.Enum):
     """Outcome of one check.
 
     not_made: it could not be made, with the reason in its message; counts as a warning. needs_content: it reads the
-    messages themselves, and only the index was read; counts neither as passed nor as failed.
+    messages themselves, and only the index was read; while there is such a check, nothing is good.
     """
 
     ok = "ok"
@@ -59,7 +59,7 @@ class Verdict(str, enum.Enum):
     """What the checks of a mission amount to.
 
     outdated: files, the file of checks, or the version of an action are newer than the results. running: checks are
-    being made. unchecked: there are none.
+    being made. unchecked: there are none, or some are still to be made and none has failed.
     """
 
     good = "good"
@@ -92,20 +92,24 @@ WORST_FIRST = (
     CheckStatus.error,
     CheckStatus.warning,
     CheckStatus.not_made,
-    CheckStatus.ok,
     CheckStatus.needs_content,
+    CheckStatus.ok,
 )
 _VERDICTS = {
     CheckStatus.error: Verdict.bad,
     CheckStatus.warning: Verdict.warnings,
     CheckStatus.not_made: Verdict.warnings,
+    CheckStatus.needs_content: Verdict.unchecked,
     CheckStatus.ok: Verdict.good,
 }
 
 
 def verdict_of(statuses: "set[CheckStatus]") -> Verdict:
-    """Return what checks with these statuses amount to: good, warnings, bad, or unchecked where none was made."""
-    return next((_VERDICTS[status] for status in WORST_FIRST[:4] if status in statuses), Verdict.unchecked)
+    """Return what checks with these statuses amount to: good, warnings, bad, or unchecked.
+
+    Unchecked is what has no checks, and what only passed those that were made while others need the messages.
+    """
+    return next((_VERDICTS[status] for status in WORST_FIRST if status in statuses), Verdict.unchecked)
 
 
 # -- checks and verdicts of the server --------------------------------------------------------------------------------

@@ -120,7 +120,7 @@ def test_a_link_to_one_file_shows_no_checks(api: Api, bad_id: str) -> None:
 
 def test_a_report_of_an_uploader_adds_the_checks_of_content(api: Api) -> None:
     mission_id = judged_mission(api, checked_project(api, _IMAGES), *GOOD)
-    assert verdict(api, mission_id) == "good"
+    assert verdict(api, mission_id) == "unchecked"
     assert api.get(f"/missions/{mission_id}").ok()["checks"]["needs_content"] > 0
     report = _report(api, mission_id, _rules_hash(api, mission_id), _BLACK, *_LIGHT, _RATE).ok(201)
     assert (report["is_current"], report["verdict"], report["check_count"]) == (True, "bad", 4)
@@ -138,7 +138,7 @@ def test_a_report_of_other_files_does_not_count(api: Api) -> None:
     assert _report(api, mission_id, sha256, _BLACK, **{"run.mcap": "0" * 64}).ok(201)["is_current"] is False
     assert _report(api, mission_id, sha256, _BLACK, **{"gone.mcap": "0" * 64}).ok(201)["is_current"] is False
     run_jobs(api)
-    assert verdict(api, mission_id) == "good"
+    assert verdict(api, mission_id) == "unchecked"
     result = api.get(f"/missions/{mission_id}/checks").ok()
     assert result["reports"] == []
     assert len(api.get(f"/missions/{mission_id}/checks", {"all": "true"}).ok()["reports"]) == 2
@@ -197,11 +197,23 @@ def test_a_check_of_earlier_files_cannot_be_accepted(api: Api, bad_id: str) -> N
     _accept(api, bad_id, topic="/imu").ok(201)
 
 
-def test_the_latest_reports_of_a_mission_stay(api: Api) -> None:
-    mission_id = judged_mission(api, str(api.project()["id"]), *GOOD)
-    made = [_report(api, mission_id, f"{number:064x}", _RATE).ok(201)["id"] for number in range(22)]
+def test_the_latest_reports_of_each_person_stay(api: Api) -> None:
+    mission_id = judged_mission(api, checked_project(api, _IMAGES), *GOOD)
+    sha256 = _rules_hash(api, mission_id)
+    first = _report(api, mission_id, sha256, _BLACK).ok(201)["id"]
+    helper = people.person(api)
+    people.grant(api, helper.group_id, Right.create, mission_id=mission_id)
+    other = api.as_(helper.token)
+    passed = {**_BLACK, "status": "ok"}
+    made = [_report(other, mission_id, f"{number:064x}", _RATE).ok(201)["id"] for number in range(7)]
+    made.append(_report(other, mission_id, sha256, passed, *_LIGHT).ok(201)["id"])
     listed = api.get(f"/missions/{mission_id}/checks", {"all": "true"}).ok()["reports"]
-    assert [one["id"] for one in listed] == made[:1:-1]
+    assert [one["id"] for one in listed] == [*made[:2:-1], first]
+    run_jobs(api)
+    assert failing(api, mission_id) == [("image.black", "error", "/camera")], "what another person found still counts"
+    _report(api, mission_id, sha256, passed, *_LIGHT).ok(201)
+    run_jobs(api)
+    assert (verdict(api, mission_id), failing(api, mission_id)) == ("good", [])
 
 
 def test_without_rules_of_the_project_the_report_is_the_verdict(api: Api) -> None:

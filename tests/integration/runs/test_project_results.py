@@ -70,7 +70,7 @@ def test_the_latest_result_on_the_present_files_makes_the_verdict(lab: Api, runn
     lab.post("/runs", body | {"force": True}).ok()
     assert verdict(lab, place.mission) == ("running", {"results.verdict": "ok"})
     finish(runner, "exit_code")
-    assert verdict(lab, place.mission) == ("warnings", {"results.failed": "not_made"})
+    assert verdict(lab, place.mission) == ("good", {"results.verdict": "ok"})
 
     complete(lab, place.mission, False)
     upload(lab, place.mission["id"], "more.bin", b"more")
@@ -88,11 +88,32 @@ def test_the_reported_verdict_counts_without_checks(lab: Api, runner: FakeRunner
     assert verdict(lab, place.mission) == ("bad", {"results.verdict": "error"})
 
 
-def test_an_action_without_inputs_in_a_mission_is_left_out(lab: Api, runner: FakeRunner, place: Place) -> None:
+def test_an_action_without_inputs_in_a_complete_mission_is_not_made(lab: Api, runner: FakeRunner, place: Place) -> None:
     run_jobs(lab)
     add(lab, place.project, publish(lab, runner, place.project, inputs={"paths": ["*.mcap"]}))
+    assert verdict(lab, place.mission) == ("unchecked", {"results.missing": "needs_content"})
     complete(lab, place.mission)
-    assert verdict(lab, place.mission) == ("unchecked", {})
+    assert verdict(lab, place.mission) == ("warnings", {"results.missing": "not_made"})
+    (check,) = lab.get(f"/missions/{place.mission['id']}/checks").ok()["checks"]
+    assert "no file of the mission is its input" in check["message"]
+    empty = lab.mission(place.project["id"])
+    complete(lab, empty)
+    assert verdict(lab, empty) == ("unchecked", {})
+
+
+def test_a_run_that_fails_counts_only_without_an_earlier_result(lab: Api, runner: FakeRunner, place: Place) -> None:
+    run_jobs(lab)
+    action = publish(lab, runner, place.project)
+    add(lab, place.project, action)
+    complete(lab, place.mission)
+    run_jobs(lab)
+    finish(runner, "exit_code")
+    assert verdict(lab, place.mission) == ("warnings", {"results.failed": "not_made"})
+    again = {"mission_ids": [place.mission["id"]], "action_id": action["id"], "force": True}
+    for ending, report in (("done", {"findings": [GAP]}), ("exit_code", {})):
+        lab.post("/runs", again).ok()
+        finish(runner, ending, **report)
+        assert verdict(lab, place.mission) == ("bad", {"topic.gap": "error", "results.verdict": "ok"})
 
 
 def test_a_bad_mission_stays_bad_while_the_action_runs_again(lab: Api, runner: FakeRunner, place: Place) -> None:

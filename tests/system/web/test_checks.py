@@ -130,7 +130,7 @@ def _check_matrix(results: dict[str, Any]) -> None:
     assert matrix["afterArrows"] == {"row": "1", "column": "2"}
     assert "longest gap" in matrix["explained"]
     assert matrix["opened"].startswith("/missions/")
-    assert matrix["trend"] == ["1 bad", "1 good"]
+    assert matrix["trend"] == ["1 bad", "1 unchecked"]
 
 
 def _check_mission(results: dict[str, Any]) -> None:
@@ -143,5 +143,5 @@ def _check_mission(results: dict[str, Any]) -> None:
     assert mission["note"].startswith("seen by <b>Ada<b>")
     assert mission["afterWithdrawing"]["topic.gap"] == "Error"
     assert mission["history"] == "withdrawn"
-    assert mission["inProject"] == {"good": "good", "bad": "bad"}
+    assert mission["inProject"] == {"good": "unchecked", "bad": "bad"}, "its pictures were not checked yet"
     assert mission["inSearch"] == ["bad"]

@@ -268,6 +268,12 @@ def test_a_gap_just_over_the_limit_is_written_with_enough_digits() -> None:
     assert message == "longest gap 50.000001 ms; allowed are 50 ms"
 
 
+def test_one_message_makes_no_gap() -> None:
+    facts = mission_facts(topic_facts(count=1, longest_gap_ns=None))
+    status, message = _status("topics", "/imu/data", "{max_gap: 50ms}", facts, "topic.gap")
+    assert (status, message) == (CheckStatus.not_made, "1 message, which makes no gap")
+
+
 def test_a_gap_that_is_only_an_upper_bound_is_no_failure() -> None:
     problem = Problem("gaps-upper-bound", "/imu/data", "too far out of order")
     facts = mission_facts(topic_facts(longest_gap_ns=SECOND), recordings=(recording_facts(problems=(problem,)),))
@@ -336,20 +342,30 @@ def test_what_a_file_that_was_not_read_may_contain_is_not_reported_as_missing() 
     assert (status, message) == (CheckStatus.not_made, "it is not recorded, but opc/drive.bag was not read")
     status, _ = _status("topics", "/imu/data", "{count: {min: 20000}}", facts, "topic.count")
     assert status is CheckStatus.not_made
+    status, _ = _status("topics", "/imu/data", "{count: {max: 20000}}", facts, "topic.count")
+    assert status is CheckStatus.not_made, "the file that was not read may have more"
+    status, _ = _status("topics", "/imu/data", "{count: {min: 100}}", facts, "topic.count")
+    assert status is CheckStatus.ok
+    status, _ = _status("topics", "/imu/data", "{covers: 90%}", facts, "topic.coverage")
+    assert status is CheckStatus.not_made, "the mission may be longer"
 
 
-def test_times_of_a_clock_that_was_set_are_not_judged() -> None:
+@pytest.mark.parametrize(("rate_hz", "gap_ns"), [(150.0, 2 * SECOND), (200.0, 5_000_000)])
+def test_times_of_a_clock_that_was_set_are_not_judged(rate_hz: float, gap_ns: int) -> None:
     problem = Problem("clock-jump", "/imu/data", "log times jump back by 2.0 s")
     facts = mission_facts(
-        topic_facts(longest_gap_ns=2 * SECOND, rate_hz=150.0), recordings=(recording_facts(problems=(problem,)),)
+        topic_facts(longest_gap_ns=gap_ns, rate_hz=rate_hz), recordings=(recording_facts(problems=(problem,)),)
     )
     results = evaluated(rules("topics", rule="{rate: 200, max_gap: 50ms, covers: 10%}"), facts)
     assert results.verdict is Verdict.warnings
-    gap = only(results, "topic.gap")
-    assert gap.status is CheckStatus.not_made
-    assert gap.message.endswith("but the clock was set while nuc/drive.mcap was recorded")
-    assert only(results, "topic.rate").status is CheckStatus.not_made
-    assert only(results, "topic.coverage").status is CheckStatus.ok
+    for name in ("topic.gap", "topic.rate", "topic.coverage"):
+        check = only(results, name)
+        assert check.status is CheckStatus.not_made
+        assert check.message.endswith("but the clock was set while nuc/drive.mcap was recorded")
+    rule = "{covers: 10%, max_start_skew: 1s, max_end_skew: 1s}"
+    of_recording = evaluated(rules("recordings", "nuc/*", rule), facts)
+    for name in ("recording.coverage", "recording.start_skew", "recording.end_skew"):
+        assert only(of_recording, name).status is CheckStatus.not_made
 
 
 def test_a_mission_without_recordings_lacks_everything() -> None:
@@ -404,7 +420,7 @@ def test_a_clock_rule_that_matches_no_topic() -> None:
 # -- checks of the content --------------------------------------------------------------------------------------------
 
 
-def test_checks_of_the_content_are_listed_as_such_and_count_as_nothing() -> None:
+def test_nothing_is_good_while_checks_of_the_content_are_to_be_made() -> None:
     text = """
 version: 1
 profiles:
@@ -415,7 +431,7 @@ profiles:
     results = evaluated(read_checks(text), mission_facts())
     names = {check.name for check in results.checks if check.status is CheckStatus.needs_content}
     assert names == {"imu.gravity", "imu.tilt", "imu.saturated", "imu.constant", "clock.stamp_offset"}
-    assert results.verdict is Verdict.good
+    assert results.verdict is Verdict.unchecked
     assert results.counts[CheckStatus.needs_content] == 5
 
 

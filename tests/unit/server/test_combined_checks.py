@@ -31,8 +31,8 @@ def of_action(name: str, status: CheckStatus, topic: str | None = None) -> Missi
     return MissionCheck.model_construct(**check.__dict__, source=CheckSource.action, action="verify")
 
 
-def report(*checks: Check, present: bool = True, content: bool = True) -> UploaderReport:
-    return UploaderReport(checks, is_by_present_rules=present, has_content=content)
+def report(*checks: Check, present: bool = True, content: bool = True, person: int = 1) -> UploaderReport:
+    return UploaderReport(uuid.UUID(int=person), checks, is_by_present_rules=present, has_content=content)
 
 
 def accepted(check: str, topic: str | None = None) -> Acceptance:
@@ -48,8 +48,11 @@ def outcomes(combined: CombinedChecks) -> list[tuple[str, CheckStatus, CheckSour
     [
         ((), Verdict.unchecked),
         ((NEEDS_CONTENT,), Verdict.unchecked),
-        ((OK, NEEDS_CONTENT), Verdict.good),
+        ((OK, NEEDS_CONTENT), Verdict.unchecked),
         ((OK, WARNING), Verdict.warnings),
+        ((OK, WARNING, NEEDS_CONTENT), Verdict.warnings),
+        ((NOT_MADE, NEEDS_CONTENT), Verdict.warnings),
+        ((ERROR, NEEDS_CONTENT), Verdict.bad),
         ((OK, NOT_MADE), Verdict.warnings),
         ((NOT_MADE,), Verdict.warnings),
         ((OK, WARNING, NOT_MADE, ERROR), Verdict.bad),
@@ -111,10 +114,13 @@ def test_of_a_report_only_checks_of_content_count() -> None:
     ]
 
 
-def test_the_latest_report_of_content_counts_alone() -> None:
+def test_of_each_person_the_latest_report_of_content_counts_alone() -> None:
     newer, older = report(made("image.black", OK)), report(made("image.black", ERROR), made("imu.tilt", ERROR))
     index = [made("image.black", NEEDS_CONTENT)]
     assert outcomes(combine(Sources(index=index, reports=[newer, older]))) == [("image.black", OK, CheckSource.report)]
+    assert (
+        combine(Sources(index=index, reports=[newer, report(made("image.black", OK)), older])).verdict is Verdict.good
+    )
     # A later report of the index alone does not hide what was found in the content.
     of_index = report(made("topic.rate", OK), content=False)
     assert combine(Sources(index=index, reports=[of_index, older])).verdict is Verdict.bad
@@ -125,7 +131,7 @@ def test_a_report_by_other_rules_does_not_count(content: bool) -> None:
     old = report(made("image.black", ERROR), present=False, content=content)
     index = [made("topic.rate", OK), made("image.black", NEEDS_CONTENT)]
     sources = Sources(index=index, reports=[old])
-    assert combine(sources).verdict is Verdict.good
+    assert combine(sources).verdict is Verdict.unchecked
     assert combine(Sources(reports=[old])).verdict is Verdict.unchecked
     assert is_content_outdated(sources) is content
     assert not is_content_outdated(Sources(index=index, reports=[old, report(made("image.black", OK))]))
@@ -138,11 +144,33 @@ def test_what_a_report_lacks_of_the_checks_of_content_is_still_to_be_made() -> N
     sources = Sources(index=index, reports=[report(made("image.black", OK, "/left"))])
     assert is_content_outdated(sources)
     assert outcomes(combine(sources)) == [
-        ("image.black", OK, CheckSource.report),
         ("imu.tilt", NEEDS_CONTENT, CheckSource.server),
+        ("image.black", OK, CheckSource.report),
     ]
     too_long = report(made("image.black", OK, "/left"), made(LEFT_OUT, OK))
     assert not is_content_outdated(Sources(index=index, reports=[too_long])), "it may have been left out of the list"
+
+
+@pytest.mark.parametrize("index", [None, [made("image.black", NEEDS_CONTENT)]])
+def test_a_report_does_not_overrule_what_another_person_found(index: list[Check] | None) -> None:
+    bad = report(made("image.black", ERROR, "/left"), made("image.black", OK, "/right"), person=1)
+    good = report(made("image.black", OK, "/left"), made("image.black", WARNING, "/right"), person=2)
+    for reports in ([bad, good], [good, bad], [good, good, bad]):
+        combined = combine(Sources(index=index, reports=reports))
+        assert combined.verdict is Verdict.bad
+        statuses = [(check.topic, check.status) for check in combined.checks]
+        assert statuses == [("/left", ERROR), ("/right", WARNING)]
+
+
+def test_topics_that_a_report_left_out_keep_a_mission_from_being_good() -> None:
+    reports = [report(made("image.black", OK), made(LEFT_OUT, NOT_MADE))]
+    combined = combine(Sources(index=[made("image.black", NEEDS_CONTENT)], reports=reports))
+    assert (combined.verdict, combined.failed) == (Verdict.warnings, [])
+
+
+def test_a_check_that_waits_for_one_topic_has_not_passed() -> None:
+    index = [made("clock.stamp_jump", OK, "/imu"), made("clock.stamp_jump", NEEDS_CONTENT, "/lidar")]
+    assert combine(Sources(index=index)).statuses == {"clock.stamp_jump": NEEDS_CONTENT}
 
 
 def test_without_rules_of_the_project_a_whole_report_counts() -> None:

@@ -3531,7 +3531,7 @@ export interface components {
          * @description Outcome of one check.
          *
          *     not_made: it could not be made, with the reason in its message; counts as a warning. needs_content: it reads the
-         *     messages themselves, and only the index was read; counts neither as passed nor as failed.
+         *     messages themselves, and only the index was read; while there is such a check, nothing is good.
          * @enum {string}
          */
         CheckStatus: "ok" | "warning" | "error" | "not_made" | "needs_content";
@@ -7633,7 +7633,7 @@ export interface components {
          * @description What the checks of a mission amount to.
          *
          *     outdated: files, the file of checks, or the version of an action are newer than the results. running: checks are
-         *     being made. unchecked: there are none.
+         *     being made. unchecked: there are none, or some are still to be made and none has failed.
          * @enum {string}
          */
         Verdict: "good" | "warnings" | "bad" | "outdated" | "running" | "unchecked";

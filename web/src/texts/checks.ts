@@ -14,7 +14,7 @@ export const verdictTexts: Readonly<Record<Verdict, Named>> = {
   bad: { label: "Bad", why: "Some checks failed." },
   outdated: { label: "Outdated", why: "Files, checks, or actions are newer than the results." },
   running: { label: "Checking", why: "Checks are running. The page updates automatically." },
-  unchecked: { label: "Unchecked", why: "No checks were made." },
+  unchecked: { label: "Unchecked", why: "No checks were made, or some are still to be made and none has failed." },
 };
 
 export const statusTexts: Readonly<Record<CheckStatus, Named>> = {
@@ -22,7 +22,7 @@ export const statusTexts: Readonly<Record<CheckStatus, Named>> = {
   warning: { label: "Warning", why: "The check gave a warning." },
   not_made: { label: "Not made", why: "The check could not be made. It counts as a warning." },
   ok: { label: "Passed", why: "The check passed." },
-  needs_content: { label: "Needs content", why: "The check reads the messages, and only the index was read. It does not count." },
+  needs_content: { label: "Needs content", why: "The check reads the messages, and only the index was read. Until it is made, the mission is not good." },
 };
 
 const counters: Readonly<Record<keyof CheckCounts, (count: number) => string>> = {

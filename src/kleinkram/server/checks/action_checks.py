@@ -13,7 +13,7 @@ _VERDICTS = {Verdict.warnings: CheckStatus.warning, Verdict.bad: CheckStatus.err
 def checks_of_result(result: ActionResult, is_complete: bool) -> Iterator[MissionCheck]:
     """Yield the checks that an action reported, its warnings and errors as checks named by their codes, and its end.
 
-    `results.missing`: it has not run, which counts once the mission is complete, or if it could not start.
+    `results.missing`: it has not run, which counts as a warning once the mission is complete, or if it could not start.
     `results.failed`: it could not judge the mission. `results.verdict`: it ended well, with what it concludes beyond
     its checks and findings.
     """
@@ -22,6 +22,9 @@ def checks_of_result(result: ActionResult, is_complete: bool) -> Iterator[Missio
         status = CheckStatus.not_made if is_complete or result.message else CheckStatus.needs_content
         message = f"{name} has not run on these files" + (f": {result.message}" if result.message else "")
         yield _check(result, "results.missing", status, message[:2000])
+    elif result.state is ResultState.without_input:
+        status = CheckStatus.not_made if is_complete else CheckStatus.needs_content
+        yield _check(result, "results.missing", status, f"{name} has not run: no file of the mission is its input")
     elif result.state is ResultState.failed:
         yield _check(result, "results.failed", CheckStatus.not_made, f"{name} failed: {result.message}"[:2000])
     elif result.state is ResultState.done:

@@ -35,6 +35,7 @@ class Acceptance:
 class UploaderReport:
     """Checks of the present files, by an uploader. `is_by_present_rules`: by the present `checks.yaml`."""
 
+    person_id: uuid.UUID
     checks: Sequence[Check]
     is_by_present_rules: bool
     has_content: bool
@@ -63,7 +64,7 @@ class Sources:
 
     Attributes:
         index: checks that the server made from the index; None if the project has no `checks.yaml`.
-        reports: latest first.
+        reports: latest first; of each person, the latest counts.
         actions: checks of the project's actions.
         is_running: a source is still being made.
         is_outdated: a source was made of earlier files or rules, and was not made again.
@@ -129,31 +130,55 @@ def is_content_outdated(sources: Sources) -> bool:
     by_content = [report for report in sources.reports if report.has_content]
     if not needed or not by_content:
         return False
-    current = next((report for report in by_content if report.is_by_present_rules), None)
-    return current is None or not needed <= _content_checks(current, needed)
+    return not needed <= _content_checks(_counting([one for one in by_content if one.is_by_present_rules]), needed)
 
 
-def _content_checks(report: UploaderReport, needed: Set[str]) -> Set[str]:
-    """Return the names of the checks of content that a report has; of one that is too long, it has all."""
-    names = {check.name for check in report.checks}
+def _content_checks(checks: Iterable[Check], needed: Set[str]) -> Set[str]:
+    """Return the names of the checks of content that reports have; of one that is too long, it has all."""
+    names = {check.name for check in checks}
     return needed if LEFT_OUT in names else {name for name in names if reads_content(name)}
 
 
+def _counting(reports: Iterable[UploaderReport]) -> list[Check]:
+    """Return the checks that count: of each person, those of the latest report; of several people, the worse outcome.
+
+    A person who may only add files can thus not overrule what another one found.
+    """
+    by_subject: dict[tuple[str, str | None, str | None], list[Check]] = {}
+    people: set[uuid.UUID] = set()
+    for report in reports:
+        if report.person_id in people:
+            continue
+        people.add(report.person_id)
+        own: dict[tuple[str, str | None, str | None], list[Check]] = {}
+        for check in report.checks:
+            own.setdefault((check.name, check.topic, check.file), []).append(check)
+        for subject, checks in own.items():
+            known = by_subject.get(subject)
+            if known is None or _worst(checks) < _worst(known):
+                by_subject[subject] = checks
+    return [check for checks in by_subject.values() for check in checks]
+
+
+def _worst(checks: Iterable[Check]) -> int:
+    return min(WORST_FIRST.index(check.status) for check in checks)
+
+
 def _all_checks(sources: Sources) -> Iterable[MissionCheck]:
-    """Yield the checks that count: from the index by the server, from the content by the latest valid report."""
+    """Yield the checks that count: from the index by the server, from the content by the valid reports."""
     valid = [report for report in sources.reports if report.is_by_present_rules]
-    content = next((report for report in valid if report.has_content), None)
+    content = [report for report in valid if report.has_content]
     if sources.index is None:
-        report = content or next(iter(valid), None)
-        yield from (_read(check, CheckSource.report) for check in (report.checks if report else ()))
+        yield from (_read(check, CheckSource.report) for check in _counting(content or valid))
     else:
+        reported = _counting(content)
         needed = {check.name for check in sources.index if check.status is CheckStatus.needs_content}
-        made = _content_checks(content, needed) if content is not None else frozenset()
+        made = _content_checks(reported, needed)
         for check in sources.index:
             if check.name not in made:
                 yield _read(check, CheckSource.server)
-        for check in content.checks if content else ():
-            if reads_content(check.name):
+        for check in reported:
+            if reads_content(check.name) or (check.name == LEFT_OUT and check.status is not CheckStatus.ok):
                 yield _read(check, CheckSource.report)
     yield from sources.actions
 

@@ -135,7 +135,9 @@ def _judge(
     sources = Sources(
         index=index,
         reports=[_report(row, rules) for row in reports if is_report_of(row, judged.all_files, judged.recorded_files)],
-        actions=[check for result in action_results for check in checks_of_result(result, judged.is_complete)],
+        actions=[check for result in action_results for check in checks_of_result(result, judged.is_complete)]
+        if judged.all_files
+        else [],
         acceptances=acceptances,
         is_running=judged.is_reading or any(one.is_running for one in action_results),
     )
@@ -146,6 +148,7 @@ def _judge(
 
 def _report(row: Row[Any], rules: _Rules | None) -> UploaderReport:
     return UploaderReport(
+        person_id=row.created_by_id,
         checks=_CHECKS.validate_python(row.checks),
         is_by_present_rules=rules is None or rules.sha256 == row.document_sha256,
         has_content=row.depth == CheckDepth.content.value,

@@ -41,7 +41,7 @@ from kleinkram.server.missions import service as missions
 from kleinkram.server.tables import check_acceptance, check_note, check_report, project_checks
 
 _MAX_NOTES = 10_000
-_MAX_REPORTS = 20
+_MAX_REPORTS_OF_PERSON = 5
 
 
 async def get_mission_checks(
@@ -168,7 +168,7 @@ async def create_report(
 ) -> CheckReportRead:
     """Store the checks that an uploader made, in place of an earlier report of the same files by the same person.
 
-    The latest reports of a mission stay: they are all read to judge it.
+    The latest reports of each person stay.
 
     Raises:
         NotFound: the mission does not exist, or is not visible.
@@ -191,7 +191,8 @@ async def create_report(
         "created_by_id": actor.person_id,
     }
     await db.execute(insert(check_report).values(**values))
-    obsolete = queries.reports_of(mission_id).with_only_columns(check_report.c.id).offset(_MAX_REPORTS)
+    of_person = queries.reports_of(mission_id).where(check_report.c.created_by_id == actor.person_id)
+    obsolete = of_person.with_only_columns(check_report.c.id).offset(_MAX_REPORTS_OF_PERSON)
     await db.execute(delete(check_report).where(check_report.c.id.in_(obsolete)))
     await judge_again(db, [mission_id])
     after: Metadata = {"verdict": verdict.value, "depth": report.depth.value, "checks": len(report.checks)}

@@ -46,7 +46,8 @@ _ENDED = frozenset((RunState.done.value, RunState.failed.value))
 class ResultState(str, enum.Enum):
     """State of the result of an action on a mission.
 
-    outdated: there are only results of an earlier version, or of other input bytes. missing: there are none at all.
+    failed: every run on the present input bytes failed. outdated: there are only results of an earlier version, or of
+    other input bytes. missing: there are none at all. without_input: no file of the mission is an input of the action.
     """
 
     done = "done"
@@ -54,6 +55,7 @@ class ResultState(str, enum.Enum):
     running = "running"
     outdated = "outdated"
     missing = "missing"
+    without_input = "without_input"
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ class ActionResult:
 
     Attributes:
         version: the latest one of the action.
-        run_id: the run with this state; None for `missing`.
+        run_id: the run with this state; None for `missing` and `without_input`.
         is_running: a run that would count has not ended. An earlier one that has ended counts until then.
         message: how the run ended; of a missing one, the problem for which it did not start.
         findings: warnings and errors.
@@ -102,8 +104,7 @@ async def project_results(
 ) -> Mapping[uuid.UUID, Sequence[ActionResult]]:
     """Return the results that count, of each action that the project of a mission names, by mission.
 
-    An action of which no file of a mission is an input is left out. A few statements for each action that is named, for
-    any number of missions.
+    A few statements for each action that is named, for any number of missions.
     """
     projects = {row.id: row.project_id for row in await db.execute(_missions(mission_ids))}
     results: dict[uuid.UUID, list[ActionResult]] = {mission_id: [] for mission_id in mission_ids}
@@ -112,8 +113,8 @@ async def project_results(
         inputs = await _present_inputs(db, named.definition, own)
         runs = await _runs(db, named.action_id, [*inputs])
         problems = await _problems(db, named, [*inputs])
-        for mission_id, files in inputs.items():
-            result = _result(named, mission_id, files, runs.get(mission_id, ()))
+        for mission_id in own:
+            result = _result(named, mission_id, inputs.get(mission_id, ()), runs.get(mission_id, ()))
             if result.state is ResultState.missing:
                 result = replace(result, message=problems.get(mission_id, ""))
             results[mission_id].append(result)
@@ -130,10 +131,14 @@ def _result(
         parameters = named.definition.fill_in(named.parameters)
     except ParametersWrong as error:  # a later version has other parameters
         return replace(missing, state=ResultState.failed, message=str(error))
+    if not inputs:
+        return replace(missing, state=ResultState.without_input)
     fingerprint = inputs_fingerprint(named.version_id, parameters, inputs)
     current = [row for row in runs if row.inputs_fingerprint == fingerprint]
     running = next((row for row in current if row.state in ACTIVE), None)
-    counting = next((row for row in current if row.state in _ENDED), None)
+    done = next((row for row in current if row.state == RunState.done.value), None)
+    # A later attempt that failed says nothing about the mission, and does not hide what an earlier one found.
+    counting = done or next((row for row in current if row.state in _ENDED), None)
     if counting is not None:
         verdict = None if counting.verdict is None else Verdict(counting.verdict)
         result = replace(missing, state=ResultState(counting.state), run_id=counting.id, message=counting.message)
