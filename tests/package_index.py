@@ -110,10 +110,12 @@ def _answer(index: PackageIndex, path: str) -> tuple[int, bytes, str]:
     kind, _, name = path.strip("/").partition("/")
     if kind == "files" and (index.folder / name).is_file():
         return 200, (index.folder / name).read_bytes(), "application/octet-stream"
-    found = [file for file in sorted(index.folder.iterdir()) if _normalized(file.name.split("-")[0]) == name.strip("/")]
-    if kind != "simple" or not found:
+    wheels = [
+        file for file in sorted(index.folder.iterdir()) if _normalized(file.name.split("-")[0]) == name.strip("/")
+    ]
+    if kind != "simple" or not wheels:
         return 404, b"", "text/plain"
-    links = [f'<a href="/files/{file.name}#sha256={_sha256(file)}">{file.name}</a>' for file in found]
+    links = [f'<a href="/files/{file.name}#sha256={_sha256(file)}">{file.name}</a>' for file in wheels]
     return 200, f"<!DOCTYPE html><html><body>{''.join(links)}</body></html>".encode(), "text/html"
 
 

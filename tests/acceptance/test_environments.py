@@ -74,7 +74,7 @@ def test_a_script_runs_with_what_it_names(lab: Terminal, index: PackageIndex, tm
     assert "nothing was published" in same.err
 
 
-def test_what_is_wrong_is_said_at_once(lab: Terminal, tmp_path: Path) -> None:
+def test_errors_are_reported_at_once(lab: Terminal, tmp_path: Path) -> None:
     script = tmp_path / "wrong.py"
     script.write_text(SCRIPT.replace("robot-of-tests", "no-such-package-of-tests"))
     mission = ("-p", "alpine", "-m", "drive")

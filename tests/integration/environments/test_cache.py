@@ -166,7 +166,7 @@ def test_failures_name_their_reason(index: PackageIndex, tmp_path: Path) -> None
 def test_an_environment_beyond_the_limit_is_refused(index: PackageIndex, tmp_path: Path) -> None:
     index.add("large", "1.0", {"large.py": "#" * 100_000})
     cache = a_cache(tmp_path, index, limit_bytes=50_000)
-    with pytest.raises(CannotInstall, match="They need 0.0 GB; 0.0 GB are allowed"):
+    with pytest.raises(CannotInstall, match=r"They need 0\.0 GB; 0\.0 GB are allowed"):
         get(cache, lock_of(index, "large"))
     assert not [path for path in (tmp_path / "environments").iterdir() if path.is_dir()]
 

@@ -101,7 +101,7 @@ def test_an_index_that_is_away_is_named(lab: Api, shared_index: PackageIndex) ->
     assert "The package index does not answer" in problem["problems"][0]["message"]
 
 
-def test_an_own_lock_is_kept_if_it_contains_the_dependencies(lab: Api) -> None:
+def test_an_own_lock_is_stored_if_it_contains_the_dependencies(lab: Api) -> None:
     lock = f"arm==1.0 \\\n    --hash=sha256:{'a' * 64}\n"
     assert publish(lab, "arm", lock=lock)["latest"]["definition"]["lock"] == lock
     for dependency, wrong, message in (
