@@ -25,7 +25,6 @@ from kleinkram.client.actions import read_manifest
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import ActionDefinition, ActionRead, ActionVersionRead, Inputs
 from kleinkram.contract.checks import Verdict
-from kleinkram.contract.locks import parse_lock
 from kleinkram.contract.problems import first_problem
 from kleinkram.contract.reports import verdict_of_report
 from kleinkram.contract.runners import Isolation
@@ -261,7 +260,7 @@ def lock_(
             out.write_text(lock)
         except OSError as error:
             raise InvalidInput(what=str(out), reason=error.strerror or str(error)) from None
-    packages = sorted({package.name for package in parse_lock(lock)})
+    packages = _packages_of(lock)
     document = {"packages": packages, "lock": lock}
     if out is not None:
         return Output(document, f"Locked {len(packages)} packages in {out}.")
@@ -360,7 +359,7 @@ def _show(action: ActionRead, version: ActionVersionRead) -> None:
             ("command", definition.command),
             ("needs", definition.dependencies),
             ("python", definition.requires_python),
-            ("locked", None if definition.lock is None else f"{len(parse_lock(definition.lock))} packages"),
+            ("locked", None if definition.lock is None else f"{len(_packages_of(definition.lock))} packages"),
             ("inputs", _inputs(definition.inputs)),
             (
                 "resources",
@@ -381,6 +380,12 @@ def _show(action: ActionRead, version: ActionVersionRead) -> None:
             default = "(required)" if entry.default is None else '""' if entry.default == "" else entry.default
             rows.append((entry.name, entry.type.value, default, entry.unit, entry.choices, entry.description))
         table(["parameter", "type", "default", "unit", "choices", "description"], rows)
+
+
+def _packages_of(lock: str) -> list[str]:
+    from kleinkram.contract.locks import parse_lock  # slow to import
+
+    return sorted({package.name for package in parse_lock(lock)})
 
 
 def _inputs(inputs: Inputs) -> str:
