@@ -210,5 +210,7 @@ def _of_script(file: Path, text: str) -> dict[str, Any]:
         except tomllib.TOMLDecodeError as error:
             raise InvalidInput(what=str(file), reason=f"its header is not TOML: {error}") from error
     fields = header.get("tool", {}).get("kleinkram", {})
-    of_header = {"dependencies": header.get("dependencies", []), "requires_python": header.get("requires-python")}
+    of_header = {"dependencies": header.get("dependencies", [])}
+    if "requires-python" in header:
+        of_header["requires_python"] = header["requires-python"]
     return {"name": file.stem, **fields, "script": text, **of_header}

@@ -180,6 +180,13 @@ def test_progress_of_the_preparation_ends_with_it(lab: Api, mission: Any, runner
     assert lab.get(f"/runs/{item['run']['id']}").ok()["progress"] is None
 
 
+def test_the_python_that_a_script_requires_counts(lab: Api, shared_index: PackageIndex) -> None:
+    shared_index.add("modern", "1.0", requires_python=">=3.12")
+    problem = publish(lab, "modern", status=422)
+    assert 'requires-python = ">=3.12"' in problem["problems"][0]["message"]
+    assert pins(publish(lab, "modern", requires_python=">=3.12")["latest"]["definition"]) == {"modern==1.0"}
+
+
 def test_without_an_index_dependencies_are_the_image_s(start_api: StartApi) -> None:
     off = start_api(package_index="off")
     assert publish(off, "no-such-package")["latest"]["definition"]["lock"] is None
