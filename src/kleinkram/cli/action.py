@@ -132,7 +132,8 @@ def _with_lock_file(definition: ActionDefinition, lock: Path | None) -> ActionDe
 
 def _locked(definition: ActionDefinition, index: "PackageIndex | None") -> ActionDefinition:
     """Return a definition with a lock of its dependencies, if it has any and there is an index."""
-    from kleinkram.environments.local import CannotLock, with_lock
+    from kleinkram.environments.local import with_lock
+    from kleinkram.environments.lock import CannotLock
 
     try:
         return with_lock(definition, index, time.sleep)

@@ -146,7 +146,7 @@ class EnvironmentCache:
             arguments = [
                 *("pip", "install", "--target", str(target), "--require-hashes", "--only-binary", ":all:"),
                 *("--no-deps", "--python-version", request.python.short_version),
-                *("--python-platform", request.python.platform, *self._index.options),
+                *("--python-platform", request.python.platform),
                 *("--requirements", str(new / "lock.txt")),
             ]
 
@@ -156,7 +156,7 @@ class EnvironmentCache:
                     raise CannotInstall("The disk is full.")
                 show(_fraction(new / "uv.log"))
 
-            run_uv(arguments, folder=new, timeout_s=_BUILD_TIMEOUT_S, wait=wait_and_show, pass_fds=[lock])
+            run_uv(arguments, self._index, folder=new, timeout_s=_BUILD_TIMEOUT_S, wait=wait_and_show, pass_fds=[lock])
             (target / _OF_UV).unlink(missing_ok=True)
             for name in ("scratch", "uv.log"):
                 remove_read_only(new / name)

@@ -6,7 +6,7 @@ import platformdirs
 
 from kleinkram.contract.actions import ActionDefinition
 from kleinkram.environments.cache import EnvironmentCache
-from kleinkram.environments.lock import CannotLock, check_own_lock, lock_dependencies
+from kleinkram.environments.lock import check_own_lock, lock_dependencies
 from kleinkram.environments.uv import INDEX_VARIABLE, PYPI, PackageIndex, Wait, parse_index
 
 _LIMIT_BYTES = 10 * 10**9
@@ -40,6 +40,3 @@ def with_lock(definition: ActionDefinition, index: PackageIndex | None, wait: Wa
     requires_python = definition.requires_python
     lock = lock_dependencies(definition.dependencies, index, wait, requires_python=requires_python)
     return definition.model_copy(update={"lock": lock})
-
-
-__all__ = ["CannotLock", "local_environments", "local_index", "with_lock"]

@@ -105,11 +105,11 @@ def lock_dependencies(
         arguments = [
             *("pip", "compile", "--quiet", "--universal", "--generate-hashes", "--only-binary", ":all:"),
             *("--no-annotate", "--no-header", "--no-emit-index-url", "--python-version", python),
-            *("--constraints", str(folder / "core.txt"), *index.options),
+            *("--constraints", str(folder / "core.txt")),
             *("--output-file", str(folder / "lock.txt"), str(folder / "requirements.in")),
         ]
         try:
-            run_uv(arguments, folder=folder, timeout_s=LOCK_TIMEOUT_S, wait=wait)
+            run_uv(arguments, index, folder=folder, timeout_s=LOCK_TIMEOUT_S, wait=wait)
             lock = (folder / "lock.txt").read_text()
             check_lock(parse_lock(lock), requirements)
         except UvFailed as error:

@@ -27,10 +27,13 @@ Wait = Callable[[float], object]
 
 
 class PackageIndex(NamedTuple):
-    """Where packages come from. `url` may contain a password; `shown` does not."""
+    """Where packages come from: options and environment variables of `uv`.
+
+    A URL, which may contain a password, is in a variable: command lines are visible to other users.
+    """
 
     options: tuple[str, ...]
-    shown: str
+    variables: Mapping[str, str]
 
 
 class UvFailed(Exception):
@@ -47,13 +50,11 @@ def parse_index(text: str) -> PackageIndex | None:
         return None
     parts = urlsplit(text)
     if parts.scheme in {"http", "https"} and parts.hostname:
-        host = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
-        port = f":{parts.port}" if parts.port else ""
-        return PackageIndex(("--default-index", text), f"{parts.scheme}://{host}{port}{parts.path}")
+        return PackageIndex((), {"UV_DEFAULT_INDEX": text})
     folder = Path(parts.path if parts.scheme == "file" else text)
     if parts.scheme not in {"", "file"} or not folder.is_absolute():
         raise ValueError("must be the URL of a package index (https://...), the absolute path of a folder, or 'off'")
-    return PackageIndex(("--no-index", "--find-links", str(folder)), str(folder))
+    return PackageIndex(("--no-index", "--find-links", str(folder)), {})
 
 
 def find_uv() -> str | None:
@@ -63,7 +64,13 @@ def find_uv() -> str | None:
 
 
 def run_uv(
-    arguments: Sequence[str], *, folder: Path, timeout_s: float, wait: Wait, pass_fds: Sequence[int] = ()
+    arguments: Sequence[str],
+    index: PackageIndex,
+    *,
+    folder: Path,
+    timeout_s: float,
+    wait: Wait,
+    pass_fds: Sequence[int] = (),
 ) -> None:
     """Run `uv` with temporary files in `folder`, where `uv.log` is what it prints; call `wait` (seconds) meanwhile.
 
@@ -80,9 +87,9 @@ def run_uv(
     settings = ("--no-config", "--no-progress", "--color=never", "--no-python-downloads", "--no-cache")
     with (folder / "uv.log").open("wb") as log:
         process = subprocess.Popen(
-            [program, *arguments, *settings, "--python", sys.executable],
+            [program, *arguments, *index.options, *settings, "--python", sys.executable],
             cwd=scratch,
-            env=_environment(scratch),
+            env={**_environment(scratch), **index.variables},
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=log,

@@ -9,7 +9,6 @@ import pytest
 
 from kleinkram.contract.locks import parse_lock
 from kleinkram.environments.lock import CannotLock, check_own_lock, lock_dependencies
-from kleinkram.environments.uv import PackageIndex as IndexSetting
 from kleinkram.environments.uv import parse_index
 from tests.package_index import PackageIndex
 
@@ -119,9 +118,3 @@ def test_an_own_lock_contains_the_dependencies_and_fits_the_library() -> None:
         with pytest.raises(CannotLock) as caught:
             check_own_lock(lock, dependencies)
         assert reason in str(caught.value)
-
-
-def test_a_password_of_an_index_is_not_shown() -> None:
-    setting = parse_index("https://me:secret@packages.example.org/simple")
-    assert isinstance(setting, IndexSetting)
-    assert setting.shown == "https://packages.example.org/simple"
