@@ -201,4 +201,5 @@ def _with_result(table: Any, condition: ColumnElement[bool]) -> CTE:
     )
     of_results = run.c.id.in_(union_all(select(matching_results.c.run_id), reusing.correlate(None)))
     stmt = select(run.c.mission_id).distinct().join(version, version.c.id == run.c.version_id)
-    return stmt.where(of_results, run.c.state == RunState.done.value, ~has_later).correlate(None).cte(f"missions_by_{table.name}")
+    stmt = stmt.where(of_results, run.c.state == RunState.done.value, ~has_later).correlate(None)
+    return stmt.cte(f"missions_by_{table.name}")
