@@ -82,13 +82,13 @@ def test_a_new_version_runs_on_demand_only(lab: Api, runner: FakeRunner, place: 
     assert [run["action"]["version"] for run in runs(lab, place.mission)] == [1]
 
 
-@pytest.mark.parametrize(("asked", "text"), [({"right": "DELETE"}, "DELETE"), ({"network": "open"}, "open")])
+@pytest.mark.parametrize(("changes", "text"), [({"right": "DELETE"}, "DELETE"), ({"network": "open"}, "open")])
 def test_a_version_that_asks_for_more_does_not_run_until_it_is_added_again(
-    lab: Api, runner: FakeRunner, place: Place, asked: Any, text: str
+    lab: Api, runner: FakeRunner, place: Place, changes: Any, text: str
 ) -> None:
     action = publish(lab, runner, place.project)
     add(lab, place.project, action)
-    changed = action["latest"]["definition"] | asked
+    changed = action["latest"]["definition"] | changes
     lab.post(f"/actions/{action['id']}/versions", {"definition": changed}).ok(201)
     complete(lab, place.mission)
     run_jobs(lab)

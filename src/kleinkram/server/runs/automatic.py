@@ -137,8 +137,10 @@ async def _excess(db: Connection, row: Row[Any]) -> str | None:
     networks = [*Network]
     if new.right.level <= old.right.level and networks.index(new.network) <= networks.index(old.network):
         return None
-    asked, added = (f"{one.right.value} and network: {one.network.value}" for one in (new, old))
-    return f"{row.name}@{latest.number} asks for {asked}, but {row.added_by_name} added it with {added}; add it again"
+    required, added = (f"{one.right.value} and network: {one.network.value}" for one in (new, old))
+    return (
+        f"{row.name}@{latest.number} asks for {required}, but {row.added_by_name} added it with {added}; add it again"
+    )
 
 
 def _due_actions() -> Select[Any]:
