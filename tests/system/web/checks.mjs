@@ -170,7 +170,7 @@ results.run = { state: (await page.locator("[data-state=done] .chip").innerText(
 await page.getByRole("link", { name: /^Checks/ }).click();
 await page.locator("[role=row][data-index] .chip").first().waitFor();
 results.run.checks = await page.getByRole("table").innerText();
-await page.getByRole("link", { name: /^Metrics/ }).click();
+await page.getByRole("link", { name: /^Metrics \d/ }).click();
 await page.getByText("method: icp").waitFor();
 results.run.metrics = await page.getByRole("table").innerText();
 await printResults();
