@@ -59,7 +59,7 @@ def is_glob(text: str) -> bool:
 class TextsToMatch:
     """Texts of any length and number that globs are compared with: the first that have 1,000 characters together.
 
-    Each counts as 10 characters more, so that there are at most 100. The others match no glob.
+    Each counts as 10 characters more, so that there are about 100. The others match no glob.
     """
 
     def __init__(self, texts: Iterable[str]) -> None:

@@ -204,6 +204,16 @@ def test_nan_fails_the_checks_of_good_missions(tmp_path: Path) -> None:
     ]
 
 
+def test_the_messages_of_an_optional_topic_are_checked_where_it_is_recorded(tmp_path: Path) -> None:
+    document = read_checks("version: 1\nprofiles:\n- topics: {/imu/data: {required: false}}\n  imu: {/imu/data: {}}\n")
+    there = evaluate(document, _sample_mission(tmp_path / "there", 1), CheckDepth.content)
+    assert {check.name for check in there.checks} == {"topic.missing", "imu.gravity", "imu.constant"}
+    missing = _sample_mission(tmp_path / "missing", 1, dropped_topic="/imu/data")
+    for depth in CheckDepth:
+        results = evaluate(document, missing, depth)
+        assert (results.verdict, [check.name for check in results.checks]) == (Verdict.good, ["topic.missing"])
+
+
 def test_a_mission_that_lacks_a_topic_fails_the_checks_of_good_ones(tmp_path: Path) -> None:
     document = read_checks(suggest_checks([_sample(tmp_path / "good", 1)]))
     bad = _sample(tmp_path / "bad", 1, dropped_topic="/imu/data")

@@ -181,7 +181,7 @@ def test_constant_values_beside_nan_are_found() -> None:
     assert (row.status, row.message) == (ERROR, "angular_velocity never changes (200 measurements)")
 
 
-def test_gravity_of_few_measurements_is_not_made() -> None:
+def test_gravity_that_is_mostly_nan_is_not_made() -> None:
     def rare(seconds: float, chance: random.Random) -> tuple[Vector, Vector]:
         return (still()(seconds, chance)[0] if seconds < 1 else (math.nan, 0, 9.81)), (0, 0, chance.gauss(0, 0.01))
 
