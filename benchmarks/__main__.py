@@ -14,6 +14,7 @@ import psutil
 from benchmarks.checks import check_rows
 from benchmarks.claims import claims_row
 from benchmarks.instance import DATA, GB, STAGE, endpoint_info, instance, klein, mission_with, settle
+from benchmarks.packages import package_rows
 from benchmarks.recordings import recording_rows
 from benchmarks.rights import rights_row
 from benchmarks.runs import run_rows
@@ -30,6 +31,7 @@ ROWS = {
     "summaries",
     "recordings",
     "checks",
+    "packages",
     "starts",
     "people",
     "rights",
@@ -62,7 +64,7 @@ def main() -> None:
 
 def measured(selected: set[str]) -> Iterator[Row]:
     """Yield the selected rows when they are measured."""
-    if selected - {"recordings", "checks"}:
+    if selected - {"recordings", "checks", "packages"}:
         with instance():
             klein("project", "create", "bench")
     if "memory" in selected:
@@ -77,6 +79,8 @@ def measured(selected: set[str]) -> Iterator[Row]:
         yield from recording_rows(STAGE / "recordings")
     if "checks" in selected:
         yield from check_rows(STAGE / "checks")
+    if "packages" in selected:
+        yield from package_rows(STAGE / "packages")
     if "starts" in selected:
         yield from start_rows()
     if "rights" in selected:  # it leaves much behind

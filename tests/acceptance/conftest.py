@@ -211,4 +211,4 @@ def _terminal(instance: Instance, home: Path) -> Terminal:
 def _environment(home: Path, data_dir: Path) -> dict[str, str]:
     ours = {name: str(home / name[4:-5].lower()) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME")}
     inherited = {key: value for key, value in os.environ.items() if not key.startswith("KLEINKRAM_")}
-    return {**inherited, **ours, "KLEINKRAM_DATA_DIR": str(data_dir)}
+    return {**inherited, **ours, "KLEINKRAM_DATA_DIR": str(data_dir), "KLEINKRAM_PACKAGE_INDEX": "off"}

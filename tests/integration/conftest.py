@@ -55,6 +55,7 @@ def starting(
                     # Many have blobs that no store has.
                     "scrub_hours": 0,
                     "metrics_port": 0,
+                    "package_index": "off",
                     **settings,
                 }
                 folder: Path = tmp_path_factory.mktemp("api")

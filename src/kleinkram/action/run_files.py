@@ -12,6 +12,8 @@ from kleinkram.contract.runs import CONTEXT_FILE, RunContext
 
 IN_VARIABLE = "KLEINKRAM_IN"
 OUT_VARIABLE = "KLEINKRAM_OUT"
+# The folder of the packages that were installed for the script; not set where there are none.
+PACKAGES_VARIABLE = "KLEINKRAM_PACKAGES"
 
 in_dir = Path(os.environ.get(IN_VARIABLE, "/in"))
 out = Path(os.environ.get(OUT_VARIABLE, "/out"))

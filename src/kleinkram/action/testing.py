@@ -7,24 +7,29 @@ def test_it_counts(tmp_path):
     assert ran.metric("messages") == 589
 ```
 
-The run is not isolated: it can read and write whatever the test can. `klein action run-local` is the next step.
+Dependencies of a script that are not installed where the test runs are installed for it, from the package index of
+`KLEINKRAM_PACKAGE_INDEX` (default: PyPI). The run is not isolated: it can read and write whatever the test can.
+`klein action run-local` is the next step.
 """
 
+import contextlib
 import datetime
 import os
 import shutil
 import subprocess
 import sys
+import time
 import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from kleinkram.action.run_files import IN_VARIABLE, OUT_VARIABLE
+from kleinkram.action.launch import find_missing
+from kleinkram.action.run_files import IN_VARIABLE, OUT_VARIABLE, PACKAGES_VARIABLE
 from kleinkram.client.actions import MANIFEST, read_manifest
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.access import Right
-from kleinkram.contract.actions import ParameterValues
+from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.checks import CheckStatus, Verdict
 from kleinkram.contract.files import BlobState, ContentState, FileRead
 from kleinkram.contract.metadata import Metadata
@@ -33,6 +38,9 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.reports import EVENTS_FILE, REPORT_FILE, Report, ReportEvent, verdict_of_report
 from kleinkram.contract.runs import CONTEXT_FILE, ActionRef, Cause, RunContext
+from kleinkram.environments.cache import CannotInstall, Environment, EnvironmentRequest, compile_packages
+from kleinkram.environments.local import local_environments, local_index, with_lock
+from kleinkram.environments.python import PROBE, PythonUnknown, parse_python
 
 _NOBODY = PersonRef(id=uuid.UUID(int=1), name="nobody")
 _MISSION = MissionRef(id=uuid.UUID(int=2), name="mission", project=ProjectRef(id=uuid.UUID(int=3), name="project"))
@@ -88,7 +96,7 @@ def try_out(
     manifest declares. `metadata` is that of the mission.
 
     Raises:
-        InvalidInput: the manifest or a parameter is invalid.
+        InvalidInput: the manifest or a parameter is invalid, or its dependencies cannot be installed.
         subprocess.TimeoutExpired: it took too long.
     """
     code = Path(script).resolve()
@@ -112,17 +120,44 @@ def try_out(
     )
     (in_dir / CONTEXT_FILE).write_text(context.model_dump_json())
     variables = {IN_VARIABLE: str(in_dir), OUT_VARIABLE: str(out), "TMPDIR": str(scratch)}
-    ran = subprocess.run(
-        [sys.executable, str(code)],
-        env={**os.environ, **variables},
-        cwd=scratch,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=timeout_s,
-        check=False,
-    )
+    with contextlib.ExitStack() as stack:
+        if (environment := _install(definition)) is not None:
+            stack.callback(environment.close)
+            path = [str(environment.packages), *filter(None, [os.environ.get("PYTHONPATH")])]
+            variables |= {PACKAGES_VARIABLE: str(environment.packages), "PYTHONPATH": os.pathsep.join(path)}
+        ran = subprocess.run(
+            [sys.executable, str(code)],
+            env={**os.environ, **variables},
+            cwd=scratch,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=timeout_s,
+            check=False,
+        )
     return TryOutResult(ran.returncode, ran.stdout, out, _read_report(out))
+
+
+def _install(definition: ActionDefinition) -> Environment | None:
+    """Return the environment of a script; None where all of its dependencies are installed here."""
+    path = [*os.environ.get("PYTHONPATH", "").split(os.pathsep), *sys.path]
+    if definition.lock is None and not find_missing(definition.dependencies, path):
+        return None
+    try:
+        index = local_index()
+        locked = with_lock(definition, index, time.sleep)
+        if locked.lock is None or index is None:
+            return None
+        probe = subprocess.run([sys.executable, "-I", "-c", PROBE], capture_output=True, text=True, check=False)
+        request = EnvironmentRequest(locked.lock, parse_python(probe.stdout), definition.requires_python)
+        return local_environments(index).get(
+            request,
+            wait=time.sleep,
+            show=lambda *_: None,
+            compile_in=lambda folder, wait: compile_packages(sys.executable, folder, wait),
+        )
+    except (ValueError, CannotInstall, PythonUnknown) as error:
+        raise InvalidInput(what=f"The dependencies of {definition.name}", reason=str(error)) from error
 
 
 def _put(folder: Path, path: str, content: Path | bytes) -> FileRead:

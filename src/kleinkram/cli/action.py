@@ -4,14 +4,16 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from pydantic import ValidationError
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import Subcommands, argument, flag, option
+from kleinkram.cli.commands import Subcommands, Text, argument, flag, option
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.render import Output, as_list, as_table, details, line, note, table
 from kleinkram.cli.run import launch
@@ -23,11 +25,13 @@ from kleinkram.client.actions import read_manifest
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import ActionDefinition, ActionRead, ActionVersionRead, Inputs
 from kleinkram.contract.checks import Verdict
+from kleinkram.contract.problems import first_problem
 from kleinkram.contract.reports import verdict_of_report
 from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
 
 if TYPE_CHECKING:
+    from kleinkram.environments.uv import PackageIndex
     from kleinkram.runner.executors.base import Executor
     from kleinkram.runner.local_run import LocalRun
 
@@ -43,6 +47,18 @@ app.command("run")(launch)
 
 PathArgument = Annotated[Path, argument("PATH", "A script, or a folder with action.yaml.")]
 ActionArgument = Annotated[str, argument("ACTION", "Name or id of the action.")]
+LockOption = Annotated[
+    Path | None, option("--lock", "FILE", "Install the dependencies in the versions of this lock.", dir_okay=False)
+]
+IndexOption = Annotated[
+    Text,
+    option(
+        "--package-index",
+        "URL",
+        "Install dependencies from this index or folder of wheels; off: use those of this machine. "
+        "Default: KLEINKRAM_PACKAGE_INDEX, else PyPI.",
+    ),
+]
 
 
 @app.command("run-local")
@@ -53,6 +69,8 @@ def run_local(
     project: options.ProjectOption = None,
     parameters: options.SetOption = None,
     out: Annotated[Path, option("--out", "DIR", "Write results to DIR, which must be empty or new.")] = Path("out"),
+    lock: LockOption = None,
+    package_index: IndexOption = None,
     no_build: Annotated[bool, flag("--no-build", "Use the existing image, even if there is a Dockerfile.")] = False,
     ignore_verdict: Annotated[bool, flag("--ignore-verdict", "Exit with 0 also if the verdict is bad.")] = False,
 ) -> Output:
@@ -68,7 +86,9 @@ def run_local(
     values = options.parameter_values(definition, parameters or [])
     if mission is None:
         raise InvalidInput(what="The command", reason="specify a mission with -m")
-    executor = _executor(definition)
+    index = _index(package_index)
+    definition = _locked(_with_lock_file(definition, lock), index)
+    executor = _executor(definition, index)
     if definition.image is not None:
         if not no_build:
             _build(action if action.is_dir() else action.parent, definition.image)
@@ -88,17 +108,55 @@ def run_local(
     return _local_output(ran, ignore_verdict=ignore_verdict)
 
 
-def _executor(definition: ActionDefinition) -> "Executor":
+def _index(text: str | None) -> "PackageIndex | None":
+    from kleinkram.environments.local import local_index
+
+    try:
+        return local_index(text)
+    except ValueError as error:
+        raise InvalidInput(what="The package index", reason=str(error)) from None
+
+
+def _with_lock_file(definition: ActionDefinition, lock: Path | None) -> ActionDefinition:
+    """Return a definition with the lock in a file."""
+    if lock is None:
+        return definition
+    try:
+        return ActionDefinition.model_validate({**definition.model_dump(), "lock": lock.read_text()})
+    except ValidationError as error:
+        raise InvalidInput(what=str(lock), reason=first_problem(error, "the action")) from error
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
+        raise InvalidInput(what=str(lock), reason=f"cannot be read: {reason}") from error
+
+
+def _locked(definition: ActionDefinition, index: "PackageIndex | None") -> ActionDefinition:
+    """Return a definition with a lock of its dependencies, if it has any and there is an index."""
+    from kleinkram.environments.local import with_lock
+    from kleinkram.environments.lock import CannotLock
+
+    try:
+        return with_lock(definition, index, time.sleep)
+    except CannotLock as error:
+        raise InvalidInput(what=f"The action {definition.name}", reason=f"cannot be locked: {error}") from None
+
+
+def _executor(definition: ActionDefinition, index: "PackageIndex | None") -> "Executor":
+    from kleinkram.environments.local import local_environments
     from kleinkram.runner.__main__ import DEFAULT_IMAGE, ExecutorChoice, ImagePolicy, choose_executor
 
     choice = ExecutorChoice.process if definition.image is None else ExecutorChoice.docker
     try:
-        executor = choose_executor(choice, ImagePolicy(), DEFAULT_IMAGE)
+        environments = local_environments(index) if index is not None and definition.lock is not None else None
+        executor = choose_executor(choice, ImagePolicy(), DEFAULT_IMAGE, environments=environments)
     except InvalidInput as error:
         if definition.image is None:
             raise
         why = f"it runs an image, which requires a container engine, and {error.reason}"
         raise InvalidInput(what=f"The action {definition.name}", reason=why) from None
+    except OSError as error:
+        reason = f"{error.filename}: {error.strerror}"
+        raise InvalidInput(what="The folder for packages", reason=reason) from error
     note(f"Running {definition.name} {_ISOLATIONS[executor.abilities.isolation]}")
     return executor
 
@@ -164,21 +222,50 @@ def create(
     new_version: Annotated[
         bool, flag("--new-version", "Publish the next version of the action with this name.")
     ] = False,
+    lock: LockOption = None,
     etag: options.IfMatch = None,
 ) -> Output:
-    """Publish an action, or its next version, in a project. Without a project, publish it for the whole lab."""
+    """Publish an action, or its next version, in a project. Without a project, publish it for the whole lab.
+
+    The server locks the dependencies of a script, unless you pass your own lock.
+    """
     if etag is not None and not new_version:
         raise InvalidInput(what="--if-match", reason="it requires --new-version")
-    definition = read_manifest(path)
+    definition = _with_lock_file(read_manifest(path), lock)
     if not new_version:
         made = client.actions.create(definition, project=project)
         return Output(made, lambda: _show(made, made.latest))
     action = client.actions.get(definition.name, project=project)
-    if action.latest.definition == definition:
+    published = client.actions.add_version(action.id, definition, if_match=etag or action.etag)
+    if published.latest.number == action.latest.number:
         note(f"{action.name}@{action.latest.number} has this definition already; nothing was published.")
-    else:
-        action = client.actions.add_version(action.id, definition, if_match=etag or action.etag)
-    return Output(action, lambda: _show(action, action.latest))
+    return Output(published, lambda: _show(published, published.latest))
+
+
+@app.command("lock")
+def lock_(
+    path: PathArgument,
+    out: Annotated[Path | None, option("--out", "FILE", "Write the lock to FILE. Default: print it.")] = None,
+    package_index: IndexOption = None,
+) -> Output:
+    """Lock the dependencies of a script: one version of each package, with hashes, for `--lock` of other commands."""
+    definition = read_manifest(path)
+    index = _index(package_index)
+    if index is None:
+        raise InvalidInput(what="The package index", reason="it is off")
+    lock = _locked(definition.model_copy(update={"lock": None}), index).lock
+    if lock is None:
+        raise InvalidInput(what=f"The action {definition.name}", reason="it has no dependencies to install")
+    if out is not None:
+        try:
+            out.write_text(lock)
+        except OSError as error:
+            raise InvalidInput(what=str(out), reason=error.strerror or str(error)) from None
+    packages = _packages_of(lock)
+    document = {"packages": packages, "lock": lock}
+    if out is not None:
+        return Output(document, f"Locked {len(packages)} packages in {out}.")
+    return Output(document, lambda: line(lock.rstrip()))
 
 
 @app.command("list")
@@ -272,6 +359,8 @@ def _show(action: ActionRead, version: ActionVersionRead) -> None:
             ("digest", version.image_digest),
             ("command", definition.command),
             ("needs", definition.dependencies),
+            ("python", definition.requires_python),
+            ("locked", None if definition.lock is None else f"{len(_packages_of(definition.lock))} packages"),
             ("inputs", _inputs(definition.inputs)),
             (
                 "resources",
@@ -296,6 +385,12 @@ def _show(action: ActionRead, version: ActionVersionRead) -> None:
         line("")
         metrics = [(entry.name, entry.unit, entry.better.value, entry.description) for entry in definition.metrics]
         table(["metric", "unit", "better", "description"], metrics)
+
+
+def _packages_of(lock: str) -> list[str]:
+    from kleinkram.contract.locks import parse_lock  # slow to import
+
+    return sorted({package.name for package in parse_lock(lock)})
 
 
 def _inputs(inputs: Inputs) -> str:

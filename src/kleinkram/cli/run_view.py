@@ -58,8 +58,8 @@ def status_text(run: RunRead) -> str:
         return f"done{verdict}" + (" (reused)" if run.reuses_id is not None else "")
     if run.state is RunState.running and run.progress is not None:
         return f"running {run.progress.fraction:.0%} {run.progress.message}".rstrip()
-    if run.state is RunState.collecting and run.progress is not None and run.progress.message:
-        return f"collecting: {run.progress.message}"
+    if run.state in {RunState.preparing, RunState.collecting} and run.progress is not None and run.progress.message:
+        return f"{run.state.value}: {run.progress.message}"
     return str(run.state.value)
 
 

@@ -41,6 +41,18 @@ def start(
     cache: Annotated[
         Text, option("--cache", "SIZE", "Limit the cache of inputs. Default: 30 % of the free space.")
     ] = None,
+    environments: Annotated[
+        Text, option("--environments", "SIZE", "Limit the packages of scripts. Default: 10 % of the free space.")
+    ] = None,
+    package_index: Annotated[
+        Text,
+        option(
+            "--package-index",
+            "URL",
+            "Install packages of scripts from this index or folder of wheels; off: none. "
+            "Default: KLEINKRAM_PACKAGE_INDEX, else PyPI.",
+        ),
+    ] = None,
     gpus: Annotated[int, option("--gpus", "N", "Set the number of GPUs for runs.", min=0)] = 0,
     executor: Annotated[
         ExecutorOption, option("--executor", None, "Choose how to run actions; auto: in containers if possible.")
@@ -69,6 +81,8 @@ def start(
         memory_bytes=parse_size(memory) if memory else None,
         disk_bytes=parse_size(disk) if disk else None,
         cache_bytes=parse_size(cache) if cache else None,
+        environments_bytes=parse_size(environments) if environments else None,
+        package_index=package_index,
         gpus=gpus,
         executor=ExecutorChoice(executor.value),
         default_image=default_image or DEFAULT_IMAGE,

@@ -87,6 +87,7 @@ class CheckedUpload:
             checks=[*self.results.checks],
             depth=self.results.depth,
             document_sha256=hashlib.sha256(self.rules.text.encode()).hexdigest(),
+            profiles_applied=[*self.results.profiles_applied],
             files=files,
         )
         client.checks.report(mission_id, outcome)

@@ -161,7 +161,7 @@ def read_manifest(path: Path) -> ActionDefinition:
     """Return the action of a folder with `action.yaml` (else `main.py`), of such a file, or of a Python script.
 
     A script's PEP 723 header may have a table `[tool.kleinkram]` with all fields of `action.yaml`; the default name is
-    that of the file. Its `dependencies` are installed, as PEP 723 defines.
+    that of the file. `dependencies` and `requires-python` are those that PEP 723 defines.
 
     Raises:
         InvalidInput: it is missing, or not a definition.
@@ -210,4 +210,7 @@ def _of_script(file: Path, text: str) -> dict[str, Any]:
         except tomllib.TOMLDecodeError as error:
             raise InvalidInput(what=str(file), reason=f"its header is not TOML: {error}") from error
     fields = header.get("tool", {}).get("kleinkram", {})
-    return {"name": file.stem, **fields, "script": text, "dependencies": header.get("dependencies", [])}
+    of_header = {"dependencies": header.get("dependencies", [])}
+    if "requires-python" in header:
+        of_header["requires_python"] = header["requires-python"]
+    return {"name": file.stem, **fields, "script": text, **of_header}

@@ -23,6 +23,7 @@ from kleinkram.contract.reports import Code
 from kleinkram.contract.units import read_duration, read_size
 
 MAX_SCRIPT_CHARACTERS = 500_000
+MAX_LOCK_CHARACTERS = 1_000_000
 MAX_PARAMETERS = 100
 MAX_DECLARED_METRICS = 100
 MAX_VALUE_CHARACTERS = 10_000
@@ -197,11 +198,29 @@ class ParametersWrong(ValueError):
         self.problems = problems
 
 
+def _python_versions(text: str) -> str:
+    from kleinkram.contract import locks  # slow to import
+
+    return locks.check_python_versions(text)
+
+
+def _check_lock(lock: str, dependencies: list[str]) -> None:
+    from kleinkram.contract import locks  # slow to import
+
+    try:
+        requirements = [locks.parse_requirement(dependency) for dependency in dependencies]
+        locks.check_lock(locks.parse_lock(lock), requirements)
+    except ValueError as error:
+        raise ValueError(f"the lock {error}") from None
+
+
 class ActionDefinition(Request):
     """One version of an action: either an `image` with its `command`, or a `script` on the default image.
 
     `command` is an argument list; empty: the image's own command. A script is started with Python, and its
-    `dependencies` (PEP 508) must be installed in the default image, or in the image that it names.
+    `dependencies` (PEP 508) are installed for it in the versions of its `lock` (pip requirements with hashes), which
+    the server makes where it is null. Without a lock, they must be installed in the image. `requires_python` (`>=3.11`)
+    is the Python that the script needs.
     `right` is the right on the mission that launching requires, and the right of the run's token.
     `metrics` describes metrics for tables; an action may report others, too.
     """
@@ -212,6 +231,8 @@ class ActionDefinition(Request):
     command: Annotated[list[Argument], Field(max_length=1000)] = []
     script: Annotated[str, AfterValidator(check_text), Field(max_length=MAX_SCRIPT_CHARACTERS)] | None = None
     dependencies: Annotated[list[Term], Field(max_length=200)] = []
+    requires_python: Annotated[str, AfterValidator(_python_versions), Field(max_length=100)] | None = None
+    lock: Annotated[str, AfterValidator(check_text), Field(max_length=MAX_LOCK_CHARACTERS)] | None = None
     parameters: Annotated[list[Parameter], Field(max_length=MAX_PARAMETERS)] = []
     metrics: Annotated[list[DeclaredMetric], Field(max_length=MAX_DECLARED_METRICS)] = []
     inputs: Inputs = Inputs()
@@ -227,6 +248,8 @@ class ActionDefinition(Request):
             raise ValueError("a script has no 'command'")
         if self.script is None and self.dependencies:
             raise ValueError("only a script has 'dependencies'; an image contains its own")
+        if self.lock is not None:
+            _check_lock(self.lock, self.dependencies)
         for what, declared in (("parameter", self.parameters), ("metric", self.metrics)):
             names = [entry.name for entry in declared]
             if twice := sorted({name for name in names if names.count(name) > 1}):

@@ -167,14 +167,15 @@ class ChecksVersionRead(Response):
 
 
 class CheckReportCreate(Request):
-    """Checks that an uploader made, by the `checks.yaml` with this hash, of these files (SHA-256 by path).
+    """Checks that an uploader made, by profiles of the `checks.yaml` with this hash, of these files (SHA-256 by path).
 
-    They count while exactly these are the recorded files of the mission.
+    They count while exactly these are the recorded files of the mission, and exactly these profiles apply to it.
     """
 
     checks: Annotated[list[Check], Field(max_length=MAX_CHECKS)]
     depth: CheckDepth
     document_sha256: Sha256
+    profiles_applied: Annotated[list[Annotated[str, Field(max_length=200)]], Field(max_length=1000)]
     files: Annotated[dict[FilePath, Sha256], Field(min_length=1, max_length=MAX_REPORT_FILES)]
 
 

@@ -38,7 +38,10 @@ class Isolation(str, enum.Enum):
 
 
 class ExecutorAbilities(Response):
-    """What an executor supports. `images`: it runs container images, not only scripts."""
+    """What an executor supports.
+
+    `images`: it runs container images, not only scripts. `environments`: it installs locked dependencies of scripts.
+    """
 
     executor: Annotated[str, Field(pattern=r"^[a-z]{1,32}$")]
     isolation: Isolation
@@ -47,6 +50,7 @@ class ExecutorAbilities(Response):
     gpus: bool
     bounds_memory: bool
     bounds_disk: bool
+    environments: bool = False
 
 
 class Capacity(Response):
@@ -132,6 +136,8 @@ class RunAssignment(Response):
     command: list[str]
     script: str | None
     dependencies: list[str]
+    requires_python: str | None = None
+    lock: str | None = None
     parameters: ParameterValues
     resources: Resources
     network: Network

@@ -5,6 +5,11 @@
 # [tool.kleinkram]
 # name = "lidar-odometry"
 # description = "The trajectory of a lidar by KISS-ICP, as a file of the mission in the format of TUM."
+# metrics = [
+#   {name = "scans"},
+#   {name = "path_length", unit = "m"},
+#   {name = "scan_rate", unit = "Hz", better = "higher", description = "how fast the odometry was"},
+# ]
 # resources = {cores = 2, memory = "4GB", disk = "1GB", time = "4h"}
 # right = "CREATE"
 # inputs = {paths = ["*.mcap", "*.bag", "*.db3", "*.mcap.zst*", "*.db3.zst*", "*.bag.zst*", "*metadata.yaml"]}

@@ -5,6 +5,39 @@
 # [tool.kleinkram]
 # name = "slam-evaluate"
 # description = "Absolute and relative errors (ATE, RPE) of trajectories against a reference, by evo."
+# metrics = [
+#   {name = "ate_rmse", unit = "m", better = "lower", description = "absolute error, translation"},
+#   {name = "ate_mean", unit = "m", better = "lower", description = "absolute error, translation"},
+#   {name = "ate_median", unit = "m", better = "lower", description = "absolute error, translation"},
+#   {name = "ate_std", unit = "m", better = "lower", description = "absolute error, translation"},
+#   {name = "ate_min", unit = "m", better = "lower", description = "absolute error, translation"},
+#   {name = "ate_max", unit = "m", better = "lower", description = "absolute error, translation"},
+#   {name = "ate_rotation_rmse", unit = "deg", better = "lower", description = "absolute error, angle"},
+#   {name = "ate_rotation_mean", unit = "deg", better = "lower", description = "absolute error, angle"},
+#   {name = "ate_rotation_median", unit = "deg", better = "lower", description = "absolute error, angle"},
+#   {name = "ate_rotation_std", unit = "deg", better = "lower", description = "absolute error, angle"},
+#   {name = "ate_rotation_min", unit = "deg", better = "lower", description = "absolute error, angle"},
+#   {name = "ate_rotation_max", unit = "deg", better = "lower", description = "absolute error, angle"},
+#   {name = "rpe_rmse", unit = "m", better = "lower", description = "relative error over delta, translation"},
+#   {name = "rpe_mean", unit = "m", better = "lower", description = "relative error over delta, translation"},
+#   {name = "rpe_median", unit = "m", better = "lower", description = "relative error over delta, translation"},
+#   {name = "rpe_std", unit = "m", better = "lower", description = "relative error over delta, translation"},
+#   {name = "rpe_min", unit = "m", better = "lower", description = "relative error over delta, translation"},
+#   {name = "rpe_max", unit = "m", better = "lower", description = "relative error over delta, translation"},
+#   {name = "rpe_rotation_rmse", unit = "deg", better = "lower", description = "relative error over delta, angle"},
+#   {name = "rpe_rotation_mean", unit = "deg", better = "lower", description = "relative error over delta, angle"},
+#   {name = "rpe_rotation_median", unit = "deg", better = "lower", description = "relative error over delta, angle"},
+#   {name = "rpe_rotation_std", unit = "deg", better = "lower", description = "relative error over delta, angle"},
+#   {name = "rpe_rotation_min", unit = "deg", better = "lower", description = "relative error over delta, angle"},
+#   {name = "rpe_rotation_max", unit = "deg", better = "lower", description = "relative error over delta, angle"},
+#   {name = "coverage", better = "higher", description = "matched span as a share of the reference's"},
+#   {name = "matched_poses"},
+#   {name = "estimate_poses"},
+#   {name = "rpe_pairs"},
+#   {name = "estimate_path_length", unit = "m"},
+#   {name = "reference_path_length", unit = "m"},
+#   {name = "scale"},
+# ]
 # resources = {cores = 1, memory = "2GB", disk = "1GB", time = "1h"}
 #
 # [tool.kleinkram.inputs]

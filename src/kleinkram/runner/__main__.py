@@ -23,6 +23,9 @@ from kleinkram.client.errors import ConfigurationBroken, CredentialsExposed, Inv
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.names import Label
 from kleinkram.contract.runners import Isolation
+from kleinkram.environments.cache import EnvironmentCache
+from kleinkram.environments.local import local_index
+from kleinkram.environments.uv import PackageIndex
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.docker.client import DockerClient, EngineError, EngineUnavailable, find_socket
 from kleinkram.runner.executors.docker.executor import DockerExecutor, Pull
@@ -54,7 +57,10 @@ class ImagePolicy:
 
 
 class Arguments(BaseModel):
-    """The options of a runner. Its token is in `KLEINKRAM_RUNNER_TOKEN` or in a file."""
+    """The options of a runner. Its token is in `KLEINKRAM_RUNNER_TOKEN` or in a file.
+
+    `package_index` is by default that of `KLEINKRAM_PACKAGE_INDEX`, else PyPI.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -67,6 +73,8 @@ class Arguments(BaseModel):
     memory_bytes: int | None = None
     disk_bytes: int | None = None
     cache_bytes: int | None = None
+    environments_bytes: int | None = None
+    package_index: str | None = None
     gpus: int = 0
     executor: ExecutorChoice = ExecutorChoice.auto
     default_image: str = DEFAULT_IMAGE
@@ -108,14 +116,19 @@ def main() -> None:
                 default_image=arguments.default_image,
             )
             share = MachineShare(
-                arguments.cores, arguments.memory_bytes, arguments.disk_bytes, arguments.gpus, arguments.cache_bytes
+                arguments.cores,
+                arguments.memory_bytes,
+                arguments.disk_bytes,
+                arguments.gpus,
+                arguments.cache_bytes,
+                arguments.environments_bytes,
             )
             executor = choose_executor(
                 arguments.executor,
                 ImagePolicy(arguments.pull, arguments.registries),
                 arguments.default_image,
                 runner=str(state.runner_id),
-                machine=Machine(state.path, share),
+                machine=Machine(state.path, share, find_index(arguments.package_index)),
             )
             code = _run_until_signal(Runner(options, state, executor), once=arguments.once)
     except KleinkramError as error:
@@ -148,6 +161,18 @@ def find_token(file: Path | None) -> str:
         raise ConfigurationBroken(file=str(file), reason=str(error)) from error
 
 
+def find_index(text: str | None) -> PackageIndex | None:
+    """Return the package index of this name, else of the environment, else PyPI; None where it is `off`.
+
+    Raises:
+        InvalidInput: it is neither the URL of an index nor a folder.
+    """
+    try:
+        return local_index(text)
+    except ValueError as error:
+        raise InvalidInput(what="The package index", reason=str(error)) from None
+
+
 def choose_executor(
     choice: ExecutorChoice,
     policy: ImagePolicy,
@@ -155,8 +180,11 @@ def choose_executor(
     *,
     runner: str = "local",
     machine: Machine | None = None,
+    environments: EnvironmentCache | None = None,
 ) -> Executor:
     """Return the executor of a runner. The default image may be pulled first, which may take long.
+
+    `environments` are those of scripts; by default the machine's.
 
     Raises:
         InvalidInput: `choice` is `docker`, and no engine answers.
@@ -167,7 +195,9 @@ def choose_executor(
     if socket is not None:
         try:
             client = DockerClient(socket)
-            containers = DockerExecutor(client, machine, runner=runner, pull=policy.pull, allowed=policy.allowed)
+            containers = DockerExecutor(
+                client, machine, runner=runner, pull=policy.pull, allowed=policy.allowed, environments=environments
+            )
             if choice is ExecutorChoice.auto:
                 containers.prepare_image(default_image)
             return containers
@@ -181,7 +211,7 @@ def choose_executor(
             )
     elif choice is ExecutorChoice.auto:
         _log.info("no socket of a container engine was found: scripts run as processes")
-    executor = ProcessExecutor(machine)
+    executor = ProcessExecutor(machine, environments)
     if executor.abilities.isolation is Isolation.none:
         _log.warning("this kernel allows this user no namespaces: runs can read and change whatever the runner can")
     return executor

@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable
 
 from kleinkram.contract.errors import KleinkramError, RunGone
+from kleinkram.contract.reports import Progress
 from kleinkram.contract.runners import Heartbeat, HeartbeatReply, LeaseStatus, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason, RunState, UsageSample
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end
@@ -72,6 +73,9 @@ class ActiveRun:
         assignment = attempt.state.assignment
         self._redactor = Redactor([token for token in (context.token, assignment.token) if token])
         self._log = LogUpload(context, attempt, self._redactor)
+        self._preparation: Progress | None = None
+        packages = attempt.state.packages
+        self._environment = self._executor.find_environment(packages) if packages is not None else None
         self._cancelled_at_s = -math.inf
         self._is_cancel_failing = False
         self._upload: ResultUpload | None = None
@@ -96,7 +100,7 @@ class ActiveRun:
             run_id=self.assignment.run_id,
             attempt=self.assignment.attempt,
             state=self._state,
-            progress=self._upload.progress if self._upload else self._progress.progress,
+            progress=self._upload.progress if self._upload else self._preparation or self._progress.progress,
             image_digest=self._attempt.state.image_digest,
             usage=self._usage,
             samples=self._samples[:_MAX_SAMPLES],
@@ -168,10 +172,13 @@ class ActiveRun:
             # Its lease ends, and the server decides what happens.
             _log.exception("the run %s is given up", self.assignment.run_id)
         finally:
-            if not is_detached:
+            if is_detached:
+                self._release_environment()
+            else:
                 self._log.close()
                 try:
                     self._executor.remove(self._job())
+                    self._release_environment()
                     remove_tree(self._attempt.directory)
                 except OSError as error:
                     _log.warning("the folder of the run %s was not removed: %s", self.assignment.run_id, error)
@@ -207,7 +214,10 @@ class ActiveRun:
         self._attempt.change(stage=RunState.preparing)
         self._executor.remove(self._job())
         self._attempt.clear()
-        prepared = prepare_run(self._context, self.assignment, self.stop, self._attempt.directory / "in")
+        self._release_environment()
+        directory = self._attempt.directory / "in"
+        prepared = prepare_run(self._context, self.assignment, self.stop, directory, self._show_preparation)
+        self._environment = prepared.environment
         self._attempt.change(
             stage=RunState.running,
             starts=self._attempt.state.starts + 1,
@@ -215,6 +225,7 @@ class ActiveRun:
             image=prepared.image.reference if prepared.image else None,
             image_digest=prepared.image.digest if prepared.image else None,
             store_url=prepared.store_url,
+            packages=prepared.environment.packages if prepared.environment else None,
         )
         self.stop.check()
         if self.lease.is_over():
@@ -225,7 +236,19 @@ class ActiveRun:
         self._is_submitted = True
         self._attempt.change(started_s=boot_time_s())
 
+    def _show_preparation(self, message: str, fraction: float) -> None:
+        is_new = self._preparation is None
+        self._preparation = Progress(fraction=round(fraction, 2), message=message)
+        if is_new:
+            self._context.on_change()
+
+    def _release_environment(self) -> None:
+        if self._environment is not None:
+            self._environment.close()
+        self._environment = None
+
     def _watch(self) -> Ending:
+        self._preparation = None
         self._set_state(RunState.running)
         job = self._job()
         self._log.start(job)

@@ -1,4 +1,4 @@
-"""Prepares a run: its image, its inputs, and `/in/mission.json`."""
+"""Prepares a run: its image, its inputs, `/in/mission.json`, and the packages of its script."""
 
 import os
 import sys
@@ -18,7 +18,8 @@ from kleinkram.contract.errors import FileUnavailable, InvalidRequest, Kleinkram
 from kleinkram.contract.names import check_file_path
 from kleinkram.contract.runners import InputsRequest, RunAssignment
 from kleinkram.contract.runs import CONTEXT_FILE, EndReason, RunContext
-from kleinkram.runner.executors.base import CannotStart, Ending, Executor, PinnedImage, RunJob
+from kleinkram.environments.cache import Environment, Show
+from kleinkram.runner.executors.base import CannotStart, Ending, Executor, LockedScript, PinnedImage, RunJob
 from kleinkram.runner.executors.port_forward import PortForward
 from kleinkram.runner.input_cache import InputCache, InputDamaged, InputFile, NoSpace, PartialInput
 from kleinkram.runner.state_directory import Attempt, RunnerContext, StopSignal, remove_tree
@@ -41,14 +42,22 @@ _PERMANENT_ERRORS = (NotFound, FileUnavailable, InvalidRequest)
 
 
 class PreparedRun(NamedTuple):
-    """What a prepared run starts with: its image, and the URL of the store if the run may connect to it."""
+    """What a prepared run starts with.
+
+    Its image, the URL of the store if the run may connect to it, and the packages of its script.
+    """
 
     image: PinnedImage | None
     store_url: str
+    environment: Environment | None
 
 
-def prepare_run(context: RunnerContext, assignment: RunAssignment, stop: StopSignal, directory: Path) -> PreparedRun:
-    """Pull the image while the inputs are placed in `directory`, which becomes `/in`. May be repeated.
+def prepare_run(
+    context: RunnerContext, assignment: RunAssignment, stop: StopSignal, directory: Path, show: Show
+) -> PreparedRun:
+    """Pull the image while the inputs are placed in `directory`, which becomes `/in`; then install the packages.
+
+    May be repeated. `show` gets the progress of what takes long.
 
     Raises:
         CannotStart: something is not available here.
@@ -76,7 +85,12 @@ def prepare_run(context: RunnerContext, assignment: RunAssignment, stop: StopSig
             path.chmod(0o444)
     while pulled and not pulled.done():
         stop.wait(_IMAGE_CHECK_EVERY_S)
-    return PreparedRun(pulled.result() if pulled else None, store_url)
+    pinned = pulled.result() if pulled else None
+    environment = None
+    if assignment.lock is not None:
+        script = LockedScript(assignment.lock, assignment.requires_python, pinned.reference if pinned else None)
+        environment = context.executor.place_environment(script, wait=stop.wait, show=show)
+    return PreparedRun(pinned, store_url, environment)
 
 
 def _place(context: RunnerContext, assignment: RunAssignment, source: "InputDownload", directory: Path) -> None:
@@ -109,6 +123,8 @@ def _image_of(context: RunnerContext, assignment: RunAssignment) -> str | None:
         lacks = "runs no images, only scripts"
     elif assignment.resources.gpus and not abilities.gpus:
         lacks = "has no GPU for runs"
+    elif assignment.lock is not None and not abilities.environments:
+        lacks = "installs no packages for scripts"
     elif assignment.image is None and abilities.images and context.default_image is None:
         lacks = "has no default image to run scripts on"
     if lacks is not None:
@@ -275,6 +291,7 @@ def job_of(context: RunnerContext, attempt: Attempt) -> RunJob:
         directory=attempt.directory,
         command=command_of(assignment, in_image=image is not None),
         image=image,
+        packages=attempt.state.packages,
         resources=assignment.resources,
         network=assignment.network,
         environment=environment if assignment.token else {},

@@ -1,8 +1,11 @@
 """Runs an action on this machine, for its author: with the same `/in` and `/out` as on a runner of a server."""
 
+import contextlib
+import dataclasses
 import shutil
 import tempfile
 import threading
+import time
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +18,7 @@ from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.runs import ActionRef, Cause, EndReason, RunContext
-from kleinkram.runner.executors.base import CannotStart, Ending, Executor, RunJob, wait_for_end
+from kleinkram.runner.executors.base import CannotStart, Ending, Executor, LockedScript, RunJob, wait_for_end
 from kleinkram.runner.inputs import check_input_path, command_of, write_context
 from kleinkram.runner.results import Results, collect_results
 
@@ -44,6 +47,8 @@ def run_locally(
     watcher: Watcher,
 ) -> LocalRun:
     """Run an action on a mission: download its inputs, show its output, and copy its results to `out`, which is empty.
+
+    The packages of its lock are installed first, with a line about it in the output.
 
     Raises:
         InvalidInput: a parameter is invalid, or `out` is not empty.
@@ -76,7 +81,7 @@ def run_locally(
         command = command_of(action, in_image=action.image is not None)
         key = f"local-{uuid.uuid4().hex[:12]}"
         job = RunJob(key, directory, command, action.image, action.resources, action.network)
-        ending = _run(executor, job, show)
+        ending = _run_with_packages(executor, job, action, show)
         results = collect_results(executor.collect(job))
         for artifact in results.artifacts:
             target = out / artifact.path
@@ -108,6 +113,27 @@ def _download_inputs(
     for path in directory.rglob("*"):
         path.chmod(0o755 if path.is_dir() else 0o444)
     return files
+
+
+def _run_with_packages(
+    executor: Executor, job: RunJob, action: ActionDefinition, show: Callable[[bytes], None]
+) -> Ending:
+    if action.lock is None:
+        return _run(executor, job, show)
+    shown: set[str] = set()
+
+    def show_once(message: str, _: float) -> None:
+        if message not in shown:
+            shown.add(message)
+            show(f"{message}.\n".encode())
+
+    script = LockedScript(action.lock, action.requires_python, action.image)
+    try:
+        environment = executor.place_environment(script, wait=time.sleep, show=show_once)
+    except CannotStart as error:
+        return error.ending
+    with contextlib.closing(environment):
+        return _run(executor, dataclasses.replace(job, packages=environment.packages), show)
 
 
 def _run(executor: Executor, job: RunJob, show: Callable[[bytes], None]) -> Ending:

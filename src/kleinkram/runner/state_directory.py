@@ -8,6 +8,7 @@ runs/<run>-<attempt>/ the directory of each attempt, which is also the directory
     state.json        the assignment and the stage
     log-upload.json   how much of the log is stored
 cache/                inputs
+environments/         packages of scripts
 """
 
 import contextlib
@@ -120,8 +121,8 @@ def _boot_id() -> str:
 class AttemptState(BaseModel):
     """The state of an attempt. `stage` is its next step; `starts` counts the submissions of its job.
 
-    `image` is what the job runs on. `started_s` is by the clock of leases. `store_url` is the store for a job that
-    reaches it.
+    `image` is what the job runs on, `packages` the folder of what its script imports. `started_s` is by the clock of
+    leases. `store_url` is the store for a job that reaches it.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -133,6 +134,7 @@ class AttemptState(BaseModel):
     image: str | None = None
     image_digest: str | None = None
     store_url: str = ""
+    packages: Path | None = None
     ending: Ending | None = None
     usage: Usage | None = None
 

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from urllib.parse import quote, urlsplit
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -24,6 +25,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from kleinkram.contract.access import Right
 from kleinkram.contract.names import Name, name_key
 from kleinkram.contract.people import EmailDomain
+from kleinkram.environments.uv import PYPI, parse_index
 
 Seconds = Annotated[float, Field(gt=0)]
 PerMinute = Annotated[int, Field(ge=0)]
@@ -36,6 +38,11 @@ def _networks(text: object) -> object:
     if not isinstance(text, str):
         return text
     return tuple(ipaddress.ip_network(part.strip()) for part in text.split(",") if part.strip())
+
+
+def _package_index(text: str) -> str:
+    parse_index(text)
+    return text
 
 
 class OpenTo(str, enum.Enum):
@@ -246,6 +253,12 @@ class Settings(BaseSettings):
         "affiliations), `everybody` or `admins`.",
     )
 
+    package_index: Annotated[str, AfterValidator(_package_index)] = Field(
+        default=PYPI,
+        repr=False,
+        description="Where dependencies of scripts come from: the URL of a package index, the absolute path of a "
+        "folder of wheels, or `off`: then images must have them. The runner of `klein up` reads it, too.",
+    )
     body_limit_bytes: int = Field(default=4 * 1024 * 1024, ge=65_536, description="Maximum size of a request body.")
     connections_per_address: int = Field(
         default=512,
@@ -346,7 +359,7 @@ class Settings(BaseSettings):
 
 
 # URLs and structures that contain passwords; every SecretStr is a secret, too.
-_SECRET = frozenset({"database_url", "migration_database_url", "s3_access_key", "oidc_providers"})
+_SECRET = frozenset({"database_url", "migration_database_url", "s3_access_key", "oidc_providers", "package_index"})
 
 
 def is_secret(name: str) -> bool:

@@ -21,8 +21,11 @@ from kleinkram.standalone.processes import ChildCommand, kill_group, stop
 SERVER = (sys.executable, "-m", "kleinkram.server")
 # One machine with few users: memory matters more than throughput. The caller's environment has precedence.
 _LOW_MEMORY = {"KLEINKRAM_DATABASE_CONNECTIONS": "4", "MALLOC_ARENA_MAX": "2"}
-# Where the container engine is, and which certificates are trusted.
-_RUNNER_ENVIRONMENT = ("DOCKER_HOST", "DOCKER_CONFIG", "XDG_RUNTIME_DIR", "SSL_CERT_FILE", "SSL_CERT_DIR")
+# How the package index of scripts is reached: the certificates that are trusted, and the proxies.
+_CERTIFICATES = ("SSL_CERT_FILE", "SSL_CERT_DIR")
+_PROXIES = tuple(name for word in ("HTTP", "HTTPS", "ALL", "NO") for name in (f"{word}_PROXY", f"{word.lower()}_proxy"))
+# And where the container engine is.
+_RUNNER_ENVIRONMENT = ("DOCKER_HOST", "DOCKER_CONFIG", "XDG_RUNTIME_DIR", *_CERTIFICATES, *_PROXIES)
 
 _LOG_LIMIT_BYTES = 10 * 1024 * 1024
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 30.0
@@ -100,6 +103,7 @@ class Plan:
         if name == "migrate":
             environment["KLEINKRAM_MIGRATION_DATABASE_URL"] = self.postgres.url(MIGRATE)
         if name == "api":
+            environment |= {name: os.environ[name] for name in (*_CERTIFICATES, *_PROXIES) if name in os.environ}
             arguments = ["--wait-for-stdin", "--host", self.listening.address, "--port", str(self.ports["api"])]
             if self.listening.tls:
                 certificate, key = self.listening.tls

@@ -35,6 +35,7 @@ _CHECK_REPORT = {
     "checks": [{"name": "topic.gap", "status": "ok", "message": "No gap."}],
     "depth": "index",
     "document_sha256": "0" * 64,
+    "profiles_applied": [],
     "files": {"one.mcap": "0" * 64},
 }
 

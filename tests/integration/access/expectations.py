@@ -7,7 +7,6 @@ that each operation requires.
 import enum
 from dataclasses import dataclass
 
-from kleinkram.contract.access import Scope
 from kleinkram.server.access.operations import Permission, ResourceKind
 from tests.integration.access.credentials import Credential, Kind, Reach
 
@@ -91,7 +90,7 @@ def credential_verdict(need: Permission, credential: Credential, *, is_change: b
         return Verdict.forbidden
     if not need.scopes & credential.scopes and credential.kind is not Kind.runner:
         return Verdict.forbidden
-    if need.reads and Scope.read not in credential.scopes:
+    if need.also is not None and need.also not in credential.scopes:
         return Verdict.forbidden
     if need.browsers and not credential.is_browser:
         return Verdict.forbidden

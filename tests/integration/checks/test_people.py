@@ -1,5 +1,6 @@
 """What people and uploaders add to the checks of a mission: acceptances, notes and reports."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
@@ -40,12 +41,20 @@ def _accept(api: Api, mission_id: str, check: str = "topic.rate", **fields: Any)
     return api.post(f"/missions/{mission_id}/check-acceptances", {"check": check, "because": "Known.", **fields})
 
 
-def _report(api: Api, mission_id: str, document: str, *checks: Any, depth: str = "content", **files: str) -> Any:
+def _report(
+    api: Api,
+    mission_id: str,
+    document: str,
+    *checks: Any,
+    depth: str = "content",
+    profiles: Sequence[str] = ("all robots",),
+    **files: str,
+) -> Any:
     rows = api.sql(
         "SELECT path, encode(sha256, 'hex') FROM file JOIN blob ON blob.id = blob_id WHERE mission_id = %s", mission_id
     )
-    body = {"checks": checks, "depth": depth, "document_sha256": document, "files": {**dict(rows), **files}}
-    return api.post(f"/missions/{mission_id}/check-reports", body)
+    body = {"checks": checks, "depth": depth, "document_sha256": document, "profiles_applied": [*profiles]}
+    return api.post(f"/missions/{mission_id}/check-reports", {**body, "files": {**dict(rows), **files}})
 
 
 def _rules_hash(api: Api, mission_id: str) -> str:
@@ -213,6 +222,7 @@ def test_a_report_before_the_upload_counts_once_its_files_are_there(api: Api) ->
     )
     api.sql("UPDATE file SET deleted_at = now(), deleted_by_id = uploaded_by_id WHERE id = %s", first)
     body = {"checks": [_BLACK], "depth": "content", "document_sha256": _rules_hash(api, mission_id)}
+    body["profiles_applied"] = ["all robots"]
     api.post(f"/missions/{mission_id}/check-reports", {**body, "files": {"run.mcap": sha256}}).ok(201)
     run_jobs(api)
     assert verdict(api, mission_id) == "unchecked"
@@ -247,6 +257,22 @@ def test_content_that_was_checked_by_other_profiles_is_outdated(api: Api) -> Non
     run_jobs(api)
     assert verdict(api, mission_id) == "outdated"
     assert api.get(f"/missions/{mission_id}").ok()["checks"]["needs_content"] == 3
+
+
+def test_content_of_the_same_checks_by_other_profiles_is_outdated(api: Api) -> None:
+    stricter = "  - name: night\n    when: {night: true}\n    images: {/camera: {min_brightness: 40}}\n"
+    mission_id = judged_mission(api, checked_project(api, _IMAGES + stricter), *GOOD)
+    passed, sha256 = {**_BLACK, "status": "ok"}, _rules_hash(api, mission_id)
+    _report(api, mission_id, sha256, passed, *_LIGHT).ok(201)
+    run_jobs(api)
+    assert verdict(api, mission_id) == "good"
+    api.patch(f"/missions/{mission_id}", {"metadata": {"night": True}}).ok()
+    run_jobs(api)
+    assert verdict(api, mission_id) == "outdated", "the stricter bound was not checked"
+    report = _report(api, mission_id, sha256, passed, *_LIGHT, profiles=["night", "all robots"]).ok(201)
+    assert report["is_current"] is True
+    run_jobs(api)
+    assert verdict(api, mission_id) == "good"
 
 
 def test_a_check_of_earlier_files_cannot_be_accepted(api: Api, bad_id: str) -> None:

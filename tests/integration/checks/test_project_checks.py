@@ -116,7 +116,7 @@ def test_a_robot_checks_by_the_file_of_its_project(klein: Klein, project: str, r
     klein("check", drive, "-p", project, code=3)
     klein("checks", "set", "-p", project, rules)
     printed = klein("check", drive, "-p", project, code=2).stdout
-    assert "error     topic.missing  /imu/data  it is not recorded" in printed
+    assert "error   topic.missing  /imu/data  it is not recorded" in printed
     assert f"Rules:   checks of {project} (profile: vehicle)" in printed
 
 

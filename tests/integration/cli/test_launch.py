@@ -152,10 +152,12 @@ def test_an_unchanged_action_is_not_published_again(tmp_path: Path) -> None:
     (tmp_path / "look.py").write_text("print(1)")
     action = action_read("look")
     create = ("action", "create", tmp_path / "look.py", "--new-version")
-    with scripted(page(action)) as script:
+    with scripted(page(action), action) as script:
+        # The server compares them, since only it knows the lock.
         assert "nothing was published" in klein(script, *create).stderr
     (tmp_path / "look.py").write_text("print(2)")
-    with scripted(page(action), action) as script:
-        klein(script, *create)
+    latest = action.latest.model_copy(update={"number": 2})
+    with scripted(page(action), action.model_copy(update={"latest": latest})) as script:
+        assert "nothing was published" not in klein(script, *create).stderr
     assert script.requests[1].path.endswith(f"/actions/{action.id}/versions")
     assert script.requests[1].body["definition"]["script"] == "print(2)"

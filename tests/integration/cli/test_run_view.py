@@ -27,6 +27,11 @@ def shown(script: Scripted, *arguments: object) -> str:
         (RunState.queued, {"waits_for": "No runner is registered."}, "queued: No runner is registered."),
         (RunState.running, {"progress": Progress(fraction=0.5, message="half")}, "running 50% half"),
         (RunState.running, {}, "running"),
+        (
+            RunState.preparing,
+            {"progress": Progress(fraction=0, message="Installing 2 packages")},
+            "preparing: Installing 2 packages",
+        ),
         (RunState.collecting, {"progress": Progress(fraction=1, message="it waits")}, "collecting: it waits"),
         (RunState.collecting, {"progress": Progress(fraction=1)}, "collecting"),
         (RunState.failed, {"reason": EndReason.exit_code, "exit_code": 3}, "failed: exit_code 3"),

@@ -157,6 +157,10 @@ def test_the_script_describes_itself() -> None:
     manifest = read_manifest(SLAM_EVALUATE)
     assert (manifest.name, manifest.dependencies) == ("slam-evaluate", ["open-kleinkram", "evo==1.38.1"])
     assert manifest.inputs.derived
+    better = {metric.name: (metric.unit, metric.better.value) for metric in manifest.metrics}
+    assert better["ate_rmse"] == ("m", "lower")
+    assert better["rpe_rotation_max"] == ("deg", "lower")
+    assert better["coverage"] == (None, "higher")
 
 
 # From here on with evo.
@@ -263,6 +267,8 @@ def test_alignments(tmp_path: Path, alignment: str, estimate: bytes, ate_m: floa
     labels = {**LABELS, "alignment": alignment}
     assert ran.metric("ate_rmse", labels=labels) == pytest.approx(ate_m, abs=1e-6)
     assert ran.metric("coverage", labels=labels) == pytest.approx(1)
+    declared = {metric.name: metric.unit for metric in read_manifest(SLAM_EVALUATE).metrics}
+    assert {entry.name: entry.unit for entry in ran.report.metrics}.items() <= declared.items()
     if alignment == "sim3":
         assert ran.metric("scale", labels=labels) == pytest.approx(2)
     assert {entry.unit for entry in ran.report.metrics if entry.name.startswith("ate_rotation")} == {"deg"}

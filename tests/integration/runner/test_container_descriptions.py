@@ -89,7 +89,9 @@ def test_the_start_barrier_runs_the_same_command(
 ) -> None:
     job = RunJob(**{**vars(job_of(tmp_path, Network.api)), "command": command})
     plain = describe(job, user=f"{os.getuid()}:{os.getgid()}", volumes=[], labels={})
-    made = json.loads(json.dumps(with_barrier(plain, job, ImageInfo("1", (), "amd64", (), *map(tuple, image)))))
+    entrypoint, default_command = map(tuple, image)
+    info = ImageInfo("1", (), "amd64", (), entrypoint, default_command)
+    made = json.loads(json.dumps(with_barrier(plain, job, info)))
     if runs is None:
         assert made == json.loads(json.dumps(plain))
         return

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from kleinkram.environments.uv import parse_index
 from kleinkram.runner.__main__ import TOKEN_VARIABLE, Arguments, ExecutorChoice
 from kleinkram.runner.executors.local import LocalExecutor, Machine, MachineShare
 from kleinkram.runner.executors.process import ProcessExecutor
@@ -43,11 +44,11 @@ class Runners:
     _threads: list[tuple[Runner, threading.Thread]] = field(default_factory=list)
     _processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
-    def start(self, executor: LocalExecutor | None = None, share: MachineShare = _SHARE) -> Runner:
-        """Start a runner in this process."""
+    def start(self, executor: LocalExecutor | None = None, share: MachineShare = _SHARE, index: str = "off") -> Runner:
+        """Start a runner in this process, which installs packages from an index."""
         self.folder.mkdir(exist_ok=True)
         executor = executor or ProcessExecutor()
-        executor._machine = Machine(self.folder, share)
+        executor._machine = Machine(self.folder, share, parse_index(index))
         options = RunnerOptions(self.server.url, RUNNER_TOKEN, "a-runner")
         runner = Runner(options, StateDirectory(self.folder), executor)
         thread = threading.Thread(target=runner.run)

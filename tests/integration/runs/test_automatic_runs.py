@@ -82,6 +82,29 @@ def test_a_new_version_runs_on_demand_only(lab: Api, runner: FakeRunner, place: 
     assert [run["action"]["version"] for run in runs(lab, place.mission)] == [1]
 
 
+@pytest.mark.parametrize(("changes", "text"), [({"right": "DELETE"}, "DELETE"), ({"network": "open"}, "open")])
+def test_a_version_that_asks_for_more_does_not_run_until_it_is_added_again(
+    lab: Api, runner: FakeRunner, place: Place, changes: Any, text: str
+) -> None:
+    action = publish(lab, runner, place.project)
+    add(lab, place.project, action)
+    changed = action["latest"]["definition"] | changes
+    lab.post(f"/actions/{action['id']}/versions", {"definition": changed}).ok(201)
+    complete(lab, place.mission)
+    run_jobs(lab)
+    maintain(lab)
+    assert runs(lab, place.mission) == []
+    (listed,) = lab.get(f"/projects/{place.project['id']}/actions").ok()["items"]
+    assert f"{action['name']}@2 asks for" in listed["problem"]
+    assert text in listed["problem"]
+    add(lab, place.project, action)
+    complete(lab, place.mission, False)
+    complete(lab, place.mission)
+    lab.sql("UPDATE project_action_mission SET retry_at = now()")
+    maintain(lab)
+    assert [run["action"]["version"] for run in runs(lab, place.mission)] == [2]
+
+
 def test_missions_that_were_complete_before_are_left_alone(lab: Api, runner: FakeRunner, place: Place) -> None:
     complete(lab, place.mission)
     run_jobs(lab)

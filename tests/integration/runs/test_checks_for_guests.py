@@ -58,7 +58,8 @@ def _world(lab: Api, runner: FakeRunner, place: Place) -> _World:
         "SELECT path, encode(sha256, 'hex') FROM file JOIN blob ON blob.id = blob_id WHERE mission_id = %s", mission_id
     )
     ok = {"name": "image.black", "status": "ok", "message": "No picture is black."}
-    sent = {"checks": [ok], "depth": "content", "document_sha256": "0" * 64, "files": dict(rows)}
+    sent: dict[str, Any] = {"checks": [ok], "depth": "content", "document_sha256": "0" * 64, "profiles_applied": []}
+    sent["files"] = dict(rows)
     report_id = api.post(f"{checks}/check-reports", sent).ok(201)["id"]
     run_jobs(lab)
     hidden = {

@@ -64,7 +64,7 @@ def test_the_latest_result_on_the_present_files_makes_the_verdict(lab: Api, runn
     body = {"mission_ids": [place.mission["id"]], "action_id": action["id"]}
     lab.post("/runs", body).ok()
     assert verdict(lab, place.mission)[0] == "running"
-    finish(runner)
+    finish(runner, verdict="good")
     assert verdict(lab, place.mission) == ("good", {"results.verdict": "ok"})
 
     lab.post("/runs", body | {"force": True}).ok()
@@ -158,7 +158,32 @@ def test_an_action_that_could_not_start_is_a_check_that_was_not_made(
     assert check["message"].startswith(f"{action['name']}@1 has not run on these files: {member.name}")
 
 
-def test_an_archived_action_does_not_count_until_it_is_restored(lab: Api, runner: FakeRunner, place: Place) -> None:
+def test_a_run_that_judges_nothing_makes_no_mission_good(lab: Api, runner: FakeRunner, place: Place) -> None:
+    run_jobs(lab)
+    add(lab, place.project, publish(lab, runner, place.project))
+    complete(lab, place.mission)
+    run_jobs(lab)
+    finish(runner, metrics=[{"name": "messages", "value": 3}])
+    assert verdict(lab, place.mission) == ("unchecked", {})
+
+
+def test_an_acceptance_does_not_cover_what_a_later_run_finds(lab: Api, runner: FakeRunner, place: Place) -> None:
+    run_jobs(lab)
+    action = publish(lab, runner, place.project)
+    add(lab, place.project, action)
+    complete(lab, place.mission)
+    run_jobs(lab)
+    finish(runner, findings=[GAP])
+    assert verdict(lab, place.mission)[0] == "bad"
+    accepted = {"check": "topic.gap", "because": "Known."}
+    lab.post(f"/missions/{place.mission['id']}/check-acceptances", accepted).ok(201)
+    assert verdict(lab, place.mission)[0] == "good"
+    lab.post("/runs", {"mission_ids": [place.mission["id"]], "action_id": action["id"], "force": True}).ok()
+    finish(runner, findings=[GAP, GAP | {"message": "40 s without a message"}])
+    assert verdict(lab, place.mission)[0] == "bad"
+
+
+def test_the_results_of_an_archived_action_count(lab: Api, runner: FakeRunner, place: Place) -> None:
     run_jobs(lab)
     action = publish(lab, runner, place.project)
     add(lab, place.project, action)
@@ -167,9 +192,9 @@ def test_an_archived_action_does_not_count_until_it_is_restored(lab: Api, runner
     finish(runner, findings=[GAP])
     assert verdict(lab, place.mission)[0] == "bad"
     lab.patch(f"/actions/{action['id']}", {"archived": True}).ok()
-    assert verdict(lab, place.mission) == ("unchecked", {})
-    lab.patch(f"/actions/{action['id']}", {"archived": False}).ok()
-    assert verdict(lab, place.mission)[0] == "bad"
+    assert verdict(lab, place.mission)[0] == "bad", "who archives an action of the lab does not decide over projects"
+    lab.delete(f"/projects/{place.project['id']}/actions/{action['id']}").ok(204)
+    assert verdict(lab, place.mission)[0] == "unchecked"
 
 
 def test_an_action_added_while_a_mission_is_judged_counts(lab: Api, runner: FakeRunner, place: Place) -> None:

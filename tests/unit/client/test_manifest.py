@@ -1,4 +1,4 @@
-"""Reading an untrusted `action.yaml`."""
+"""Reading manifests of actions, also untrusted ones."""
 
 from pathlib import Path
 
@@ -14,3 +14,13 @@ def test_a_manifest_of_deep_brackets_is_refused(text: str, tmp_path: Path) -> No
     file.write_text(text)
     with pytest.raises(InvalidInput, match="levels deep"):
         read_manifest(tmp_path)
+
+
+def test_a_script_names_its_packages_and_python(tmp_path: Path) -> None:
+    file = tmp_path / "look.py"
+    file.write_text('# /// script\n# requires-python = ">=3.11"\n# dependencies = ["evo==1.38.1"]\n# ///\nprint(1)\n')
+    definition = read_manifest(file)
+    assert (definition.dependencies, definition.requires_python) == (["evo==1.38.1"], ">=3.11")
+    file.write_text('# /// script\n# requires-python = "3.11"\n# ///\n')
+    with pytest.raises(InvalidInput, match="is not a condition on the version of Python"):
+        read_manifest(file)

@@ -16,7 +16,7 @@ export interface paths {
         put?: never;
         /**
          * Create Action
-         * @description Publish an action.
+         * @description Publish an action. The dependencies of its script are locked, unless it has a lock.
          */
         post: operations["create_action"];
         delete?: never;
@@ -64,7 +64,7 @@ export interface paths {
         put?: never;
         /**
          * Publish Action Version
-         * @description Publish a further version of an action. With If-Match, only if its ETag still matches.
+         * @description Publish a further version of an action, locked like the first. With If-Match, only if its ETag still matches.
          */
         post: operations["publish_action_version"];
         delete?: never;
@@ -2871,7 +2871,9 @@ export interface components {
          * @description One version of an action: either an `image` with its `command`, or a `script` on the default image.
          *
          *     `command` is an argument list; empty: the image's own command. A script is started with Python, and its
-         *     `dependencies` (PEP 508) must be installed in the default image, or in the image that it names.
+         *     `dependencies` (PEP 508) are installed for it in the versions of its `lock` (pip requirements with hashes), which
+         *     the server makes where it is null. Without a lock, they must be installed in the image. `requires_python` (`>=3.11`)
+         *     is the Python that the script needs.
          *     `right` is the right on the mission that launching requires, and the right of the run's token.
          *     `metrics` describes metrics for tables; an action may report others, too.
          */
@@ -2902,6 +2904,8 @@ export interface components {
              *     }
              */
             inputs: components["schemas"]["Inputs"];
+            /** Lock */
+            lock?: string | null;
             /**
              * Metrics
              * @default []
@@ -2916,6 +2920,8 @@ export interface components {
              * @default []
              */
             parameters: components["schemas"]["Parameter"][];
+            /** Requires Python */
+            requires_python?: string | null;
             /**
              * @default {
              *       "cores": 1,
@@ -3538,9 +3544,9 @@ export interface components {
         };
         /**
          * CheckReportCreate
-         * @description Checks that an uploader made, by the `checks.yaml` with this hash, of these files (SHA-256 by path).
+         * @description Checks that an uploader made, by profiles of the `checks.yaml` with this hash, of these files (SHA-256 by path).
          *
-         *     They count while exactly these are the recorded files of the mission.
+         *     They count while exactly these are the recorded files of the mission, and exactly these profiles apply to it.
          */
         CheckReportCreate: {
             /** Checks */
@@ -3552,6 +3558,8 @@ export interface components {
             files: {
                 [key: string]: string;
             };
+            /** Profiles Applied */
+            profiles_applied: string[];
         };
         /**
          * CheckReportRead
@@ -3967,13 +3975,20 @@ export interface components {
         ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "last_sign_in_method" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "group_fixed" | "not_found" | "wrong_client" | "ambiguous_name" | "name_taken" | "edit_conflict" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "method_not_allowed" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "rate_limited" | "too_many_streams" | "store_unavailable" | "database_unavailable" | "internal_error";
         /**
          * ExecutorAbilities
-         * @description What an executor supports. `images`: it runs container images, not only scripts.
+         * @description What an executor supports.
+         *
+         *     `images`: it runs container images, not only scripts. `environments`: it installs locked dependencies of scripts.
          */
         ExecutorAbilities: {
             /** Bounds Disk */
             bounds_disk: boolean;
             /** Bounds Memory */
             bounds_memory: boolean;
+            /**
+             * Environments
+             * @default false
+             */
+            environments: boolean;
             /** Executor */
             executor: string;
             /** Gpus */
@@ -6498,6 +6513,8 @@ export interface components {
             inputs: components["schemas"]["AssignedInput"][];
             /** Lease S */
             lease_s: number;
+            /** Lock */
+            lock?: string | null;
             /**
              * Mission Id
              * Format: uuid
@@ -6513,6 +6530,8 @@ export interface components {
              * Format: uuid
              */
             project_id: string;
+            /** Requires Python */
+            requires_python?: string | null;
             resources: components["schemas"]["Resources"];
             /**
              * Run Id

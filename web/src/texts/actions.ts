@@ -31,7 +31,7 @@ export const texts = {
   definition: {
     image: "Image", digest: "Resolved to", stock: "The default image", command: "Command", own: "default of the image", script: "Script", dependencies: "Dependencies",
     inputs: "Inputs", all: "all files of the mission", resources: "Resources", network: "Network", right: "Required right", parameters: "Parameters",
-    noParameters: "No parameters.", showScript: "Show script",
+    locked: (count: number) => ` (${counted(count, "package")} locked)`, noParameters: "No parameters.", showScript: "Show script",
     paths: (globs: string) => `files ${globs}`, topics: (globs: string) => `with topics ${globs}`, types: (globs: string) => `with messages of ${globs}`,
     cores: (count: number) => counted(count, "core"), gpus: (count: number) => counted(count, "GPU"), memory: (size: string) => `${size} memory`,
     disk: (size: string) => `${size} disk`, time: (span: string) => `up to ${span}`, labels: (labels: string) => `on runners labelled ${labels}`,

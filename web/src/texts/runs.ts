@@ -13,7 +13,7 @@ interface Named {
 
 export const stateTexts: Readonly<Record<RunState, Named>> = {
   queued: { label: "Queued", why: "Waiting for a runner." },
-  preparing: { label: "Preparing", why: "A runner downloads the image and the input files." },
+  preparing: { label: "Preparing", why: "A runner downloads the image, the input files and the packages of the script." },
   running: { label: "Running", why: "The command is running." },
   collecting: { label: "Collecting", why: "The runner is uploading the results." },
   done: { label: "Done", why: "The run succeeded." },

@@ -14,6 +14,8 @@ from typing import Protocol
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.contract.runners import Capacity, ExecutorAbilities
 from kleinkram.contract.runs import EndReason, Usage
+from kleinkram.environments.cache import Environment, Show
+from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors.port_forward import PortForward
 from kleinkram.runner.input_cache import InputCache, InputFile
 
@@ -33,6 +35,7 @@ class RunJob:
     """One attempt at a run. `key` is unique among all attempts and consists of letters, digits and `-`.
 
     `directory` belongs to the job and has the inputs in `in/`. `command` empty: the command of the image.
+    `packages`: the folder of the packages of its script, which it sees read-only.
     """
 
     key: str
@@ -42,7 +45,17 @@ class RunJob:
     resources: Resources
     network: Network
     environment: Mapping[str, str] = field(default_factory=dict)
+    packages: Path | None = None
     port_forwards: tuple[PortForward, ...] = ()
+
+
+@dataclass(frozen=True)
+class LockedScript:
+    """A script whose dependencies are locked, and the image that it runs in, which is available."""
+
+    lock: str
+    requires_python: str | None
+    image: str | None
 
 
 @dataclass(frozen=True)
@@ -103,6 +116,18 @@ class Executor(ABC):
             NoSpace: the disk has no space for them.
             OSError: they cannot be placed.
         """
+
+    @abstractmethod
+    def place_environment(self, script: LockedScript, *, wait: Wait, show: Show) -> Environment:
+        """Return the environment of a script, installed if it is not yet: that takes up to minutes.
+
+        Raises:
+            CannotStart: it cannot be installed here.
+        """
+
+    @abstractmethod
+    def find_environment(self, packages: Path) -> Environment | None:
+        """Return the environment with these packages, which a job of an earlier runner process uses."""
 
     @abstractmethod
     def submit(self, job: RunJob) -> None:

@@ -12,13 +12,17 @@ import contextlib
 import os
 import shutil
 import zlib
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from kleinkram.contract.runners import Capacity, Isolation
 from kleinkram.contract.runs import LOG_BYTES, EndReason
-from kleinkram.runner.executors.base import CannotStart, Ending, Executor, InputSource, RunJob
+from kleinkram.environments.cache import CannotInstall, Environment, EnvironmentCache, EnvironmentRequest, Show
+from kleinkram.environments.python import Python, PythonUnknown
+from kleinkram.environments.uv import PackageIndex, Wait, find_uv
+from kleinkram.runner.executors.base import CannotStart, Ending, Executor, InputSource, LockedScript, RunJob
 from kleinkram.runner.executors.port_forward import loopback_addresses
 from kleinkram.runner.executors.supervision import LEASE, LOG, JobLimits, write_in_place
 from kleinkram.runner.input_cache import InputCache, InputFile
@@ -27,6 +31,7 @@ _MEMORY_SHARE = 0.8
 # Shares of the free disk; the rest is for others.
 _DISK_SHARE = 0.5
 _CACHE_SHARE = 0.3
+_ENVIRONMENTS_SHARE = 0.1
 _CGROUP_MEMORY = Path("/sys/fs/cgroup/memory.max")
 # Where the runner is root, each job has its own uid, from a range that no system assigns.
 _FIRST_UID = 1_000_000_000
@@ -42,12 +47,16 @@ class MachineShare:
     disk_bytes: int | None = None
     gpus: int = 0
     cache_bytes: int | None = None
+    environments_bytes: int | None = None
 
 
 class Machine:
-    """This machine: its capacity for runs, and the cache of inputs in `directory`, which the runner already uses."""
+    """This machine: its capacity for runs, and the caches in `directory`, which the runner already uses.
 
-    def __init__(self, directory: Path, share: MachineShare) -> None:
+    `index` is where the packages of scripts come from; without it, or without `uv`, none are installed.
+    """
+
+    def __init__(self, directory: Path, share: MachineShare, index: PackageIndex | None = None) -> None:
         space = shutil.disk_usage(directory).free + _used_bytes(directory)
         self.capacity = Capacity(
             cores=share.cores or len(os.sched_getaffinity(0)),
@@ -56,6 +65,10 @@ class Machine:
             gpus=share.gpus,
         )
         self.cache = InputCache(directory / "cache", share.cache_bytes or int(space * _CACHE_SHARE))
+        self.environments: EnvironmentCache | None = None
+        if index is not None and find_uv() is not None:
+            limit_bytes = share.environments_bytes or int(space * _ENVIRONMENTS_SHARE)
+            self.environments = EnvironmentCache(directory / "environments", index, limit_bytes)
 
 
 def _used_bytes(directory: Path) -> int:
@@ -77,10 +90,14 @@ def memory_bytes() -> int:
 
 
 class LocalExecutor(Executor):
-    """Runs jobs on this machine. `machine` is only needed for capacity and inputs."""
+    """Runs jobs on this machine. `machine` is only needed for capacity and inputs.
 
-    def __init__(self, machine: Machine | None = None) -> None:
+    `environments` are those of scripts; by default the machine's.
+    """
+
+    def __init__(self, machine: Machine | None = None, environments: EnvironmentCache | None = None) -> None:
         self._machine = machine
+        self._own_environments = environments
 
     @property
     def capacity(self) -> Capacity:
@@ -99,6 +116,43 @@ class LocalExecutor(Executor):
                 target = directory / path
                 target.parent.mkdir(parents=True, exist_ok=True)
                 add(file, target)
+
+    def place_environment(self, script: LockedScript, *, wait: Wait, show: Show) -> Environment:
+        """Return an environment of the cache, for the Python of the image or of this process."""
+        cache = self._environments
+        if cache is None:
+            raise cannot_start("Its runner installs no packages: it has no package index, or no uv.")
+        image = script.image
+        try:
+            request = EnvironmentRequest(script.lock, self._find_python(image), script.requires_python)
+            return cache.get(
+                request,
+                wait=wait,
+                show=show,
+                compile_in=lambda folder, wait: self._compile_packages(image, folder, wait),
+            )
+        except (CannotInstall, PythonUnknown) as error:
+            raise cannot_start(f"Its packages cannot be installed. {error}") from error
+        except OSError as error:
+            raise cannot_start(f"Its packages cannot be installed: {error.strerror or error}.") from error
+
+    def find_environment(self, packages: Path) -> Environment | None:
+        """Return an environment of the cache."""
+        return self._environments.find(packages.parent.name) if self._environments is not None else None
+
+    @property
+    def _environments(self) -> EnvironmentCache | None:
+        if self._own_environments is None and self._machine is not None:
+            return self._machine.environments
+        return self._own_environments
+
+    @abstractmethod
+    def _find_python(self, image: str | None) -> Python:
+        """Return the Python that scripts run with in an image. Raises PythonUnknown."""
+
+    @abstractmethod
+    def _compile_packages(self, image: str | None, folder: Path, wait: Wait) -> None:
+        """Write the bytecode of a folder of packages, for the Python of an image."""
 
     def set_lease(self, job: RunJob, until_s: float, *, create: bool = False) -> None:
         """Write the lease beside the job. A directory that is being removed does not get it back."""

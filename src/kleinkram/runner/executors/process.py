@@ -13,11 +13,15 @@ import subprocess
 import sys
 import time
 from collections.abc import Collection
+from pathlib import Path
 
-from kleinkram.action.run_files import IN_VARIABLE, OUT_VARIABLE
+from kleinkram.action.run_files import IN_VARIABLE, OUT_VARIABLE, PACKAGES_VARIABLE
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import ExecutorAbilities, Isolation
 from kleinkram.contract.runs import EndReason, Usage
+from kleinkram.environments.cache import EnvironmentCache, compile_packages
+from kleinkram.environments.python import PROBE, Python, parse_python
+from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors import process_sandbox, process_supervisor
 from kleinkram.runner.executors.base import Ending, PinnedImage, RunJob
 from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
@@ -32,8 +36,8 @@ _LOST = Ending(EndReason.lost, "Its processes were killed together with their su
 class ProcessExecutor(LocalExecutor):
     """Runs jobs as processes."""
 
-    def __init__(self, machine: Machine | None = None) -> None:
-        super().__init__(machine)
+    def __init__(self, machine: Machine | None = None, environments: EnvironmentCache | None = None) -> None:
+        super().__init__(machine, environments)
         self._is_isolated = process_sandbox.is_available()
         self._children: dict[str, subprocess.Popen[bytes]] = {}
 
@@ -48,6 +52,7 @@ class ProcessExecutor(LocalExecutor):
             gpus=False,
             bounds_memory=True,
             bounds_disk=True,
+            environments=self._environments is not None,
         )
 
     def prepare_image(self, image: str) -> PinnedImage:
@@ -67,6 +72,7 @@ class ProcessExecutor(LocalExecutor):
             "is_isolated": self._is_isolated,
             "has_network": job.network is Network.open,
             "uid": uid,
+            "packages": str(job.packages) if job.packages is not None else None,
             "limits": limits_of(job),
             "port_forwards": job.port_forwards,
         }
@@ -110,6 +116,14 @@ class ProcessExecutor(LocalExecutor):
 
     def remove_others(self, known_keys: Collection[str]) -> None:
         """Do nothing: supervisors end jobs whose lease is not extended."""
+
+    def _find_python(self, image: str | None) -> Python:
+        command = [sys.executable, "-I", "-c", PROBE]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        return parse_python(done.stdout)
+
+    def _compile_packages(self, image: str | None, folder: Path, wait: Wait) -> None:
+        compile_packages(sys.executable, folder, wait)
 
     def _start_supervisor(self, job: RunJob) -> None:
         lock = os.open(job.directory / process_supervisor.LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -166,6 +180,9 @@ class ProcessExecutor(LocalExecutor):
 
     def _environment(self, job: RunJob) -> dict[str, str]:
         environment = {"PATH": os.environ.get("PATH", os.defpath), "LANG": "C.UTF-8", "PYTHONUNBUFFERED": "1"}
+        if job.packages is not None:
+            packages = process_sandbox.PACKAGES if self._is_isolated else str(job.packages)
+            environment |= {PACKAGES_VARIABLE: packages, "PYTHONPATH": packages}
         if self._is_isolated:
             return {**environment, "HOME": "/tmp", "TMPDIR": "/tmp", **job.environment}  # noqa: S108  the job's own
         directories = {name: str(job.directory / name) for name in ("in", "out", "tmp")}

@@ -19,6 +19,8 @@ from kleinkram.runner.executors import linux_syscalls, port_forward
 _INSIDE_UID = 1000
 _SYSTEM = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/etc", "/opt")
 _DEVICES = ("null", "zero", "full", "random", "urandom")
+# Where a job sees the packages of its script.
+PACKAGES = "/env"
 SHARED_MEMORY = Path("dev/shm")
 SHARED_MEMORY_BYTES = 64 * 2**20
 _PROCESSES = 1024
@@ -30,7 +32,7 @@ _FILE_MARGIN_BYTES = 64 * 2**20
 class Sandbox:
     """Where and as whom a command runs. `uid` is None where this process cannot change its uid.
 
-    The listening sockets of its port forwards are sent to `listeners`.
+    The listening sockets of its port forwards are sent to `listeners`. `packages` is a folder to show as `PACKAGES`.
     """
 
     directory: Path
@@ -39,6 +41,7 @@ class Sandbox:
     uid: int | None
     forwards: Sequence[port_forward.PortForward]
     listeners: socket.socket
+    packages: Path | None = None
 
 
 def is_available() -> bool:
@@ -168,6 +171,8 @@ def _mount_root(sandbox: Sandbox) -> None:
     for path in _system_paths():
         _bind_read_only(path, root / str(path)[1:])
     _bind_read_only(sandbox.directory / "in", root / "in")
+    if sandbox.packages is not None:
+        _bind_read_only(sandbox.packages, root / PACKAGES[1:])
     names = port_forward.host_entries([forward.host for forward in sandbox.forwards])
     if names:
         hosts = sandbox.directory / "hosts"

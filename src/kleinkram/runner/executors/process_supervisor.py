@@ -106,7 +106,9 @@ class JobSupervisor:
             Path("/proc/self/oom_score_adj").write_text("1000")
             job = self._job
             disk_bytes = self._limits_of_job.disk_bytes
-            sandbox = Sandbox(self._directory, job["has_network"], disk_bytes, job["uid"], self._forwards, listeners)
+            packages = Path(job["packages"]) if job["packages"] else None
+            has_network, uid = job["has_network"], job["uid"]
+            sandbox = Sandbox(self._directory, has_network, disk_bytes, uid, self._forwards, listeners, packages)
             if job["is_isolated"]:
                 return run_in_sandbox(sandbox, job["command"], job["environment"], error)
             linux_syscalls.die_with_parent(signal.SIGKILL)

@@ -24,7 +24,7 @@ class Permission:
     """Requirements of an operation. `guests`: also without an account, on public and shared objects.
 
     `runners`: also by runners for their runs, with any scopes; `only_runners`: by nobody else.
-    `reads`: tokens also need the scope read. `browsers`: only with a browser session, no token.
+    `also`: tokens also need this scope. `browsers`: only with a browser session, no token.
     `fresh`: only shortly after signing in. `unrestricted`: only with a credential without limits.
     """
 
@@ -34,7 +34,7 @@ class Permission:
     guests: bool = False
     runners: bool = False
     only_runners: bool = False
-    reads: bool = False
+    also: Scope | None = None
     browsers: bool = False
     unrestricted: bool = False
     fresh: bool = False
@@ -127,14 +127,14 @@ OPERATIONS: dict[str, Permission] = {
     "publish_action_version": Permission(ResourceKind.project, Right.write, _WRITE),
     # Actions that a project names
     "list_project_actions": Permission(ResourceKind.project, Right.read, _READ),
-    "add_project_action": Permission(ResourceKind.project, Right.write, _WRITE),
+    "add_project_action": Permission(ResourceKind.project, Right.write, _WRITE, also=Scope.run),
     "remove_project_action": Permission(ResourceKind.project, Right.write, _WRITE),
     # Runs. Starting one also requires the rights of its action; cancelling another person's requires DELETE.
-    "create_runs": Permission(ResourceKind.mission, Right.create, _RUN, reads=True),
+    "create_runs": Permission(ResourceKind.mission, Right.create, _RUN, also=Scope.read),
     "list_runs": _visible(guests=False),
     "get_run": Permission(ResourceKind.mission, Right.read, _READ),
-    "cancel_run": Permission(ResourceKind.mission, Right.create, _RUN, reads=True),
-    "retry_run": Permission(ResourceKind.mission, Right.create, _RUN, reads=True),
+    "cancel_run": Permission(ResourceKind.mission, Right.create, _RUN, also=Scope.read),
+    "retry_run": Permission(ResourceKind.mission, Right.create, _RUN, also=Scope.read),
     "list_run_inputs": Permission(ResourceKind.mission, Right.read, _READ),
     "list_artifacts": Permission(ResourceKind.mission, Right.read, _READ),
     "download_artifacts": Permission(ResourceKind.mission, Right.read, _READ),

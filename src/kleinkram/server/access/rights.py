@@ -58,8 +58,8 @@ def check_credential(actor: Actor, operation: str) -> None:
         missing = "a runner's token"
     elif not permission.scopes & actor.scopes and actor.kind is not ActorKind.runner:
         missing = f"a token with the scope {_any_of(permission.scopes)}"
-    elif permission.reads and Scope.read not in actor.scopes:
-        missing = f"a token with the scopes `read` and {_any_of(permission.scopes)}"
+    elif permission.also is not None and permission.also not in actor.scopes:
+        missing = f"a token with the scopes `{permission.also.value}` and {_any_of(permission.scopes)}"
     elif permission.browsers and actor.session_id is None:
         missing = "a browser session"
     if missing is not None:

@@ -15,7 +15,7 @@ from kleinkram.contract.actions import (
 )
 from kleinkram.contract.base import Page
 from kleinkram.server.actions import service
-from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
+from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
 from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.pagination import PageQuery
 
@@ -35,11 +35,9 @@ async def list_actions(
 
 
 @router.post("", operation_id="create_action", status_code=201)
-async def create_action(
-    requested: ActionCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
-) -> ActionRead:
-    """Publish an action."""
-    return await service.create_action(db, actor, requested=requested, creators=settings.creators)
+async def create_action(requested: ActionCreate, context: CurrentContext, actor: CurrentActor) -> ActionRead:
+    """Publish an action. The dependencies of its script are locked, unless it has a lock."""
+    return await service.create_action(context, actor, requested=requested)
 
 
 @router.get("/{action_id}", operation_id="get_action")
@@ -66,7 +64,12 @@ async def list_action_versions(
 
 @router.post("/{action_id}/versions", operation_id="publish_action_version", status_code=201)
 async def publish_action_version(
-    action_id: uuid.UUID, requested: VersionCreate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
+    action_id: uuid.UUID,
+    requested: VersionCreate,
+    context: CurrentContext,
+    actor: CurrentActor,
+    if_match: IfMatch = None,
 ) -> ActionRead:
-    """Publish a further version of an action. With If-Match, only if its ETag still matches."""
-    return await service.add_version(db, actor, action_id=action_id, definition=requested.definition, if_match=if_match)
+    """Publish a further version of an action, locked like the first. With If-Match, only if its ETag still matches."""
+    definition = requested.definition
+    return await service.add_version(context, actor, action_id=action_id, definition=definition, if_match=if_match)

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import uuid
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, RowMapping, Select, false, func, insert, literal, or_, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
@@ -26,7 +26,9 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.rights import require_creator, require_match, require_project
 from kleinkram.server.access.visible import visible_projects
+from kleinkram.server.actions import dependency_locks
 from kleinkram.server.audit.log import Event, audit
+from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, matches_key, violated_constraint
 from kleinkram.server.jobs.rejudge import judge_projects_again
 from kleinkram.server.pagination import Order, PageRequest, read_page
@@ -64,44 +66,83 @@ async def get_action(db: Connection, actor: Actor, action_id: uuid.UUID) -> Acti
     return _to_action(await _row(db, actor, action_id))
 
 
-async def create_action(db: Connection, actor: Actor, *, requested: ActionCreate, creators: Creators) -> ActionRead:
-    """Publish the first version of an action and return the action.
+async def create_action(context: AppContext, actor: Actor, *, requested: ActionCreate) -> ActionRead:
+    """Publish the first version of an action and return the action. Opens its own transactions.
 
     Raises:
         NotFound: the project is not there, or not for this actor.
         Forbidden: this actor may not publish there; for the whole lab, the settings reserve that to others.
         NameTaken: an action of this name exists.
+        InvalidRequest: its dependencies cannot be locked.
     """
-    needs_admin = False
-    if requested.project_id is None:
-        needs_admin = await require_creator(db, actor, creators, resource_type="action")
-    else:
-        await require_project(db, actor, "create_action", requested.project_id)
-    action_id, name = uuid.uuid4(), requested.definition.name
-    values = {"project_id": requested.project_id, "name": name, "name_key": name_key(name)}
+    creators = context.settings.creators
+    definition = requested.definition
+    if dependency_locks.needs_lock(definition, context.settings):
+        async with context.database.begin() as db:
+            await _require_publisher(db, actor, requested.project_id, creators)
+        definition = await dependency_locks.lock(definition, context.settings)
+    async with context.database.begin() as db:
+        needs_admin = await _require_publisher(db, actor, requested.project_id, creators)
+        return await _create_action(db, actor, requested.project_id, definition, needs_admin=needs_admin)
+
+
+async def _require_publisher(db: Connection, actor: Actor, project_id: uuid.UUID | None, creators: Creators) -> bool:
+    """Require the right to publish in a project, or for the whole lab; return whether that took admin rights."""
+    if project_id is None:
+        return await require_creator(db, actor, creators, resource_type="action")
+    await require_project(db, actor, "create_action", project_id)
+    return False
+
+
+async def _create_action(
+    db: Connection, actor: Actor, project_id: uuid.UUID | None, definition: ActionDefinition, *, needs_admin: bool
+) -> ActionRead:
+    action_id, name = uuid.uuid4(), definition.name
+    values = {"project_id": project_id, "name": name, "name_key": name_key(name)}
     try:
         await db.execute(insert(action).values(id=action_id, created_by_id=actor.person_id, **values))
     except IntegrityError as error:
         if violated_constraint(error) != "uq_action_name_key_live":
             raise
         raise NameTaken(resource_type="action", name=name) from error
-    await _add_version(db, actor, action_id, 1, requested.definition)
+    await _add_version(db, actor, action_id, 1, definition)
     made = await get_action(db, actor, action_id)
     await audit(db, actor, _event("action.create", made, needs_admin=needs_admin))
     return made
 
 
 async def add_version(
-    db: Connection, actor: Actor, *, action_id: uuid.UUID, definition: ActionDefinition, if_match: str | None = None
+    context: AppContext,
+    actor: Actor,
+    *,
+    action_id: uuid.UUID,
+    definition: ActionDefinition,
+    if_match: str | None = None,
 ) -> ActionRead:
-    """Publish a further version of an action and return the action; unchanged where it equals the latest version.
+    """Publish a further version of an action and return the action. Opens its own transactions.
+
+    It is unchanged where the definition equals the latest version, whose lock stays, unless there is another one.
 
     Raises:
         NotFound: it is not there, or not for this actor.
         Forbidden: this actor may not change it.
-        InvalidRequest: it has another name.
+        InvalidRequest: it has another name, or its dependencies cannot be locked.
         EditConflict: its ETag is no longer `if_match`: another person published a version, or archived it.
     """
+    if dependency_locks.needs_lock(definition, context.settings):
+        async with context.database.begin() as db:
+            latest = (await _changeable(db, actor, action_id)).latest.definition
+        if latest.lock is not None and definition == latest.model_copy(update={"lock": None}):
+            definition = latest
+        else:
+            definition = await dependency_locks.lock(definition, context.settings)
+    async with context.database.begin() as db:
+        return await _add_next_version(db, actor, action_id, definition, if_match)
+
+
+async def _add_next_version(
+    db: Connection, actor: Actor, action_id: uuid.UUID, definition: ActionDefinition, if_match: str | None
+) -> ActionRead:
     old = await _changeable(db, actor, action_id)
     if name_key(definition.name) != name_key(old.name):
         message = f"is {definition.name!r}, but this action is called {old.name!r}; publish it as another action"
@@ -182,14 +223,43 @@ async def get_version(db: Connection, actor: Actor, *, action_id: uuid.UUID, num
     return _to_version(version)
 
 
-async def store_unpublished(db: Connection, actor: Actor, definition: ActionDefinition) -> tuple[uuid.UUID, str | None]:
-    """Store a definition that is not published, once; return the id of its version, and the digest of its image."""
-    values = _stored(definition)
+class UnpublishedVersion(NamedTuple):
+    """A definition that was run without being published. `definition` has the lock that it was first run with."""
+
+    id: uuid.UUID
+    definition: ActionDefinition
+    image_digest: str | None
+
+
+async def find_unpublished(
+    db: Connection, requested: ActionDefinition, *, is_to_lock: bool
+) -> UnpublishedVersion | None:
+    """Return the version of a definition that was run before; with `is_to_lock` only if the server locked it."""
+    columns = action_version.c.id, action_version.c.definition, action_version.c.image_digest
+    sha256 = _sha256(requested, is_to_lock=is_to_lock)
+    same = (action_version.c.definition_sha256 == sha256) & action_version.c.action_id.is_(None)
+    row = (await db.execute(select(*columns).where(same))).one_or_none()
+    if row is None:
+        return None
+    return UnpublishedVersion(row.id, ActionDefinition.model_validate(row.definition), row.image_digest)
+
+
+async def store_unpublished(
+    db: Connection, actor: Actor, definition: ActionDefinition, *, is_locked_here: bool
+) -> UnpublishedVersion:
+    """Store a definition that is not published, once, and return it. `is_locked_here`: its lock is the server's.
+
+    Then the lock does not make it another definition: the script runs with the first one until it is changed.
+    """
+    requested = definition.model_copy(update={"lock": None}) if is_locked_here else definition
+    sha256 = _sha256(requested, is_to_lock=is_locked_here)
+    values = {"definition": definition.model_dump(mode="json"), "definition_sha256": sha256}
     stmt = upsert(action_version).values(id=uuid.uuid4(), created_by_id=actor.person_id, **values)
     await db.execute(stmt.on_conflict_do_nothing())
-    same = (action_version.c.definition_sha256 == values["definition_sha256"]) & action_version.c.action_id.is_(None)
-    row = (await db.execute(select(action_version.c.id, action_version.c.image_digest).where(same))).one()
-    return row.id, row.image_digest
+    stored = await find_unpublished(db, requested, is_to_lock=is_locked_here)
+    if stored is None:
+        raise AssertionError("it was stored in this transaction")
+    return stored
 
 
 async def _changeable(db: Connection, actor: Actor, action_id: uuid.UUID) -> ActionRead:
@@ -289,9 +359,14 @@ async def _add_version(
 
 
 def _stored(definition: ActionDefinition) -> dict[str, Any]:
-    document = definition.model_dump(mode="json")
+    sha256 = _sha256(definition, is_to_lock=False)
+    return {"definition": definition.model_dump(mode="json"), "definition_sha256": sha256}
+
+
+def _sha256(definition: ActionDefinition, *, is_to_lock: bool) -> bytes:
+    document = definition.model_dump(mode="json") | ({"lock": "the server's"} if is_to_lock else {})
     written = json.dumps(document, sort_keys=True, separators=(",", ":"))
-    return {"definition": document, "definition_sha256": hashlib.sha256(written.encode()).digest()}
+    return hashlib.sha256(written.encode()).digest()
 
 
 def _event(operation: str, made: ActionRead, *, needs_admin: bool = False) -> Event:

@@ -17,7 +17,7 @@ def checks_of_result(result: ActionResult, is_complete: bool) -> Iterator[Missio
 
     `results.missing`: it has not run, which counts as a warning once the mission is complete, or if it could not start.
     `results.failed`: it could not judge the mission. `results.verdict`: it ended well, with what it concludes beyond
-    its checks and findings.
+    its checks and findings. One that ended well and judged nothing yields none.
     """
     name = f"{result.name}@{result.version}"
     if result.state is ResultState.missing:
@@ -29,7 +29,7 @@ def checks_of_result(result: ActionResult, is_complete: bool) -> Iterator[Missio
         yield _check(result, _MISSING, status, f"{name} has not run: no file of the mission is its input")
     elif result.state is ResultState.failed:
         yield _check(result, _FAILED, CheckStatus.not_made, f"{name} failed: {result.message}"[:2000])
-    elif result.state is ResultState.done:
+    elif result.state is ResultState.done and (result.verdict or result.checks or result.findings):
         worst = {check.status for check in result.checks} | {_STATUSES[entry.severity] for entry in result.findings}
         status = _VERDICTS.get(result.verdict or Verdict.good, CheckStatus.ok)
         # What a check or a finding reports is not repeated.

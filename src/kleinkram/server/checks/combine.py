@@ -30,7 +30,10 @@ _ADDED_BY_SOURCE = {source: {**_ADDED, "source": source} for source in CheckSour
 
 
 class Failure(NamedTuple):
-    """What identifies a failing check of this name while the files are the same: other rules make other failures."""
+    """What identifies a failing check of this name while the files are the same: other rules make other failures.
+
+    `message`: of what an action reports, which may differ from run to run; else None.
+    """
 
     status: CheckStatus
     topic: str | None
@@ -38,6 +41,7 @@ class Failure(NamedTuple):
     limit: float | None
     action: str | None
     action_version: int | None
+    message: str | None
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,10 @@ class Acceptance:
 
 @dataclass(frozen=True)
 class UploaderReport:
-    """Checks of the present files, by an uploader. `is_by_present_rules`: by the present `checks.yaml`."""
+    """Checks of the present files, by an uploader.
+
+    `is_by_present_rules`: by the present `checks.yaml`, and by the profiles of it that apply now.
+    """
 
     person_id: uuid.UUID
     checks: Sequence[Check]
@@ -206,7 +213,8 @@ def _read(check: Check, source: CheckSource) -> MissionCheck:
 
 def failure_of(check: MissionCheck) -> Failure:
     """Return what identifies a failing check among those of its name."""
-    return Failure(check.status, check.topic, check.file, check.limit, check.action, check.action_version)
+    message = check.message if check.source is CheckSource.action else None
+    return Failure(check.status, check.topic, check.file, check.limit, check.action, check.action_version, message)
 
 
 def _accepted(checks: Iterable[MissionCheck], acceptances: Sequence[Acceptance]) -> Iterable[MissionCheck]:

@@ -14,6 +14,7 @@ from typing import Any
 from sqlalchemy import Row, Select, and_, select
 
 from kleinkram.checks.facts import FileFacts, MissionFacts, RecordingFacts, TopicFacts
+from kleinkram.contract.metadata import Metadata
 from kleinkram.recordings.model import Content, Problem
 from kleinkram.server.db import Connection, among
 from kleinkram.server.missions.queries import AWAITS_READING
@@ -29,6 +30,7 @@ class JudgedMission:
     Attributes:
         facts: None while recordings or topics are not derived from the present files.
         is_reading: some of its files are still to be read.
+        metadata: those of the mission.
         recorded_files: SHA-256 in hex by path, of the files that belong to recordings.
         all_files: the same of all files.
     """
@@ -38,6 +40,7 @@ class JudgedMission:
     files_revision: int
     checks_number: int
     is_complete: bool
+    metadata: Metadata
     facts: MissionFacts | None
     is_reading: bool
     recorded_files: Mapping[str, str]
@@ -70,6 +73,7 @@ def _judged(row: Row[Any], files: _Rows, recordings: _Rows, topics: _Rows) -> Ju
         files_revision=row.files_revision,
         checks_number=row.checks_number,
         is_complete=row.completed_at is not None,
+        metadata=row.metadata,
         facts=facts,
         is_reading=any(one.awaits_reading for one in own),
         recorded_files={one.path: hashes[one.path] for one in own if one.recording_id is not None},

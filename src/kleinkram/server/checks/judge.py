@@ -36,7 +36,7 @@ from kleinkram.server.checks.combine import (
 )
 from kleinkram.server.checks.documents import document_of
 from kleinkram.server.checks.facts import JudgedMission, read_missions
-from kleinkram.server.checks.queries import counting_reports
+from kleinkram.server.checks.queries import AppliedRules, counting_reports
 from kleinkram.server.db import Connection, among
 from kleinkram.server.jobs.rejudge import lock_what_projects_name
 from kleinkram.server.missions import service as missions
@@ -56,6 +56,10 @@ class _Rules:
     document: ChecksDocument | None
     sha256: bytes
     reason: str = ""
+
+    def applied_to(self, judged: JudgedMission) -> AppliedRules:
+        profiles = self.document.applying_to(judged.metadata) if self.document is not None else ()
+        return AppliedRules(self.sha256, sorted(profile.name for profile in profiles))
 
 
 @dataclass(frozen=True)
@@ -111,6 +115,12 @@ def _events(judged: Sequence[JudgedMission]) -> list[ChangeEvent]:
         ChangeEvent("mission", ChangeKind.changed, None, project_id)
         for project_id in {one.project_id for one in judged}
     ]
+
+
+async def present_rules(db: Connection, judged: JudgedMission) -> AppliedRules | None:
+    """Return the rules that apply to a mission; None if its project has none."""
+    rules = await _rules(db, judged.project_id, judged.checks_number)
+    return None if rules is None else rules.applied_to(judged)
 
 
 async def _rules(db: Connection, project_id: uuid.UUID, number: int) -> _Rules | None:
@@ -201,7 +211,7 @@ async def _with_reports(db: Connection, judged: Sequence[JudgedMission]) -> set[
 
 async def _reports(db: Connection, judged: JudgedMission, rules: _Rules | None) -> list[UploaderReport]:
     """Return the reports that count, latest first: one mission may have many, of ten thousand checks each."""
-    rows = await db.execute(counting_reports(judged, None if rules is None else rules.sha256))
+    rows = await db.execute(counting_reports(judged, None if rules is None else rules.applied_to(judged)))
     return [
         UploaderReport(
             person_id=row.created_by_id,

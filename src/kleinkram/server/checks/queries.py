@@ -1,7 +1,8 @@
 """Selects of checks: missions to be judged, stored results, and what people and uploaders added to them."""
 
 import uuid
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 from sqlalchemy import (
     BigInteger,
@@ -39,6 +40,13 @@ from kleinkram.server.tables import (
 )
 
 _ender = person.alias("ender")
+
+
+class AppliedRules(NamedTuple):
+    """A `checks.yaml`, by its hash, and the sorted names of the profiles of it that apply to a mission."""
+
+    sha256: bytes
+    profiles: Sequence[str]
 
 
 def outdated_missions() -> Select[Any]:
@@ -114,7 +122,13 @@ def is_of_files(judged: JudgedMission) -> ColumnElement[bool]:
     return and_(files.contained_by({**judged.all_files}), files.contains({**judged.recorded_files}))
 
 
-def counting_reports(judged: JudgedMission, present_rules: bytes | None) -> Select[Any]:
+def is_by_rules(rules: AppliedRules) -> ColumnElement[bool]:
+    """Whether a report was made by these rules."""
+    own = check_report.c
+    return and_(own.document_sha256 == rules.sha256, own.profiles == [*rules.profiles])
+
+
+def counting_reports(judged: JudgedMission, present_rules: AppliedRules | None) -> Select[Any]:
     """Return the reports about the present files of which the verdict is made, latest first.
 
     These are the latest of each person, depth, and by the present rules (any, if there are none) or others. Of others,
@@ -122,7 +136,7 @@ def counting_reports(judged: JudgedMission, present_rules: bytes | None) -> Sele
     """
     own = check_report.c
     # Not a constant, which DISTINCT ON refuses.
-    is_present = own.document_sha256.is_not(None) if present_rules is None else own.document_sha256 == present_rules
+    is_present = own.document_sha256.is_not(None) if present_rules is None else is_by_rules(present_rules)
     checks = case((is_present, own.checks)).label("checks")
     columns = (own.created_by_id, own.depth, is_present.label("is_by_present_rules"), own.created_at, own.id, checks)
     stmt = select(*columns).where(own.mission_id == judged.id, is_of_files(judged))

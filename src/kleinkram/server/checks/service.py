@@ -37,12 +37,12 @@ from kleinkram.server.checks import queries
 from kleinkram.server.checks.action_checks import without_run
 from kleinkram.server.checks.combine import Failure, failure_of
 from kleinkram.server.checks.facts import JudgedMission, read_missions
-from kleinkram.server.checks.judge import current_acceptances
+from kleinkram.server.checks.judge import current_acceptances, present_rules
 from kleinkram.server.db import Connection
 from kleinkram.server.jobs.rejudge import judge_again
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pagination import PageRequest, Rows, fetch_page
-from kleinkram.server.tables import check_acceptance, check_note, check_report, mission_checks, project_checks
+from kleinkram.server.tables import check_acceptance, check_note, check_report, mission_checks
 
 _MAX_NOTES = 1000
 _MAX_REPORTS_OF_PERSON = 5
@@ -194,8 +194,10 @@ async def create_report(
     ref, judged = await _lock(db, actor, "create_check_report", mission_id)
     document, report_id = bytes.fromhex(report.document_sha256), uuid.uuid4()
     own = (check_report.c.mission_id == mission_id, check_report.c.created_by_id == actor.person_id)
-    alike = (check_report.c.document_sha256 == document, check_report.c.depth == report.depth.value)
-    await db.execute(delete(check_report).where(*own, *alike, check_report.c.files == report.files))
+    profiles = sorted(report.profiles_applied)
+    rules = (check_report.c.document_sha256 == document, check_report.c.profiles == profiles)
+    alike = (*rules, check_report.c.depth == report.depth.value, check_report.c.files == report.files)
+    await db.execute(delete(check_report).where(*own, *alike))
     verdict = verdict_of({check.status for check in report.checks})
     values = {
         "id": report_id,
@@ -203,6 +205,7 @@ async def create_report(
         "document_sha256": document,
         "depth": report.depth.value,
         "verdict": verdict.value,
+        "profiles": profiles,
         "files": report.files,
         "checks": [check.model_dump(mode="json", exclude_none=True) for check in report.checks],
         "created_by_id": actor.person_id,
@@ -242,11 +245,10 @@ async def _additions(
 
 async def _current_reports(db: Connection, judged: JudgedMission) -> set[uuid.UUID]:
     """Return the reports of the present files and by the present rules; by any, if the project has none."""
-    own = (project_checks.c.project_id == judged.project_id, project_checks.c.number == judged.checks_number)
-    sha256: bytes | None = (await db.execute(select(project_checks.c.sha256).where(*own))).scalar_one_or_none()
+    rules = await present_rules(db, judged)
     stmt = select(check_report.c.id).where(check_report.c.mission_id == judged.id, queries.is_of_files(judged))
-    if sha256 is not None:
-        stmt = stmt.where(check_report.c.document_sha256 == sha256)
+    if rules is not None:
+        stmt = stmt.where(queries.is_by_rules(rules))
     return {*(await db.execute(stmt)).scalars()}
 
 

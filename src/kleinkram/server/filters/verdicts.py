@@ -180,7 +180,7 @@ def _with_result(table: Any, condition: ColumnElement[bool]) -> CTE:
     The results that match come first, by an index of their names, so that other runs are not read.
     """
     version, later, its_version = action_version.alias(), run.alias("later"), action_version.alias()
-    matching_results = select(table.c.run_id).where(condition).cte()
+    matching_results = select(table.c.run_id).where(condition).cte(f"matching_{table.name}")
     reusing = (
         select(run.c.id)
         .join(matching_results, matching_results.c.run_id == run.c.reuses_id)
@@ -201,4 +201,5 @@ def _with_result(table: Any, condition: ColumnElement[bool]) -> CTE:
     )
     of_results = run.c.id.in_(union_all(select(matching_results.c.run_id), reusing.correlate(None)))
     stmt = select(run.c.mission_id).distinct().join(version, version.c.id == run.c.version_id)
-    return stmt.where(of_results, run.c.state == RunState.done.value, ~has_later).correlate(None).cte()
+    stmt = stmt.where(of_results, run.c.state == RunState.done.value, ~has_later).correlate(None)
+    return stmt.cte(f"missions_by_{table.name}")

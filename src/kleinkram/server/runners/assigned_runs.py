@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from sqlalchemy import ColumnElement, func, insert, select, update
+from sqlalchemy import ColumnElement, func, insert, null, select, update
 
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.audit import ChangeKind
@@ -203,6 +203,9 @@ async def _record_heartbeat(db: Connection, actor: Actor, heartbeat: Heartbeat) 
         reported = getattr(heartbeat, name)
         if reported is not None and reported.model_dump(mode="json") != getattr(row, name):
             values[name] = reported.model_dump(mode="json")
+    if values.get("state") == RunState.running.value and heartbeat.progress is None:
+        # That of its preparation.
+        values["progress"] = null()
     if heartbeat.samples:
         values["samples"] = _thinned(row.samples, heartbeat.samples)
     lease = _COLLECTING_LEASE if heartbeat.state is RunState.collecting else LEASE

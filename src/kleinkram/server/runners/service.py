@@ -208,7 +208,7 @@ def _fits(claiming: KnownRunner, free: Capacity) -> ColumnElement[bool]:
         & (run.c.memory_bytes <= free.memory_bytes)
         & (run.c.disk_bytes <= free.disk_bytes)
         & (run.c.gpus <= (free.gpus if abilities.gpus else 0))
-        & run.c.labels.op("<@", is_comparison=True)(literal(claiming.labels, ARRAY(Text)))
+        & run.c.labels.op("<@", is_comparison=True)(literal(claiming.offered_labels, ARRAY(Text)))
         & run.c.network.in_([network.value for network in abilities.networks])
         & or_(~run.c.needs_images, literal(abilities.images))
         & or_(run.c.needs_images, literal(claiming.runs_scripts))
@@ -250,6 +250,8 @@ async def _assign(db: Connection, row: AssignedRun, runner_id: uuid.UUID, attemp
         command=definition.command,
         script=definition.script,
         dependencies=definition.dependencies,
+        requires_python=definition.requires_python,
+        lock=definition.lock,
         parameters=row.parameters,
         resources=definition.resources,
         network=definition.network,

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import ColumnElement, Row, Select, Text, and_, case, cast, exists, func, or_, select, text
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.actions import ParametersWrong
+from kleinkram.contract.actions import ActionDefinition, Network, ParametersWrong
 from kleinkram.contract.errors import Forbidden, KleinkramError, NoInputs, NotFound
 from kleinkram.contract.project_actions import RunTrigger
 from kleinkram.server.access.actor import Actor, find_person
@@ -26,6 +26,7 @@ from kleinkram.server.runs.eligibility import known_runners
 from kleinkram.server.tables import (
     DERIVED_ORIGIN,
     action,
+    action_version,
     automatic_run,
     blob,
     file,
@@ -83,6 +84,8 @@ async def _decide(db: Connection, row: Row[Any]) -> _Decision:
     adder = await find_person(db, row.added_by_id)
     if adder is None:
         return _Decision(f"{row.added_by_name}, who added {row.name}, has no account any more", is_final=False)
+    if (excess := await _excess(db, row)) is not None:
+        return _Decision(excess, is_final=False)
     actor = adder.for_request("create_runs", request_id=None, address=None)
     try:
         # A failure leaves nothing behind but the decision.
@@ -120,13 +123,33 @@ async def _start_once(db: Connection, actor: Actor, row: Row[Any]) -> None:
     await db.execute(automatic_run.update().where(own).values(run_id=run.id))
 
 
+async def _excess(db: Connection, row: Row[Any]) -> str | None:
+    """Return what the latest version of an action asks for beyond the one that was the latest when it was added.
+
+    Its author may be somebody else, and runs act with the rights of who added it.
+    """
+    versions = select(action_version.c.number, action_version.c.definition)
+    versions = versions.where(action_version.c.action_id == row.action_id).order_by(action_version.c.number.desc())
+    was_there = or_(action_version.c.created_at <= row.created_at, action_version.c.number == 1)
+    latest = (await db.execute(versions.limit(1))).one()
+    known = (await db.execute(versions.where(was_there).limit(1))).one()
+    new, old = (ActionDefinition.model_validate(version.definition) for version in (latest, known))
+    networks = [*Network]
+    if new.right.level <= old.right.level and networks.index(new.network) <= networks.index(old.network):
+        return None
+    required, added = (f"{one.right.value} and network: {one.network.value}" for one in (new, old))
+    return (
+        f"{row.name}@{latest.number} asks for {required}, but {row.added_by_name} added it with {added}; add it again"
+    )
+
+
 def _due_actions() -> Select[Any]:
     """Return the actions that are due on missions, joined with both, which nothing was decided of since a change.
 
     A mission is due once all of its files are read, and it was completed, or changed, after the action was added.
     """
     decided = project_action_mission
-    names = ("id", "action_id", "added_by_id", "parameters")
+    names = ("id", "action_id", "added_by_id", "parameters", "created_at")
     stmt = (
         select(
             *(project_action.c[name] for name in names),

@@ -23,6 +23,10 @@ CONTAINERS_REMEDY = (
 )
 
 
+# Among the labels of a run that requires an environment, and of a runner that can build one.
+ENVIRONMENTS_LABEL = "kleinkram:environments"
+
+
 class Needs(NamedTuple):
     """Requirements of a run, named as the columns of `run`. `project_id` is of its mission; None: any."""
 
@@ -65,6 +69,11 @@ class KnownRunner(NamedTuple):
         return not self.abilities.images or self.default_image is not None
 
     @property
+    def offered_labels(self) -> list[str]:
+        """Its labels, and those of its abilities."""
+        return [*self.labels, *([ENVIRONMENTS_LABEL] if self.abilities.environments else [])]
+
+    @property
     def is_single_person_only(self) -> bool:
         """Whether its isolation is too weak for a server with several accounts."""
         return self.abilities.isolation is not Isolation.container
@@ -78,8 +87,10 @@ class KnownRunner(NamedTuple):
             return "its token is limited to other projects"
         if self.only_labels is not None and not set(needs.labels) & set(self.only_labels):
             return f"its token is limited to actions that ask for the label {' or '.join(sorted(self.only_labels))}"
-        if lacking := sorted(set(needs.labels) - set(self.labels)):
+        if lacking := sorted(set(needs.labels) - {ENVIRONMENTS_LABEL} - set(self.labels)):
             return f"it has no label {lacking[0]}"
+        if ENVIRONMENTS_LABEL in needs.labels and not abilities.environments:
+            return "it installs no packages, and the script has dependencies"
         if needs.needs_images and not abilities.images:
             return "it has no container engine, and the action is an image"
         if not needs.needs_images and not self.runs_scripts:
@@ -113,7 +124,7 @@ class KnownRunners(NamedTuple):
         if not reasons or any(reason is None for _, reason in reasons):
             return None
         # Runners with the required labels come first: what those lack can be fixed.
-        ordered = sorted(reasons, key=lambda pair: (not set(needs.labels) <= set(pair[0].labels), pair[0].name))
+        ordered = sorted(reasons, key=lambda pair: (not set(needs.labels) <= set(pair[0].offered_labels), pair[0].name))
         listed = "; ".join(f"{one.name}: {reason}" for one, reason in ordered[:_MOST_NAMED])
         is_too_weak = not self.is_single_person and any(one.is_single_person_only for one in self.runners)
         return f"No runner can do it ({listed}). {CONTAINERS_REMEDY if is_too_weak else _REMEDY}"

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import uuid
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from sqlalchemy import false, func, insert, or_, select
@@ -35,13 +35,15 @@ from kleinkram.contract.runs import (
 )
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import level_on_mission, visible_files, visible_missions
+from kleinkram.server.actions import dependency_locks
 from kleinkram.server.actions import service as actions
 from kleinkram.server.audit.log import Event, audit
-from kleinkram.server.db import Connection
+from kleinkram.server.context import AppContext
+from kleinkram.server.db import Connection, among
 from kleinkram.server.filters.files import filter_files
 from kleinkram.server.jobs.rejudge import judge_again_for_run
 from kleinkram.server.runs import service
-from kleinkram.server.runs.eligibility import KnownRunners, Needs, known_runners
+from kleinkram.server.runs.eligibility import ENVIRONMENTS_LABEL, KnownRunners, Needs, known_runners
 from kleinkram.server.tables import DERIVED_ORIGIN, action, action_version, blob, file, mission, project, run, run_input
 
 # The columns that a run takes over from the run whose results it reuses.
@@ -93,14 +95,39 @@ class PlannedRun(NamedTuple):
     inputs: list[Input]
 
 
-async def launch(db: Connection, actor: Actor, *, requested: RunsCreate) -> RunsCreated:
-    """Create a run on each mission; failures are independent of each other.
+async def launch(context: AppContext, actor: Actor, *, requested: RunsCreate) -> RunsCreated:
+    """Create a run on each mission; failures are independent of each other. Opens its own transactions.
 
     Raises:
         NotFound: the action, or its version, is not there, or not for this actor.
-        InvalidRequest: it is archived, or its parameters are invalid.
+        InvalidRequest: it is archived, its parameters are invalid, or its dependencies cannot be locked.
     """
-    task = await _task(db, actor, requested)
+    unpublished, is_locked_here = requested.definition, False
+    if unpublished is not None and dependency_locks.needs_lock(unpublished, context.settings):
+        async with context.database.begin() as db:
+            known = await actions.find_unpublished(db, unpublished, is_to_lock=True)
+            is_refused = not await _may_run_on_any(db, actor, unpublished, requested.mission_ids)
+        if known is not None:
+            unpublished, is_locked_here = known.definition, True
+        elif not is_refused:  # otherwise each mission says why
+            _fill_in(unpublished, requested.parameters)
+            unpublished, is_locked_here = await dependency_locks.lock(unpublished, context.settings), True
+    async with context.database.begin() as db:
+        locked = requested.model_copy(update={"definition": unpublished})
+        return await _launch(db, actor, locked, is_locked_here=is_locked_here)
+
+
+async def _may_run_on_any(
+    db: Connection, actor: Actor, definition: ActionDefinition, mission_ids: Sequence[uuid.UUID]
+) -> bool:
+    needed = max(Right.create, definition.right, key=lambda right: right.level)
+    levels = visible_missions(actor).with_only_columns(level_on_mission(actor), maintain_column_froms=True)
+    rows = (await db.execute(levels.where(among(mission.c.id, mission_ids)))).scalars()
+    return any(level >= needed.level for level in rows)
+
+
+async def _launch(db: Connection, actor: Actor, requested: RunsCreate, *, is_locked_here: bool) -> RunsCreated:
+    task = await _task(db, actor, requested, is_locked_here=is_locked_here)
     items: list[RunCreated | RunRefused] = []
     for mission_id in dict.fromkeys(requested.mission_ids):
         try:
@@ -213,7 +240,7 @@ async def retry_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, force: b
     return await create_run(db, actor, task, earlier.mission.id, force=force, retry_of_id=run_id)
 
 
-async def _task(db: Connection, actor: Actor, requested: RunsCreate) -> PreparedAction:
+async def _task(db: Connection, actor: Actor, requested: RunsCreate, *, is_locked_here: bool) -> PreparedAction:
     project_id = None
     if requested.action_id is not None:
         version = await actions.get_version(db, actor, action_id=requested.action_id, number=requested.version)
@@ -221,23 +248,27 @@ async def _task(db: Connection, actor: Actor, requested: RunsCreate) -> Prepared
         of_action = select(action.c.project_id).where(action.c.id == requested.action_id)
         project_id = (await db.execute(of_action)).scalar_one()
     elif requested.definition is not None:
-        definition = requested.definition
-        version_id, digest = await actions.store_unpublished(db, actor, definition)
+        stored = await actions.store_unpublished(db, actor, requested.definition, is_locked_here=is_locked_here)
+        version_id, definition, digest = stored
     else:
         raise AssertionError("a request names an action or holds one")
+    parameters = _fill_in(definition, requested.parameters)
+    return PreparedAction(version_id, definition, digest, project_id, parameters, await known_runners(db))
+
+
+def _fill_in(definition: ActionDefinition, parameters: ParameterValues) -> ParameterValues:
     try:
-        parameters = definition.fill_in(requested.parameters)
+        return definition.fill_in(parameters)
     except ParametersWrong as error:
         problems = [FieldProblem(field=f"parameters.{name}", message=parts) for name, parts in error.problems.items()]
         raise InvalidRequest(problems=problems) from error
-    return PreparedAction(version_id, definition, digest, project_id, parameters, await known_runners(db))
 
 
 def _needs(definition: ActionDefinition, project_id: uuid.UUID) -> Needs:
     needed = definition.resources
     return Needs(
         project_id=project_id,
-        labels=needed.labels,
+        labels=[*needed.labels, *([ENVIRONMENTS_LABEL] if definition.lock is not None else [])],
         needs_images=definition.image is not None,
         network=definition.network.value,
         cores=needed.cores,

@@ -165,7 +165,7 @@ async def _named_actions(db: Connection, project_ids: set[uuid.UUID]) -> list[_N
         .distinct(project_action.c.created_at, project_action.c.id)
         .join_from(project_action, action, action.c.id == project_action.c.action_id)
         .join(action_version, action_version.c.action_id == action.c.id)
-        .where(among(project_action.c.project_id, project_ids), action.c.archived_at.is_(None))
+        .where(among(project_action.c.project_id, project_ids))
         .order_by(project_action.c.created_at, project_action.c.id, action_version.c.number.desc())
     )
     return [

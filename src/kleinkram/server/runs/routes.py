@@ -43,9 +43,9 @@ class LogQuery(BaseModel):
 
 
 @router.post("/runs", operation_id="create_runs")
-async def create_runs(requested: runs.RunsCreate, db: Transaction, actor: CurrentActor) -> runs.RunsCreated:
+async def create_runs(requested: runs.RunsCreate, context: CurrentContext, actor: CurrentActor) -> runs.RunsCreated:
     """Run an action on each of some missions, with an outcome for each."""
-    return await launch.launch(db, actor, requested=requested)
+    return await launch.launch(context, actor, requested=requested)
 
 
 @router.get("/runs", operation_id="list_runs")

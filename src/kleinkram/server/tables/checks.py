@@ -4,7 +4,7 @@
 """
 
 import sqlalchemy as sa
-from sqlalchemy.dialects.postgresql import JSONB
+from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 
 from kleinkram.contract.checks import AcceptanceEnd, CheckDepth, Verdict
 from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
@@ -65,6 +65,8 @@ check_report = sa.Table(
     # SHA-256 in hex by path.
     sa.Column("files", JSONB, nullable=False),
     sa.Column("checks", JSONB, nullable=False),
+    # Sorted names.
+    sa.Column("profiles", ARRAY(sa.Text), nullable=False, server_default="{}"),
     created_at_column(),
     sa.Column("created_by_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False),
     one_of("depth", CheckDepth),

@@ -53,6 +53,12 @@ const texts = all.definition;
 const NS_PER_S = 1_000_000_000;
 
 /** The input files as text. */
+// The number of locked packages, each with a line `name==version`; empty without a lock.
+export function lockedOf({ lock }: Definition): string {
+  const names = new Set([...(lock ?? "").matchAll(/^([\w.-]+)==/gm)].map((match) => match[1]));
+  return names.size > 0 ? texts.locked(names.size) : "";
+}
+
 export function inputsOf({ inputs }: Definition): string {
   const parts = [
     inputs.paths.length > 0 ? texts.paths(inputs.paths.join(", ")) : "",

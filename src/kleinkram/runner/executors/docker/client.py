@@ -56,7 +56,10 @@ class EngineInfo(NamedTuple):
 
 
 class ImageInfo(NamedTuple):
-    """`digests` are `name@sha256:…`, by registry. `entrypoint` and `command` together are its default command line."""
+    """`digests` are `name@sha256:…`, by registry. `entrypoint` and `command` together are its default command line.
+
+    `python_path` is the variable PYTHONPATH that it sets, or empty.
+    """
 
     id: str
     digests: tuple[str, ...]
@@ -64,6 +67,7 @@ class ImageInfo(NamedTuple):
     volumes: tuple[str, ...]
     entrypoint: tuple[str, ...]
     command: tuple[str, ...]
+    python_path: str = ""
 
 
 class ContainerInfo(NamedTuple):
@@ -128,7 +132,9 @@ class DockerClient:
         config = image.get("Config") or {}
         volumes, entrypoint, command = (tuple(config.get(key) or ()) for key in ("Volumes", "Entrypoint", "Cmd"))
         digests = tuple(image["RepoDigests"] or ())
-        return ImageInfo(image["Id"], digests, image["Architecture"], volumes, entrypoint, command)
+        variables = dict(entry.partition("=")[::2] for entry in config.get("Env") or ())
+        python_path = variables.get("PYTHONPATH", "")
+        return ImageInfo(image["Id"], digests, image["Architecture"], volumes, entrypoint, command, python_path)
 
     def pull(self, name: str, tag: str, *, architecture: str, credentials: str | None) -> None:
         """Pull an image; `tag` may be a digest."""

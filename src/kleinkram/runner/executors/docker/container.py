@@ -12,6 +12,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from kleinkram.action.run_files import PACKAGES_VARIABLE
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runs import LOG_BYTES
 from kleinkram.runner.executors.base import RunJob
@@ -26,6 +27,8 @@ from kleinkram.runner.executors.docker.client import (
 from kleinkram.runner.executors.port_forward import host_entries
 from kleinkram.runner.executors.supervision import LOG, LOG_IS_FULL, write_all
 
+# Where a job sees the packages of its script.
+PACKAGES = "/env"
 JOB_LABEL = "kleinkram.run"
 RUNNER_LABEL = "kleinkram.runner"
 # The size of the log of the job when the container was created: what earlier starts of the job wrote.
@@ -40,6 +43,19 @@ _HEALTH_EVERY_NS = 24 * 3600 * 10**9
 _SHARED_MEMORY_BYTES = 64 * 2**20
 # A single file may exceed the disk limit by this much, so that the reason is recognised.
 _FILE_MARGIN_BYTES = 64 * 2**20
+_TOOL_MEMORY_BYTES = 2**30
+# What separates every container from its machine.
+_SEPARATION: Mapping[str, Any] = {
+    "ReadonlyRootfs": True,
+    "CapDrop": ["ALL"],
+    "SecurityOpt": ["no-new-privileges"],
+    "Privileged": False,
+    "IpcMode": "private",
+    "CgroupnsMode": "private",
+    "RestartPolicy": {"Name": "no"},
+    # Reaps orphans, and the command gets the default actions of signals, which a first process does not.
+    "Init": True,
+}
 _OWN_DIRECTORIES = ("/in", "/out", "/tmp")  # noqa: S108  the job's own
 
 # The start barrier: port forwards are made in the network namespace of the container, which the engine creates together
@@ -72,10 +88,22 @@ def container_name(job: RunJob) -> str:
 
 
 def describe(
-    job: RunJob, *, user: str, volumes: Sequence[str], labels: Mapping[str, str], is_podman: bool = False
+    job: RunJob,
+    *,
+    user: str,
+    volumes: Sequence[str],
+    labels: Mapping[str, str],
+    is_podman: bool = False,
+    python_path: str = "",
 ) -> dict[str, Any]:
-    """Return the description of the container of a job. `volumes`: further directories that its image writes to."""
-    environment = {"HOME": "/tmp", "TMPDIR": "/tmp", "PYTHONUNBUFFERED": "1", **job.environment}  # noqa: S108
+    """Return the description of the container of a job.
+
+    `volumes` are further directories that its image writes to, `python_path` is the variable PYTHONPATH of the image.
+    """
+    environment = {"HOME": "/tmp", "TMPDIR": "/tmp", "PYTHONUNBUFFERED": "1"}  # noqa: S108  the job's own
+    if job.packages is not None:
+        environment |= {PACKAGES_VARIABLE: PACKAGES, "PYTHONPATH": ":".join(filter(None, (PACKAGES, python_path)))}
+    environment |= job.environment
     return {
         "Image": job.image,
         "Cmd": list(job.command) or None,
@@ -92,6 +120,31 @@ def describe(
                 "Type": "json-file" if is_podman else "local",
                 "Config": {"max-size": "128m", "max-file": "2"},
             },
+        },
+    }
+
+
+def describe_tool(
+    image: str, command: Sequence[str], *, user: str, labels: Mapping[str, str], folder: Path | None
+) -> dict[str, Any]:
+    """Return the description of a container without network for a command of the runner's own.
+
+    `folder` is the only one of this machine that it sees, and that it may write to, under `PACKAGES`.
+    """
+    return {
+        "Image": image,
+        "Cmd": list(command),
+        "Env": ["HOME=/tmp"],
+        "User": user,
+        "Labels": dict(labels),
+        "Healthcheck": {"Test": ["NONE"], "Interval": _HEALTH_EVERY_NS},
+        "HostConfig": {
+            **_SEPARATION,
+            "NetworkMode": "none",
+            "Tmpfs": {"/tmp": "size=64m"},  # noqa: S108  the container's own
+            "Memory": _TOOL_MEMORY_BYTES,
+            "PidsLimit": _PROCESSES,
+            "Mounts": [_bind(folder, PACKAGES)] if folder is not None else [],
         },
     }
 
@@ -158,20 +211,14 @@ def _isolation(job: RunJob) -> dict[str, Any]:
     return {
         "NetworkMode": "bridge" if job.network is Network.open else "none",
         "ExtraHosts": [f"{name}:{address}" for name, address in names.items()],
-        "ReadonlyRootfs": True,
-        "CapDrop": ["ALL"],
-        "SecurityOpt": ["no-new-privileges"],
-        "Privileged": False,
-        "IpcMode": "private",
-        "CgroupnsMode": "private",
-        "RestartPolicy": {"Name": "no"},
-        # Reaps orphans, and the command gets the default actions of signals, which a first process does not.
-        "Init": True,
+        **_SEPARATION,
     }
 
 
 def _mounts(job: RunJob, volumes: Sequence[str]) -> list[dict[str, Any]]:
     own = [_bind(job.directory / path[1:], path, read_only=path == "/in") for path in _OWN_DIRECTORIES]
+    if job.packages is not None:
+        own.append(_bind(job.packages, PACKAGES, read_only=True))
     # Volumes that the engine would create have no limit.
     others = [path for path in volumes if path.rstrip("/") not in _OWN_DIRECTORIES]
     return own + [_bind(volume_directory(job, number), path) for number, path in enumerate(others)]

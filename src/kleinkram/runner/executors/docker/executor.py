@@ -13,12 +13,17 @@ import signal
 import socket
 import threading
 import time
+import uuid
 from collections.abc import Collection, Sequence
 from http import HTTPStatus
+from pathlib import Path
 
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import ExecutorAbilities, Isolation
 from kleinkram.contract.runs import EndReason, Usage
+from kleinkram.environments.cache import EnvironmentCache
+from kleinkram.environments.python import PROBE, Python, PythonUnknown, parse_python
+from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors import port_forward
 from kleinkram.runner.executors.base import CannotStart, Ending, PinnedImage, RunJob
 from kleinkram.runner.executors.docker import container as containers
@@ -51,6 +56,8 @@ from kleinkram.runner.executors.supervision import (
 _log = logging.getLogger("kleinkram.runner")
 _STOP_REASON = "stop-reason.json"
 _RETRY_EVERY_S = 0.2
+_TOOL_TIMEOUT_S = 600.0
+_TOOL_CHECK_S = 0.05
 # A restarted engine is back by then.
 _ENGINE_BACK_S = 60.0
 _LOG_COMPLETE_S = 120.0
@@ -85,14 +92,16 @@ class DockerExecutor(LocalExecutor):
         runner: str = "local",
         pull: Pull = Pull.missing,
         allowed: Sequence[str] | None = None,
+        environments: EnvironmentCache | None = None,
     ) -> None:
-        super().__init__(machine)
+        super().__init__(machine, environments)
         self._client = client
         self._runner = runner
         self._is_root = os.geteuid() == 0
         self._engine = client.info()
         self._images = Images(client, self._engine.architecture, pull=pull, allowed=allowed)
         self._monitors: dict[str, ContainerMonitor] = {}
+        self._pythons: dict[str, Python] = {}
         self._lock = threading.Lock()
 
     @property
@@ -107,6 +116,7 @@ class DockerExecutor(LocalExecutor):
             gpus=self._engine.has_gpus,
             bounds_memory=True,
             bounds_disk=True,
+            environments=self._environments is not None,
         )
 
     def prepare_image(self, image: str) -> PinnedImage:
@@ -149,7 +159,12 @@ class DockerExecutor(LocalExecutor):
             containers.LOG_LABEL: str(log.stat().st_size if log.exists() else 0),
         }
         description = containers.describe(
-            job, user=user, volumes=image.volumes, labels=labels, is_podman=self._engine.is_podman
+            job,
+            user=user,
+            volumes=image.volumes,
+            labels=labels,
+            is_podman=self._engine.is_podman,
+            python_path=image.python_path,
         )
         if job.port_forwards:
             self._client.create(name, containers.with_barrier(description, job, image))
@@ -161,6 +176,47 @@ class DockerExecutor(LocalExecutor):
         self._client.start(name)
         self._forget(job)
         self._monitor(job, is_reattached=False).poll()
+
+    def _find_python(self, image: str | None) -> Python:
+        if image is None:
+            raise PythonUnknown("There is no image.")
+        if image not in self._pythons:
+            output = self._run_tool(image, ["python3", "-I", "-c", PROBE], lambda _: None)
+            self._pythons[image] = parse_python(output)
+        return self._pythons[image]
+
+    def _compile_packages(self, image: str | None, folder: Path, wait: Wait) -> None:
+        if image is not None:
+            self._run_tool(image, ["python3", "-I", "-m", "compileall", "-q", "-q", containers.PACKAGES], wait, folder)
+
+    def _run_tool(self, image: str, command: Sequence[str], wait: Wait, folder: Path | None = None) -> str:
+        """Run a command of the runner's own in an image, without network, and return its output.
+
+        Raises:
+            PythonUnknown: it cannot be run.
+        """
+        name = f"kleinkram-tool-{uuid.uuid4().hex}"
+        labels = {containers.RUNNER_LABEL: self._runner}
+        user = f"{os.getuid()}:{os.getgid()}"
+        until_s = time.monotonic() + _TOOL_TIMEOUT_S
+        try:
+            description = containers.describe_tool(image, command, user=user, labels=labels, folder=folder)
+            self._client.create(name, description)
+            try:
+                self._client.start(name)
+                while (container := self._client.find_container(name)) is not None and container.status != "exited":
+                    wait(0)
+                    if time.monotonic() > until_s:
+                        raise PythonUnknown("The image does not answer.")
+                    time.sleep(_TOOL_CHECK_S)
+                pieces = [piece for batch in self._client.log(name, follow=False) for piece in batch]
+                return b"".join(piece.data for piece in pieces if piece.stream == 1).decode(errors="replace")
+            finally:
+                self._client.remove(name)
+        except EngineUnavailable as error:
+            raise PythonUnknown(f"{error}.") from error
+        except EngineError as error:
+            raise PythonUnknown(f"The image has no python3 that can be started: {error}.") from error
 
     def poll(self, job: RunJob) -> Ending | None:
         """Look at the container of a job, and enforce its limits."""

@@ -1,4 +1,4 @@
-"""Acceptances name the failures that they cover."""
+"""Acceptances name the failures that they cover, and reports of checks the profiles that they were made by."""
 
 from alembic import op
 
@@ -17,7 +17,8 @@ ALTER TABLE check_acceptance ADD CONSTRAINT ck_check_acceptance_ended
     CHECK (ended IN ('withdrawn', 'replaced', 'files_changed'));
 UPDATE check_acceptance SET failures = (
     SELECT coalesce(jsonb_agg(DISTINCT jsonb_build_array(
-        one -> 'status', one -> 'topic', one -> 'file', one -> 'limit', one -> 'action', version.number)), '[]')
+        one -> 'status', one -> 'topic', one -> 'file', one -> 'limit', one -> 'action', version.number,
+        CASE WHEN one ->> 'source' = 'action' THEN one -> 'message' END)), '[]')
     FROM mission_checks
     CROSS JOIN jsonb_array_elements(checks) AS one
     LEFT JOIN run ON run.id = (one ->> 'run_id')::uuid
@@ -25,6 +26,7 @@ UPDATE check_acceptance SET failures = (
     WHERE mission_checks.mission_id = check_acceptance.mission_id
         AND one ->> 'acceptance_id' = check_acceptance.id::text
 ) WHERE ended IS NULL;
+ALTER TABLE check_report ADD COLUMN profiles text[] DEFAULT '{}' NOT NULL;
 UPDATE mission_checks SET is_outdated = true
     WHERE mission_id IN (SELECT mission_id FROM check_acceptance WHERE ended IS NULL);
 """
