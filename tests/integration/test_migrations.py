@@ -64,7 +64,7 @@ INSERT INTO mission_checks (mission_id, verdict, files_revision, project_id, che
     '{"name": "topic.rate", "status": "error", "topic": "/imu", "limit": 100.5}'
       ::jsonb || jsonb_build_object('acceptance_id', %(current)s),
     '{"name": "topic.rate", "status": "warning", "file": "a.mcap", "source": "action", "action": "verify"}'
-      ::jsonb || jsonb_build_object('acceptance_id', %(current)s, 'run_id', %(run)s),
+      ::jsonb || jsonb_build_object('acceptance_id', %(current)s, 'run_id', %(run)s, 'message', 'Slow.'),
     '{"name": "topic.rate", "status": "error", "topic": "/other"}'::jsonb))
 """
 # What a server of the earlier schema reads and writes while its database is upgraded.
@@ -160,8 +160,8 @@ def test_an_earlier_acceptance_covers_what_it_covered(postgres: RunningPostgres)
         rows = connection.execute("SELECT ended, failures FROM check_acceptance ORDER BY ended NULLS FIRST").fetchall()
         assert rows[0][0] is None
         assert sorted(rows[0][1], key=str) == [
-            ["error", "/imu", None, 100.5, None, None],
-            ["warning", None, "a.mcap", None, "verify", 3],
+            ["error", "/imu", None, 100.5, None, None, None],
+            ["warning", None, "a.mcap", None, "verify", 3, "Slow."],
         ]
         assert rows[1] == ("withdrawn", [])
         assert connection.execute("SELECT is_outdated FROM mission_checks").fetchall() == [(True,)]

@@ -19,6 +19,9 @@ MAX_METRICS = 10_000
 MAX_PREVIEWS = 100
 MAX_METRIC_LABELS = 20
 MAX_REPORT_BYTES = 16 * 2**20
+"""Of `report.json`."""
+MAX_REPORT_BODY_BYTES = 2 * MAX_REPORT_BYTES
+"""Of a request that sends a report, to which the events of the run and its problems are added."""
 MAX_EVENT_BYTES = 64 * 2**10
 
 REPORT_FILE = "report.json"

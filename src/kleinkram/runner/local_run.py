@@ -89,6 +89,7 @@ def run_locally(
             shutil.copyfile(executor.collect(job) / artifact.path, target, follow_symlinks=False)
     if results.report_error is not None and ending.reason is EndReason.done:
         ending = Ending(EndReason.broken_report, results.report_error, ending.exit_code)
+    results.report = results.final_report(ending.reason)
     return LocalRun(ending, results, out)
 
 

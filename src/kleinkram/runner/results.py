@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import IO
 
 from pydantic import ValidationError
+from pydantic_core import from_json
 
 from kleinkram.client._http import Backoff
 from kleinkram.client.errors import ServerUnreachable, StoreRetriesExhausted, StoreUnreachable
@@ -25,7 +26,7 @@ from kleinkram.client.transfer.plan import LocalFile, identity_of
 from kleinkram.client.transfer.report import Watcher
 from kleinkram.client.transfer.upload import Uploader
 from kleinkram.contract import errors, reports
-from kleinkram.contract.checks import MAX_CHECKS, WORST_FIRST, Check
+from kleinkram.contract.checks import MAX_CHECKS, WORST_FIRST, Check, CheckStatus
 from kleinkram.contract.metadata import check_values
 from kleinkram.contract.names import check_file_path
 from kleinkram.contract.problems import first_message
@@ -49,6 +50,7 @@ _CONNECTIONS = 4
 _MAX_CHARACTERS = 2000
 _MAX_REPORTED_PROBLEMS = 200
 _MAX_PROGRESS_CHARACTERS = 200
+_MAX_LOSS_CHARACTERS = 1800
 _ROUNDS = 5
 _RETRY_EVERY_S = 2.0
 # Results stay on the runner while the store or the server is unavailable. After a quarter of an hour without the server
@@ -72,13 +74,31 @@ class Artifact:
 class Results:
     """The results of a job. `problems` are sentences about what could not be read.
 
-    `report_error`: why `report.json` is not a report; None where it is one, or does not exist.
+    `report_error`: why `report.json` is not a report; None where it is one, or does not exist. `losses`: the number of
+    problems by which part of the report is missing, and `first_loss` the first of them.
     """
 
     artifacts: list[Artifact] = field(default_factory=list)
     report: reports.Report = field(default_factory=reports.Report)
     problems: list[str] = field(default_factory=list)
     report_error: str | None = None
+    losses: int = 0
+    first_loss: str = ""
+
+    def final_report(self, reason: EndReason) -> reports.Report:
+        """Return the report of a run that ended so. Where part of it is missing, a check says so: it is never good."""
+        if reason is not EndReason.done or not self.losses:
+            return self.report
+        more = f" And {self.losses - 1} more." if self.losses > 1 else ""
+        incomplete = Check(
+            name="report.incomplete",
+            status=CheckStatus.not_made,
+            message=f"Part of the report is missing. {_shortened(self.first_loss, _MAX_LOSS_CHARACTERS)}{more}",
+        )
+        checks = [*self.report.checks, incomplete]
+        if len(checks) > MAX_CHECKS:
+            checks = [*_worst_first(self.report.checks)[: MAX_CHECKS - 1], incomplete]
+        return self.report.model_copy(update={"checks": checks})
 
 
 class ProgressReader:
@@ -139,7 +159,8 @@ def collect_results(out: Path) -> Results:
         "previews": [preview for preview in report.previews if preview.path in paths],
         "mission_files": [artifact for artifact in report.mission_files if artifact.path in paths],
     }
-    return Results(artifacts, report.model_copy(update=existing), problems.sentences(), report_error)
+    report = report.model_copy(update=existing)
+    return Results(artifacts, report, problems.sentences(), report_error, problems.losses, problems.first_loss)
 
 
 class _Unreadable(Exception):
@@ -153,6 +174,8 @@ class _Problems:
         self.general: list[str] = []
         self._first: list[str] = []
         self._more = 0
+        self.losses = 0
+        self.first_loss = ""
 
     def add(self, problem: str) -> None:
         """Add a problem of a single entry; those in `general` come before."""
@@ -160,6 +183,12 @@ class _Problems:
             self._first.append(problem)
         else:
             self._more += 1
+
+    def add_loss(self, problem: str) -> None:
+        """Add a problem by which part of the report is missing."""
+        self.first_loss = self.first_loss or problem
+        self.losses += 1
+        self.add(problem)
 
     def sentences(self) -> list[str]:
         """Return the problems, and how many more there are."""
@@ -235,15 +264,28 @@ def _events(out: Path, problems: _Problems) -> list[reports.ReportEvent]:
     try:
         data = _read(out, reports.EVENTS_FILE, _MAX_EVENTS_BYTES) or b""
     except _Unreadable as error:
-        problems.add(str(error))
+        problems.add_loss(str(error))
         return []
     events = []
     for number, line in enumerate(data.splitlines(), 1):
+        if not line.strip():
+            continue
         try:
             events.append(reports.ReportEvent.model_validate_json(line))
-        except ValidationError as error:  # noqa: PERF203  (each line is checked by itself)
-            problems.add(f"Line {number} of {Path(reports.EVENTS_FILE).name} is no event: {_first(error)}.")
+        except ValidationError as error:
+            add = problems.add if _is_progress(line, error) else problems.add_loss
+            add(f"Line {number} of {Path(reports.EVENTS_FILE).name} is no event: {_first(error)}.")
     return events
+
+
+def _is_progress(line: bytes, error: ValidationError) -> bool:
+    """Return whether an invalid event is one of progress, which is no part of the report."""
+    places = [problem["loc"] for problem in error.errors(include_url=False, include_context=False, include_input=False)]
+    return all(place[:1] == ("progress",) for place in places) and from_json(line).keys() == {"progress"}
+
+
+def _worst_first(checks: list[Check]) -> list[Check]:
+    return sorted(checks, key=lambda check: WORST_FIRST.index(check.status))
 
 
 def _merged(events: list[reports.ReportEvent], report: reports.Report, problems: _Problems) -> reports.Report:
@@ -260,16 +302,16 @@ def _merged(events: list[reports.ReportEvent], report: reports.Report, problems:
     try:
         check_values(metadata)
     except ValueError as error:
-        problems.add(f"The proposed metadata {error}: left out.")
+        problems.add_loss(f"The proposed metadata {error}: left out.")
         metadata = {}
     if len(checks) > MAX_CHECKS:
-        problems.add(f"It reported {len(checks)} checks; only the {MAX_CHECKS} worst are stored.")
-        checks = sorted(checks, key=lambda check: WORST_FIRST.index(check.status))
+        problems.add_loss(f"It reported {len(checks)} checks; only the {MAX_CHECKS} worst are stored.")
+        checks = _worst_first(checks)
     if len(findings) > reports.MAX_FINDINGS:
-        problems.add(f"It reported {len(findings)} findings; only the {reports.MAX_FINDINGS} worst are stored.")
+        problems.add_loss(f"It reported {len(findings)} findings; only the {reports.MAX_FINDINGS} worst are stored.")
         findings = sorted(findings, key=lambda finding: -_SEVERITIES.index(finding.severity))
     if len(metrics) > reports.MAX_METRICS:
-        problems.add(f"It reported {len(metrics)} metrics; only the first {reports.MAX_METRICS} are stored.")
+        problems.add_loss(f"It reported {len(metrics)} metrics; only the first {reports.MAX_METRICS} are stored.")
     return reports.Report.model_construct(
         checks=checks[:MAX_CHECKS],
         verdict=verdicts[-1] if verdicts else None,
@@ -381,7 +423,7 @@ class ResultUpload:
             problems.append(f"{name} was not stored: {file.reason}")
         if ending.reason is EndReason.done and any(file.path != LOG_PATH for file in rejected):
             ending = Ending(EndReason.results_not_stored, problems[-1], ending.exit_code)
-        return self._finish_of(ending, results.report, problems)
+        return self._finish_of(ending, results.final_report(ending.reason), problems)
 
     def without_results(self, ending: Ending) -> RunFinish:
         """Return what to report of a run that was cancelled while its results were uploaded."""
@@ -394,7 +436,7 @@ class ResultUpload:
         return self._finish_of(Ending.of(DISK_FULL), reports.Report(), [problem])
 
     def report(self, finish: RunFinish) -> None:
-        """Report the end to the server, for as long as that takes.
+        """Report the end to the server, for as long as that takes. A run whose report is refused fails.
 
         Raises:
             StopRequested: the run is to stop.
@@ -413,7 +455,10 @@ class ResultUpload:
                 problem = _shortened(f"The server did not accept its report: {error}")
                 if finish.problems == [problem]:
                     raise
-                finish = finish.model_copy(update={"report": reports.Report(), "problems": [problem], "samples": []})
+                changes = {"report": reports.Report(), "problems": [problem], "samples": []}
+                if finish.reason is EndReason.done:
+                    changes |= {"reason": EndReason.broken_report, "message": problem}
+                finish = finish.model_copy(update=changes)
             except errors.KleinkramError as error:
                 _log.warning("reporting the end of the run %s is repeated: %s", run_id, error)
                 if not backoff.pause():

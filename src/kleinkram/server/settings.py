@@ -259,7 +259,11 @@ class Settings(BaseSettings):
         description="Where dependencies of scripts come from: the URL of a package index, the absolute path of a "
         "folder of wheels, or `off`: then images must have them. The runner of `klein up` reads it, too.",
     )
-    body_limit_bytes: int = Field(default=4 * 1024 * 1024, ge=65_536, description="Maximum size of a request body.")
+    body_limit_bytes: int = Field(
+        default=4 * 1024 * 1024,
+        ge=65_536,
+        description="Maximum size of a request body. Reports of runs and of checks may have 32 MiB.",
+    )
     connections_per_address: int = Field(
         default=512,
         ge=16,

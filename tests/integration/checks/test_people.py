@@ -334,3 +334,9 @@ def test_a_report_with_ten_thousand_checks_is_stored_and_one_more_is_refused(api
 )
 def test_a_faulty_report_is_refused(api: Api, bad_id: str, fault: Any) -> None:
     _report(api, bad_id, "0" * 64, {**_RATE, **fault}).refused(422, "invalid_request")
+
+
+def test_a_report_above_the_limit_of_other_requests_is_stored(api: Api, bad_id: str) -> None:
+    checks = [{**_RATE, "topic": f"/imu/{number}", "message": "m" * 600} for number in range(9_999)]
+    stored = _report(api, bad_id, _rules_hash(api, bad_id), _BLACK, *checks).ok(201)
+    assert (stored["check_count"], stored["verdict"]) == (10_000, "bad")

@@ -15,7 +15,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from kleinkram.contract.errors import FieldProblem, InternalError, InvalidRequest, NotFound, RunGone, StoreUnavailable
+from kleinkram.contract.errors import InternalError, KleinkramError, NotFound, RunGone, StoreUnavailable
 from kleinkram.contract.people import ServiceRead
 from kleinkram.contract.runners import (
     LEASE_S,
@@ -58,7 +58,7 @@ class FakeServer:
         self.spoilt: dict[str, bytes] = {}
         self.slow_bytes_per_s: float | None = None
         self.fails: dict[str, int] = {}
-        self.refuses_reports = False
+        self.report_refusal: KleinkramError | None = None
         self.holds_uploads = threading.Event()
         self.store_refuses = threading.Event()
         self.store_says = b""
@@ -239,8 +239,8 @@ class FakeServer:
     def _finish(self, run: FakeRun, finish: RunFinish) -> RunFinished:
         if not (run.finishes and run.attempt == finish.attempt):
             self._check(run, finish.attempt)
-        if self.refuses_reports and finish.report.metrics:
-            raise InvalidRequest(problems=[FieldProblem(field="report", message="is refused")])
+        if self.report_refusal is not None and finish.report.metrics:
+            raise self.report_refusal
         run.finishes.append(finish)
         run.digest = finish.image_digest or run.digest
         ends = {EndReason.done: RunState.done, EndReason.cancelled: RunState.cancelled}

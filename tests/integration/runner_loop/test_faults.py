@@ -10,6 +10,7 @@ import pytest
 
 from kleinkram.client import _http
 from kleinkram.client.transfer import store
+from kleinkram.contract.errors import BodyTooLarge, FieldProblem, InvalidRequest, KleinkramError
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner import results
@@ -279,10 +280,23 @@ def test_requests_are_repeated_while_the_server_fails(server: FakeServer, runner
     assert set(server.fails.values()) == {0}
 
 
-def test_a_refused_report_does_not_hide_the_end(server: FakeServer, runners: Runners) -> None:
-    server.refuses_reports = True
+@pytest.mark.parametrize(
+    "refusal",
+    [
+        InvalidRequest(problems=[FieldProblem(field="report", message="is refused")]),
+        BodyTooLarge(size_bytes=2**26, limit_bytes=2**25),
+    ],
+)
+@pytest.mark.parametrize(
+    ("end", "reason"), [("", EndReason.broken_report), ("raise SystemExit(3)", EndReason.exit_code)]
+)
+def test_a_run_whose_report_is_refused_fails(
+    server: FakeServer, runners: Runners, refusal: KleinkramError, end: str, reason: EndReason
+) -> None:
+    server.report_refusal = refusal
     runners.start()
-    run = server.launch("from kleinkram.action import report\nreport.metric('n', 1)")
-    finish = ended(run).finishes[0]
-    assert finish.reason is EndReason.done
-    assert "did not accept its report" in finish.problems[0]
+    run = server.launch(f"from kleinkram.action import report\nreport.metric('n', 1)\n{end}")
+    (finish,) = ended(run).finishes
+    assert finish.reason is reason
+    assert finish.problems == [f"The server did not accept its report: {refusal}"]
+    assert finish.message == finish.problems[0] or reason is EndReason.exit_code

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 
 from kleinkram.contract.actions import Network
+from kleinkram.contract.checks import Verdict
+from kleinkram.contract.reports import verdict_of_report
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner.executors import process_sandbox
@@ -28,6 +30,33 @@ def test_artifacts_report_and_log_of_a_run_are_stored(server: FakeServer, runner
     assert [metric.name for metric in finish.report.metrics] == ["size"]
     assert finish.usage is not None
     assert RunState.running in run.states
+
+
+def test_a_report_of_many_megabytes_arrives_whole(server: FakeServer, runners: Runners) -> None:
+    runners.start()
+    run = server.launch(
+        "from kleinkram.action import report\n"
+        "for number in range(9_999):\n"
+        "    report.finding('warning', 'imu.gap', f'{number}'.ljust(600, '.'))\n"
+        "report.finding('error', 'imu.gap', 'the last')\n"
+    )
+    (finish,) = ended(run).finishes
+    assert (finish.reason, finish.problems) == (EndReason.done, [])
+    assert len(finish.model_dump_json()) > 6 * 10**6
+    assert (len(finish.report.findings), verdict_of_report(finish.report)) == (10_000, Verdict.bad)
+
+
+def test_a_run_whose_report_is_incomplete_is_not_good(server: FakeServer, runners: Runners) -> None:
+    runners.start()
+    run = server.launch(
+        "from kleinkram.action import out, report\n"
+        "report.check('imu.gravity', 'ok', '9.81')\n"
+        "with open(out / '.kleinkram' / 'events.jsonl', 'a') as events:\n"
+        '    events.write(\'{"check": {"name": "Gravity", "status": "error", "message": "0"}}\\n\')\n'
+    )
+    (finish,) = ended(run).finishes
+    assert (finish.reason, verdict_of_report(finish.report)) == (EndReason.done, Verdict.warnings)
+    assert [check.name for check in finish.report.checks] == ["imu.gravity", "report.incomplete"]
 
 
 def test_a_run_without_a_sandbox_has_copies_of_its_inputs(

@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from kleinkram.contract.reports import MAX_REPORT_BODY_BYTES
 from tests.integration.api_server import Api
 from tests.integration.runs.conftest import FakeRunner, Place, definition, launch
 
@@ -78,6 +79,23 @@ def test_ten_thousand_findings_are_stored_with_their_verdict(lab: Api, runner: F
     assert (ended["verdict"], ended["finding_counts"]) == ("bad", {"info": 9_999, "error": 1})
     counted = lab.get("/findings", {"run_id": ended["id"], "severity": "error", "count": "true"}).ok()
     assert (counted["total"], len(counted["items"])) == (1, 1)
+
+
+def test_a_report_above_the_limit_of_other_requests_is_stored_whole(lab: Api, runner: FakeRunner, place: Place) -> None:
+    report = {"findings": [FINDING | {"severity": "error", "message": "m" * 1900}] * 10_000}
+    ended = run_with(lab, runner, place.mission, report)
+    assert (ended["state"], ended["verdict"], ended["finding_counts"]) == ("done", "bad", {"error": 10_000})
+
+
+def test_a_report_above_its_own_limit_is_refused_and_the_run_goes_on(
+    lab: Api, runner: FakeRunner, place: Place
+) -> None:
+    made = launch(lab, runner, place.mission)
+    claim = runner.claim()
+    problem = runner.finish(claim, problems=["p" * 2**20] * 33).refused(413, "body_too_large")
+    assert problem["limit_bytes"] == MAX_REPORT_BODY_BYTES
+    assert lab.get(f"/runs/{made['id']}").ok()["state"] not in {"done", "failed"}
+    runner.finish(claim).ok()
 
 
 def test_a_report_with_nan_is_refused_with_a_sentence(lab: Api, runner: FakeRunner, place: Place) -> None:

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract import reports
-from kleinkram.contract.checks import Verdict
+from kleinkram.contract.checks import CheckStatus, Verdict
 from kleinkram.contract.reports import EVENTS_FILE, verdict_of_report
+from kleinkram.contract.runs import EndReason
 from kleinkram.runner import results
 from kleinkram.runner.results import collect_results
 
@@ -36,6 +37,7 @@ def test_events_and_report_are_merged(tmp_path: Path) -> None:
     (tmp_path / "report.json").write_text('{"metrics": [{"name": "ate_rmse", "value": 2}], "metadata": {"b": 2}}')
     result = collect_results(tmp_path)
     assert result.report_error is None
+    assert (result.losses, result.first_loss) == (2, result.problems[0])
     assert [metric.value for metric in result.report.metrics] == [2]
     assert result.report.metadata == {"a": 1, "b": 2}
     assert result.report.previews == []
@@ -83,12 +85,80 @@ def test_the_worst_of_too_many_checks_and_findings_are_stored(tmp_path: Path, mo
     error = '{"finding": {"severity": "error", "code": "b", "message": "m"}}\n'
     (tmp_path / EVENTS_FILE).write_text(fine * 100 + bad + info * 100 + error)
     result = collect_results(tmp_path)
+    sent = result.final_report(EndReason.done).checks
+    assert (len(sent), sent[0].name, sent[-1].name) == (100, "topic.rate", "report.incomplete")
     assert (len(result.report.checks), result.report.checks[0].name) == (100, "topic.rate")
     assert (len(result.report.findings), result.report.findings[0].code) == (100, "b")
     assert result.problems == [
         "It reported 101 checks; only the 100 worst are stored.",
         "It reported 101 findings; only the 100 worst are stored.",
     ]
+
+
+_GRAVITY = '{"check": {"name": "imu.gravity", "status": "ok", "message": "9.81"}}\n'
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (
+            '{"check": {"name": "Gravity", "status": "error", "message": "0"}}\n',
+            'Part of the report is missing. Line 2 of events.jsonl is no event: "check.name": ',
+        ),
+        (
+            '{"check": {"name": "imu.still", "status": "error", "message": "m", "value": NaN}}\nx\n{"progress": 1}\n',
+            'Part of the report is missing. Line 2 of events.jsonl is no event: "check.value": '
+            "it must be a finite number. And 1 more.",
+        ),
+        ('{"progress": 1, "check": 2}\n', "Part of the report is missing. Line 2 of events.jsonl is no event: "),
+        ('{"finding": ' + '"\\u0000"' * 9_000, "Part of the report is missing. Line 2 of events.jsonl is no event: "),
+        ('{"' + "x" * 9_000 + '": 1}', "Part of the report is missing. Line 2 of events.jsonl is no event: "),
+    ],
+)
+def test_a_report_with_lost_events_is_never_good(tmp_path: Path, lines: str, message: str) -> None:
+    (tmp_path / ".kleinkram").mkdir()
+    (tmp_path / EVENTS_FILE).write_text(_GRAVITY + lines)
+    (tmp_path / "report.json").write_text('{"verdict": "good"}')
+    result = collect_results(tmp_path)
+    report = result.final_report(EndReason.done)
+    assert [check.name for check in report.checks] == ["imu.gravity", "report.incomplete"]
+    assert report.checks[1].status is CheckStatus.not_made
+    assert report.checks[1].message.startswith(message)
+    assert verdict_of_report(report) is Verdict.warnings
+    assert result.final_report(EndReason.exit_code) == result.report
+
+
+@pytest.mark.parametrize("lines", ["", "\n\n", '{"progress": {"fraction": 1.01}}\n{"progress": {"fraction": NaN}}\n'])
+def test_invalid_progress_and_empty_lines_lose_nothing_of_the_report(tmp_path: Path, lines: str) -> None:
+    (tmp_path / ".kleinkram").mkdir()
+    (tmp_path / EVENTS_FILE).write_text(lines + _GRAVITY)
+    (tmp_path / "link").symlink_to("nowhere")
+    result = collect_results(tmp_path)
+    assert len(result.problems) == 1 + lines.count("progress")
+    assert verdict_of_report(result.final_report(EndReason.done)) is Verdict.good
+
+
+def test_events_that_cannot_be_read_make_the_report_incomplete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "out"
+    (out / ".kleinkram").mkdir(parents=True)
+    (out / "report.json").write_text('{"verdict": "good"}')
+    (tmp_path / "elsewhere").write_text(_GRAVITY)
+
+    def message() -> str:
+        (check,) = collect_results(out).final_report(EndReason.done).checks
+        assert (check.name, check.status) == ("report.incomplete", CheckStatus.not_made)
+        return check.message
+
+    (out / EVENTS_FILE).symlink_to(tmp_path / "elsewhere")
+    assert "events.jsonl cannot be read" in message()
+    (out / EVENTS_FILE).unlink()
+    (out / EVENTS_FILE).write_text(_GRAVITY)
+    monkeypatch.setattr(results, "_MAX_EVENTS_BYTES", 10)
+    assert "events.jsonl has more than 10 bytes." in message()
+    (out / EVENTS_FILE).unlink()
+    (out / ".kleinkram").rmdir()
+    (out / ".kleinkram").symlink_to(tmp_path)
+    assert "events.jsonl cannot be read" in message()
 
 
 def test_a_report_that_is_a_link_is_broken(tmp_path: Path) -> None:

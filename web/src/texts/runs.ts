@@ -33,7 +33,7 @@ export const reasonTexts: Readonly<Record<EndReason, string>> = {
   image_unavailable: "The runner could not get the image.",
   not_possible: "The runner does not have the required resources.",
   inputs_unavailable: "The runner could not get the input files.",
-  broken_report: "The report of the run is not readable.",
+  broken_report: "The report of the run is not readable, or the server did not accept it.",
   results_not_stored: "The runner could not upload the results.",
   lost: "Contact with the runner was lost.",
 };

@@ -10,6 +10,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from kleinkram.contract.errors import BodyTooLarge, WrongClient
+from kleinkram.contract.reports import MAX_REPORT_BODY_BYTES
 from kleinkram.server import metrics
 from kleinkram.server.http.errors import problem_response
 from kleinkram.server.http.headers import set_client_address, with_security_headers
@@ -20,6 +21,8 @@ _MAX_ID_CHARACTERS = 36
 # Anonymous requests do little but sign in, which takes little. Credentials are not checked yet at this point.
 _ANONYMOUS_BODY_BYTES = 64 * 1024
 _API_PATH, _SIGN_IN_PATH = "/api/v1/", "/api/v1/auth/"
+# Requests that send a report, which is refused whole or stored whole.
+_REPORT_PATH = re.compile(r"/api/v1/(runner/runs/[^/]+/finish|missions/[^/]+/check-reports)")
 # Sent by the Python client of the original Kleinkram with each request.
 _ORIGINAL_CLIENT_HEADER = b"kleinkram-client-version"
 _REQUEST_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
@@ -79,6 +82,8 @@ class RequestMiddleware:
             await problem_response(WrongClient(server=self._public_url), request_id)(scope, receive, send)
             return
         limit = self._body_limit_bytes
+        if scope["method"] == "POST" and _REPORT_PATH.fullmatch(scope["path"]):
+            limit = max(limit, MAX_REPORT_BODY_BYTES)
         is_anonymous = b"authorization" not in headers and b"cookie" not in headers
         if is_anonymous or scope["path"].startswith(_SIGN_IN_PATH):
             limit = min(limit, _ANONYMOUS_BODY_BYTES)
