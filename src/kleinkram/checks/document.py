@@ -5,7 +5,7 @@ section, a rule belongs to the names that match a glob (`*` also matches `/`), a
 """
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Set
 from typing import Annotated, Literal, TypeVar, get_args
 
 from pydantic import (
@@ -24,12 +24,13 @@ from pydantic.json_schema import JsonSchemaValue, WithJsonSchema
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
 from typing_extensions import Self
 
-from kleinkram.checks.globs import check_rule_glob, matches
+from kleinkram.checks.globs import TextsToMatch, check_rule_glob, is_glob
 from kleinkram.contract import units
 from kleinkram.contract.base import Request
 from kleinkram.contract.checks import MAX_CHECKS_CHARACTERS, CheckSeverity
 from kleinkram.contract.errors import YamlInvalid
 from kleinkram.contract.problems import message_of
+from kleinkram.recordings.model import span_text
 from kleinkram.untrusted_yaml import Document, Path, read_yaml
 
 MAX_PROFILES, MAX_RULES, MAX_VALUES = 50, 1000, 1000
@@ -40,8 +41,12 @@ SCHEMA_ID = "urn:kleinkram:checks:1"
 def _duration(value: object) -> object:
     """Return nanoseconds of `50ms`, or of a number of seconds."""
     if isinstance(value, str):
-        return int(units.read_duration(value))
-    return round(_number(value, "write a duration such as 50ms, or a number of seconds") * 1e9)
+        span_ns = int(units.read_duration(value))
+    else:
+        span_ns = round(_number(value, "write a duration such as 50ms, or a number of seconds") * 1e9)
+    if span_ns > _MAX_NS:
+        raise ValueError(f"a duration may be at most {span_text(_MAX_NS)}")
+    return span_ns
 
 
 def _share(value: object) -> object:
@@ -86,7 +91,7 @@ def _exact_count(value: object) -> object:
 DurationNs = Annotated[
     int,
     BeforeValidator(_duration),
-    Field(ge=0, le=_MAX_NS),
+    Field(ge=0),
     WithJsonSchema({"anyOf": [{"type": "number", "minimum": 0}, {"type": "string"}], "examples": ["50ms", "2s", 0.5]}),
 ]
 Share = Annotated[
@@ -362,25 +367,58 @@ class Profile(Request):
     batteries: RulesOf[BatteryRule] = {}
     values: RulesOf[ValueRule] = {}
 
-    def applies_to(self, metadata: Mapping[str, JsonValue]) -> bool:
-        """Return whether a mission with these metadata is checked by this profile."""
-        return all(name in metadata and value_matches(metadata[name], expected) for name, expected in self.when.items())
+    def mismatch(self, mission: "MatchedMetadata") -> str | None:
+        """Return the first field of `when` that the metadata do not match; None if the profile applies to them."""
+        return next((name for name, expected in self.when.items() if not mission.has(name, expected)), None)
 
 
-def value_matches(value: JsonValue, expected: JsonValue) -> bool:
-    """Return whether a metadata value is what a profile's `when` says."""
-    if isinstance(expected, list):
-        return any(value_matches(value, choice) for choice in expected)
+class MatchedMetadata:
+    """Metadata of a mission, which the conditions of profiles are compared with. Each field is prepared once.
+
+    Globs are compared with texts of a bounded length: see `TextsToMatch`.
+    """
+
+    def __init__(self, metadata: Mapping[str, JsonValue]) -> None:
+        self.metadata = metadata
+        self._fields: dict[str, tuple[Set[Hashable], TextsToMatch]] = {}
+
+    def has(self, name: str, expected: JsonValue) -> bool:
+        """Return whether a field has a value that a profile's `when` names."""
+        if name not in self.metadata:
+            return False
+        if name not in self._fields:
+            values = list(_flat(self.metadata[name]))
+            texts = TextsToMatch(value for value in values if isinstance(value, str))
+            self._fields[name] = {_comparable(value) for value in values}, texts
+        values_of_field, texts_of_field = self._fields[name]
+        choices = list(_flat(expected))
+        globs = dict.fromkeys(_globs(choices))
+        plain = (choice for choice in choices if not isinstance(choice, str) or choice not in globs)
+        return any(_comparable(choice) in values_of_field for choice in plain) or any(
+            map(texts_of_field.any_matches, globs)
+        )
+
+
+def _globs(values: Iterable[JsonValue]) -> Iterator[str]:
+    return (value for value in values if isinstance(value, str) and is_glob(value))
+
+
+def _flat(value: JsonValue) -> Iterator[JsonValue]:
+    """Yield the values of lists in lists, or the value that is none."""
     if isinstance(value, list):
-        return any(value_matches(item, expected) for item in value)
-    if isinstance(value, str) and isinstance(expected, str):
-        return matches(value, expected)
-    # 1 is 1.0, but not true.
-    return isinstance(value, bool) is isinstance(expected, bool) and value == expected
+        for part in value:
+            yield from _flat(part)
+    else:
+        yield value
 
 
-def _value_count(expected: JsonValue) -> int:
-    return sum(map(_value_count, expected)) if isinstance(expected, list) else 1
+def _comparable(value: JsonValue) -> Hashable:
+    """Return what is equal for equal values: 1 is 1.0, but not true."""
+    if isinstance(value, dict):
+        return frozenset((name, _comparable(part)) for name, part in value.items())
+    if isinstance(value, list):
+        return tuple(map(_comparable, value))
+    return isinstance(value, bool), value
 
 
 _OF_DOCUMENT = "checks_document"
@@ -407,16 +445,23 @@ class ChecksDocument(Request):
     def _conditions_have_a_limit(self) -> Self:
         count = 0
         for number, profile in enumerate(self.profiles):
-            count += sum(map(_value_count, profile.when.values()))
-            if count > MAX_VALUES:
-                reason = f"all `when` together have more than {MAX_VALUES:,} values"
-                at = ("profiles", number, "when")
-                raise PydanticCustomError(_OF_DOCUMENT, "{reason}", {"reason": reason, "at": at})
+            for name, expected in profile.when.items():
+                values = list(_flat(expected))
+                count += len(values)
+                if count > MAX_VALUES:
+                    raise _invalid_condition(number, f"all `when` together have more than {MAX_VALUES:,} values")
+                try:
+                    for glob in _globs(values):
+                        check_rule_glob(glob)
+                except ValueError as error:
+                    raise _invalid_condition(number, str(error), name) from None
         return self
 
-    def applying_to(self, metadata: Mapping[str, JsonValue]) -> list[Profile]:
-        """Return the profiles that apply to a mission with these metadata, in the order of the document."""
-        return [profile for profile in self.profiles if profile.applies_to(metadata)]
+
+def _invalid_condition(number: int, reason: str, *names: str) -> PydanticCustomError:
+    """Return the error of the `when` of a profile, or of one of its fields."""
+    at = ("profiles", number, "when", *names)
+    return PydanticCustomError(_OF_DOCUMENT, "{reason}", {"reason": reason, "at": at})
 
 
 def json_schema() -> JsonSchemaValue:

@@ -7,10 +7,16 @@ A check that fails only because something is not known (a file that was not read
 recorded) is `not_made`, with the reason.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 
-from kleinkram.checks.content.families import TopicOfRecording, planned_rules, unmade_checks, why_none
+from kleinkram.checks.content.families import (
+    TopicOfRecording,
+    optional_topics,
+    planned_rules,
+    unmade_checks,
+    why_none,
+)
 from kleinkram.checks.document import ClockRule, CountRange, FileRule, Profile, RecordingRule, Rule, TopicRule
 from kleinkram.checks.facts import FileFacts, MissionFacts, RecordingFacts, TopicFacts
 from kleinkram.checks.globs import Comparisons, glob_matcher, path_matches
@@ -33,7 +39,7 @@ def check_index(profiles: Sequence[Profile], facts: MissionFacts) -> list[Check]
 
 def index_checks(profiles: Sequence[Profile], facts: MissionFacts) -> Iterator[Check]:
     """Yield the outcomes of the checks that need no message, in the order of the rules; there may be very many."""
-    index = _Index(facts)
+    index = _Index(facts, optional_topics(profiles))
     for profile in profiles:
         for glob, file_rules in profile.files.items():
             for file_rule in file_rules:
@@ -47,6 +53,8 @@ def index_checks(profiles: Sequence[Profile], facts: MissionFacts) -> Iterator[C
         for glob, clock_rules in profile.clocks.items():
             for clock_rule in clock_rules:
                 yield from _check_clocks(glob, clock_rule, index)
+    if profiles:
+        yield from _unjudged_recordings(index)
 
 
 def checks_needing_content(profiles: Sequence[Profile], facts: MissionFacts) -> Iterator[Check]:
@@ -72,10 +80,14 @@ class _Index:
     Attributes:
         unread: which files were not read, as a part of a sentence; None if all were.
         span_ns: of the mission; None if it is unknown or has no length.
+        optional_topics: names and globs of topics that may be missing.
+        judged: recordings and files of which a rule said whether they are complete, or that they need not be.
     """
 
-    def __init__(self, facts: MissionFacts) -> None:
+    def __init__(self, facts: MissionFacts, optional: Set[str] = frozenset()) -> None:
         self.facts = facts
+        self.optional_topics = optional
+        self.judged: set[str] = set()
         unread = [*(recording.name for recording in facts.recordings if recording.content in _UNREAD)]
         self.unread = f"{_enumeration(unread)} {'was' if len(unread) == 1 else 'were'} not read" if unread else None
         self.span_ns = (
@@ -209,7 +221,10 @@ def _check_files(glob: str, rule: FileRule, index: _Index) -> Iterator[Check]:
     if rule.count is not None:
         yield outcomes.count("file.count", len(files), rule.count, "file")
     if rule.complete:
+        index.judged.update(file.path for file in files if file.content in _UNREAD | _DAMAGED)
         yield from _check_completeness(files, rule, outcomes)
+    elif "complete" in rule.model_fields_set:
+        index.judged.update(file.path for file in files)
     if rule.min_size is not None and files:
         small = [file for file in files if file.size_bytes < rule.min_size]
         for file in small:
@@ -260,8 +275,17 @@ def _check_recordings(glob: str, rule: RecordingRule, index: _Index) -> Iterator
     yield outcomes.ok("recording.missing", _match_text(len(recordings), "recording", glob))
     if rule.count is not None:
         yield outcomes.count("recording.count", len(recordings), rule.count, "recording")
+    index.judged.update(recording.name for recording in recordings)
     for recording in recordings:
         yield from _check_recording(recording, rule, index)
+
+
+def _unjudged_recordings(index: _Index) -> Iterator[Check]:
+    """Yield a row for each recording that is not complete, and of which no rule says what that means."""
+    for recording in index.facts.recordings:
+        if recording.content is not Content.indexed and index.judged.isdisjoint(_names_of(recording)):
+            outcomes = _Outcomes(RecordingRule(), file=recording.name)
+            yield outcomes.not_made("recording.incomplete", _why_incomplete(recording))
 
 
 def _names_of(recording: RecordingFacts) -> tuple[str, ...]:
@@ -304,10 +328,18 @@ def _check_recording(recording: RecordingFacts, rule: RecordingRule, index: _Ind
 
 def _check_recording_is_complete(recording: RecordingFacts, outcomes: _Outcomes) -> Check:
     if recording.content in _UNREAD:
-        return outcomes.not_made("recording.incomplete", recording.reason or "it was not read")
+        return outcomes.not_made("recording.incomplete", _why_incomplete(recording))
     if recording.content is Content.indexed:
         return outcomes.ok("recording.incomplete", "complete")
-    return outcomes.fails("recording.incomplete", recording.reason or "it is damaged")
+    return outcomes.fails("recording.incomplete", _why_incomplete(recording))
+
+
+def _why_incomplete(recording: RecordingFacts) -> str:
+    if recording.reason:
+        return recording.reason
+    if recording.content in _UNREAD:
+        return "it was not read"
+    return "it is not a recording" if recording.content is Content.opaque else "it is damaged"
 
 
 # -- topics -----------------------------------------------------------------------------------------------------------
@@ -461,7 +493,7 @@ def _check_clocks(glob: str, rule: ClockRule, index: _Index) -> Iterator[Check]:
             yield outcomes.not_made("clock.jump", recording.reason or "it was not read")
         else:
             yield outcomes.ok("clock.jump", "log times do not jump back")
-    if not recordings:
+    if not recordings and glob not in index.optional_topics:
         message = f"no topic with messages matches {glob}"
         unread = f", but {index.unread}" if index.unread else ""
         yield _Outcomes(rule, topic=glob).not_made("clock.jump", message + unread)

@@ -4,12 +4,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from pydantic import JsonValue
 
-from kleinkram.checks.content.families import planned_rules
-from kleinkram.checks.document import ChecksDocument, Profile, value_matches
+from kleinkram.checks.content.families import need_content
+from kleinkram.checks.document import ChecksDocument, MatchedMetadata, Profile
 from kleinkram.checks.facts import MissionFacts
 from kleinkram.checks.index_checks import checks_needing_content, index_checks
 from kleinkram.checks.local import LocalMission, LocalRecording
@@ -27,6 +27,13 @@ class UnmatchedProfile:
 
     name: str
     reason: str
+
+
+class ChosenProfiles(NamedTuple):
+    """The profiles that apply to a mission, and the others, in the order of the document."""
+
+    applied: list[Profile]
+    left_out: list[UnmatchedProfile]
 
 
 @dataclass(frozen=True)
@@ -61,9 +68,9 @@ class CheckResults:
 
 def evaluate_index(document: ChecksDocument, facts: MissionFacts) -> CheckResults:
     """Check a mission by the indexes of its files; checks that need messages are listed as `needs_content`."""
-    profiles = document.applying_to(facts.metadata)
-    checks = _without_repetition(chain(index_checks(profiles, facts), checks_needing_content(profiles, facts)))
-    return to_results(document, facts.metadata, checks, CheckDepth.index)
+    chosen = choose_profiles(document, facts.metadata)
+    rows = chain(index_checks(chosen.applied, facts), checks_needing_content(chosen.applied, facts))
+    return _results(chosen, _without_repetition(rows), CheckDepth.index)
 
 
 def evaluate(
@@ -73,14 +80,15 @@ def evaluate(
 
     `more`: other checks that count.
     """
-    profiles = document.applying_to(mission.facts.metadata)
+    chosen = choose_profiles(document, mission.facts.metadata)
+    profiles = chosen.applied
     others = (
         content_checks(profiles, mission)
         if depth is CheckDepth.content
         else checks_needing_content(profiles, mission.facts)
     )
     checks = chain(more, _without_repetition(chain(index_checks(profiles, mission.facts), others)))
-    return to_results(document, mission.facts.metadata, checks, depth)
+    return _results(chosen, checks, depth)
 
 
 def _without_repetition(checks: Iterable[Check]) -> Iterator[Check]:
@@ -97,7 +105,7 @@ def _without_repetition(checks: Iterable[Check]) -> Iterator[Check]:
 
 def content_checks(profiles: Sequence[Profile], mission: LocalMission) -> Iterator[Check]:
     """Open the recordings of a mission and check samples of their messages, in the order of the rules."""
-    if next(planned_rules(profiles, ()), None) is None:
+    if not need_content(profiles):
         return
     from kleinkram.checks.content import check_content
 
@@ -114,38 +122,35 @@ def _opened(recording: LocalRecording, stack: ExitStack) -> "OpenRecording":
         return OpenRecording(recording.name, None, str(error))
 
 
-def to_results(
-    document: ChecksDocument, metadata: Mapping[str, JsonValue], checks: Iterable[Check], depth: CheckDepth
-) -> CheckResults:
-    """Return the results of the checks of a mission with these metadata."""
+def _results(chosen: ChosenProfiles, checks: Iterable[Check], depth: CheckDepth) -> CheckResults:
     collected = collect(checks)
     return CheckResults(
         verdict=verdict_of({status for status, count in collected.counts.items() if count}),
         depth=depth,
         checks=tuple(collected.checks),
         counts=collected.counts,
-        profiles_applied=tuple(profile.name for profile in document.applying_to(metadata)),
-        profiles_left_out=tuple(profiles_left_out(document, metadata)),
+        profiles_applied=tuple(profile.name for profile in chosen.applied),
+        profiles_left_out=tuple(chosen.left_out),
     )
 
 
-def profiles_left_out(document: ChecksDocument, metadata: Mapping[str, JsonValue]) -> list[UnmatchedProfile]:
-    """Return the profiles that do not apply to a mission with these metadata, and why."""
-    return [
-        UnmatchedProfile(profile.name, _why_not(profile, metadata))
-        for profile in document.profiles
-        if not profile.applies_to(metadata)
-    ]
+def choose_profiles(document: ChecksDocument, metadata: Mapping[str, JsonValue]) -> ChosenProfiles:
+    """Compare the conditions of all profiles with the metadata of a mission, each once."""
+    chosen, matched = ChosenProfiles([], []), MatchedMetadata(metadata)
+    for profile in document.profiles:
+        name = profile.mismatch(matched)
+        if name is None:
+            chosen.applied.append(profile)
+        else:
+            chosen.left_out.append(UnmatchedProfile(profile.name, _why_not(profile, name, metadata)))
+    return chosen
 
 
-def _why_not(profile: Profile, metadata: Mapping[str, JsonValue]) -> str:
-    """Return the first field of a profile's `when` that does not match."""
-    for name, expected in profile.when.items():
-        if name not in metadata:
-            return f"{name} is not set; it must be {_choices_text(expected)}"
-        if not value_matches(metadata[name], expected):
-            return f"{name} is {_value_text(metadata[name])}; it must be {_choices_text(expected)}"
-    return ""
+def _why_not(profile: Profile, name: str, metadata: Mapping[str, JsonValue]) -> str:
+    expected = _choices_text(profile.when[name])
+    if name not in metadata:
+        return f"{name} is not set; it must be {expected}"
+    return f"{name} is {_value_text(metadata[name])}; it must be {expected}"
 
 
 def _choices_text(expected: JsonValue) -> str:

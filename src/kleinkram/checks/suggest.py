@@ -39,6 +39,11 @@ _CONTENT_SECTIONS: Mapping[str, tuple[str, ...]] = {
     "transforms": ("tf2_msgs/TFMessage", "tf/tfMessage"),
     "odometry": ("nav_msgs/Odometry",),
 }
+# Fields without which a message is useless. Others may be NaN in a good mission: velocities, covariances.
+_FINITE_FIELDS: Mapping[str, str] = {
+    "nav_msgs/Odometry": '["pose.pose.*"]',
+    "sensor_msgs/Imu": '["linear_acceleration.*", "angular_velocity.*"]',
+}
 # Topics with messages only on events.
 _EVENT_TOPICS = frozenset(("/rosout", "/rosout_agg", "/parameter_events", "/events/write_split"))
 
@@ -259,6 +264,12 @@ def _content_sections(topics: Sequence[_CommonTopic], up_axes: Mapping[str, str]
             else:
                 settings = dict.fromkeys(_patterns(section, names), _up_setting(axes.pop()))
             yield from (f"    {_key(pattern)}: {_flow(values)}" for pattern, values in settings.items())
+    finite = [topic for topic in topics if topic.message_type in _FINITE_FIELDS and _has_samples(topic, "values")]
+    if finite:
+        yield "  values:"
+        for topic in finite:
+            fields = _FINITE_FIELDS[topic.message_type or ""]
+            yield f"    {_key(glob.escape(topic.name))}: {_flow({'fields': fields})}"
     for topic in topics:
         if topic.message_type == "sensor_msgs/BatteryState":
             yield f"  # batteries: {{{_key(glob.escape(topic.name))}: {{min_percentage: 20%}}}}"

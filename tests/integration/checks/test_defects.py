@@ -100,7 +100,7 @@ EXPECTED = {
     Defect.far_points: by_content("cloud.range"),
     Defect.disconnected_tf: by_content("transform.connected"),
     Defect.odometry_jump: by_content("odometry.jump"),
-    Defect.nan: by_content("value.nan"),
+    Defect.nan: by_content("value.nan", "odometry.jump"),
     Defect.stuck_value: by_content("value.constant"),
     Defect.value_range: by_content("value.range"),
     Defect.low_battery: by_content("battery.low"),
@@ -222,6 +222,24 @@ def test_defects_of_files_are_found(defect: Defect | None, names: set[str], tmp_
     generate_rig(tmp_path, duration_s=3, faults=Faults(defects=frozenset({defect} if defect else ())))
     results = evaluate(read_checks(FILE_CHECKS), read_folder(tmp_path), CheckDepth.index)
     assert failing(results) == names
+
+
+@pytest.mark.parametrize("is_allowed", [False, True])
+def test_a_cut_recording_is_never_good_unless_a_rule_allows_it(is_allowed: bool, tmp_path: Path) -> None:
+    generate_rig(tmp_path, duration_s=3, faults=Faults(defects=frozenset({Defect.truncated})))
+    (tmp_path / "nuc.mcap").touch()
+    (tmp_path / "a.mcap").write_text("These are notes.\n")
+    allowed = '  recordings: {"*": {complete: false}}\n' if is_allowed else ""
+    document = read_checks(f"version: 1\nprofiles:\n- topics: {{/imu/data: {{required: false}}}}\n{allowed}")
+    results = evaluate(document, read_folder(tmp_path), CheckDepth.index)
+    rows = {check.file: check.message for check in results.checks if check.name == "recording.incomplete"}
+    if is_allowed:
+        assert (results.verdict, rows) == (Verdict.good, {})
+        return
+    assert results.verdict is Verdict.warnings
+    assert len(rows) == 3
+    assert rows["nuc.mcap"] == "the file has 0 bytes"
+    assert rows["a.mcap"] == "not a known recording format"
 
 
 def test_every_defect_has_an_expected_outcome() -> None:

@@ -161,6 +161,7 @@ def test_good_missions_pass_the_checks_that_are_made_from_them(tmp_path: Path) -
         assert _statuses(document, mission) == {CheckStatus.ok, CheckStatus.needs_content}
     assert "/imu/data: {type: sensor_msgs/Imu, rate: 200," in text
     assert "imu:\n    /imu/data: {}" in text
+    assert 'values:\n    /imu/data: {fields: ["linear_acceleration.*", "angular_velocity.*"]}' in text
     unseen = _sample(tmp_path / "unseen", 4)
     assert _statuses(document, unseen) == {CheckStatus.ok, CheckStatus.needs_content}
 
@@ -190,6 +191,27 @@ def test_imus_of_different_axes_have_rules_of_their_own(tmp_path: Path) -> None:
     axes = dict(zip(imus, ["x", "y", "-z"], strict=False))
     different = read_checks(suggest_checks([facts], axes)).profiles[0]
     assert {name: rule.up for name, (rule,) in different.imu.items()} == {name: axes.get(name) for name in imus}
+
+
+def test_nan_fails_the_checks_of_good_missions(tmp_path: Path) -> None:
+    good = _sample_mission(tmp_path / "good", 1)
+    document = read_checks(suggest_checks([good.facts]))
+    assert evaluate(document, good, CheckDepth.content).verdict is Verdict.good
+    bad = _sample_mission(tmp_path / "nan", 1, defects=frozenset({Defect.nan}))
+    results = evaluate(document, bad, CheckDepth.content)
+    assert [(check.name, check.topic) for check in results.checks if check.status is CheckStatus.error] == [
+        ("value.nan", "/odom")
+    ]
+
+
+def test_the_messages_of_an_optional_topic_are_checked_where_it_is_recorded(tmp_path: Path) -> None:
+    document = read_checks("version: 1\nprofiles:\n- topics: {/imu/data: {required: false}}\n  imu: {/imu/data: {}}\n")
+    there = evaluate(document, _sample_mission(tmp_path / "there", 1), CheckDepth.content)
+    assert {check.name for check in there.checks} == {"topic.missing", "imu.gravity", "imu.constant"}
+    missing = _sample_mission(tmp_path / "missing", 1, dropped_topic="/imu/data")
+    for depth in CheckDepth:
+        results = evaluate(document, missing, depth)
+        assert (results.verdict, [check.name for check in results.checks]) == (Verdict.good, ["topic.missing"])
 
 
 def test_a_mission_that_lacks_a_topic_fails_the_checks_of_good_ones(tmp_path: Path) -> None:

@@ -6,7 +6,10 @@ from typing import Any
 
 import pytest
 
-from kleinkram.checks.document import Profile, json_schema, read_checks
+from kleinkram.checks.document import MatchedMetadata, Profile, json_schema, read_checks
+from kleinkram.checks.facts import MissionFacts
+from kleinkram.checks.globs import MAX_MATCHED_CHARACTERS
+from kleinkram.checks.results import choose_profiles, evaluate_index
 from kleinkram.contract.checks import MAX_CHECKS_CHARACTERS, CheckSeverity
 from kleinkram.contract.errors import YamlInvalid
 
@@ -123,6 +126,20 @@ def test_a_name_has_one_rule_or_several_or_only_the_defaults() -> None:
             "when: all `when` together have more than 1,000 values",
             id="conditions",
         ),
+        pytest.param(
+            f"version: 1\nprofiles:\n- when:\n    a: b\n    robot: [spot, '{'*a' * 17}']\n",
+            5,
+            5,
+            "when.robot: a glob with 17 `*`; at most 16 are allowed",
+            id="stars in a condition",
+        ),
+        pytest.param(
+            HEAD + "topics:\n    /a: {max_gap: 100000d}\n",
+            4,
+            10,
+            "max_gap: a duration may be at most 146.1 years",
+            id="duration",
+        ),
     ],
 )
 def test_an_error_has_line_column_and_what_is_allowed(text: str, line: int, column: int, reason: str) -> None:
@@ -163,7 +180,62 @@ def test_too_many_rules_are_refused() -> None:
 )
 def test_when_chooses_by_metadata(when: str, metadata: dict[str, Any], applies: bool) -> None:
     document = read_checks(f"{HEAD}when: {when}\n")
-    assert bool(document.applying_to(metadata)) is applies
+    assert bool(choose_profiles(document, metadata).applied) is applies
+
+
+def value_matches(value: Any, expected: Any) -> bool:
+    return MatchedMetadata({"field": value}).has("field", expected)
+
+
+def test_globs_of_conditions_are_compared_with_short_texts_only() -> None:
+    longest, longer = "a" * MAX_MATCHED_CHARACTERS, "a" * (MAX_MATCHED_CHARACTERS + 1)
+    assert value_matches(longest, "a*")
+    assert not value_matches(longer, "a*")
+    assert value_matches(longer, longer)
+    assert value_matches([longer, "abc"], "ab*")
+    assert value_matches([*(str(number) for number in range(50)), "lidar"], "li*")
+    assert not value_matches([*(str(number) for number in range(200)), "lidar"], "li*")
+    assert value_matches([*(str(number) for number in range(200)), "lidar"], ["camera", "lidar"])
+
+
+def test_lists_are_compared_without_comparing_each_pair(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared: list[str] = []
+    monkeypatch.setattr("kleinkram.checks.globs.matches", lambda text, _glob: compared.append(text))
+    choices = [*(f"spot-{number}" for number in range(900)), *(f"anymal-{number}-*" for number in range(100))]
+    assert not value_matches([f"robot-{number}" for number in range(10_000)], choices)
+    assert len(compared) <= 100 * 100
+
+
+def test_each_condition_is_evaluated_once_for_a_mission(monkeypatch: pytest.MonkeyPatch) -> None:
+    evaluated: list[object] = []
+    has = MatchedMetadata.has
+
+    def note(mission: MatchedMetadata, name: str, expected: Any) -> bool:
+        evaluated.append(expected)
+        return has(mission, name, expected)
+
+    monkeypatch.setattr(MatchedMetadata, "has", note)
+    document = read_checks(f"{HEAD}when: {{robot: a}}\n- {{name: b, when: {{robot: b}}}}\n")
+    results = evaluate_index(document, MissionFacts((), (), (), metadata={"robot": "b"}))
+    assert evaluated == ["a", "b"]
+    assert results.profiles_applied == ("b",)
+    assert [one.reason for one in results.profiles_left_out] == ["robot is b; it must be a"]
+
+
+@pytest.mark.parametrize(
+    ("value", "expected", "is_match"),
+    [
+        (1, True, False),
+        ([1, [2.0]], 2, True),
+        (None, None, True),
+        ([], ["a"], False),
+        ({"a": [1]}, {"a": [1.0]}, True),
+        ({"a": 1}, {"a": True}, False),
+        ("a[1]", "a[1]", False),
+    ],
+)
+def test_values_that_are_no_texts_are_equal(value: Any, expected: Any, is_match: bool) -> None:
+    assert value_matches(value, expected) is is_match
 
 
 def test_the_schema_allows_one_rule_or_several_and_refuses_unknown_keys() -> None:

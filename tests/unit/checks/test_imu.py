@@ -146,11 +146,59 @@ def test_nan_is_never_green() -> None:
     rows = run(RULES, ros2_mcap(imu(lambda _s, _c: ((nan, nan, nan), (nan, nan, nan)))))
     assert only(rows, "imu.gravity").status is ERROR
     assert only(rows, "imu.tilt").status is ERROR
+    assert only(rows, "imu.saturated").status is NOT_MADE
+    assert only(rows, "imu.constant").status is NOT_MADE
 
     def some(seconds: float, chance: random.Random) -> tuple[Vector, Vector]:
         return still((0, 0, 5.0) if seconds < 2 else (nan, 0, 9.81))(seconds, chance)
 
     assert only(run(RULES, ros2_mcap(imu(some))), "imu.gravity").value == pytest.approx(5.0, abs=0.02)
+
+
+def test_measurements_without_value_are_not_counted_as_passed() -> None:
+    def broken_gyroscope(until: float) -> Motion:
+        def measure(seconds: float, chance: random.Random) -> tuple[Vector, Vector]:
+            acceleration, turn_rate = still()(seconds, chance)
+            return acceleration, (math.nan, *turn_rate[1:]) if seconds < until else turn_rate
+
+        return measure
+
+    rows = run(RULES, ros2_mcap(imu(broken_gyroscope(3))))
+    reason = "600 of 800 measurements of the turn rate have no value"
+    assert only(rows, "imu.gravity").status is OK
+    for name in ("imu.saturated", "imu.constant"):
+        assert (only(rows, name).status, only(rows, name).message) == (NOT_MADE, reason)
+    rows = run(RULES, ros2_mcap(imu(broken_gyroscope(1))))
+    assert only(rows, "imu.constant").status is OK
+    assert only(rows, "imu.constant").message == "all axes change (600 measurements)"
+
+
+def test_constant_values_beside_nan_are_found() -> None:
+    def stuck(seconds: float, chance: random.Random) -> tuple[Vector, Vector]:
+        return still()(seconds, chance)[0], ((0.1, 0.2, 0.3) if seconds < 1 else (math.nan, 0.2, 0.3))
+
+    row = only(run(RULES, ros2_mcap(imu(stuck))), "imu.constant")
+    assert (row.status, row.message) == (ERROR, "angular_velocity never changes (200 measurements)")
+
+
+def test_gravity_that_is_mostly_nan_is_not_made() -> None:
+    def rare(seconds: float, chance: random.Random) -> tuple[Vector, Vector]:
+        return (still()(seconds, chance)[0] if seconds < 1 else (math.nan, 0, 9.81)), (0, 0, chance.gauss(0, 0.01))
+
+    rows = statuses(run(RULES, ros2_mcap(imu(rare))))
+    assert (rows["imu.gravity"], rows["imu.tilt"]) == (NOT_MADE, NOT_MADE)
+
+
+def test_a_range_of_what_the_sensor_does_not_measure_is_not_made() -> None:
+    still_accelerometer = imu(still(), angular_velocity_covariance=[-1.0] + [0] * 8)
+    rows = run(RULES, ros2_mcap(still_accelerometer))
+    reason = "it says, by its covariance, that it does not measure the turn rate"
+    assert (only(rows, "imu.saturated").status, only(rows, "imu.saturated").message) == (NOT_MADE, reason)
+    row = only(rows, "imu.constant")
+    assert (row.status, row.message) == (OK, "all axes of the acceleration change (800 measurements)")
+    no = [-1.0] + [0] * 8
+    nothing = imu(still(), linear_acceleration_covariance=no, angular_velocity_covariance=no)
+    assert only(run(RULES, ros2_mcap(nothing)), "imu.constant").status is NOT_MADE
 
 
 def test_a_gyroscope_without_accelerometer_is_not_judged_by_gravity() -> None:

@@ -153,6 +153,40 @@ def test_a_recording_is_complete(content: Content, status: CheckStatus) -> None:
     assert check.file == "nuc/drive.mcap"
 
 
+@pytest.mark.parametrize("content", [one for one in Content if one is not Content.indexed])
+def test_a_recording_that_is_not_complete_is_never_good(content: Content) -> None:
+    file = file_facts(content=content, reason="it ends in the middle")
+    facts = mission_facts(recordings=(recording_facts(content=content, reason=file.reason),), files=(file,))
+    for document in (rules("topics"), rules("files", "*"), rules("recordings", "opc/*", "{required: false}")):
+        results = evaluated(document, facts)
+        check = only(results, "recording.incomplete")
+        row = (check.status, check.file, check.message)
+        assert row == (CheckStatus.not_made, "nuc/drive.mcap", "it ends in the middle")
+        assert results.verdict is Verdict.warnings
+
+
+def test_a_recording_that_a_rule_reports_or_allows_has_no_second_row() -> None:
+    file = file_facts(content=Content.broken)
+    facts = mission_facts(recordings=(recording_facts(content=Content.broken),), files=(file,))
+    assert only(evaluated(rules("recordings", "*"), facts), "recording.incomplete").status is CheckStatus.error
+    by_file = evaluated(rules("files", "*", "{complete: true, severity: warning}"), facts)
+    assert [check.name for check in by_file.checks if check.status is not CheckStatus.ok] == ["file.incomplete"]
+    for section in ("recordings", "files"):
+        allowed = evaluated(rules(section, "nuc/*", "{complete: false}"), facts)
+        assert (allowed.verdict, "recording.incomplete" in {check.name for check in allowed.checks}) == (
+            Verdict.good,
+            False,
+        )
+
+
+def test_only_profiles_that_apply_doubt_a_recording() -> None:
+    facts = mission_facts(recordings=(recording_facts(content=Content.broken),))
+    document = read_checks("version: 1\nprofiles:\n- {when: {robot: spot}, topics: {/imu/data: {}}}\n")
+    assert evaluated(document, facts).checks == ()
+    healthy = evaluated(rules("topics"), mission_facts())
+    assert (healthy.verdict, {check.name for check in healthy.checks}) == (Verdict.good, {"topic.missing"})
+
+
 @pytest.mark.parametrize(
     ("rule", "name", "start_s", "end_s", "status", "message"),
     [
@@ -470,7 +504,7 @@ profiles:
     assert ("topic.missing", "/camera") in listed
     assert not [name for name, topic in listed if topic == "/camera" and name != "topic.missing"]
     assert ("image.black", "/other/*") in listed, "nothing else says that no topic matches"
-    assert ("value.nan", "/odd") in listed, "it may be missing, so that nothing says it"
+    assert ("value.nan", "/odd") not in listed, "it may be missing"
     assert results.verdict is Verdict.bad
 
 
@@ -622,3 +656,17 @@ def test_without_a_profile_that_applies_the_mission_is_unchecked() -> None:
     document = read_checks("version: 1\nprofiles:\n- when: {robot: spot}\n  topics: {/imu/data: {}}\n")
     results = evaluated(document, mission_facts())
     assert (results.verdict, results.checks) == (Verdict.unchecked, ())
+
+
+def test_a_rule_about_messages_of_an_optional_topic_that_is_missing_is_left_out() -> None:
+    content = "images: {/cam: {}, '/cam/*': {}}\n  clocks: {/cam: {no_jump: true, max_stamp_offset: 1s}}\n"
+    optional = f"version: 1\nprofiles:\n- {content}  topics: {{/cam: {{required: false}}}}\n"
+    results = evaluated(read_checks(optional), mission_facts())
+    assert {check.topic for check in results.checks if check.status is CheckStatus.not_made} == {"/cam/*"}
+    assert only(results, "topic.missing").status is CheckStatus.ok
+    another = f"version: 1\nprofiles:\n- {content}- {{name: b, topics: {{/cam: {{required: false}}}}}}\n"
+    assert "/cam" not in {
+        check.topic for check in evaluated(read_checks(another), mission_facts()).checks if check.status != "ok"
+    }
+    there = evaluated(read_checks(optional), mission_facts(topic_facts("/cam", message_type="sensor_msgs/Image")))
+    assert CheckStatus.needs_content in {check.status for check in there.checks if check.topic == "/cam"}

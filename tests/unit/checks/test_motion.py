@@ -101,6 +101,12 @@ def test_poses_and_transforms_are_odometry_too() -> None:
 def test_odometry_of_nan_is_never_green() -> None:
     (row,) = run(ODOMETRY, ros2_mcap(odometry(lambda _n: math.nan)))
     assert (row.status, row.message) == (NOT_MADE, "all poses are NaN or infinite")
+    (row,) = run(ODOMETRY, ros2_mcap(odometry(lambda number: math.nan if number < 51 else 0.1 * number)))
+    assert (row.status, row.message) == (NOT_MADE, "51 of 100 poses have no value")
+    (row,) = run(ODOMETRY, ros2_mcap(odometry(lambda number: math.nan if number < 50 else 0.1 * number)))
+    assert row.status is OK
+    (row,) = run(ODOMETRY, ros2_mcap(odometry(lambda number: math.nan if number < 51 else 9.0 * number)))
+    assert row.status is ERROR
 
 
 def tf(topic: str, *frames: tuple[str, str]) -> Iterator[TimedMessage]:

@@ -3,7 +3,7 @@
 Needs no library of the extra `reading`, so that the checks that were not made can be listed without it.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -145,17 +145,38 @@ _UNBOUNDED: Mapping[type[Rule], tuple[str, ...]] = {
 }
 
 
+def optional_topics(profiles: Sequence[Profile]) -> Set[str]:
+    """Return the names and globs of topics that a profile describes and does not require."""
+    return {
+        pattern
+        for profile in profiles
+        for pattern, rules in profile.topics.items()
+        if not any(rule.required for rule in rules)
+    }
+
+
+def need_content(profiles: Sequence[Profile]) -> bool:
+    """Return whether a rule needs the content of messages."""
+    all_rules = (rules for profile in profiles for family in FAMILIES for rules in family.rules_of(profile).values())
+    return any(content_checks_of(rule) for rules in all_rules for rule in rules)
+
+
 def planned_rules(profiles: Sequence[Profile], topics: Sequence[TopicOfRecording]) -> Iterator[PlannedRule]:
     """Yield the rules that need content, each with its topics, in the order of the document.
+
+    Left out are those that match no topic and have the name or glob of topics that may be missing.
 
     Raises TooManyComparisons.
     """
     comparisons = Comparisons([topic.topic for topic in topics])
+    optional = optional_topics(profiles)
     for profile in profiles:
         for family in FAMILIES:
             for pattern, rules in family.rules_of(profile).items():
                 comparisons.add(pattern)
                 matching = [topic for topic in topics if topic.topic == pattern or matches(topic.topic, pattern)]
+                if not matching and pattern in optional:
+                    continue
                 applying = [topic for topic in matching if _applies(family, pattern, topic)]
                 other = matching[0] if matching and not applying else None
                 for rule in rules:

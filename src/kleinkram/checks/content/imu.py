@@ -3,13 +3,15 @@
 Measurements are grouped into short intervals. The sensor is still in an interval with little change of acceleration
 and little rotation; gravity is measured there. A sensor that is never still is judged by all measurements, leniently:
 by the median magnitude or by the magnitude of the mean vector, whichever is nearer to gravity.
+
+Measurements with NaN or infinity are left out. A check that would pass is not made if they are more than half.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +40,7 @@ class ImuProbe(Probe[ImuRule]):
         self._acceleration: list[Vector] = []
         self._turn_rate: list[Vector] = []
         self._has_acceleration = self._has_turn_rate = True
+        self._quantities: Mapping[str, _Quantity] = {}
 
     def measure(self, sample: SampledMessage) -> None:
         """Keep the measurement."""
@@ -55,6 +58,12 @@ class ImuProbe(Probe[ImuRule]):
         """Yield the checks of gravity, tilt, saturation and constant values."""
         acceleration, turn_rate = np.array(self._acceleration), np.array(self._turn_rate)
         finite = np.isfinite(acceleration).all(axis=1)
+        self._quantities = {
+            "acceleration": _Quantity("linear_acceleration", acceleration, finite, self._has_acceleration),
+            "turn rate": _Quantity(
+                "angular_velocity", turn_rate, np.isfinite(turn_rate).all(axis=1), self._has_turn_rate
+            ),
+        }
         if not self._has_acceleration or not finite.any():
             reason = "all accelerations are NaN or infinite"
             if not self._has_acceleration:
@@ -68,8 +77,8 @@ class ImuProbe(Probe[ImuRule]):
             times = [time_ns for time_ns, is_finite in zip(self._times, finite, strict=True) if is_finite]
             yield from self._gravity(times, acceleration[finite], turn_rate[finite])
         if "imu.saturated" in self.names:
-            yield self._saturated(acceleration, turn_rate)
-        yield self._constant(acceleration, turn_rate)
+            yield self._saturated()
+        yield self._constant()
 
     def _gravity(
         self, times: Sequence[int], acceleration: NDArray[np.float64], turn_rate: NDArray[np.float64]
@@ -89,7 +98,8 @@ class ImuProbe(Probe[ImuRule]):
             magnitude = min(choices, key=lambda choice: abs(choice - gravity))
             when = "over all samples, since it is never still"
         deviation = abs(magnitude - gravity)
-        yield self.outcome(
+        yield self._unless_missing(
+            ["acceleration"],
             "imu.gravity",
             f"it measures {number(magnitude)} m/s² {when}; gravity is {number(gravity)} m/s²",
             fails=deviation > self.rule.gravity_tolerance,
@@ -108,7 +118,8 @@ class ImuProbe(Probe[ImuRule]):
         sign = -1 if axis.startswith("-") else 1
         cosine = sign * float(up[_AXES.index(axis[-1])]) / size
         degrees = math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
-        return self.outcome(
+        return self._unless_missing(
+            ["acceleration"],
             "imu.tilt",
             f"its axis {axis} is {number(degrees)}° from up {when}",
             fails=degrees > self.rule.max_tilt,
@@ -118,41 +129,94 @@ class ImuProbe(Probe[ImuRule]):
             time_ns=time_ns,
         )
 
-    def _saturated(self, acceleration: NDArray[np.float64], turn_rate: NDArray[np.float64]) -> Check:
+    def _unless_missing(
+        self, quantities: Sequence[str], name: str, message: str, *, fails: bool, **measured: Any
+    ) -> Check:
+        """Return the outcome of a check; not made if it would pass and most measurements of a quantity are missing."""
+        reasons = [reason for one in quantities if (reason := self._why_missing(one)) is not None]
+        if reasons and not fails:
+            return self.row(name, CheckStatus.not_made, "; ".join(reasons))
+        return self.outcome(name, message, fails=fails, **measured)
+
+    def _why_missing(self, name: str) -> str | None:
+        """Return why a quantity is not known well enough."""
+        quantity = self._quantities[name]
+        if not quantity.is_measured:
+            return f"it says, by its covariance, that it does not measure the {name}"
+        total = len(quantity.finite)
+        missing = total - quantity.known
+        if 2 * missing > total or (missing and quantity.known < 2):
+            return f"{missing} of {total} measurements of the {name} have no value"
+        return None
+
+    def _saturated(self) -> Check:
         """Judge the quantity that uses most of its range."""
-        limits = {
-            "acceleration": (acceleration, self.rule.max_acceleration),
-            "turn rate": (turn_rate, self.rule.max_turn_rate),
-        }
-        worst = ("", 0.0, 1.0, 0, 0)
-        for quantity, (values, limit) in limits.items():
+        limits = {"acceleration": self.rule.max_acceleration, "turn rate": self.rule.max_turn_rate}
+        worst = ("acceleration", 0.0, 1.0, 0, 0)
+        for name, limit in limits.items():
+            values = self._quantities[name].values
             finite = np.where(np.isfinite(values), np.abs(values), 0)
             if limit is not None and finite.max() / limit >= worst[1] / worst[2]:
                 at_limit = int((finite.max(axis=1) >= _NEAR_LIMIT * limit).sum())
-                worst = quantity, float(finite.max()), limit, at_limit, self._times[int(finite.max(axis=1).argmax())]
+                worst = name, float(finite.max()), limit, at_limit, self._times[int(finite.max(axis=1).argmax())]
         quantity, value, limit, count, time_ns = worst
-        message = f"{count} of {len(self._times)} measurements reach the range of the {quantity}"
-        return self.outcome(
-            "imu.saturated", message, fails=count > 0, value=value, limit=limit, unit=_UNITS[quantity], time_ns=time_ns
+        return self._unless_missing(
+            [name for name, bound in limits.items() if bound is not None],
+            "imu.saturated",
+            f"{count} of {self._quantities[quantity].known} measurements reach the range of the {quantity}",
+            fails=count > 0,
+            value=value,
+            limit=limit,
+            unit=_UNITS[quantity],
+            time_ns=time_ns,
         )
 
-    def _constant(self, acceleration: NDArray[np.float64], turn_rate: NDArray[np.float64]) -> Check:
-        if len(acceleration) < 2:
+    def _constant(self) -> Check:
+        """Judge the quantities that the sensor measures."""
+        if len(self._times) < 2:
             return self.row("imu.constant", CheckStatus.not_made, "there is only one measurement")
-        constant: list[str] = []
-        for quantity, values, is_measured in (
-            ("linear_acceleration", acceleration, self._has_acceleration),
-            ("angular_velocity", turn_rate, self._has_turn_rate),
-        ):
-            if not is_measured:
-                continue
-            same = (values == values[0]).all(axis=0)
-            # An axis that is always 0 is one that a planar simulation does not have, unless all three are.
-            stuck = [axis for axis, is_same, first in zip(_AXES, same, values[0], strict=True) if is_same and first]
-            constant += [quantity] if same.all() else [f"{quantity}.{axis}" for axis in stuck]
+        measured = {name: one for name, one in self._quantities.items() if one.is_measured}
+        constant = [axis for one in measured.values() for axis in one.constant_axes()]
         message = f"{', '.join(constant)} never changes" if constant else "all axes change"
-        count = len(acceleration)
-        return self.outcome("imu.constant", f"{message} ({count} measurements)", fails=bool(constant))
+        if not constant and len(measured) < len(self._quantities):
+            message = f"all axes of the {''.join(measured)} change"
+        return self._unless_missing(
+            [*measured] or [*self._quantities],
+            "imu.constant",
+            f"{message} ({min((one.known for one in measured.values()), default=0)} measurements)",
+            fails=bool(constant),
+        )
+
+
+class _Quantity(NamedTuple):
+    """The measurements [N, 3] of one quantity, by the name of its field.
+
+    `finite`: which have a value on all axes. `is_measured`: False if the sensor says that it does not measure it.
+    """
+
+    field: str
+    values: NDArray[np.float64]
+    finite: NDArray[np.bool_]
+    is_measured: bool
+
+    @property
+    def known(self) -> int:
+        """How many have a value."""
+        return int(self.finite.sum())
+
+    def constant_axes(self) -> list[str]:
+        """Return the axes that never change, or the field if none does.
+
+        An axis that is always 0 is one that a planar simulation does not have, unless all three are.
+        """
+        values = self.values[self.finite]
+        if len(values) < 2:
+            return []
+        same = (values == values[0]).all(axis=0)
+        if same.all():
+            return [self.field]
+        stuck = zip(_AXES, same, values[0], strict=True)
+        return [f"{self.field}.{axis}" for axis, is_same, first in stuck if is_same and first]
 
 
 def vector(value: object, name: str) -> Vector:

@@ -58,11 +58,16 @@ class OdometryProbe(Probe[OdometryRule]):
         unit = max(limits, key=lambda name: self._worst[name][0] / limits[name])
         value, time_ns = self._worst[unit]
         what = "position" if unit == "m/s" else "orientation"
+        fails = value > limits[unit]
+        if not fails and 2 * self._unusable > self.decoded:
+            reason = f"{self._unusable} of {self.decoded} poses have no value"
+            yield self.row("odometry.jump", CheckStatus.not_made, reason)
+            return
         ignored = f" ({self._unusable} poses are NaN or infinite)" if self._unusable else ""
         yield self.outcome(
             "odometry.jump",
             f"the {what} changes by at most {number(value)} {unit}{ignored}",
-            fails=value > limits[unit],
+            fails=fails,
             value=value,
             limit=limits[unit],
             unit=unit,

@@ -341,7 +341,9 @@ JSON = text_format(RecordingFormat.json, "JSON, not a recording", describe_json)
 ROSBAG2_METADATA = text_format(
     RecordingFormat.rosbag2_metadata, "the metadata of a rosbag2 recording, not a recording by itself"
 )
-UNKNOWN = text_format(RecordingFormat.unknown, "not a known recording format")
+UNKNOWN = text_format(
+    RecordingFormat.unknown, "not a known recording format", refusal="it is not a recording of a known format"
+)
 _NO_MESSAGES = "which holds no messages: use `klein inspect` or `kleinkram.recordings.inspect` for its"
 TUM, KITTI = (
     text_format(

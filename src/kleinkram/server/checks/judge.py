@@ -19,7 +19,7 @@ from sqlalchemy import ColumnElement, case, delete, func, or_, select, update
 from sqlalchemy.dialects.postgresql import insert
 
 from kleinkram.checks.document import ChecksDocument
-from kleinkram.checks.results import CheckResults, evaluate_index
+from kleinkram.checks.results import CheckResults, choose_profiles, evaluate_index
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.checks import AcceptanceEnd, Check, CheckDepth, CheckStatus, MissionCheck, Verdict
 from kleinkram.contract.errors import YamlInvalid
@@ -58,7 +58,7 @@ class _Rules:
     reason: str = ""
 
     def applied_to(self, judged: JudgedMission) -> AppliedRules:
-        profiles = self.document.applying_to(judged.metadata) if self.document is not None else ()
+        profiles = choose_profiles(self.document, judged.metadata).applied if self.document is not None else ()
         return AppliedRules(self.sha256, sorted(profile.name for profile in profiles))
 
 
