@@ -125,7 +125,7 @@ def _large() -> bytes:
 def _download(api: Api, who: Person, mission_id: str, dest: Path, act: Callable[[], object]) -> TransferResult:
     with connect(api.url, who.token) as client:
         plan = plan_download(client.files.list(FileFilter(mission_id=uuid.UUID(mission_id))), dest)
-        pace = 8 * 1024 * 1024
+        pace = 4 * 1024 * 1024
         report = download(client, plan, connections=1, bytes_per_s=pace, watcher=_Midway(act))
         return report.results[0]
 
