@@ -14,7 +14,8 @@ from typing import NamedTuple
 from urllib.parse import urlsplit
 
 OFF = "off"
-PYPI = "https://pypi.org/simple"
+PYPI = "pypi"
+"""The index that `uv` uses by default."""
 INDEX_VARIABLE = "KLEINKRAM_PACKAGE_INDEX"
 
 _CHECK_EVERY_S = 0.1
@@ -41,19 +42,23 @@ class UvFailed(Exception):
 
 
 def parse_index(text: str) -> PackageIndex | None:
-    """Return a package index: the URL of a simple index, or a folder of wheels; None for `off`.
+    """Return a package index: `pypi`, the URL of a simple index, or a folder of wheels; None for `off`.
 
     Raises:
         ValueError: it is none of these.
     """
     if text == OFF:
         return None
+    if text == PYPI:
+        return PackageIndex((), {})
     parts = urlsplit(text)
     if parts.scheme in {"http", "https"} and parts.hostname:
         return PackageIndex((), {"UV_DEFAULT_INDEX": text})
     folder = Path(parts.path if parts.scheme == "file" else text)
     if parts.scheme not in {"", "file"} or not folder.is_absolute():
-        raise ValueError("must be the URL of a package index (https://...), the absolute path of a folder, or 'off'")
+        raise ValueError(
+            "must be 'pypi', the URL of a package index (https://...), the absolute path of a folder, or 'off'"
+        )
     return PackageIndex(("--no-index", "--find-links", str(folder)), {})
 
 

@@ -256,7 +256,7 @@ class Settings(BaseSettings):
     package_index: Annotated[str, AfterValidator(_package_index)] = Field(
         default=PYPI,
         repr=False,
-        description="Where dependencies of scripts come from: the URL of a package index, the absolute path of a "
+        description="Where dependencies of scripts come from: `pypi`, the URL of an index, the absolute path of a "
         "folder of wheels, or `off`: then images must have them. The runner of `klein up` reads it, too.",
     )
     body_limit_bytes: int = Field(

@@ -41,10 +41,14 @@ def test_failures_become_sentences(output: str, sentence: str) -> None:
     assert explain(output) == sentence
 
 
-@pytest.mark.parametrize("text", ["pypi", "ftp://example.org/simple", "wheels", "file://wheels", ""])
+@pytest.mark.parametrize("text", ["PyPI", "ftp://example.org/simple", "wheels", "file://wheels", ""])
 def test_an_index_is_a_url_a_folder_or_off(text: str) -> None:
-    with pytest.raises(ValueError, match="must be the URL of a package index"):
+    with pytest.raises(ValueError, match="the URL of a package index"):
         parse_index(text)
+
+
+def test_pypi_is_the_index_that_uv_knows() -> None:
+    assert parse_index("pypi") == ((), {})
 
 
 def test_an_index_may_be_off() -> None:
