@@ -47,7 +47,7 @@ def test_an_index_is_a_url_a_folder_or_off(text: str) -> None:
         parse_index(text)
 
 
-def test_pypi_is_the_index_that_uv_knows() -> None:
+def test_pypi_is_the_default_index_of_uv() -> None:
     assert parse_index("pypi") == ((), {})
 
 
