@@ -35,15 +35,17 @@ def package_rows(folder: Path) -> Iterator[dict[str, object]]:
     if lock is None:
         return
     script = LockedScript(lock, ">=3.11", None)
+    shown: list[tuple[str, float]] = []
     started = time.perf_counter()
-    executor.place_environment(script, wait=time.sleep, show=lambda *_: None).close()
+    executor.place_environment(script, wait=time.sleep, show=lambda *progress: shown.append(progress)).close()
     built_s = time.perf_counter() - started
+    fractions = sorted({fraction for _, fraction in shown})
     how = "namespaces" if executor.abilities.isolation is Isolation.namespaces else "no sandbox"
     yield {
-        "what": "the first run with evo: 26 packages downloaded, unpacked and compiled",
-        "measured": f"{built_s:.1f} s",
+        "what": "the first run with evo: its packages downloaded, unpacked and compiled",
+        "measured": f"{built_s:.1f} s; {shown[0][0]!r} and {len(fractions)} values of progress, up to {fractions[-1]:.0%}",
         "bar": "shown with progress",
-        "met": True,
+        "met": fractions[-1] > fractions[0],
     }
     with_packages, without = [], []
     for _ in range(_PAIRS):

@@ -23,6 +23,8 @@ import urllib3
 from tests.integration.runner.engines import IMAGE, PROGRAMS, Dockerd, python_root
 from tests.requirements import path_of
 
+from kleinkram.contract.runs import RunCreated, RunsCreated
+
 _TIMES = int(os.environ.get("KLEINKRAM_BENCH_PAIRS", "6")) * 2
 _MANY = int(os.environ.get("KLEINKRAM_BENCH_RUNS", "200"))
 _MB = 10**6
@@ -62,11 +64,11 @@ class _Lab:
         if self.docker is not None:
             what = {"image": IMAGE, "command": ["/usr/bin/python3", "-c", text]}
         needs = {"cores": 1, "memory": "200MB", "disk": "500MB", "labels": ["bench"], **resources}
-        line_count = {"mission_ids": [mission_id], "definition": {"name": "bench", "resources": needs, **what}}
-        item = self.ask("POST", "runs", {**line_count, "force": True})["items"][0]
-        if item["outcome"] != "made":
-            raise SystemExit(f"no run was made: {item}")
-        return str(item["run"]["id"])
+        launch = {"mission_ids": [mission_id], "definition": {"name": "bench", "resources": needs, **what}}
+        (item,) = RunsCreated.model_validate(self.ask("POST", "runs", {**launch, "force": True})).items
+        if not isinstance(item, RunCreated):
+            raise SystemExit(f"no run was created: {item}")
+        return str(item.run.id)
 
     def end_of(self, run_id: str, *, within_s: float = 120) -> Any:
         """Wait until a run is over, and return it."""

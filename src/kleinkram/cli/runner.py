@@ -4,7 +4,7 @@ import os
 import platform
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import platformdirs
 
@@ -26,43 +26,50 @@ class ExecutorOption(str, Enum):
     process = "process"
 
 
+_TokenFile = Annotated[
+    Path | None,
+    option("--token-file", "F", "Read its token from a file with mode 0600. Default: KLEINKRAM_RUNNER_TOKEN."),
+]
+_PackageIndex = Annotated[
+    Text,
+    option(
+        "--package-index",
+        "URL",
+        "Install packages of scripts from this index or folder of wheels; off: none. "
+        "Default: KLEINKRAM_PACKAGE_INDEX, else PyPI.",
+    ),
+]
+_Executor = Annotated[
+    ExecutorOption, option("--executor", None, "Choose how to run actions; auto: in containers if possible.")
+]
+_DefaultImage = Annotated[
+    Text, option("--default-image", "IMAGE", "Set the image of scripts. Default: kleinkram/action-python.")
+]
+_Registries = Annotated[
+    Many, option("--registry", "R", "Allow images only from this registry; repeatable. Default: from anywhere.")
+]
+
+
+def _limit(name: str, what: str, default: str) -> Any:  # Any: what `option` returns
+    return option(name, "SIZE", f"Limit {what}. Default: {default}.")
+
+
 @app.command("start")
 def start(
     name: Annotated[Text, option("--name", "NAME", "Name the runner. Default: the name of this machine.")] = None,
     url: Annotated[Text, option("--url", "U", "Set the server. Default: the one in use.")] = None,
-    token_file: Annotated[
-        Path | None,
-        option("--token-file", "F", "Read its token from a file with mode 0600. Default: KLEINKRAM_RUNNER_TOKEN."),
-    ] = None,
+    token_file: _TokenFile = None,
     label: Annotated[Many, option("--label", "L", "Add a label that actions can require; repeatable.")] = None,
     cores: Annotated[float | None, option("--cores", "N", "Limit the cores for runs. Default: all.", min=0.1)] = None,
-    memory: Annotated[Text, option("--memory", "SIZE", "Limit the memory for runs. Default: 80 %.")] = None,
-    disk: Annotated[Text, option("--disk", "SIZE", "Limit the disk for runs. Default: half of the free space.")] = None,
-    cache: Annotated[
-        Text, option("--cache", "SIZE", "Limit the cache of inputs. Default: 30 % of the free space.")
-    ] = None,
-    environments: Annotated[
-        Text, option("--environments", "SIZE", "Limit the packages of scripts. Default: 10 % of the free space.")
-    ] = None,
-    package_index: Annotated[
-        Text,
-        option(
-            "--package-index",
-            "URL",
-            "Install packages of scripts from this index or folder of wheels; off: none. "
-            "Default: KLEINKRAM_PACKAGE_INDEX, else PyPI.",
-        ),
-    ] = None,
+    memory: Annotated[Text, _limit("--memory", "the memory for runs", "80 %")] = None,
+    disk: Annotated[Text, _limit("--disk", "the disk for runs", "half of the free space")] = None,
+    cache: Annotated[Text, _limit("--cache", "the cache of inputs", "30 % of the free space")] = None,
+    environments: Annotated[Text, _limit("--environments", "the packages of scripts", "10 % of the free space")] = None,
+    package_index: _PackageIndex = None,
     gpus: Annotated[int, option("--gpus", "N", "Set the number of GPUs for runs.", min=0)] = 0,
-    executor: Annotated[
-        ExecutorOption, option("--executor", None, "Choose how to run actions; auto: in containers if possible.")
-    ] = ExecutorOption.auto,
-    default_image: Annotated[
-        Text, option("--default-image", "IMAGE", "Set the image of scripts. Default: kleinkram/action-python.")
-    ] = None,
-    registry: Annotated[
-        Many, option("--registry", "R", "Allow images only from this registry; repeatable. Default: from anywhere.")
-    ] = None,
+    executor: _Executor = ExecutorOption.auto,
+    default_image: _DefaultImage = None,
+    registry: _Registries = None,
     data_dir: Annotated[Path | None, option("--data-dir", "D", "Set the folder of its runs and inputs.")] = None,
     once: Annotated[bool, flag("--once", "End after one run.")] = False,
     as_json: Annotated[bool, flag("--json", "Write its log as lines of JSON.")] = False,

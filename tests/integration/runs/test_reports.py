@@ -34,9 +34,9 @@ def test_checks_are_stored_and_listed_and_decide_the_verdict(lab: Api, runner: F
     ended = run_with(lab, runner, place.mission, {"checks": [CHECK, passed], "verdict": "good"})
     assert (ended["state"], ended["verdict"], ended["check_counts"]) == ("done", "bad", {"ok": 1, "error": 1})
     rows = lab.all("/run-checks", {"run_id": ended["id"]})
-    assert [row["check"]["name"] for row in rows] == ["imu.constant", "imu.gravity"]
-    assert rows[1]["check"] == CHECK
-    assert rows[1]["run_id"] == ended["id"]
+    assert [row["check"]["name"] for row in rows] == ["imu.gravity", "imu.constant"]
+    assert rows[0]["check"] == CHECK
+    assert rows[0]["run_id"] == ended["id"]
     mission = {"mission_id": place.mission["id"]}
     for query in ({"status": "error"}, {"name": "*.gravity"}, {"topic": "/imu/*"}):
         assert [row["check"]["name"] for row in lab.all("/run-checks", mission | query)] == ["imu.gravity"]
@@ -146,6 +146,30 @@ def test_rows_carry_parameters_and_version_and_lists_choose_by_them(lab: Api, ru
     lab.get("/run-metrics", mission | {"code": "ate"}).refused(422, "invalid_request")
     messages = [row["finding"]["message"] for row in lab.all("/findings", mission | {"latest": "true"})]
     assert messages == ["3", "2"]
+
+
+def test_lists_have_the_order_of_the_reports_and_the_latest_run_first(
+    lab: Api, runner: FakeRunner, place: Place
+) -> None:
+    for prefix in ("early", "late"):
+        names = [f"{prefix}.{letter}" for letter in "cab"]
+        report = {
+            "metrics": [{"name": name, "value": 1} for name in names],
+            "findings": [FINDING | {"code": name} for name in names],
+            "checks": [CHECK | {"name": name} for name in names],
+        }
+        ended = run_with(lab, runner, place.mission, report)
+    late, early = ["late.c", "late.a", "late.b"], ["early.c", "early.a", "early.b"]
+    for path, kind, name in (
+        ("/run-metrics", "metric", "name"),
+        ("/findings", "finding", "code"),
+        ("/run-checks", "check", "name"),
+    ):
+        rows = lab.all(path, {"mission_id": place.mission["id"], "limit": "2"})  # three pages
+        assert [row[kind][name] for row in rows] == late + early
+        rows = lab.all(path, {"run_id": ended["id"], "limit": "2"})
+        assert [row[kind][name] for row in rows] == late
+    assert [metric["name"] for metric in ended["metrics"]] == late
 
 
 def test_latest_results_are_those_that_the_latest_run_reuses(lab: Api, runner: FakeRunner, place: Place) -> None:

@@ -1,14 +1,19 @@
 """Starts the actions that a project names on the missions that are due: each version once on the same input bytes.
 
 The decision, its run, and the row that makes it happen once are one transaction: it may be repeated at any time, and by
-several workers. Files that runs made are no part of what it depends on: what a run put back starts nothing.
+several workers.
+
+Of the files that runs made, an action that reads derived files depends on those of actions that read none, such as a
+trajectory that it evaluates: it waits for their runs, and runs again when they add a file. All others start nothing, so
+that actions cannot start each other in a circle.
 """
 
 import datetime
 import uuid
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from sqlalchemy import ColumnElement, Row, Select, Text, and_, case, cast, exists, func, or_, select, text
+from sqlalchemy import ColumnElement, Row, Select, Text, and_, case, cast, exists, false, func, or_, select, text, true
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.actions import ActionDefinition, Network, ParametersWrong
@@ -16,7 +21,7 @@ from kleinkram.contract.errors import Forbidden, KleinkramError, NoInputs, NotFo
 from kleinkram.contract.project_actions import RunTrigger
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.actions import service as actions
-from kleinkram.server.db import Connection
+from kleinkram.server.db import Connection, among
 from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job
 from kleinkram.server.jobs.rejudge import judge_again
 from kleinkram.server.missions import service as missions
@@ -35,13 +40,18 @@ from kleinkram.server.tables import (
     project,
     project_action,
     project_action_mission,
+    run,
+    run_artifact,
     upload,
 )
 from kleinkram.server.tables.blobs import UNDER_WAY
+from kleinkram.server.tables.runs import ACTIVE
 
 # After a problem that time or a person may remove, such as a missing runner or right.
 _RETRY_AFTER = datetime.timedelta(minutes=10)
 _BATCH = 200
+# Of an `action_version`. Definitions that were stored before there were derived files have no such key.
+_READS_DERIVED = func.coalesce(action_version.c.definition["inputs"]["derived"].as_boolean(), false())
 
 
 class _Decision(NamedTuple):
@@ -64,20 +74,26 @@ async def start_due_runs(db: Connection, mission_id: uuid.UUID) -> None:
     if not await missions.lock_mission(db, mission_id):
         return
     due = _due_actions().where(mission.c.id == mission_id).order_by(project_action.c.created_at, project_action.c.id)
-    for row in (await db.execute(due)).all():
-        decision = await _decide(db, row)
-        retry_at = None if decision.is_final else func.now() + _RETRY_AFTER
-        values = {
-            "files_revision": row.files_revision,
-            "problem": decision.problem,
-            "retry_at": retry_at,
-            "decided_at": func.now(),
-        }
-        stmt = upsert(project_action_mission).values(project_action_id=row.id, mission_id=mission_id, **values)
-        keys = ["project_action_id", "mission_id"]
-        await db.execute(stmt.on_conflict_do_update(index_elements=keys, set_=values))
-        if decision.problem != row.problem:
-            await judge_again(db, [mission_id])
+    # Those that read what others make are asked last: they are not due while runs that were just started are active.
+    for reads_derived in (false(), true()):
+        for row in (await db.execute(due.where(_latest_reads_derived() == reads_derived))).all():
+            await _decide_and_record(db, row, mission_id)
+
+
+async def _decide_and_record(db: Connection, row: Row[Any], mission_id: uuid.UUID) -> None:
+    decision = await _decide(db, row)
+    retry_at = None if decision.is_final else func.now() + _RETRY_AFTER
+    values = {
+        "files_revision": row.files_revision,
+        "problem": decision.problem,
+        "retry_at": retry_at,
+        "decided_at": func.now(),
+    }
+    stmt = upsert(project_action_mission).values(project_action_id=row.id, mission_id=mission_id, **values)
+    keys = ["project_action_id", "mission_id"]
+    await db.execute(stmt.on_conflict_do_update(index_elements=keys, set_=values))
+    if decision.problem != row.problem:
+        await judge_again(db, [mission_id])
 
 
 async def _decide(db: Connection, row: Row[Any]) -> _Decision:
@@ -109,18 +125,26 @@ async def _start_once(db: Connection, actor: Actor, row: Row[Any]) -> None:
         version.id, version.definition, version.image_digest, project_id, parameters, await known_runners(db)
     )
     planned = await launch.plan_run(db, actor, task, row.mission_id)
-    recorded = [entry for entry in planned.inputs if not entry.is_derived]
+    made = await _of_actions_that_read_none(db, [entry.id for entry in planned.inputs if entry.is_derived])
+    decisive = [entry for entry in planned.inputs if not entry.is_derived or entry.id in made]
     key = {
         "mission_id": row.mission_id,
         "version_id": version.id,
-        "inputs_sha256": launch.inputs_fingerprint(version.id, parameters, recorded),
+        "inputs_sha256": launch.inputs_fingerprint(version.id, parameters, decisive),
     }
     started = upsert(automatic_run).values(**key).on_conflict_do_nothing().returning(automatic_run.c.mission_id)
     if (await db.execute(started)).first() is None:
         return
-    run = await launch.start_run(db, actor, task, planned, force=False)
+    started_run = await launch.start_run(db, actor, task, planned, force=False)
     own = and_(*(automatic_run.c[name] == value for name, value in key.items()))
-    await db.execute(automatic_run.update().where(own).values(run_id=run.id))
+    await db.execute(automatic_run.update().where(own).values(run_id=started_run.id))
+
+
+async def _of_actions_that_read_none(db: Connection, file_ids: Sequence[uuid.UUID]) -> set[uuid.UUID]:
+    """Return which of these files were made by actions that read no derived files."""
+    stmt = select(run_artifact.c.file_id).join(run, run.c.id == run_artifact.c.run_id)
+    stmt = stmt.join(action_version, action_version.c.id == run.c.version_id)
+    return {*(await db.execute(stmt.where(among(run_artifact.c.file_id, file_ids), ~_READS_DERIVED))).scalars()}
 
 
 async def _excess(db: Connection, row: Row[Any]) -> str | None:
@@ -177,7 +201,20 @@ def _due_actions() -> Select[Any]:
         else_=_is_idle(),
     )
     is_live = and_(mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None), action.c.archived_at.is_(None))
-    return stmt.where(is_live, is_undecided, _is_read(), is_due)
+    waits = _latest_reads_derived() & _has_active_source()
+    return stmt.where(is_live, is_undecided, _is_read(), is_due, ~waits)
+
+
+def _latest_reads_derived() -> ColumnElement[bool]:
+    """Whether the latest version of an action reads derived files."""
+    latest = select(_READS_DERIVED).where(action_version.c.action_id == action.c.id)
+    return latest.order_by(action_version.c.number.desc()).limit(1).correlate(action).scalar_subquery()
+
+
+def _has_active_source() -> ColumnElement[bool]:
+    """Whether a run on a mission has not ended, of an action that reads no derived files and may make one."""
+    active = select(run.c.id).join(action_version, action_version.c.id == run.c.version_id)
+    return active.where(run.c.mission_id == mission.c.id, run.c.state.in_(ACTIVE), ~_READS_DERIVED).exists()
 
 
 def _is_read() -> ColumnElement[bool]:

@@ -43,9 +43,10 @@ from kleinkram.server.tables.runs import ACTIVE
 RUN_ORDER = Order([run.c.created_at, run.c.id], descending=True)
 INPUT_ORDER = Order([run_input.c.path])
 ARTIFACT_ORDER = Order([run_artifact.c.path, run_artifact.c.id])
-CHECK_ORDER = Order([run_check.c.id], descending=True)
-FINDING_ORDER = Order([run_finding.c.id], descending=True)
-METRIC_ORDER = Order([run_metric.c.id], descending=True)
+# Those of the latest run first; of each run, in the order in which it reported them.
+CHECK_ORDER, FINDING_ORDER, METRIC_ORDER = (
+    Order([run.c.created_at, run.c.id, -table.c.id], descending=True) for table in (run_check, run_finding, run_metric)
+)
 _file = file.alias("moved_file")
 _MISSION = (
     mission.c.name.label("mission_name"),

@@ -136,7 +136,7 @@ async def get_run_log(
 async def list_run_checks(
     query: Annotated[CheckListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[runs.CheckRead]:
-    """List the checks that runs reported, latest first."""
+    """List the checks that runs reported: those of the latest run first, in the order of its report."""
     return await service.list_checks(db, actor, matching=query, page=query.page)
 
 
@@ -144,7 +144,7 @@ async def list_run_checks(
 async def list_findings(
     query: Annotated[FindingListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[runs.FindingRead]:
-    """List findings, latest first."""
+    """List findings: those of the latest run first, in the order of its report."""
     return await service.list_findings(db, actor, matching=query, page=query.page)
 
 
@@ -152,7 +152,7 @@ async def list_findings(
 async def list_run_metrics(
     query: Annotated[MetricListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[runs.MetricRead]:
-    """List metrics, latest first."""
+    """List metrics: those of the latest run first, in the order of its report."""
     return await service.list_metrics(db, actor, matching=query, page=query.page)
 
 

@@ -237,7 +237,7 @@ async def link_artifacts(
 async def list_checks(
     db: Connection, actor: Actor, *, matching: runs.CheckFilter, page: PageRequest
 ) -> Page[runs.CheckRead]:
-    """Return a page of the checks that runs reported, latest first.
+    """Return a page of the checks that runs reported, those of the latest run first, in the order of its report.
 
     Raises:
         NotFound: a run is named that is not there, or not for this actor.
@@ -258,7 +258,7 @@ def _to_check(row: RowMapping) -> runs.CheckRead:
 async def list_findings(
     db: Connection, actor: Actor, *, matching: runs.FindingFilter, page: PageRequest
 ) -> Page[runs.FindingRead]:
-    """Return a page of findings, latest first.
+    """Return a page of findings, those of the latest run first, in the order of its report.
 
     Raises:
         NotFound: a run is named that is not there, or not for this actor.
@@ -279,7 +279,7 @@ def _to_finding(row: RowMapping) -> runs.FindingRead:
 async def list_metrics(
     db: Connection, actor: Actor, *, matching: runs.MetricFilter, page: PageRequest
 ) -> Page[runs.MetricRead]:
-    """Return a page of metrics, latest first.
+    """Return a page of metrics, those of the latest run first, in the order of its report.
 
     Raises:
         NotFound: a run is named that is not there, or not for this actor.
