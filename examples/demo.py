@@ -6,7 +6,6 @@ Everything happens in `.demo/`, on loopback, and is stopped at the end. Exit cod
 import argparse
 import filecmp
 import json
-import os
 import secrets
 import shutil
 import signal
@@ -18,11 +17,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from people import Browser, log_in
-
-ROOT = Path(__file__).resolve().parent.parent
-STAGE = ROOT / ".demo"
-KLEIN = Path(sys.executable).parent / "klein"
-START_LIMIT_S = 60
+from slam import evaluate_odometry
+from stage import KLEIN, STAGE, Failed, Story, environment, klein, url
 
 FIELDS = """\
 # Metadata of every mission in this project.
@@ -64,10 +60,6 @@ report.mission_file("imu_rates.csv", "derived/imu_rates.csv")
 """
 
 
-class Failed(Exception):
-    """A step failed."""
-
-
 def main() -> int:
     """Run the steps; returns 0 if all succeed."""
     arguments = argparse.ArgumentParser(description=__doc__)
@@ -85,69 +77,6 @@ def main() -> int:
         return 1
     story.close()
     return 0
-
-
-class Story:
-    """The steps, their output and their times."""
-
-    def __init__(self) -> None:
-        self.times: list[tuple[str, float]] = []
-        self.started = time.monotonic()
-
-    @contextmanager
-    def step(self, title: str) -> Iterator[None]:
-        """Run one step and measure its time."""
-        print(f"\n\033[1m{title}\033[0m", flush=True)
-        started = time.monotonic()
-        yield
-        self.times.append((title, time.monotonic() - started))
-
-    def close(self) -> None:
-        """Print the time of each step."""
-        print("\n\033[1mTime per step\033[0m")
-        for title, seconds in self.times:
-            print(f"  {seconds:6.1f} s  {title}")
-        print(f"  {time.monotonic() - self.started:6.1f} s  total\n")
-
-
-def environment(who: str | None = None) -> dict[str, str]:
-    """Return the environment of `klein`: with the demo's instance only, or for another person without any instance."""
-    if who is not None:
-        homes = {f"XDG_{kind}_HOME": str(STAGE / who / kind.lower()) for kind in ("CONFIG", "STATE", "DATA")}
-        return {**environment(), **homes, "KLEINKRAM_DATA_DIR": str(STAGE / who / "none"), "BROWSER": "true"}
-    inherited = {key: value for key, value in os.environ.items() if not key.startswith("KLEINKRAM_")}
-    homes = {"XDG_CONFIG_HOME": STAGE / "config", "XDG_STATE_HOME": STAGE / "state", "XDG_DATA_HOME": STAGE / "share"}
-    return {
-        **inherited,
-        **{key: str(path) for key, path in homes.items()},
-        "KLEINKRAM_DATA_DIR": str(STAGE / "data"),
-        "COLUMNS": "140",
-    }
-
-
-def klein(
-    *arguments: str | Path, show: bool = True, expect: int = 0, who: str | None = None, token: str | None = None
-) -> str:
-    """Run one command as a person would, or as a robot with `token`; returns its stdout."""
-    command = [str(KLEIN), *map(str, arguments)]
-    if show:
-        print(f"{who or ''}$ klein {' '.join(map(str, arguments))}", flush=True)
-    known = (
-        environment(who) if token is None else {**environment(who), "KLEINKRAM_TOKEN": token, "KLEINKRAM_URL": url()}
-    )
-    done = subprocess.run(command, capture_output=True, text=True, env=known, cwd=STAGE, check=False)
-    if show:
-        for text in (done.stdout, done.stderr):
-            print("".join(f"  {line}\n" for line in text.splitlines()), end="", flush=True)
-    if done.returncode != expect:
-        detail = "" if show else done.stderr
-        raise Failed(f"`klein {' '.join(map(str, arguments))}` ended with {done.returncode}, not {expect}. {detail}")
-    return done.stdout
-
-
-def url() -> str:
-    """Return the URL of the demo's instance."""
-    return str(json.loads((STAGE / "data" / "instance.json").read_text())["url"])
 
 
 @contextmanager
@@ -337,7 +266,8 @@ def show_access(story: Story) -> None:
 
 
 def run_remaining_steps(story: Story) -> None:
-    """The remaining steps: statistics, duplicates, and the trash."""
+    """The remaining steps: odometry and its error, statistics, duplicates, and the trash."""
+    evaluate_odometry(story)
     with story.step("Statistics"):
         klein("stats", "--by", "topic", "-p", "alpine")
         klein("stats", "--by", "metadata.robot")

@@ -115,12 +115,12 @@ class Instance:
         return pid
 
 
-def wait_until(condition: Callable[[], bool], description: str) -> None:
+def wait_until(condition: Callable[[], bool], description: str, *, timeout_s: float = TIMEOUT_S) -> None:
     """Wait until a condition holds; fail with its description after a timeout.
 
     Conditions that start a command take a second of CPU time each, so that at most half of the time is theirs.
     """
-    deadline = time.monotonic() + TIMEOUT_S
+    deadline = time.monotonic() + timeout_s
     started = time.monotonic()
     while not condition():
         ended = time.monotonic()

@@ -129,7 +129,62 @@ def test_an_action_runs_once_files_are_idle(lab: Api, runner: FakeRunner, place:
     assert runs(lab, place.mission) == []
 
 
-def test_what_a_run_put_back_starts_nothing(lab: Api, runner: FakeRunner, place: Place) -> None:
+def put_back(runner: FakeRunner, name: str) -> Any:
+    """Claim a run and end it with a file that becomes one of the mission; return the claim."""
+    claim = runner.claim()
+    runner.upload_artifact(claim, name, name.encode())
+    runner.finish(claim, report={"mission_files": [{"path": name, "to": f"derived/{name}"}]}).ok()
+    return claim
+
+
+def names(lab: Api, mission: Any) -> list[str]:
+    """Return the actions of the runs on a mission, latest first."""
+    return [run["action"]["name"] for run in runs(lab, mission)]
+
+
+def test_what_reads_derived_files_runs_after_what_makes_them(lab: Api, runner: FakeRunner, place: Place) -> None:
+    reads = publish(lab, runner, place.project, right="CREATE", inputs={"derived": True})
+    makes = publish(lab, runner, place.project, right="CREATE")
+    for action in (reads, makes):
+        add(lab, place.project, action)
+    run_jobs(lab)
+    complete(lab, place.mission)
+    run_jobs(lab)
+    maintain(lab)
+    assert names(lab, place.mission) == [makes["name"]], "what reads its files waits"
+    put_back(runner, "path.tum")
+    run_jobs(lab)
+    assert names(lab, place.mission) == [reads["name"], makes["name"]]
+    claim = put_back(runner, "errors.csv")
+    assert "derived/path.tum" in {entry["path"] for entry in lab.all(f"/runs/{claim['run_id']}/inputs")}
+    maintain(lab)
+    maintain(lab)
+    assert len(runs(lab, place.mission)) == 2, "it does not start itself, nor what reads no derived files"
+
+    body = {"mission_ids": [place.mission["id"]], "action_id": makes["id"], "force": True}
+    assert lab.post("/runs", body).ok()["items"][0]["outcome"] == "created"
+    put_back(runner, "other.tum")
+    run_jobs(lab)
+    assert names(lab, place.mission)[0] == reads["name"], "there is another file to read"
+    runner.finish(runner.claim()).ok()
+    maintain(lab)
+    assert len(runs(lab, place.mission)) == 4
+
+
+def test_what_reads_derived_files_runs_also_if_none_are_made(lab: Api, runner: FakeRunner, place: Place) -> None:
+    makes = publish(lab, runner, place.project)
+    reads = publish(lab, runner, place.project, inputs={"derived": True})
+    for action in (makes, reads):
+        add(lab, place.project, action)
+    run_jobs(lab)
+    complete(lab, place.mission)
+    run_jobs(lab)
+    runner.finish(runner.claim(), "exit_code", exit_code=1).ok()
+    maintain(lab)
+    assert names(lab, place.mission) == [reads["name"], makes["name"]]
+
+
+def test_what_a_run_put_back_does_not_start_it_again(lab: Api, runner: FakeRunner, place: Place) -> None:
     # Also where an action reads derived files.
     action = publish(lab, runner, place.project, right="CREATE", inputs={"derived": True})
     add(lab, place.project, action)
