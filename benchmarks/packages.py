@@ -43,7 +43,7 @@ def package_rows(folder: Path) -> Iterator[dict[str, object]]:
     how = "namespaces" if executor.abilities.isolation is Isolation.namespaces else "no sandbox"
     yield {
         "what": "the first run with evo: its packages downloaded, unpacked and compiled",
-        "measured": f"{built_s:.1f} s; {shown[0][0]!r} and {len(fractions)} values of progress, up to {fractions[-1]:.0%}",
+        "measured": f"{built_s:.1f} s; {shown[0][0]!r}, {len(fractions)} times up to {fractions[-1]:.0%}",
         "bar": "shown with progress",
         "met": fractions[-1] > fractions[0],
     }

@@ -27,7 +27,9 @@ def evaluate_odometry(story: Story) -> None:
         with story.step("Odometry and its error: SKIPPED"):
             print(f"  Their packages cannot be had here: {reason}", flush=True)
         return
-    with story.step("Two actions that are shipped: odometry by the lidar, and its error. They are to run by themselves"):
+    with story.step(
+        "Two actions that are shipped: odometry by the lidar, and its error. They are to run by themselves"
+    ):
         klein("project", "create", "slam", "--description", "Drives with lidar and ground truth")
         for name in ("lidar-odometry", "slam-evaluate"):
             klein("action", "create", LIBRARY / f"{name.replace('-', '_')}.py", *PROJECT)
