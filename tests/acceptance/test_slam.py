@@ -34,11 +34,12 @@ def lab(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Terminal]:
         made = request.getfixturevalue("docker")
         add_stock(made, tmp_path / "base")
         engine = made.socket
+    (tmp_path / "up").mkdir()
     with running_instance(tmp_path / "up", **settings, DOCKER_HOST=f"unix://{engine}") as instance:
         terminal = _terminal(instance, tmp_path / "terminal")
+        yield terminal
         (runner,) = terminal.run("runner", "list", "--json").json()["items"]
         assert runner["abilities"]["executor"] == request.param
-        yield terminal
 
 
 def publish(lab: Terminal, script: Path, name: str) -> None:
