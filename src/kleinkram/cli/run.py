@@ -40,7 +40,8 @@ _SHOWN = 50
 def launch(
     client: Client,
     action: Annotated[
-        str, argument("ACTION", "Name, NAME@VERSION or id; or a script, a folder with action.yaml, or a shipped action.")
+        str,
+        argument("ACTION", "Name, NAME@VERSION or id; or a script, a folder with action.yaml, or a shipped action."),
     ],
     missions: options.MissionsOption = None,
     project: options.ProjectsOption = None,

@@ -7,8 +7,8 @@ raises the same class that the server raised. Never match on a message.
       sign-in       NotAuthenticated SignInPending SlowDown SignInDenied SignInExpired SignInFailed SignInRefused
                     SignInTooOld SecondFactorNeeded SecondFactorWrong CodeGone ProviderUnavailable LastSignInMethod
       permissions   Forbidden ScopeMissing TokenTooWide RightExceeded LastOwner LastAdmin GroupFixed
-      requests      NotFound WrongClient AmbiguousName NameTaken NotFromLibrary EditConflict InvalidRequest InvalidQuery InvalidCursor
-                    YamlInvalid FieldsInvalid MetadataInvalid BodyTooLarge MethodNotAllowed
+      requests      NotFound WrongClient AmbiguousName NameTaken NotFromLibrary EditConflict InvalidRequest
+                    InvalidQuery InvalidCursor YamlInvalid FieldsInvalid MetadataInvalid BodyTooLarge MethodNotAllowed
       files         FileExists PathConflict NameLeased UploadGone UploadIncomplete ChecksumMismatch FileUnavailable
                     QuotaExceeded
       runs          RunGone NoInputs NoRunner
@@ -311,7 +311,7 @@ class NameTaken(KleinkramError, status=409):
 
 
 class NotFromLibrary(KleinkramError, status=409):
-    """The action {name!r} here was published by somebody, not added from the library, so it was not replaced. Archive it first to add kleinkram/{name}."""  # noqa: E501  one sentence
+    """The action {name!r} here was published by somebody, not added from the library, so it was not replaced. Archive it to add the one from the library."""  # noqa: E501  one sentence
 
     name: str
 

@@ -3,9 +3,9 @@
 import enum
 import uuid
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.actions import DeclaredMetric, Inputs, Network, Parameter, Resources
 from kleinkram.contract.base import Request, Response
-from kleinkram.contract.access import Right
 
 LIBRARY_PREFIX = "kleinkram/"
 

@@ -1,4 +1,4 @@
-"""Scripts that describe themselves: their header (PEP 723) has their dependencies and, in `[tool.kleinkram]`, the action.
+"""Scripts that describe themselves: a header (PEP 723) with their dependencies and, as `[tool.kleinkram]`, the action.
 
 Source: PEP 723, "Inline script metadata", and its reference implementation.
 """

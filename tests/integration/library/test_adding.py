@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
 from typing import Any
 
 import kleinkram
@@ -11,7 +10,7 @@ from kleinkram.contract.locks import parse_lock
 from kleinkram.library import shipped_actions
 from tests.integration import people
 from tests.integration.api_server import Api
-from tests.integration.runs.conftest import FakeRunner, Place
+from tests.integration.runs.conftest import FakeRunner, Place, launch
 from tests.package_index import PackageIndex
 
 NAME = "slam-evaluate"
@@ -111,7 +110,7 @@ def test_an_action_of_somebody_is_not_replaced(lab: Api, project_id: str) -> Non
     assert made["latest"]["definition"]["library"] is None
     assert entry(lab, project_id)["state"] == "name_taken"
     problem = lab.post(f"/library/{NAME}", {"project_id": project_id}).refused(409, "not_from_library")
-    assert "Archive it first to add kleinkram/slam-evaluate." in problem["detail"]
+    assert "Archive it to add the one from the library." in problem["detail"]
     assert lab.get(f"/actions/{made['id']}").ok() == made
     lab.patch(f"/actions/{made['id']}", {"archived": True}).ok()
     assert entry(lab, project_id)["state"] == "available"
@@ -182,12 +181,10 @@ def test_in_the_lab_only_who_added_it_and_admins_upgrade_it(lab: Api) -> None:
 def test_guests_and_runs_have_no_library(lab: Api, runner: FakeRunner, place: Place) -> None:
     project = {"project_id": place.project["id"]}
     link = lab.as_(people.share(lab, place.mission["id"]).secret)
-    for guest in (lab.as_(None), link):
-        assert guest.get("/library", project).status == 401
-        assert guest.post(f"/library/{NAME}", project).status == 401
-    definition = {"name": f"own-{uuid.uuid4().hex}", "script": "print(1)", "network": "api", "right": "WRITE"}
-    definition["resources"] = {"labels": runner.labels}
-    lab.post("/runs", {"mission_ids": [place.mission["id"]], "definition": definition}).ok()
+    for guest, status, code in ((lab.as_(None), 401, "not_authenticated"), (link, 403, "scope_missing")):
+        guest.get("/library", project).refused(status, code)
+        guest.post(f"/library/{NAME}", project).refused(status, code)
+    launch(lab, runner, place.mission, network="api", right="WRITE")
     claim = runner.claim()
     runner.heartbeat(claim)
     run = lab.as_(claim["token"])

@@ -58,9 +58,7 @@ def _is_from_library(definition: ActionDefinition) -> bool:
     return definition.library is not None and definition.library.startswith(f"{LIBRARY_PREFIX}{definition.name}@")
 
 
-async def add_from_library(
-    context: AppContext, actor: Actor, *, name: str, project_id: uuid.UUID | None
-) -> ActionRead:
+async def add_from_library(context: AppContext, actor: Actor, *, name: str, project_id: uuid.UUID | None) -> ActionRead:
     """Publish a shipped action, or its next version, and return the action; unchanged where nothing newer is shipped.
 
     Opens its own transactions.

@@ -382,7 +382,9 @@ def _stored(definition: ActionDefinition) -> dict[str, Any]:
 
 
 def _sha256(definition: ActionDefinition, *, is_to_lock: bool) -> bytes:
-    document = definition.model_dump(mode="json", exclude={"library"}) | ({"lock": "the server's"} if is_to_lock else {})
+    document = definition.model_dump(mode="json", exclude={"library"}) | (
+        {"lock": "the server's"} if is_to_lock else {}
+    )
     written = json.dumps(document, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(written.encode()).digest()
 
