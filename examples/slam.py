@@ -5,13 +5,10 @@ import os
 import re
 import subprocess
 import time
-from pathlib import Path
 
 from stage import KLEIN, STAGE, Failed, Story, environment, klein
 
-import kleinkram.library
-
-LIBRARY = Path(kleinkram.library.__file__).parent
+ACTIONS = ("lidar-odometry", "slam-evaluate")
 DRIVES = ("courtyard", "corridor")
 PROJECT = ("-p", "slam")
 WAIT_LIMIT_S = 300
@@ -31,8 +28,8 @@ def evaluate_odometry(story: Story) -> None:
         "Two actions that are shipped: odometry by the lidar, and its error. They are to run by themselves"
     ):
         klein("project", "create", "slam", "--description", "Drives with lidar and ground truth")
-        for name in ("lidar-odometry", "slam-evaluate"):
-            klein("action", "create", LIBRARY / f"{name.replace('-', '_')}.py", *PROJECT)
+        for name in ACTIONS:
+            klein("action", "add", f"kleinkram/{name}", *PROJECT)
             klein("project", "actions", "add", name, *PROJECT, "--on", "complete")
     with story.step("Upload two drives, which name their ground truth, and complete them. The rest happens by itself"):
         (STAGE / "reference.yaml").write_text("reference: /odom\n")
@@ -46,7 +43,8 @@ def evaluate_odometry(story: Story) -> None:
         klein("run", "metrics", *PROJECT, "--name", "?pe_rmse", "--latest")
         check_errors()
     with story.step("Version 2 of the odometry has a map of 2 m. Its trajectories are evaluated by themselves, too"):
-        (STAGE / "lidar_odometry.py").write_text(coarser((LIBRARY / "lidar_odometry.py").read_text()))
+        script = klein("action", "library", "--show", f"kleinkram/{ACTIONS[0]}", show=False)
+        (STAGE / "lidar_odometry.py").write_text(coarser(script))
         klein("action", "create", "lidar_odometry.py", *PROJECT, "--new-version")
         klein("action", "run", "lidar-odometry@2", "--query", "project:slam", "--yes")
         wait_for_runs(8)
@@ -62,8 +60,8 @@ def missing_packages() -> str | None:
     """Return why the packages of both actions cannot be had here; None where they can."""
     if os.environ.get("KLEINKRAM_PACKAGE_INDEX") == "off":
         return "KLEINKRAM_PACKAGE_INDEX is off."
-    for name in ("lidar_odometry", "slam_evaluate"):
-        command = [KLEIN, "action", "lock", LIBRARY / f"{name}.py", "--out", os.devnull]
+    for name in ACTIONS:
+        command = [KLEIN, "action", "lock", f"kleinkram/{name}", "--out", os.devnull]
         done = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
         if done.returncode != 0:
             return done.stderr.strip().removeprefix("Error: ")

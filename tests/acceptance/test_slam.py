@@ -11,7 +11,6 @@ import pytest
 
 from tests.acceptance.conftest import Terminal, _terminal, running_instance, wait_until
 from tests.acceptance.test_action_images import add_stock
-from tests.integration.library.packages import LIDAR_ODOMETRY, SLAM_EVALUATE
 from tests.integration.runner.conftest import docker
 from tests.requirements import missing
 
@@ -42,9 +41,9 @@ def lab(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Terminal]:
         assert runner["abilities"]["executor"] == request.param
 
 
-def publish(lab: Terminal, script: Path, name: str) -> None:
-    """Publish a shipped action, and have it run by itself; skip the test where its packages cannot be had."""
-    ran = lab.run("action", "create", script, *PROJECT, code=None)
+def add(lab: Terminal, name: str) -> None:
+    """Add a shipped action, and have it run by itself; skip the test where its packages cannot be had."""
+    ran = lab.run("action", "add", f"kleinkram/{name}", *PROJECT, code=None)
     if ran.code != 0 and "package index" in ran.err:
         missing(f"the packages of {name} cannot be fetched: {ran.err.strip()}")
     assert ran.code == 0, ran
@@ -64,8 +63,8 @@ def have_ended(lab: Terminal) -> bool:
 
 def test_a_complete_mission_gets_a_trajectory_and_its_error(lab: Terminal, tmp_path: Path) -> None:
     lab.run("project", "create", "slam")
-    publish(lab, SLAM_EVALUATE, "slam-evaluate")
-    publish(lab, LIDAR_ODOMETRY, "lidar-odometry")
+    add(lab, "slam-evaluate")
+    add(lab, "lidar-odometry")
     lab.run("sample", tmp_path / "drive", "--duration", "10", "--format", "mcap")
     (tmp_path / "mission.yaml").write_text("reference: /odom\n")
     mission = (*PROJECT, "-m", "drive")
