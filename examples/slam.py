@@ -34,7 +34,7 @@ def evaluate_odometry(story: Story) -> None:
     with story.step("Upload two drives, which name their ground truth, and complete them. The rest happens by itself"):
         (STAGE / "reference.yaml").write_text("reference: /odom\n")
         for number, drive in enumerate(DRIVES):
-            klein("sample", drive, "--duration", "12", "--format", "mcap", "--seed", str(21 + number), show=False)
+            klein("sample", drive, "--duration", "10", "--format", "mcap", "--seed", str(21 + number), show=False)
             mission = (*PROJECT, "-m", drive)
             klein("upload", *mission, "--create", "--metadata", "reference.yaml", "--wait", drive)
             klein("mission", "complete", drive, *PROJECT)
@@ -72,14 +72,17 @@ def wait_for_runs(count: int) -> None:
     """Wait until this many runs are done.
 
     Raises:
-        Failed: one fails, or it takes too long.
+        Failed: one fails or cannot start, or it takes too long.
     """
     deadline = time.monotonic() + WAIT_LIMIT_S
     while True:
         runs = json.loads(klein("run", "list", *PROJECT, "--json", show=False))["items"]
-        failed = [run for run in runs if run["state"] in {"failed", "cancelled"}]
-        if failed:
-            raise Failed(f"{failed[0]['action']['name']} on {failed[0]['mission']['name']}: {failed[0]['message']}")
+        problems = [f"{run['action']['name']}: {run['message']}" for run in runs if run["state"] == "failed"]
+        if not runs:
+            named = json.loads(klein("project", "actions", "list", *PROJECT, "--json", show=False))["items"]
+            problems = [action["problem"] for action in named if action["problem"]]
+        if problems:
+            raise Failed(problems[0])
         if sum(run["state"] == "done" for run in runs) >= count:
             return
         if time.monotonic() > deadline:
