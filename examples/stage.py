@@ -12,7 +12,7 @@ from pathlib import Path
 STAGE = Path(__file__).resolve().parent.parent / ".demo"
 KLEIN = Path(sys.executable).parent / "klein"
 # Where packages of scripts come from: a fact of this machine, which the instance of the demo needs, too.
-_PACKAGE_SETTINGS = {"KLEINKRAM_PACKAGE_INDEX"}
+_PASSED_ON = {"KLEINKRAM_PACKAGE_INDEX"}
 
 
 class Failed(Exception):
@@ -47,7 +47,9 @@ def environment(who: str | None = None) -> dict[str, str]:
     if who is not None:
         homes = {f"XDG_{kind}_HOME": str(STAGE / who / kind.lower()) for kind in ("CONFIG", "STATE", "DATA")}
         return {**environment(), **homes, "KLEINKRAM_DATA_DIR": str(STAGE / who / "none"), "BROWSER": "true"}
-    inherited = {key: value for key, value in os.environ.items() if key in _PACKAGE_SETTINGS or not key.startswith("KLEINKRAM_")}
+    inherited = {
+        key: value for key, value in os.environ.items() if key in _PASSED_ON or not key.startswith("KLEINKRAM_")
+    }
     homes = {"XDG_CONFIG_HOME": STAGE / "config", "XDG_STATE_HOME": STAGE / "state", "XDG_DATA_HOME": STAGE / "share"}
     return {
         **inherited,
