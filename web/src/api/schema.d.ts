@@ -859,7 +859,7 @@ export interface paths {
         };
         /**
          * List Findings
-         * @description List findings, latest first.
+         * @description List findings: those of the latest run first, in the order of its report.
          */
         get: operations["list_findings"];
         put?: never;
@@ -2157,7 +2157,7 @@ export interface paths {
         };
         /**
          * List Run Checks
-         * @description List the checks that runs reported, latest first.
+         * @description List the checks that runs reported: those of the latest run first, in the order of its report.
          */
         get: operations["list_run_checks"];
         put?: never;
@@ -2177,7 +2177,7 @@ export interface paths {
         };
         /**
          * List Run Metrics
-         * @description List metrics, latest first.
+         * @description List metrics: those of the latest run first, in the order of its report.
          */
         get: operations["list_run_metrics"];
         put?: never;
