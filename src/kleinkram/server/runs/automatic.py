@@ -10,7 +10,7 @@ that actions cannot start each other in a circle.
 
 import datetime
 import uuid
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
 from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, Row, Select, Text, and_, case, cast, exists, false, func, or_, select, text, true
@@ -73,27 +73,20 @@ async def start_due_runs(db: Connection, mission_id: uuid.UUID) -> None:
     """Start the actions that are due on a mission, in the caller's transaction, which locks the mission."""
     if not await missions.lock_mission(db, mission_id):
         return
-    due = _due_actions().where(mission.c.id == mission_id).order_by(project_action.c.created_at, project_action.c.id)
-    # Those that read what others make are asked last: they are not due while runs that were just started are active.
-    for reads_derived in (false(), true()):
-        for row in (await db.execute(due.where(_latest_reads_derived() == reads_derived))).all():
-            await _decide_and_record(db, row, mission_id)
-
-
-async def _decide_and_record(db: Connection, row: Row[Any], mission_id: uuid.UUID) -> None:
-    decision = await _decide(db, row)
-    retry_at = None if decision.is_final else func.now() + _RETRY_AFTER
-    values = {
-        "files_revision": row.files_revision,
-        "problem": decision.problem,
-        "retry_at": retry_at,
-        "decided_at": func.now(),
-    }
-    stmt = upsert(project_action_mission).values(project_action_id=row.id, mission_id=mission_id, **values)
-    keys = ["project_action_id", "mission_id"]
-    await db.execute(stmt.on_conflict_do_update(index_elements=keys, set_=values))
-    if decision.problem != row.problem:
-        await judge_again(db, [mission_id])
+    async for row in _due_on(db, mission_id):
+        decision = await _decide(db, row)
+        retry_at = None if decision.is_final else func.now() + _RETRY_AFTER
+        values = {
+            "files_revision": row.files_revision,
+            "problem": decision.problem,
+            "retry_at": retry_at,
+            "decided_at": func.now(),
+        }
+        stmt = upsert(project_action_mission).values(project_action_id=row.id, mission_id=mission_id, **values)
+        keys = ["project_action_id", "mission_id"]
+        await db.execute(stmt.on_conflict_do_update(index_elements=keys, set_=values))
+        if decision.problem != row.problem:
+            await judge_again(db, [mission_id])
 
 
 async def _decide(db: Connection, row: Row[Any]) -> _Decision:
@@ -165,6 +158,14 @@ async def _excess(db: Connection, row: Row[Any]) -> str | None:
     return (
         f"{row.name}@{latest.number} asks for {required}, but {row.added_by_name} added it with {added}; add it again"
     )
+
+
+async def _due_on(db: Connection, mission_id: uuid.UUID) -> AsyncIterator[Row[Any]]:
+    """Yield the actions that are due on a mission, those last that wait for runs of the others just started."""
+    due = _due_actions().where(mission.c.id == mission_id).order_by(project_action.c.created_at, project_action.c.id)
+    for reads_derived in (false(), true()):
+        for row in (await db.execute(due.where(_latest_reads_derived() == reads_derived))).all():
+            yield row
 
 
 def _due_actions() -> Select[Any]:
