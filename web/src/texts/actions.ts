@@ -45,7 +45,7 @@ export const texts = {
   library: {
     open: "Add from library",
     title: "Add from library",
-    why: "These actions are shipped with Kleinkram. An added action is run, changed and archived like any other.",
+    why: "These actions are shipped with Kleinkram. An added action is run and archived like any other.",
     label: "Actions of the library",
     place: "Add to", choose: "Choose a project",
     add: "Add", addOne: (name: string) => `Add ${name}`,
