@@ -39,6 +39,7 @@ _ACTION_ORDER = Order([action.c.name, action.c.id])
 # Latest first.
 _VERSION_ORDER = Order([action_version.c.number, action_version.c.id], descending=True)
 _publisher = person.alias("publisher")
+_ADDED = ("metadata", "checks")
 
 
 async def list_actions(db: Connection, actor: Actor, *, matching: ActionFilter, page: PageRequest) -> Page[ActionRead]:
@@ -365,6 +366,8 @@ def _stored(definition: ActionDefinition) -> dict[str, Any]:
 
 def _sha256(definition: ActionDefinition, *, is_to_lock: bool) -> bytes:
     document = definition.model_dump(mode="json") | ({"lock": "the server's"} if is_to_lock else {})
+    # A definition that does not use them has the hash that it had before these fields existed.
+    document["inputs"] = {name: value for name, value in document["inputs"].items() if value or name not in _ADDED}
     written = json.dumps(document, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(written.encode()).digest()
 
