@@ -74,7 +74,6 @@ class CheckResults:
             "checks": [check.model_dump(mode="json") for check in self.checks],
         }
 
-
     def to_report(self, text: str, files: Mapping[str, str]) -> CheckReportCreate:
         """Return the results as a report for a server: by the rules in `text`, of files (SHA-256 in hex by path)."""
         return CheckReportCreate(

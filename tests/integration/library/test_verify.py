@@ -71,7 +71,7 @@ def test_a_file_that_is_no_recording_counts_as_a_file(tmp_path: Path) -> None:
     del files["notes.txt"]
     ran = verify(tmp_path, files)
     assert ran.verdict is Verdict.bad
-    assert ran.statuses("file.count") == {CheckStatus.error}
+    assert ran.statuses("file.missing") == {CheckStatus.error}
 
 
 def test_a_damaged_recording_hides_no_other(tmp_path: Path) -> None:
@@ -80,7 +80,7 @@ def test_a_damaged_recording_hides_no_other(tmp_path: Path) -> None:
     assert ran.exit_code == 0, ran.log
     assert ran.verdict is Verdict.warnings
     assert ran.statuses("recording.incomplete") == {CheckStatus.not_made}
-    assert ran.statuses("image.black") == {CheckStatus.ok}
+    assert CheckStatus.ok in ran.statuses("image.black")
 
 
 @pytest.mark.parametrize(

@@ -155,9 +155,7 @@ def test_a_report_of_other_rules_does_not_hide_the_checks_of_its_run(
     assert verdict(lab, place.mission)[0] == "bad"
 
 
-def test_a_report_by_hand_does_not_count_the_run_twice(
-    lab: Api, runner: FakeRunner, place: Place, action: Any
-) -> None:
+def test_a_report_by_hand_does_not_count_the_run_twice(lab: Api, runner: FakeRunner, place: Place, action: Any) -> None:
     claim = runner.claim()
     report = report_of(runner, claim, BLACK)
     send(lab, runner, claim, BLACK).ok(201)

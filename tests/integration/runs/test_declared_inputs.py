@@ -174,6 +174,9 @@ def test_a_new_version_that_reads_rules_runs_when_they_change(lab: Api, runner: 
 
 @pytest.mark.parametrize("name", ["", "x" * 201])
 def test_names_of_metadata_are_checked(lab: Api, runner: FakeRunner, place: Place, name: str) -> None:
-    body = {"project_id": place.project["id"], "definition": {"name": "a", "script": "x", "inputs": {"metadata": [name]}}}
+    body = {
+        "project_id": place.project["id"],
+        "definition": {"name": "a", "script": "x", "inputs": {"metadata": [name]}},
+    }
     problem = lab.post("/actions", body).refused(422, "invalid_request")
     assert problem["problems"][0]["field"] == "definition.inputs.metadata.0"

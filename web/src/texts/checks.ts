@@ -43,7 +43,7 @@ export function countsText(counts: CheckCounts): string {
 
 const sources: Readonly<Record<components["schemas"]["CheckSource"], Named>> = {
   server: { label: "Index", why: "The server made it from the index of the recordings." },
-  report: { label: "Content report", why: "The uploader made it from the files, and sent the outcome." },
+  report: { label: "Content report", why: "An uploader or a run made it from the files, and sent the outcome." },
   action: { label: "Action", why: "A run of an action made it." },
 };
 

@@ -39,7 +39,8 @@ async def set_project_checks(
 ) -> ProjectChecksRead:
     """Make a text the `checks.yaml` of a project, and have all its missions judged by it; an empty text removes it.
 
-    Actions of the project that read the file start on the missions that are due. Where the text is the present one, nothing changes, and the ETag is not checked.
+    Actions of the project that read the file start on the missions that are due. Where the text is the present one,
+    nothing changes, and the ETag is not checked.
 
     Raises:
         NotFound: the project does not exist, or is not visible.

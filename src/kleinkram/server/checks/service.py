@@ -214,7 +214,9 @@ async def create_report(
         "run_id": actor.run_id,
     }
     await db.execute(insert(check_report).values(**values))
-    obsolete = queries.reports_of(mission_id).where(*own).with_only_columns(check_report.c.id).offset(_MAX_REPORTS_OF_PERSON)
+    obsolete = (
+        queries.reports_of(mission_id).where(*own).with_only_columns(check_report.c.id).offset(_MAX_REPORTS_OF_PERSON)
+    )
     await db.execute(delete(check_report).where(check_report.c.id.in_(obsolete)))
     await judge_again(db, [mission_id])
     after: Metadata = {"verdict": verdict.value, "depth": report.depth.value, "checks": len(report.checks)}

@@ -8,6 +8,7 @@ from sqlalchemy import select
 
 from kleinkram.contract.actions import Inputs
 from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.runs import RunChecks
 from kleinkram.server.db import Connection, among
 from kleinkram.server.tables import mission, project, project_checks
@@ -43,15 +44,20 @@ def _declared(inputs: Inputs, metadata: Metadata, checks_sha256: bytes | None) -
     return DeclaredInputs({name: metadata[name] for name in inputs.metadata if name in metadata})
 
 
-def metadata_at_launch(inputs: Inputs, declared: Metadata | None, present: Metadata) -> Metadata:
-    """Return the metadata of a mission as a run sees them: those that its action declares as they were at the launch."""
-    if declared is None or inputs.checks:
-        return present if declared is None else declared
-    return {name: value for name, value in present.items() if name not in inputs.metadata} | declared
+def mission_at_launch(inputs: Inputs, declared: Metadata | None, present: MissionRead) -> MissionRead:
+    """Return a mission as a run sees it: the metadata that its action declares are as they were at the launch."""
+    if declared is None:
+        return present
+    others = (
+        {} if inputs.checks else {name: present.metadata[name] for name in present.metadata.keys() - inputs.metadata}
+    )
+    metadata = others | declared
+    text = present.metadata_yaml if metadata == present.metadata else None
+    return present.model_copy(update={"metadata": metadata, "metadata_yaml": text})
 
 
 async def checks_at_launch(db: Connection, project_id: uuid.UUID, sha256: bytes | None) -> RunChecks | None:
-    """Return the `checks.yaml` with this hash, also if the mission of the run moved to `project_id` since its launch."""
+    """Return the `checks.yaml` with this hash, also if the mission moved to the project since the launch."""
     if sha256 is None:
         return None
     stmt = select(project_checks.c.number, project_checks.c.text).where(project_checks.c.sha256 == sha256)
