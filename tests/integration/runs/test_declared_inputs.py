@@ -22,9 +22,7 @@ def _files_are_read(lab: Api, place: Place) -> None:
 
 def set_metadata(api: Api, mission: Any, **metadata: Any) -> None:
     """Set values of a mission's metadata; None removes one."""
-    written = api.get(f"/missions/{mission['id']}").ok()["metadata"] | metadata
-    kept = {name: value for name, value in written.items() if value is not None}
-    api.patch(f"/missions/{mission['id']}", {"metadata": kept}).ok()
+    api.patch(f"/missions/{mission['id']}", {"metadata": metadata}).ok()
 
 
 def set_rules(lab: Api, project: Any, text: str) -> None:
@@ -88,7 +86,7 @@ def test_a_result_is_reused_only_with_the_same_values(lab: Api, runner: FakeRunn
     set_metadata(lab, place.mission, reference=1)
     launch(lab, runner, place.mission, force=False, inputs=inputs)
     finish(runner, verdict="good")
-    set_metadata(lab, place.mission, reference=True)
+    set_metadata(lab, place.mission, reference=2)
     other = launch(lab, runner, place.mission, force=False, inputs=inputs)
     assert (other["state"], other["reuses_id"]) == ("queued", None)
     finish(runner)
@@ -179,4 +177,4 @@ def test_names_of_metadata_are_checked(lab: Api, runner: FakeRunner, place: Plac
         "definition": {"name": "a", "script": "x", "inputs": {"metadata": [name]}},
     }
     problem = lab.post("/actions", body).refused(422, "invalid_request")
-    assert problem["problems"][0]["field"] == "definition.inputs.metadata.0"
+    assert problem["problems"][0]["field"] == "body.definition.inputs.metadata.0"

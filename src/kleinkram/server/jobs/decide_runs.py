@@ -29,10 +29,10 @@ async def decide_again_by_metadata(
     What a run changes starts nothing if its own action reads metadata: two actions could start each other for ever.
     The caller's transaction holds the lock of the mission.
     """
-    version = action_version.alias()
+    other = action_version.alias()
     of_run = select(run.c.version_id).where(run.c.id == by_run_id).scalar_subquery()
-    is_circular = exists().where(version.c.id == of_run, _reads_metadata(version.c.definition))
-    newest = select(func.max(action_version.c.number)).where(action_version.c.action_id == project_action.c.action_id)
+    is_circular = exists().where(other.c.id == of_run, _reads_metadata(other.c.definition))
+    newest = select(func.max(other.c.number)).where(other.c.action_id == project_action.c.action_id)
     stmt = select(project_action.c.id).join(mission, mission.c.project_id == project_action.c.project_id)
     stmt = stmt.join(action_version, action_version.c.action_id == project_action.c.action_id)
     stmt = stmt.where(mission.c.id == mission_id, action_version.c.number == newest.scalar_subquery(), ~is_circular)

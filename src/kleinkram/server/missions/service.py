@@ -5,7 +5,6 @@ the content of a mission begins with `lock_mission`, and then reads what it depe
 """
 
 import asyncio
-import json
 import uuid
 from collections.abc import Collection
 from dataclasses import replace
@@ -191,15 +190,10 @@ async def update_mission(
     if values.keys() & _JUDGED:
         await judge_again(db, [mission_id])
     new = await get_mission(db, actor, mission_id)
-    if changed := {name for name in old.metadata | new.metadata if not _is_same(name, old.metadata, new.metadata)}:
+    if changed := {name for name in old.metadata | new.metadata if old.metadata.get(name) != new.metadata.get(name)}:
         await decide_again_by_metadata(db, mission_id, changed, by_run_id=actor.run_id)
     await audit(db, actor, *_change_events(old, new))
     return new
-
-
-def _is_same(name: str, old: Metadata, new: Metadata) -> bool:
-    """Whether a value did not change: numbers and booleans are not the same."""
-    return name in old and name in new and json.dumps(old[name]) == json.dumps(new[name])
 
 
 async def delete_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID, dry_run: bool) -> Deleted:
