@@ -51,9 +51,9 @@ def _action(lab: Api, runner: FakeRunner, place: Place) -> Any:
 
 def report_of(runner: FakeRunner, claim: Any, *checks: Any, **values: Any) -> dict[str, Any]:
     """Return the report of the checks that a run made, from what it was given."""
-    given = context_of(runner, claim)
-    report = {"checks": [*OTHERS, *checks], "depth": "content", "document_sha256": given["checks"]["sha256"]}
-    files = {file["path"]: file["sha256"] for file in given["files"]}
+    context = context_of(runner, claim)
+    report = {"checks": [*OTHERS, *checks], "depth": "content", "document_sha256": context["checks"]["sha256"]}
+    files = {file["path"]: file["sha256"] for file in context["files"]}
     return report | {"profiles_applied": ["all"], "files": files} | values
 
 

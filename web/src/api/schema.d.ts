@@ -3546,7 +3546,7 @@ export interface components {
         };
         /**
          * CheckReportCreate
-         * @description Checks by an uploader or a run, by profiles of the `checks.yaml` with this hash, of these files (SHA-256 by path).
+         * @description Checks by an uploader or a run, by profiles of the `checks.yaml` with this hash, of files (SHA-256 by path).
          *
          *     They count while exactly these are the recorded files of the mission, and exactly these profiles apply to it.
          */
