@@ -403,7 +403,10 @@ def _packages_of(lock: str) -> list[str]:
 
 def _inputs(inputs: Inputs) -> str:
     lists = [("files", inputs.paths), ("with topics", inputs.topics), ("of types", inputs.message_types)]
-    return "; ".join(f"{what} {', '.join(globs)}" for what, globs in lists if globs) or "all files"
+    files = "; ".join(f"{what} {', '.join(globs)}" for what, globs in lists if globs) or "all files"
+    parts = [files, *(["also files that runs made"] if inputs.derived else [])]
+    parts += [f"metadata {', '.join(inputs.metadata)}"] if inputs.metadata else []
+    return "; ".join([*parts, *(["checks.yaml of the project, with all metadata"] if inputs.checks else [])])
 
 
 def _code(definition: ActionDefinition) -> str:
