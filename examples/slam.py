@@ -67,7 +67,7 @@ def missing_packages() -> str | None:
         command = [KLEIN, "action", "lock", f"kleinkram/{name}", "--out", os.devnull]
         done = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
         if done.returncode != 0:
-            return done.stderr.strip().removeprefix("Error: ")
+            return done.stderr.strip().splitlines()[-1].removeprefix("Error: ")
     return None
 
 

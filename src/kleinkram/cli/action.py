@@ -144,7 +144,9 @@ def _locked(definition: ActionDefinition, index: "PackageIndex | None") -> Actio
     try:
         return with_lock(definition, index, time.sleep)
     except CannotLock as error:
-        raise InvalidInput(what=f"The action {definition.name}", reason=f"cannot be locked: {error}") from None
+        raise InvalidInput(
+            what=f"The action {definition.name}", reason=f"cannot be locked: {str(error).removesuffix('.')}"
+        ) from None
 
 
 def _executor(definition: ActionDefinition, index: "PackageIndex | None") -> "Executor":
@@ -403,7 +405,10 @@ def _packages_of(lock: str) -> list[str]:
 
 def _inputs(inputs: Inputs) -> str:
     lists = [("files", inputs.paths), ("with topics", inputs.topics), ("of types", inputs.message_types)]
-    return "; ".join(f"{what} {', '.join(globs)}" for what, globs in lists if globs) or "all files"
+    files = "; ".join(f"{what} {', '.join(globs)}" for what, globs in lists if globs) or "all files"
+    parts = [files, *(["also files that runs made"] if inputs.derived else [])]
+    parts += [f"metadata {', '.join(inputs.metadata)}"] if inputs.metadata else []
+    return "; ".join([*parts, *(["checks.yaml of the project, with all metadata"] if inputs.checks else [])])
 
 
 def _code(definition: ActionDefinition) -> str:

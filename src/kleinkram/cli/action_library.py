@@ -75,16 +75,18 @@ def _shipped(name: str) -> ActionDefinition:
     from kleinkram.library import shipped_actions
 
     known = shipped_actions()
-    return known[_resolve(name, [f"{LIBRARY_PREFIX}{name}" for name in known]).removeprefix(LIBRARY_PREFIX)]
+    return known[_resolve(name, known).removeprefix(LIBRARY_PREFIX)]
 
 
 def _resolve(name: str, known: Iterable[str]) -> str:
     """Return the full name of a shipped action, which may be given without its prefix."""
-    full_name, names = LIBRARY_PREFIX + name.removeprefix(LIBRARY_PREFIX), sorted(known)
-    if full_name in names:
-        return full_name
-    match = closest(full_name, names)
-    hint = f"did you mean {match}?" if match else f"it has {', '.join(names)}"
+    short_name = name.removeprefix(LIBRARY_PREFIX)
+    short_names = [full_name.removeprefix(LIBRARY_PREFIX) for full_name in known]
+    if short_name in short_names:
+        return f"{LIBRARY_PREFIX}{short_name}"
+    match = closest(short_name, short_names)
+    listed = ", ".join(f"{LIBRARY_PREFIX}{known_name}" for known_name in short_names)
+    hint = f"did you mean {LIBRARY_PREFIX}{match}?" if match else f"it has {listed}"
     raise InvalidInput(what=f"The action {name!r}", reason=f"the library has none of this name; {hint}")
 
 

@@ -74,7 +74,7 @@ def test_without_a_project_it_is_added_for_the_whole_lab(klein: Klein, project: 
     assert state(klein, project) == "available"
 
 
-@pytest.mark.parametrize("command", [("add",), ("library", "--show"), ("lock",)])
+@pytest.mark.parametrize("command", [("add",), ("library", "--show"), ("lock",), ("run-local",)])
 @pytest.mark.parametrize(
     ("name", "hint"),
     [

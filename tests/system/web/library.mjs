@@ -65,6 +65,7 @@ await shipped("slam-evaluate").getByText("Update available").waitFor();
 await checkPage(page, "library-update");
 await dialog.getByRole("button", { name: "Add newer version of kleinkram/slam-evaluate" }).click();
 await page.waitForURL(/\/actions\/[0-9a-f-]{36}/);
+await page.locator("dl.facts").waitFor();
 results.upgraded = await page.locator("section h2").first().innerText();
 
 // From the actions of a project: the added action is chosen in its form.
@@ -75,5 +76,5 @@ results.place = await dialog.getByLabel("Add to").locator("option:checked").inne
 await dialog.getByRole("button", { name: "Add kleinkram/slam-evaluate" }).click();
 await dialog.waitFor({ state: "detached" });
 await page.locator("[data-add-action]").getByLabel("alignment").waitFor();
-results.chosen = await page.locator("[data-add-action]").getByLabel("Action", { exact: true }).locator("option:checked").innerText();
+results.chosen = await page.locator("[data-add-action]").getByLabel("Action").locator("option:checked").innerText();
 await printResults();

@@ -33,7 +33,7 @@ def test_shipped_actions_are_added_in_a_dialog(
     assert results["executed"] == []
     assert results["names"] == [f"kleinkram/{name}" for name in shipped_actions()]
     assert shipped_actions()["slam-evaluate"].description in results["text"]
-    assert "1 core, 2 GB memory, 1 GB disk" in results["text"]
+    assert "1 core, 2.0 GB memory, 1.0 GB disk" in results["text"]
     assert results["disabledBefore"] == len(shipped_actions()), "nothing is added before a place is chosen"
     assert results["action"]["title"] == "slam-evaluate"
     assert f"kleinkram/slam-evaluate@{kleinkram.__version__}" in results["action"]["facts"]

@@ -2940,8 +2940,10 @@ export interface components {
             image?: string | null;
             /**
              * @default {
+             *       "checks": false,
              *       "derived": false,
              *       "message_types": [],
+             *       "metadata": [],
              *       "paths": [],
              *       "topics": []
              *     }
@@ -3589,7 +3591,7 @@ export interface components {
         };
         /**
          * CheckReportCreate
-         * @description Checks that an uploader made, by profiles of the `checks.yaml` with this hash, of these files (SHA-256 by path).
+         * @description Checks by an uploader or a run, by profiles of the `checks.yaml` with this hash, of files (SHA-256 by path).
          *
          *     They count while exactly these are the recorded files of the mission, and exactly these profiles apply to it.
          */
@@ -3608,10 +3610,10 @@ export interface components {
         };
         /**
          * CheckReportRead
-         * @description A report of checks by an uploader, without the checks.
+         * @description A report of checks by an uploader or a run, without the checks.
          *
          *     `is_current`: it was made of the present files and by the present `checks.yaml` (by any, while the project has
-         *     none), so that it counts.
+         *     none), so that it counts. `run_id`: the run that made it, which acted for `created_by`.
          */
         CheckReportRead: {
             /** Check Count */
@@ -3634,11 +3636,13 @@ export interface components {
             id: string;
             /** Is Current */
             is_current: boolean;
+            /** Run Id */
+            run_id?: string | null;
             verdict: components["schemas"]["Verdict"];
         };
         /**
          * CheckSource
-         * @description Who made a check: the server, from the index; an uploader; or an action of the project.
+         * @description Who made a check: the server, from the index; the report of an uploader or run; or an action of the project.
          * @enum {string}
          */
         CheckSource: "server" | "report" | "action";
@@ -4713,9 +4717,16 @@ export interface components {
          * Inputs
          * @description The input files of an action: those that match all three lists of globs; an empty list matches all.
          *
-         *     Files that runs made are inputs only with `derived`.
+         *     Files that runs made are inputs only with `derived`. `metadata` names the metadata fields of the mission that the
+         *     action reads; with `checks`, it reads the `checks.yaml` of the project, and all metadata, by which its profiles are
+         *     chosen. Results depend on the values of what is declared: if one changes, they are outdated.
          */
         Inputs: {
+            /**
+             * Checks
+             * @default false
+             */
+            checks: boolean;
             /**
              * Derived
              * @default false
@@ -4726,6 +4737,11 @@ export interface components {
              * @default []
              */
             message_types: string[];
+            /**
+             * Metadata
+             * @default []
+             */
+            metadata: string[];
             /**
              * Paths
              * @default []
@@ -6646,14 +6662,29 @@ export interface components {
             token: string | null;
         };
         /**
+         * RunChecks
+         * @description The `checks.yaml` of the project as it was at the launch. `version` is its number, `sha256` that of the text.
+         */
+        RunChecks: {
+            /** Sha256 */
+            sha256: string;
+            /** Text */
+            text: string;
+            /** Version */
+            version: number;
+        };
+        /**
          * RunContext
          * @description The content of `/in/mission.json`: the mission, the input files with their topics, the parameters.
          *
-         *     `run_id` is null for a local run. `topics` belong to the files, `recordings` to the mission.
+         *     `run_id` is null for a local run. `topics` belong to the files, `recordings` to the mission. Metadata that the
+         *     action declares as inputs have their values at the launch. `checks` is null unless the action declares to read it,
+         *     and where the project has none.
          */
         RunContext: {
             action: components["schemas"]["ActionRef"];
             cause: components["schemas"]["Cause"];
+            checks?: components["schemas"]["RunChecks"] | null;
             /**
              * Contract
              * @default 1
@@ -7027,7 +7058,7 @@ export interface components {
          * @description An action to run on each of some missions: a published one by id, or an unpublished definition.
          *
          *     Without `version`, the latest version runs. Results of an earlier successful run with the same version, image,
-         *     parameters and inputs are reused unless `force`.
+         *     parameters and inputs (files, and the metadata and checks that it declares) are reused unless `force`.
          */
         RunsCreate: {
             /** Action Id */

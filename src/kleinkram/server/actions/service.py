@@ -38,6 +38,7 @@ _ACTION_ORDER = Order([action.c.name, action.c.id])
 # Latest first.
 _VERSION_ORDER = Order([action_version.c.number, action_version.c.id], descending=True)
 _publisher = person.alias("publisher")
+_ADDED = ("metadata", "checks")
 
 
 async def list_actions(db: Connection, actor: Actor, *, matching: ActionFilter, page: PageRequest) -> Page[ActionRead]:
@@ -254,7 +255,7 @@ async def find_unpublished(
 ) -> UnpublishedVersion | None:
     """Return the version of a definition that was run before; with `is_to_lock` only if the server locked it."""
     columns = action_version.c.id, action_version.c.definition, action_version.c.image_digest
-    sha256 = _sha256(requested, is_to_lock=is_to_lock)
+    sha256 = definition_sha256(requested, is_to_lock=is_to_lock)
     same = (action_version.c.definition_sha256 == sha256) & action_version.c.action_id.is_(None)
     row = (await db.execute(select(*columns).where(same))).one_or_none()
     if row is None:
@@ -270,7 +271,7 @@ async def store_unpublished(
     Then the lock does not make it another definition: the script runs with the first one until it is changed.
     """
     requested = definition.model_copy(update={"lock": None}) if is_locked_here else definition
-    sha256 = _sha256(requested, is_to_lock=is_locked_here)
+    sha256 = definition_sha256(requested, is_to_lock=is_locked_here)
     values = {"definition": definition.model_dump(mode="json"), "definition_sha256": sha256}
     stmt = upsert(action_version).values(id=uuid.uuid4(), created_by_id=actor.person_id, **values)
     await db.execute(stmt.on_conflict_do_nothing())
@@ -377,14 +378,17 @@ async def _add_version(
 
 
 def _stored(definition: ActionDefinition) -> dict[str, Any]:
-    sha256 = _sha256(definition, is_to_lock=False)
+    sha256 = definition_sha256(definition, is_to_lock=False)
     return {"definition": definition.model_dump(mode="json"), "definition_sha256": sha256}
 
 
-def _sha256(definition: ActionDefinition, *, is_to_lock: bool) -> bytes:
-    document = definition.model_dump(mode="json", exclude={"library"}) | (
-        {"lock": "the server's"} if is_to_lock else {}
-    )
+def definition_sha256(definition: ActionDefinition, *, is_to_lock: bool) -> bytes:
+    """Return the hash by which a definition that is not published is found. `is_to_lock`: the server makes its lock."""
+    document = definition.model_dump(mode="json", exclude={"library"})
+    if is_to_lock:
+        document["lock"] = "the server's"
+    # A definition that does not use them has the hash that it had before these fields existed.
+    document["inputs"] = {name: value for name, value in document["inputs"].items() if value or name not in _ADDED}
     written = json.dumps(document, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(written.encode()).digest()
 

@@ -1,4 +1,4 @@
-"""Starts the actions that a project names on the missions that are due: each version once on the same input bytes.
+"""Starts the actions that a project names on the missions that are due: each version once on the same inputs.
 
 The decision, its run, and the row that makes it happen once are one transaction: it may be repeated at any time, and by
 several workers.
@@ -50,8 +50,6 @@ from kleinkram.server.tables.runs import ACTIVE
 # After a problem that time or a person may remove, such as a missing runner or right.
 _RETRY_AFTER = datetime.timedelta(minutes=10)
 _BATCH = 200
-# Of an `action_version`. Definitions that were stored before there were derived files have no such key.
-_READS_DERIVED = func.coalesce(action_version.c.definition["inputs"]["derived"].as_boolean(), false())
 
 
 class _Decision(NamedTuple):
@@ -59,12 +57,16 @@ class _Decision(NamedTuple):
     is_final: bool = True
 
 
-async def enqueue_automatic_runs(db: Connection, *, mission_id: uuid.UUID | None = None) -> None:
-    """Enqueue a job for each mission on which an action is due: of all missions, or of one."""
+async def enqueue_automatic_runs(
+    db: Connection, *, mission_id: uuid.UUID | None = None, project_id: uuid.UUID | None = None
+) -> None:
+    """Enqueue a job for each mission on which an action is due: of all missions, of one, or of a project."""
     stmt = _due_actions().with_only_columns(cast(mission.c.id, Text)).distinct().limit(_BATCH)
     stmt = stmt.where(~has_job(Job.start_automatic_runs, mission.c.id))
     if mission_id is not None:
         stmt = stmt.where(mission.c.id == mission_id)
+    if project_id is not None:
+        stmt = stmt.where(mission.c.project_id == project_id)
     ids = (await db.execute(stmt)).scalars().all()
     await enqueue(db, Job.start_automatic_runs, ids=ids, priority=Priority.normal)
 
@@ -78,6 +80,7 @@ async def start_due_runs(db: Connection, mission_id: uuid.UUID) -> None:
         retry_at = None if decision.is_final else func.now() + _RETRY_AFTER
         values = {
             "files_revision": row.files_revision,
+            "checks_number": row.checks_number,
             "problem": decision.problem,
             "retry_at": retry_at,
             "decided_at": func.now(),
@@ -123,7 +126,7 @@ async def _start_once(db: Connection, actor: Actor, row: Row[Any]) -> None:
     key = {
         "mission_id": row.mission_id,
         "version_id": version.id,
-        "inputs_sha256": launch.inputs_fingerprint(version.id, parameters, decisive),
+        "inputs_sha256": launch.inputs_fingerprint(version.id, parameters, decisive, planned.declared),
     }
     started = upsert(automatic_run).values(**key).on_conflict_do_nothing().returning(automatic_run.c.mission_id)
     if (await db.execute(started)).first() is None:
@@ -137,7 +140,7 @@ async def _of_actions_that_read_none(db: Connection, file_ids: Sequence[uuid.UUI
     """Return which of these files were made by actions that read no derived files."""
     stmt = select(run_artifact.c.file_id).join(run, run.c.id == run_artifact.c.run_id)
     stmt = stmt.join(action_version, action_version.c.id == run.c.version_id)
-    return {*(await db.execute(stmt.where(among(run_artifact.c.file_id, file_ids), ~_READS_DERIVED))).scalars()}
+    return {*(await db.execute(stmt.where(among(run_artifact.c.file_id, file_ids), ~_declares("derived")))).scalars()}
 
 
 async def _excess(db: Connection, row: Row[Any]) -> str | None:
@@ -164,7 +167,7 @@ async def _due_on(db: Connection, mission_id: uuid.UUID) -> AsyncIterator[Row[An
     """Yield the actions that are due on a mission, those last that wait for runs of the others just started."""
     due = _due_actions().where(mission.c.id == mission_id).order_by(project_action.c.created_at, project_action.c.id)
     for reads_derived in (false(), true()):
-        for row in (await db.execute(due.where(_latest_reads_derived() == reads_derived))).all():
+        for row in (await db.execute(due.where(_latest_reads("derived") == reads_derived))).all():
             yield row
 
 
@@ -182,6 +185,7 @@ def _due_actions() -> Select[Any]:
             person.c.name.label("added_by_name"),
             mission.c.id.label("mission_id"),
             mission.c.files_revision,
+            project.c.checks_number,
             decided.c.problem,
         )
         .join_from(project_action, mission, mission.c.project_id == project_action.c.project_id)
@@ -195,6 +199,7 @@ def _due_actions() -> Select[Any]:
     is_undecided = or_(
         decided.c.mission_id.is_(None),
         decided.c.files_revision != mission.c.files_revision,
+        and_(decided.c.checks_number.is_distinct_from(project.c.checks_number), _latest_reads("checks")),
         decided.c.retry_at <= func.now(),
     )
     is_due = case(
@@ -202,20 +207,25 @@ def _due_actions() -> Select[Any]:
         else_=_is_idle(),
     )
     is_live = and_(mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None), action.c.archived_at.is_(None))
-    waits = _latest_reads_derived() & _has_active_source()
+    waits = _latest_reads("derived") & _has_active_source()
     return stmt.where(is_live, is_undecided, _is_read(), is_due, ~waits)
 
 
-def _latest_reads_derived() -> ColumnElement[bool]:
-    """Whether the latest version of an action reads derived files."""
-    latest = select(_READS_DERIVED).where(action_version.c.action_id == action.c.id)
+def _latest_reads(name: str) -> ColumnElement[bool]:
+    """Whether the latest version of an action reads what this field of its inputs declares: `derived` or `checks`."""
+    latest = select(_declares(name)).where(action_version.c.action_id == action.c.id)
     return latest.order_by(action_version.c.number.desc()).limit(1).correlate(action).scalar_subquery()
+
+
+def _declares(name: str) -> ColumnElement[bool]:
+    # Definitions that were stored before there was such a field do not have it.
+    return func.coalesce(action_version.c.definition["inputs"][name].as_boolean(), false())
 
 
 def _has_active_source() -> ColumnElement[bool]:
     """Whether a run on a mission has not ended, of an action that reads no derived files and may make one."""
     active = select(run.c.id).join(action_version, action_version.c.id == run.c.version_id)
-    return active.where(run.c.mission_id == mission.c.id, run.c.state.in_(ACTIVE), ~_READS_DERIVED).exists()
+    return active.where(run.c.mission_id == mission.c.id, run.c.state.in_(ACTIVE), ~_declares("derived")).exists()
 
 
 def _is_read() -> ColumnElement[bool]:

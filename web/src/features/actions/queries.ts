@@ -82,20 +82,24 @@ export function originOf({ library }: Definition): string {
 const texts = all.definition;
 const NS_PER_S = 1_000_000_000;
 
-/** The input files as text. */
 // The number of locked packages, each with a line `name==version`; empty without a lock.
 export function lockedOf({ lock }: Definition): string {
   const names = new Set([...(lock ?? "").matchAll(/^([\w.-]+)==/gm)].map((match) => match[1]));
   return names.size > 0 ? texts.locked(names.size) : "";
 }
 
+/** The input files, metadata and checks as text. */
 export function inputsOf({ inputs }: Definition): string {
   const parts = [
     inputs.paths.length > 0 ? texts.paths(inputs.paths.join(", ")) : "",
     inputs.topics.length > 0 ? texts.topics(inputs.topics.join(", ")) : "",
     inputs.message_types.length > 0 ? texts.types(inputs.message_types.join(", ")) : "",
   ].filter((item) => item !== "");
-  return parts.length === 0 ? texts.all : parts.join(", ");
+  const others = [
+    inputs.metadata.length > 0 ? texts.metadata(inputs.metadata.join(", ")) : "",
+    inputs.checks ? texts.checks : "",
+  ].filter((item) => item !== "");
+  return [parts.length === 0 ? texts.all : parts.join(", "), ...others].join("; ");
 }
 
 /** The resource limits as text. */
