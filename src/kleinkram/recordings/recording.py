@@ -7,7 +7,7 @@ independent. Do not share it between threads.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from html import escape
 from os import PathLike
@@ -20,7 +20,7 @@ from kleinkram.recordings.compression import unpack_message
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable
 from kleinkram.recordings.errors import Malformed, NoSuchTopic, SourceError
-from kleinkram.recordings.formats.base import MemberContents, Segment
+from kleinkram.recordings.formats.base import MemberContents, OpenedFile, Segment
 from kleinkram.recordings.formats.ulog import as_ros1_definition
 from kleinkram.recordings.merge_messages import merge
 from kleinkram.recordings.messages import (
@@ -35,13 +35,17 @@ from kleinkram.recordings.messages import (
     Topic,
     to_ns,
 )
-from kleinkram.recordings.model import Problem
+from kleinkram.recordings.model import Problem, RecordingSummary
 from kleinkram.recordings.recording_files import Openable, open_members
 
 if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
+    from kleinkram.recordings.writing.mcap import McapOptions, McapResult
+    from kleinkram.recordings.writing.parquet import ParquetResult
+
+OnProgress = Callable[[float], None]
 Topics = str | Sequence[str]  # names of topics, or globs of them (`*`, `?`)
 
 
@@ -61,7 +65,7 @@ class Recording:
         self.name, self.files = opened.name, opened.files
         self._members = opened.members
         self._stack = opened.stack
-        self._summarise = opened.summarise
+        self._summarise, self._scan_files = opened.summarise, opened.scan_files
         self._summary_problems: tuple[Problem, ...] | None = None
         self._is_closed = False
         self._opened_from = Path(what).absolute() if isinstance(what, str | PathLike) else what, max_bytes
@@ -130,6 +134,19 @@ class Recording:
                 if not self._is_closed:
                     raise
         return self._problem_log.all(self._summary_problems or ())
+
+    @property
+    def members(self) -> tuple[OpenedFile, ...]:
+        """The opened data files, in the order of `files`; for modules of `kleinkram.recordings`."""
+        return self._members
+
+    def scan_files(self) -> tuple[RecordingSummary, ...]:
+        """Return what is in each of `files` by reading all of it, with every checksum, as `klein inspect --deep`.
+
+        Raises:
+            SourceError: the bytes cannot be read.
+        """
+        return self._scan_files()
 
     @property
     def damage(self) -> tuple[Problem, ...]:
@@ -244,6 +261,68 @@ class Recording:
         decoder, messages, notice = self._of_topic(topic, start, end)
         return decoding.arrow_batches(decoder, messages, fields=fields, notice=notice)
 
+    def to_mcap(
+        self,
+        path: str | PathLike[str],
+        topics: Topics | None = None,
+        *,
+        options: McapOptions | None = None,
+        sha256: Mapping[str, str] | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> McapResult:
+        """Write the recording as one whole MCAP: chunked, indexed, with every CRC, messages in the order of log time.
+
+        Topics, types, encodings, times and bytes of messages stay as they are; ROS 1 stays ROS 1. Channels without
+        messages, attachments and metadata records are kept. Of a damaged recording, what can be read is written. A
+        metadata record `kleinkram.made_from` says what the file was made from, and what was lost. The same recording
+        gives the same bytes, whatever else is on the machine. Memory stays below about 200 MB.
+
+        Args:
+            path: a file that does not exist yet. It appears when it is complete.
+            topics: names or globs; None: all.
+            options: compression and chunks.
+            sha256: of the files, by their names, for the metadata record.
+            on_progress: called with the share that is done, from 0 to 1, every few MB.
+
+        Raises:
+            CannotWrite: the file exists, its folder cannot be written to or is full, or the recording is a ULog.
+            NoSuchTopic: a name that is no glob is not among the topics.
+            TooDisordered: too many parts overlap in time to be put in order in bounded memory.
+            SourceError: the bytes cannot be read.
+        """
+        from kleinkram.recordings.writing.mcap import McapOptions, write_mcap
+
+        return write_mcap(self, Path(path), topics, options or McapOptions(), sha256 or {}, on_progress)
+
+    def to_parquet(
+        self, folder: str | PathLike[str], topics: Topics | None = None, *, on_progress: OnProgress | None = None
+    ) -> ParquetResult:
+        """Write each topic as a Parquet file with the columns of `to_arrow`, in row groups of at most 16 MB.
+
+        The file of `/camera/front` is `camera.front.parquet`. Its metadata are `topic`, `message_type`,
+        `message_encoding`, `recording`, and `frame_id` where all messages have the same. Topics that cannot be decoded
+        are left out, and named in the result.
+
+        Args:
+            folder: is made if it does not exist; files in it are not replaced. A file appears when it is complete.
+            topics: names or globs; None: all.
+            on_progress: called with the share of topics that is done.
+
+        Raises:
+            CannotWrite: a file exists, or the folder cannot be written to or is full.
+            NoSuchTopic: a name that is no glob is not among the topics.
+            ReadingExtraMissing: the extra `reading` is not installed.
+            SourceError: the bytes cannot be read.
+        """
+        from kleinkram.recordings.writing.parquet import write_parquet
+
+        return write_parquet(self, Path(folder), self.select_topics(topics), on_progress)
+
+    def select_topics(self, topics: Topics | None = None) -> tuple[Topic, ...]:
+        """Return the topics of these names or globs, by name; `NoSuchTopic` for a name that is not among them."""
+        selected = self._select(topics, None, None).topics
+        return tuple(topic for topic in self.topics if selected is None or topic.name in selected)
+
     def topic(self, name: str) -> Topic:
         """Return the topic of this name; `NoSuchTopic` if there is none."""
         for topic in self.topics:
@@ -313,7 +392,7 @@ class Recording:
             return None
 
 
-_DAMAGED = frozenset(("damaged", "damaged-message"))
+_DAMAGED = frozenset(("damaged", "damaged-message", "too-damaged", "too-late"))
 
 
 def _span(start: Time | None, end: Time | None) -> tuple[int, int]:

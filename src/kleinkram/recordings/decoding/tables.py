@@ -164,7 +164,7 @@ def to_arrow(
         NoSuchField: a name that fits no column.
         ReadingExtraMissing: numpy or pyarrow is not installed.
     """
-    pa = _arrow()
+    pa = load_pyarrow()
     tables = [
         pa.Table.from_batches([batch]) for batch in arrow_batches(decoder, messages, fields=fields, notice=notice)
     ]
@@ -211,7 +211,7 @@ def arrow_batches(
         NoSuchField: a name that fits no column.
         ReadingExtraMissing: numpy or pyarrow is not installed.
     """
-    _arrow()
+    load_pyarrow()
     rows: Callable[[list[int], list[int], list[bytes]], Any]
     if isinstance(decoder, Undecodable):
         rows = _raw_rows
@@ -237,7 +237,8 @@ def _raw_rows(log_ns: list[int], publish_ns: list[int], data: list[bytes]) -> An
     return timed_batch(log_ns, publish_ns, ["data"], [pa.array([bytes(raw) for raw in data], pa.binary())])
 
 
-def _arrow() -> Any:
+def load_pyarrow() -> Any:
+    """Return pyarrow; `ReadingExtraMissing` if it or numpy is not installed."""
     try:
         import numpy  # noqa: F401  # only to name it where it is missing
         import pyarrow as pa
