@@ -31,7 +31,7 @@ def convert_rosbags(source: str, target: str) -> Facts:
             channels[connection.id] = writer.register_channel(connection.topic, "ros1", schema)
         for connection, stamp, data in reader.messages():
             writer.add_message(channels[connection.id], stamp, bytes(data), stamp)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return _facts(started, reader.message_count, target)
 
 
@@ -49,7 +49,7 @@ def convert_mcap(source: str, target: str) -> Facts:
                 channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, number)
             writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
             count += 1
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return _facts(started, count, target)
 
 

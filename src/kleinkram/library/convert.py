@@ -14,7 +14,11 @@
 # ]
 # resources = {cores = 2, memory = "1GB", disk = "20GB", time = "12h"}
 # right = "CREATE"
-# inputs = {paths = ["*.mcap", "*.bag", "*.db3", "*.mcap.zst*", "*.db3.zst*", "*.bag.zst*", "*.bag.active", "*metadata.yaml"]}
+#
+# [tool.kleinkram.inputs]
+# paths = [
+#   "*.mcap", "*.bag", "*.db3", "*.mcap.zst*", "*.db3.zst*", "*.bag.zst*", "*.bag.active", "*.ulg", "*metadata.yaml",
+# ]
 #
 # [[tool.kleinkram.parameters]]
 # name = "to"
@@ -79,7 +83,7 @@ from kleinkram.library.inputs import InputRecording, input_recordings
 from kleinkram.recordings import (
     CannotWrite,
     ChunkCompression,
-    FileLoss,
+    MemberLoss,
     McapOptions,
     NoSuchTopic,
     Recording,
@@ -254,7 +258,7 @@ def report_sizes(recording: InputRecording, messages: int, bytes_out: int) -> No
     report.metric("messages", messages, file=file)
 
 
-def report_losses(recording: InputRecording, losses: Sequence[FileLoss]) -> None:
+def report_losses(recording: InputRecording, losses: Sequence[MemberLoss]) -> None:
     """Report what of a recording could not be read."""
     for loss in losses:
         report_finding("warning", "convert.loss", f"{loss.file}: {loss.reason}", recording)

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from kleinkram.recordings.recording_groups import RecordingGroup, RecordingGroupKind, group, is_recording_name
     from kleinkram.recordings.sources import FileSource, Source
     from kleinkram.recordings.summary import scan, summarise
-    from kleinkram.recordings.writing.losses import FileLoss, LostPlace
+    from kleinkram.recordings.writing.losses import MemberLoss, LostPlace
     from kleinkram.recordings.writing.mcap import ChunkCompression, McapOptions, McapResult, is_whole_mcap
     from kleinkram.recordings.writing.parquet import ParquetFile, ParquetResult
 
@@ -57,7 +57,7 @@ _HOMES = {
     "recording_groups": "RecordingGroup RecordingGroupKind group is_recording_name",
     "sources": "FileSource Source",
     "summary": "scan summarise",
-    "writing.losses": "FileLoss LostPlace",
+    "writing.losses": "MemberLoss LostPlace",
     "writing.mcap": "ChunkCompression McapOptions McapResult is_whole_mcap",
     "writing.parquet": "ParquetFile ParquetResult",
 }

@@ -19,6 +19,7 @@ from kleinkram.recordings.chunk_reader import MAX_MESSAGE
 from kleinkram.recordings.compression import unpack_message
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable
+from kleinkram.recordings.decoding.types import BATCH_BYTES
 from kleinkram.recordings.errors import Malformed, NoSuchTopic, SourceError
 from kleinkram.recordings.formats.base import MemberContents, OpenedFile, Segment
 from kleinkram.recordings.formats.ulog import as_ros1_definition
@@ -256,10 +257,14 @@ class Recording:
         *,
         start: Time | None = None,
         end: Time | None = None,
+        batch_bytes: int = BATCH_BYTES,
     ) -> Iterator[pa.RecordBatch]:
-        """Yield the rows of `to_arrow` in batches, for topics that are larger than the memory."""
+        """Yield the rows of `to_arrow` in batches, for topics that are larger than the memory.
+
+        `batch_bytes`: of the messages of one batch, at most; a larger message is a batch of its own.
+        """
         decoder, messages, notice = self._of_topic(topic, start, end)
-        return decoding.arrow_batches(decoder, messages, fields=fields, notice=notice)
+        return decoding.arrow_batches(decoder, messages, fields=fields, notice=notice, batch_bytes=batch_bytes)
 
     def to_mcap(
         self,
@@ -297,7 +302,7 @@ class Recording:
     def to_parquet(
         self, folder: str | PathLike[str], topics: Topics | None = None, *, on_progress: OnProgress | None = None
     ) -> ParquetResult:
-        """Write each topic as a Parquet file with the columns of `to_arrow`, in row groups of at most 16 MB.
+        """Write each topic as a Parquet file with the columns of `to_arrow`, in row groups of about 4 MB of messages.
 
         The file of `/camera/front` is `camera.front.parquet`. Its metadata are `topic`, `message_type`,
         `message_encoding`, `recording`, and `frame_id` where all messages have the same. Topics that cannot be decoded

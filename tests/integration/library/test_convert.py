@@ -21,8 +21,8 @@ from tests.recording_files.whole_mcap import read_whole_mcap
 CONVERT = Path(slam_evaluate.__file__).parent / "convert.py"
 
 
-def convert(folder: Path, files: Mapping[str, Path | bytes], **parameters: str | int | bool) -> TryOutResult:
-    return try_out(CONVERT, folder / "run", files=files, parameters={**parameters}, timeout_s=100)
+def convert(tmp_path: Path, files: Mapping[str, Path | bytes], **parameters: str | int | bool) -> TryOutResult:
+    return try_out(CONVERT, tmp_path / "run", files=files, parameters={**parameters}, timeout_s=100)
 
 
 @pytest.fixture(autouse=True)
@@ -92,7 +92,7 @@ def test_recompression_of_selected_topics_as_artifacts(drives: Path, tmp_path: P
     assert not (ran.out / "drive.bag.mcap").exists()
 
 
-def test_a_damaged_recording_is_repaired_and_the_loss_is_said(drives: Path, tmp_path: Path) -> None:
+def test_a_damaged_recording_is_repaired_and_its_loss_reported(drives: Path, tmp_path: Path) -> None:
     data = (drives / "drive.mcap").read_bytes()
     cut = data[: len(data) * 6 // 10]
     ran = convert(tmp_path, {"cut.mcap": cut})

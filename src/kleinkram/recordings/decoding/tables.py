@@ -202,8 +202,9 @@ def arrow_batches(
     *,
     fields: Sequence[str] | None = None,
     notice: Notice | None = None,
+    batch_bytes: int = types.BATCH_BYTES,
 ) -> Iterator[pa.RecordBatch]:
-    """Yield the rows of `to_arrow` in bounded batches; at least one, which may be empty.
+    """Yield the rows of `to_arrow` in batches of messages of at most so many bytes; at least one, which may be empty.
 
     Batches of ROS messages all have one Arrow schema; those of JSON and protobuf each have the columns that they need.
 
@@ -224,8 +225,11 @@ def arrow_batches(
 
         rows = TypedRows(decoder, decoder.struct, columns_of(decoder.struct, fields), notice or _ignore)
     is_first = True
-    for log_ns, publish_ns, data in _batches(messages):
-        yield rows(log_ns, publish_ns, data)
+    for log_ns, publish_ns, data in _batches(messages, batch_bytes):
+        batch = rows(log_ns, publish_ns, data)
+        del log_ns, publish_ns, data  # one batch at a time is in memory
+        yield batch
+        del batch
         is_first = False
     if is_first:
         yield rows([], [], [])
@@ -247,13 +251,13 @@ def load_pyarrow() -> Any:
     return pa
 
 
-def _batches(messages: Iterable[TimedMessage]) -> Iterator[tuple[list[int], list[int], list[bytes]]]:
+def _batches(messages: Iterable[TimedMessage], batch_bytes: int) -> Iterator[tuple[list[int], list[int], list[bytes]]]:
     log_ns: list[int] = []
     publish_ns: list[int] = []
     data: list[bytes] = []
     size = 0
     for log, publish, raw in messages:
-        if data and (size + len(raw) > types.BATCH_BYTES or len(data) >= types.BATCH_MESSAGES):
+        if data and (size + len(raw) > batch_bytes or len(data) >= types.BATCH_MESSAGES):
             yield log_ns, publish_ns, data
             log_ns, publish_ns, data, size = [], [], [], 0
         log_ns.append(log)

@@ -29,7 +29,7 @@ class LostPlace:
 
 
 @dataclass(frozen=True)
-class FileLoss:
+class MemberLoss:
     """What is lost of one file of a recording.
 
     Attributes:
@@ -49,12 +49,12 @@ class FileLoss:
     places: tuple[LostPlace, ...]
 
 
-def find_losses(recording: Recording, other_places: Iterable[LostPlace] = ()) -> tuple[FileLoss, ...]:
+def find_losses(recording: Recording, other_places: Iterable[LostPlace] = ()) -> tuple[MemberLoss, ...]:
     """Return what is lost of each file, after all messages were read. A file is scanned only if something was damaged.
 
     `other_places`: damaged attachments and metadata records.
     """
-    losses: list[FileLoss] = []
+    losses: list[MemberLoss] = []
     damage, others = recording.damage, tuple(other_places)
     is_damaged = [member.summary is not None and member.summary.lost is not None for member in recording.members]
     if damage or any(is_damaged):
@@ -64,17 +64,17 @@ def find_losses(recording: Recording, other_places: Iterable[LostPlace] = ()) ->
     places = (*(LostPlace(problem.where, problem.message) for problem in unnamed), *others)
     if places:
         reason = f"{places[0].where}: {places[0].reason}"
-        losses.append(FileLoss(recording.name, reason, 0, 0, None if unnamed else 0, places))
+        losses.append(MemberLoss(recording.name, reason, 0, 0, None if unnamed else 0, places))
     return tuple(losses)
 
 
-def _loss_of(file: str, member: OpenedFile, summary: RecordingSummary) -> FileLoss | None:
+def _loss_of(file: str, member: OpenedFile, summary: RecordingSummary) -> MemberLoss | None:
     if summary.lost is None:
         return None
     table = member.table if isinstance(member, ChunkedMember) else ChunkTable()
     places = tuple(_places(summary.problems, table))
     lost = summary.lost
-    return FileLoss(file, summary.reason or "it is damaged", lost.bytes, lost.chunks, lost.messages, places)
+    return MemberLoss(file, summary.reason or "it is damaged", lost.bytes, lost.chunks, lost.messages, places)
 
 
 def _places(problems: Iterable[Problem], table: ChunkTable) -> Iterator[LostPlace]:

@@ -24,7 +24,7 @@ from kleinkram.recordings.limits import WINDOW
 from kleinkram.recordings.messages import Channel, Properties, Schema
 from kleinkram.recordings.model import Content, RecordingFormat
 from kleinkram.recordings.streams import open_range
-from kleinkram.recordings.writing.losses import FileLoss, LostPlace, find_losses
+from kleinkram.recordings.writing.losses import MemberLoss, LostPlace, find_losses
 from kleinkram.recordings.writing.mcap_writer import McapWriter
 from kleinkram.recordings.writing.new_file import new_file
 
@@ -80,7 +80,7 @@ class McapResult:
     path: Path
     message_count: int
     size_bytes: int
-    losses: tuple[FileLoss, ...]
+    losses: tuple[MemberLoss, ...]
 
 
 def is_whole_mcap(recording: Recording, compression: ChunkCompression) -> bool:
@@ -228,7 +228,7 @@ def _copy_other_records(recording: Recording, writer: McapWriter) -> list[LostPl
 
 
 def _made_from(
-    recording: Recording, topics: frozenset[str] | None, sha256: Mapping[str, str], losses: tuple[FileLoss, ...]
+    recording: Recording, topics: frozenset[str] | None, sha256: Mapping[str, str], losses: tuple[MemberLoss, ...]
 ) -> dict[str, str]:
     files = [{"name": name, "sha256": sha256[name]} if name in sha256 else {"name": name} for name in recording.files]
     entries = {"version": __version__, "files": json.dumps(files)}

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 _FRAME = "header.frame_id"
 _UNSAFE = re.compile(r"[^\w.-]+", re.ASCII)
 _MAX_NAME = 200
+_BATCH_BYTES = 4 * 2**20
 _VARYING = ("json", "protobuf")
 """Encodings whose batches have the columns that their messages need."""
 
@@ -84,40 +87,52 @@ def _names_of(topics: tuple[Topic, ...]) -> dict[str, str]:
 def _write_topic(recording: Recording, topic: Topic, path: Path) -> ParquetFile:
     import pyarrow.parquet as pq
 
-    schema = _common_schema(recording, topic)
+    schema = _common_schema(recording, topic) if topic.message_encoding in _VARYING else None
     frames: set[str | None] = set()
-    row_count = 0
+    row_count, writer = 0, None
     with new_file(path) as stream:
-        with pq.ParquetWriter(stream, schema, compression="zstd") as writer:
-            for batch in _batches(recording, topic, schema):
-                row_count += batch.num_rows
-                _note_frames(batch, frames)
-                writer.write_table(batch)
-            writer.add_key_value_metadata(_metadata_of(recording, topic, frames))
+        with ExitStack() as stack:
+            for table in _tables(recording, topic, schema):
+                if writer is None:
+                    texts = _texts_of(table.schema)
+                    options = {"compression": "zstd", "use_dictionary": texts}
+                    writer = stack.enter_context(pq.ParquetWriter(stream, table.schema, **options))
+                row_count += table.num_rows
+                _note_frames(table, frames)
+                writer.write_table(table)
+                del table  # before the next one is made
+            if writer is not None:
+                writer.add_key_value_metadata(_metadata_of(recording, topic, frames))
         size_bytes = stream.tell()
     return ParquetFile(topic.name, path, row_count, size_bytes)
 
 
+def _texts_of(schema: Any) -> list[str]:
+    """Return the columns of texts, which often repeat; dictionaries of other columns would take memory for nothing."""
+    import pyarrow as pa
+
+    return [field.name for field in schema if pa.types.is_string(field.type)]
+
+
 def _common_schema(recording: Recording, topic: Topic) -> Any:
-    """Return the schema of all batches of a topic, by reading them where they may differ."""
+    """Return a schema with the columns of all batches of a topic."""
     import pyarrow as pa
 
-    batches = recording.batches(topic.name)
-    schema = next(batches).schema
-    if topic.message_encoding in _VARYING:
-        for batch in batches:
-            schema = pa.unify_schemas([schema, batch.schema], promote_options="permissive")
-    return schema
+    schemas = (batch.schema for batch in recording.batches(topic.name, batch_bytes=_BATCH_BYTES))
+    return functools.reduce(lambda one, other: pa.unify_schemas([one, other], promote_options="permissive"), schemas)
 
 
-def _batches(recording: Recording, topic: Topic, schema: Any) -> Iterator[Any]:
-    """Yield the rows of a topic as tables with all columns of the schema."""
+def _tables(recording: Recording, topic: Topic, schema: Any | None) -> Iterator[Any]:
+    """Yield the rows of a topic as tables; with a schema, with all of its columns."""
     import pyarrow as pa
 
-    empty = schema.empty_table()
-    for batch in recording.batches(topic.name):
+    for batch in recording.batches(topic.name, batch_bytes=_BATCH_BYTES):
         table = pa.Table.from_batches([batch])
-        yield table if table.schema.equals(schema) else pa.concat_tables([empty, table], promote_options="permissive")
+        del batch
+        if schema is not None and not table.schema.equals(schema):
+            table = pa.concat_tables([schema.empty_table(), table], promote_options="permissive")
+        yield table
+        del table
 
 
 def _note_frames(table: Any, frames: set[str | None]) -> None:

@@ -165,7 +165,7 @@ def test_a_database_without_definitions_gets_those_of_well_known_types(tmp_path:
     assert len(decoded) == len(whole.messages) > 100
 
 
-def test_qos_and_type_hashes_of_a_database_are_kept(tmp_path: Path) -> None:
+def test_qos_and_type_hashes_of_a_database_stay(tmp_path: Path) -> None:
     make_database(tmp_path / "a.db3", schema="jazzy", messages=steady(10))
     whole = convert(tmp_path / "a.db3", tmp_path / "made.mcap")
     (properties,) = {tuple(sorted(channel.metadata.items())) for channel in whole.channels}
@@ -211,7 +211,7 @@ def test_the_same_recording_gives_the_same_bytes(tmp_path: Path, kind: str) -> N
     name = "drive" if kind == "db3" else f"drive.{kind}"
     make(tmp_path / "one" / name, size_bytes=2_000_000)
     copy = shutil.copytree if kind == "db3" else shutil.copyfile
-    copy(tmp_path / "one" / name, tmp_path / "another" / name)  # type: ignore[operator]  # two functions, one call
+    copy(tmp_path / "one" / name, tmp_path / "another" / name)
     hashes = set()
     for folder in ("one", "another"):
         convert(tmp_path / folder / name, tmp_path / folder / "made.mcap")
@@ -271,8 +271,8 @@ def test_a_broken_recording_becomes_a_whole_one(entry: Entry, recordings_dir: Pa
     assert (loss.bytes, loss.chunks, loss.messages) == (measured[0].bytes, measured[0].chunks, measured[0].messages)
     assert loss.file == source.name
     assert loss.reason == summaries[0].reason
-    (told,) = json.loads(whole.metadata_of(MADE_FROM)["losses"])
-    assert (told["file"], told["bytes"], told["messages"]) == (loss.file, loss.bytes, loss.messages)
+    (stored,) = json.loads(whole.metadata_of(MADE_FROM)["losses"])
+    assert (stored["file"], stored["bytes"], stored["messages"]) == (loss.file, loss.bytes, loss.messages)
 
 
 def test_the_loss_of_a_chunk_names_its_time(tmp_path: Path, recordings_dir: Path) -> None:

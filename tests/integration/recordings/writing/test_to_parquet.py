@@ -96,13 +96,17 @@ def test_json_of_many_shapes(tmp_path: Path) -> None:
     assert {"x", "name", "late"} <= set(table.column_names)
 
 
-def test_json_whose_columns_change_their_kind_is_left_out(tmp_path: Path) -> None:
+def test_json_whose_columns_change_their_kind(tmp_path: Path) -> None:
     values: list[object] = [{"x": number} for number in range(70_000)]
     with Recording.open(json_mcap([*values, {"x": {"y": "text"}}])) as recording:
         result = recording.to_parquet(tmp_path)
-    assert result.files == ()
-    assert "its columns do not fit into Parquet" in result.left_out["/state"]
-    assert list(tmp_path.iterdir()) == []
+        if result.files:
+            print(
+                pq.read_table(result.files[0].path).slice(69_999),
+                recording.to_arrow("/state").slice(69_999),
+                recording.problems,
+            )
+    raise AssertionError
 
 
 def test_files_are_not_replaced(tmp_path: Path) -> None:

@@ -371,13 +371,13 @@ def open_mcap(file: RecordingFile, context: OpenContext) -> ChunkedMember:
     statistics = facts.statistics
     if statistics is None or facts.unknown_compression:
         # The statistics also count messages that cannot be read.
-        span = facts.table.span(without=facts.unknown_compression.keys())
-        contents = MemberContents(channels, None, None, *span, facts.profile)
+        start_ns, end_ns = facts.table.span(without=facts.unknown_compression.keys())
+        contents = MemberContents(channels, None, None, start_ns, end_ns, facts.profile)
         return ChunkedMember(source, MCAP_CHUNKS, facts.table, contents, problem_log, with_index_check=True)
     by_channel = dict(statistics.counts)
     counts = by_channel if sum(by_channel.values()) == statistics.messages else None
     span = (statistics.start_ns, statistics.end_ns) if statistics.messages else (None, None)
-    contents = MemberContents(channels, counts, statistics.messages, *span, facts.profile)
+    contents = MemberContents(channels, counts, statistics.messages, *span, profile=facts.profile)
     return ChunkedMember(
         source, MCAP_CHUNKS, facts.table, contents, problem_log, with_index_check=True, claimed_span=span
     )

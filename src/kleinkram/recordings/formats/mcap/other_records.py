@@ -23,12 +23,12 @@ def find_other_records(source: Source, table: ChunkTable) -> Iterator[OtherRecor
 
     Where something between two chunks is no record, the search goes on behind the next chunk.
     """
-    position, found = len(MAGIC), 0
+    position, count = len(MAGIC), 0
     gaps = chain(((row.start, row.end) for row in table.rows), [(source.size_bytes, source.size_bytes)])
     for start, end in gaps:
         for opcode, at, length in _records(source, position, start):
-            if opcode in (Opcode.ATTACHMENT, Opcode.METADATA) and found < MAX_OUTSIDE_CHUNKS:
-                found += 1
+            if opcode in (Opcode.ATTACHMENT, Opcode.METADATA) and count < MAX_OUTSIDE_CHUNKS:
+                count += 1
                 yield _read(source, opcode, at, length)
         position = max(position, end)
 

@@ -157,8 +157,8 @@ def read_topics(database: sqlite3.Connection) -> list[TopicRow]:
         properties_bytes += sum(map(len, properties))
         if len(topics) >= MAX_TOPICS or names_bytes > MAX_NAMES:
             raise Malformed("table topics", f"more than {MAX_TOPICS} topics, or very long names", certain=False)
-        kept = read_properties(properties) if properties_bytes <= MAX_NAMES else ()
-        topics.append(TopicRow(topic_id, name, kind, encoding, kept))
+        is_within = properties_bytes <= MAX_NAMES
+        topics.append(TopicRow(topic_id, name, kind, encoding, read_properties(properties) if is_within else ()))
     return topics
 
 
