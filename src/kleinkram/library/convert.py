@@ -83,8 +83,8 @@ from kleinkram.library.inputs import InputRecording, input_recordings
 from kleinkram.recordings import (
     CannotWrite,
     ChunkCompression,
-    MemberLoss,
     McapOptions,
+    MemberLoss,
     NoSuchTopic,
     Recording,
     RecordingError,
@@ -92,6 +92,7 @@ from kleinkram.recordings import (
 )
 
 EXTENSIONS = (".active", ".zst", ".zstd", ".bag", ".mcap", ".db3")
+LOSSES_OF_TABLES = ("damaged", "damaged-message", "message-undecodable", "too-late", "topic-types-differ")
 SHOWN = 10
 
 
@@ -200,8 +201,8 @@ def to_parquet(recording: InputRecording, target: str, show: Callable[[float], N
     """Write the topics of one recording as Parquet, and report files, numbers and what was left out."""
     with recording.open() as reader:
         result = reader.to_parquet(out / target, topics_of(reader), on_progress=show)
-        damage = reader.damage
-    for problem in damage:
+        losses = [problem for problem in reader.problems if problem.code in LOSSES_OF_TABLES]
+    for problem in losses:
         report_finding("warning", "convert.loss", f"{problem.where}: {problem.message}", recording)
     for topic, reason in result.left_out.items():
         report_finding("warning", "convert.topic", f"left out: {reason}", recording, topic)

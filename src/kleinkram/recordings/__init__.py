@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from kleinkram.recordings.recording_groups import RecordingGroup, RecordingGroupKind, group, is_recording_name
     from kleinkram.recordings.sources import FileSource, Source
     from kleinkram.recordings.summary import scan, summarise
-    from kleinkram.recordings.writing.losses import MemberLoss, LostPlace
+    from kleinkram.recordings.writing.losses import LostPlace, MemberLoss
     from kleinkram.recordings.writing.mcap import ChunkCompression, McapOptions, McapResult, is_whole_mcap
     from kleinkram.recordings.writing.parquet import ParquetFile, ParquetResult
 

@@ -24,7 +24,7 @@ from kleinkram.recordings.limits import WINDOW
 from kleinkram.recordings.messages import Channel, Properties, Schema
 from kleinkram.recordings.model import Content, RecordingFormat
 from kleinkram.recordings.streams import open_range
-from kleinkram.recordings.writing.losses import MemberLoss, LostPlace, find_losses
+from kleinkram.recordings.writing.losses import LostPlace, MemberLoss, find_losses
 from kleinkram.recordings.writing.mcap_writer import McapWriter
 from kleinkram.recordings.writing.new_file import new_file
 
