@@ -279,7 +279,7 @@ class Recording:
 
         Topics, types, encodings, times and bytes of messages stay as they are; ROS 1 stays ROS 1. Channels without
         messages, attachments and metadata records are kept. Of a damaged recording, what can be read is written. A
-        metadata record `kleinkram.made_from` says what the file was made from, and what was lost. The same recording
+        metadata record `kleinkram:made_from` says what the file was made from, and what was lost. The same recording
         gives the same bytes, whatever else is on the machine. Memory stays below about 200 MB.
 
         Args:

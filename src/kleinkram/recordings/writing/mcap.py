@@ -31,7 +31,7 @@ from kleinkram.recordings.writing.new_file import new_file
 if TYPE_CHECKING:
     from kleinkram.recordings.recording import OnProgress, Recording, Topics
 
-MADE_FROM = "kleinkram.made_from"
+MADE_FROM = "kleinkram:made_from"
 """Name of the metadata record that says what a file was made from."""
 
 _PROGRESS_MESSAGES = 1000

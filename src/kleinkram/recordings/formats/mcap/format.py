@@ -377,7 +377,7 @@ def open_mcap(file: RecordingFile, context: OpenContext) -> ChunkedMember:
     by_channel = dict(statistics.counts)
     counts = by_channel if sum(by_channel.values()) == statistics.messages else None
     span = (statistics.start_ns, statistics.end_ns) if statistics.messages else (None, None)
-    contents = MemberContents(channels, counts, statistics.messages, *span, profile=facts.profile)
+    contents = MemberContents(channels, counts, statistics.messages, span[0], span[1], facts.profile)
     return ChunkedMember(
         source, MCAP_CHUNKS, facts.table, contents, problem_log, with_index_check=True, claimed_span=span
     )
