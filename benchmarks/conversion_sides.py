@@ -22,6 +22,7 @@ def convert_ours(source: str, target: str) -> Facts:
 def convert_rosbags(source: str, target: str) -> Facts:
     """A bag, read with rosbags and written with mcap."""
     started = time.perf_counter()
+    count = 0
     with Reader(source) as reader, Path(target).open("wb") as stream:
         writer = Writer(stream)
         writer.start("ros1")
@@ -31,8 +32,9 @@ def convert_rosbags(source: str, target: str) -> Facts:
             channels[connection.id] = writer.register_channel(connection.topic, "ros1", schema)
         for connection, stamp, data in reader.messages():
             writer.add_message(channels[connection.id], stamp, bytes(data), stamp)
+            count += 1
         writer.finish()  # type: ignore[no-untyped-call]
-    return _facts(started, reader.message_count, target)
+    return _facts(started, count, target)
 
 
 def convert_mcap(source: str, target: str) -> Facts:

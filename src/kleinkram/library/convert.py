@@ -73,6 +73,7 @@ whole file; a finding says what was lost.
 """
 
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
@@ -85,14 +86,13 @@ from kleinkram.recordings import (
     ChunkCompression,
     McapOptions,
     MemberLoss,
-    NoSuchTopic,
-    Recording,
     RecordingError,
     is_whole_mcap,
 )
 
 EXTENSIONS = (".active", ".zst", ".zstd", ".bag", ".mcap", ".db3")
 LOSSES_OF_TABLES = ("damaged", "damaged-message", "message-undecodable", "too-late", "topic-types-differ")
+PROGRESS_EVERY_S = 1.0
 SHOWN = 10
 
 
@@ -113,25 +113,35 @@ def main() -> None:
 
 def run() -> list[str]:
     """Convert the selected recordings; return the names of those that could not be converted."""
-    recordings = selected_recordings(words("recordings"))
     options = mcap_options()
+    recordings = with_topics(selected_recordings(words("recordings")))
     failed: list[str] = []
     targets = target_names([recording.name for recording in recordings])
     for number, (recording, target) in enumerate(zip(recordings, targets, strict=True)):
-
-        def show(share: float, number: int = number, name: str = recording.name) -> None:
-            progress((number + share) / len(recordings), name[-200:])
-
+        show = progress_of(recording, number, len(recordings))
         try:
             if parameters()["to"] == "parquet":
                 to_parquet(recording, target, show)
             else:
                 to_mcap(recording, f"{target}.mcap", options, show)
-        except RecordingError as error:
-            report.finding("error", "convert.failed", str(error)[:2000], file=recording.paths[-1])
+        except (RecordingError, OSError) as error:
+            report_finding("error", "convert.failed", str(error), recording)
             print(f"{recording.name}: {error}", flush=True)
             failed.append(recording.name)
     return failed
+
+
+def progress_of(recording: InputRecording, number: int, count: int) -> Callable[[float], None]:
+    """Return a function that shows the progress of one of several recordings, at most once a second."""
+    shown_at = -PROGRESS_EVERY_S
+
+    def show(share: float) -> None:
+        nonlocal shown_at
+        if time.monotonic() >= shown_at + PROGRESS_EVERY_S:
+            shown_at = time.monotonic()
+            progress((number + share) / count, recording.name[-200:])
+
+    return show
 
 
 def words(name: str) -> list[str]:
@@ -160,6 +170,28 @@ def selected_recordings(patterns: Sequence[str]) -> list[InputRecording]:
     return [one for one in recordings if any(fnmatchcase(one.name, pattern) for pattern in patterns)]
 
 
+def with_topics(recordings: Sequence[InputRecording]) -> list[InputRecording]:
+    """Return the recordings that have wanted topics; the others are left out."""
+    if words("topics") == ["*"]:
+        return [*recordings]
+    having = [recording for recording in recordings if wanted_topics(recording)]
+    if not having:
+        topics = sorted({topic.name for recording in recordings for topic in recording.topics})
+        raise CannotConvert(
+            f"no recording has a topic {' '.join(words('topics'))}; there are {shown(topics) or 'none'}"
+        )
+    for recording in recordings:
+        if recording not in having:
+            leave_out(recording, "it has none of the topics")
+    return having
+
+
+def wanted_topics(recording: InputRecording) -> list[str]:
+    """Return the names of the topics of a recording that are wanted."""
+    names = [topic.name for topic in recording.topics]
+    return [name for name in names if any(fnmatchcase(name, pattern) for pattern in words("topics"))]
+
+
 def target_names(names: Sequence[str]) -> Iterator[str]:
     """Yield a path without extension for each recording; one that is taken gets the extension behind a hyphen."""
     taken: set[str] = set()
@@ -182,8 +214,11 @@ def without_extensions(name: str) -> str:
 def to_mcap(recording: InputRecording, target: str, options: McapOptions, show: Callable[[float], None]) -> None:
     """Write one recording as MCAP, and report file, numbers and losses."""
     path = out / target
+    if any(topic.message_encoding == "ulog" for topic in recording.topics):
+        leave_out(recording, "MCAP has no encoding for a ULog; its topics can be tables (to=parquet)")
+        return
+    topics = None if words("topics") == ["*"] else wanted_topics(recording)
     with recording.open() as reader:
-        topics = topics_of(reader)
         if topics is None and is_whole_mcap(reader, options.compression):
             leave_out(recording, f"it is a whole MCAP ({options.compression.value}) already")
             return
@@ -200,7 +235,7 @@ def to_mcap(recording: InputRecording, target: str, options: McapOptions, show: 
 def to_parquet(recording: InputRecording, target: str, show: Callable[[float], None]) -> None:
     """Write the topics of one recording as Parquet, and report files, numbers and what was left out."""
     with recording.open() as reader:
-        result = reader.to_parquet(out / target, topics_of(reader), on_progress=show)
+        result = reader.to_parquet(out / target, wanted_topics(recording), on_progress=show)
         losses = [problem for problem in reader.problems if problem.code in LOSSES_OF_TABLES]
     for problem in losses:
         report_finding("warning", "convert.loss", f"{problem.where}: {problem.message}", recording)
@@ -210,22 +245,6 @@ def to_parquet(recording: InputRecording, target: str, show: Callable[[float], N
         put(recording, file.path, file.path.relative_to(out).as_posix())
     rows = sum(file.row_count for file in result.files)
     report_sizes(recording, rows, sum(file.size_bytes for file in result.files))
-
-
-def topics_of(reader: Recording) -> list[str] | None:
-    """Return the wanted topics of a recording, those of other recordings left out; None: all.
-
-    Raises:
-        NoSuchTopic: it has none of them.
-    """
-    patterns = words("topics")
-    if patterns == ["*"]:
-        return None
-    names = [topic.name for topic in reader.topics]
-    selected = [name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)]
-    if not selected:
-        raise NoSuchTopic(" ".join(patterns), names)
-    return selected
 
 
 def known_hashes(recording: InputRecording) -> dict[str, str]:
@@ -274,8 +293,9 @@ def report_losses(recording: InputRecording, losses: Sequence[MemberLoss]) -> No
 
 
 def report_finding(severity: str, code: str, message: str, recording: InputRecording, topic: str | None = None) -> None:
-    """Report a finding about a recording."""
-    report.finding(severity, code, message[:2000], file=recording.paths[-1], topic=topic)
+    """Report a finding about a recording; the texts in it may come from a damaged file."""
+    message, topic = message.replace("\0", "")[:2000], topic and topic.replace("\0", "")[:1024]
+    report.finding(severity, code, message, file=recording.paths[-1], topic=topic or None)
 
 
 def shown(names: Sequence[str]) -> str:

@@ -16,6 +16,7 @@ from kleinkram.library import slam_evaluate
 from kleinkram.library.convert import target_names
 from kleinkram.recordings import Recording
 from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mcap
+from tests.recording_files.builders import T0, mcap_of
 from tests.recording_files.whole_mcap import read_whole_mcap
 
 CONVERT = Path(slam_evaluate.__file__).parent / "convert.py"
@@ -166,8 +167,33 @@ def test_an_unknown_topic_names_those_that_there_are(drives: Path, tmp_path: Pat
     ran = convert(tmp_path, {"drive.bag": drives / "drive.bag"}, topics="/lidar2/*")
     assert ran.exit_code == 1
     (finding,) = ran.report.findings
-    assert finding.message.startswith("there is no topic /lidar2/*; the recording has /camera")
+    assert finding.message.startswith(
+        "no recording has a topic /lidar2/*; there are /camera/image/compressed, /gps/fix"
+    )
     assert not ran.report.mission_files
+
+
+def test_recordings_without_the_topics_are_left_out(drives: Path, tmp_path: Path) -> None:
+    other = mcap_of([[("/other", T0, b"x")]])
+    files = {"drive.bag": drives / "drive.bag", "other.mcap": other.read(0, other.size_bytes)}
+    ran = convert(tmp_path, files, topics="/odom")
+    assert ran.exit_code == 0, ran.log
+    assert [file.to for file in ran.report.mission_files] == ["derived/drive.mcap"]
+    (finding,) = ran.report.findings
+    assert (finding.code, finding.file) == ("convert.unchanged", "other.mcap")
+    assert finding.message == "left out: it has none of the topics"
+
+
+def test_a_ulog_becomes_tables_only(recordings_dir: Path, tmp_path: Path) -> None:
+    files: dict[str, Path | bytes] = {"flight.ulg": recordings_dir / "other/px4_sample.ulg"}
+    ran = convert(tmp_path, files)
+    assert ran.exit_code == 0, ran.log
+    assert not ran.report.mission_files
+    assert ran.codes() == {"convert.unchanged"}
+    (tmp_path / "tables" / "run").mkdir(parents=True)
+    ran = convert(tmp_path / "tables", files, to="parquet")
+    assert ran.exit_code == 0, ran.log
+    assert len(ran.report.mission_files) > 10
 
 
 def test_names_of_results() -> None:
