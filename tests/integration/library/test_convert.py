@@ -175,7 +175,10 @@ def test_an_unknown_topic_names_those_that_there_are(drives: Path, tmp_path: Pat
 
 def test_recordings_without_the_topics_are_left_out(drives: Path, tmp_path: Path) -> None:
     other = mcap_of([[("/other", T0, b"x")]])
-    files = {"drive.bag": drives / "drive.bag", "other.mcap": other.read(0, other.size_bytes)}
+    files: dict[str, Path | bytes] = {
+        "drive.bag": drives / "drive.bag",
+        "other.mcap": other.read(0, other.size_bytes),
+    }
     ran = convert(tmp_path, files, topics="/odom")
     assert ran.exit_code == 0, ran.log
     assert [file.to for file in ran.report.mission_files] == ["derived/drive.mcap"]
