@@ -28,7 +28,7 @@ def preview_row(folder: Path) -> Row:
     return {
         "what": f"previews of a mission of {runs[0].facts['size'] / 1e9:.2f} GB, with copying its files",
         "measured": f"{seconds:.1f} s, {peak_mb:.0f} MB of memory",
-        "also": f"{statistics.median(run.cpu_s for run in runs):.1f} s of CPU; {runs[0].facts['previews']:.0f} previews",
+        "also": f"{statistics.median(run.cpu_s for run in runs):.1f} s of CPU, {runs[0].facts['previews']:.0f} previews",
         "bar": f"<= {_MOST_S} s, <= {_MOST_MB} MB",
         "met": seconds <= _MOST_S and peak_mb <= _MOST_MB,
         "seconds": seconds,

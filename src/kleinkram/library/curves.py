@@ -5,7 +5,7 @@ The memory is that of bins and of thinned tracks, whatever the number of message
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa

@@ -81,6 +81,17 @@ class Canvas:
         self._draw.text((x * self._scale, y * self._scale), shown, fill=colour, font=font, anchor=anchor)
         return float(font.getlength(shown)) / self._scale
 
+    def rising_text(self, x: float, y: float, text: str, *, size: float = 12, colour: str = _MUTED) -> None:
+        """Write a text that is read from below, centred on a place."""
+        font = _font(size * self._scale)
+        left, top, right, bottom = font.getbbox(text)
+        label = Image.new("RGB", (round(right - left) + 4, round(bottom - top) + 4), "white")
+        ImageDraw.Draw(label).text((2 - left, 2 - top), text, fill=colour, font=font)
+        turned = label.transpose(Image.Transpose.ROTATE_90)
+        self.image.paste(
+            turned, (round(x * self._scale) - turned.width // 2, round(y * self._scale) - turned.height // 2)
+        )
+
     def line(self, points: Iterable[tuple[float, float]], colour: Any, width: float = 1) -> None:
         """Draw a line through points."""
         scaled = [(x * self._scale, y * self._scale) for x, y in points]
@@ -511,7 +522,7 @@ def track_map(
         end_x, end_y = places[-1]
         canvas.box((end_x - 4, end_y - 4, end_x + 4, end_y + 4), fill=colour, outline="white")
     canvas.text((box[0] + box[2]) / 2, size[1] - 20, f"{axes[0]} [m]", colour=_MUTED, anchor="ma")
-    canvas.text(12, box[1] - 2, f"{axes[1]} [m]", size=11, colour=_MUTED, anchor="la")
+    canvas.rising_text(16, (box[1] + box[3]) / 2, f"{axes[1]} [m]")
     return canvas
 
 

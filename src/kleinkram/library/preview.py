@@ -90,6 +90,7 @@ PANELS_OF_PICTURE = 12
 LARGE_TILE, SMALL_TILE = (640, 480), (400, 300)
 MAX_TRACK_POINTS = 2000  # of track.geojson
 FAR_M = 10_000  # a track that begins farther from the origin is drawn from its start
+LEAST_EXTENT_M = 5  # of a track that represents a mission with lidars
 SHOWN_NAMES = 20
 
 
@@ -280,8 +281,12 @@ def read_recordings(mission: LocalMission, collected: Collected) -> None:
                 read_numbers(reader, collected)
                 if reader.damage and recording.content is Content.indexed:
                     first = reader.damage[0]
-                    message = f"{recording.name} has {len(reader.damage)} damaged parts, which are left out"
-                    note("warning", "recording.damaged", f"{message}; the first: {first.where}: {first.message}")
+                    message = f"damaged parts were left out: {len(reader.damage)}"
+                    note(
+                        "warning",
+                        "recording.damaged",
+                        f"{recording.name}: {message}; the first: {first.where}: {first.message}",
+                    )
         except RecordingError as error:
             note("warning", "recording.unreadable", f"{recording.name} cannot be read further: {error}")
     for numbers in collected.numbers.values():
@@ -361,12 +366,12 @@ class Pages:
         """Return a picture for lists: of cameras, or of whatever else there is."""
         if self._views:
             return pictures.camera_overview(sorted(self._views, key=view_rank))
-        if self._gnss:
-            return pictures.track_map(self._gnss, "GNSS track", ("east", "north"), pictures.OVERVIEW)
-        if self._poses:
-            return pictures.track_map(self._poses, "Odometry and poses", ("x", "y"), pictures.OVERVIEW)
+        gnss, poses = (self._gnss, "GNSS track", ("east", "north")), (self._poses, "Odometry and poses", ("x", "y"))
+        for tracks, title, axes in (gnss, poses):
+            if tracks and (extent_m(tracks) >= LEAST_EXTENT_M or not self._scans):
+                return pictures.track_map(tracks, title, axes, pictures.OVERVIEW)
         if self._scans:
-            scans = next(iter(self._scans.values()))
+            scans = max(self._scans.values(), key=lambda own: max(scan.total for scan in own))
             return pictures.lidar_overview(scans[len(scans) // 2])
         if self._panels:
             return pictures.plot_overview(self._panels, self._span)
@@ -448,6 +453,12 @@ def spread(count: int, limit: int) -> list[int]:
     if limit == 1:
         return [count // 2]
     return [round(number * (count - 1) / (limit - 1)) for number in range(limit)]
+
+
+def extent_m(tracks: Sequence[DrawnTrack]) -> float:
+    """Return how large an area the tracks cover, along x or y."""
+    low, high = pictures.track_bounds(tracks)
+    return float((high - low).max())
 
 
 def view_rank(view: CameraView) -> tuple[bool, int, str]:
