@@ -15,7 +15,7 @@ from benchmarks.checks import check_rows
 from benchmarks.claims import claims_row
 from benchmarks.instance import DATA, GB, STAGE, endpoint_info, instance, klein, mission_with, settle
 from benchmarks.packages import package_rows
-from benchmarks.previews import preview_row
+from benchmarks.previews import preview_rows
 from benchmarks.recordings import recording_rows
 from benchmarks.rights import rights_row
 from benchmarks.runs import run_rows
@@ -84,7 +84,7 @@ def measured(selected: set[str]) -> Iterator[Row]:
     if "packages" in selected:
         yield from package_rows(STAGE / "packages")
     if "previews" in selected:
-        yield preview_row(STAGE / "previews")
+        yield from preview_rows(STAGE / "previews")
     if "starts" in selected:
         yield from start_rows()
     if "rights" in selected:  # it leaves much behind

@@ -1,34 +1,50 @@
-"""The row about the shipped action `preview`: time and memory for a mission of 1 GB.
+"""Rows about the shipped action `preview`: time and memory for missions of 1 GB.
 
-`python -m benchmarks.previews [FOLDER]` prints it alone; `make bench` prints it with all others.
+`python -m benchmarks.previews [FOLDER]` prints them alone; `make bench` prints them with all others.
 """
 
 import statistics
 import sys
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.check_missions import payload_mission
 from benchmarks.measure import run_side
 from kleinkram.recordings.sample import generate_rig
 
 Row = dict[str, object]
 _RUNS, _MOST_S, _MOST_MB = 3, 30, 1000
-_DURATION_S = 200  # of the legged robot, with 5 MB/s
+_MISSIONS = {
+    "legged robot: many small frames, dense lidars": partial(generate_rig, duration_s=270),
+    "payload: twelve cameras of 1280 x 720, two lidars": partial(payload_mission, size_bytes=10**9),
+}
 
 
-def preview_row(folder: Path) -> Row:
-    """Preview a mission of 1 GB (four computers, twelve cameras, two lidars, six IMUs) in `folder`, made if missing."""
-    if not folder.exists():
-        generate_rig(folder, duration_s=_DURATION_S)
+def preview_rows(folder: Path) -> Iterator[Row]:
+    """Measure each mission; `folder` contains them, and they are made if missing."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, make in _MISSIONS.items():
+        mission = folder / name.partition(":")[0].replace(" ", "-")
+        if not mission.exists():
+            make(mission)
+        yield preview_row(name, mission)
+
+
+def preview_row(name: str, mission: Path) -> Row:
+    """Measure the previews of one mission."""
     runs = [
-        run_side("make_preview", str(folder), environment={}, module="benchmarks.preview_sides") for _ in range(_RUNS)
+        run_side("make_preview", str(mission), environment={}, module="benchmarks.preview_sides") for _ in range(_RUNS)
     ]
     seconds = statistics.median(run.seconds for run in runs)
     peak_mb = max(run.peak_mb for run in runs)
+    cpu_s = statistics.median(run.cpu_s for run in runs)
+    facts = runs[0].facts
     return {
-        "what": f"previews of a mission of {runs[0].facts['size'] / 1e9:.2f} GB, with copying its files",
+        "what": f"previews of a mission of {facts['size'] / 1e9:.2f} GB ({name}), with copying its files",
         "measured": f"{seconds:.1f} s, {peak_mb:.0f} MB of memory",
-        "also": f"{statistics.median(run.cpu_s for run in runs):.1f} s of CPU, {runs[0].facts['previews']:.0f} previews",
+        "also": f"{cpu_s:.1f} s of CPU; {facts['previews']:.0f} previews",
         "bar": f"<= {_MOST_S} s, <= {_MOST_MB} MB",
         "met": seconds <= _MOST_S and peak_mb <= _MOST_MB,
         "seconds": seconds,
@@ -36,11 +52,12 @@ def preview_row(folder: Path) -> Row:
 
 
 def main() -> None:
-    """Print the row; the mission is in a folder that is named, or temporary."""
+    """Print the rows; the missions are in a folder that is named, or temporary."""
     with TemporaryDirectory(prefix="kleinkram-bench-") as temporary:
         folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(temporary)
-        row = preview_row(folder / "rig")
-        sys.stdout.write(f"{row['what']}: {row['measured']}; {row['also']} ({row['bar']}: {row['met']})\n")
+        for row in preview_rows(folder):
+            met = "yes" if row["met"] else "NO"
+            sys.stdout.write(f"{row['what']}: {row['measured']}; {row['also']} ({row['bar']}: {met})\n")
 
 
 if __name__ == "__main__":

@@ -110,7 +110,7 @@ def test_a_robot_with_four_computers_has_all_kinds_of_pictures(rig: TryOutResult
 
 
 def test_the_titles_have_rate_and_resolution(rig: TryOutResult) -> None:
-    (title,) = [one.title for one in rig.report.previews if "hdr_front" in one.path]
+    (title,) = [one.title for one in rig.report.previews if "hdr-front" in one.path]
     assert title.startswith("/camera/hdr_front/image/compressed · sensor_msgs/msg/CompressedImage · ")
     assert " × " in title
     assert " Hz · " in title
