@@ -5,7 +5,7 @@
 
 import statistics
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,7 +16,7 @@ from kleinkram.recordings.sample import generate_rig
 
 Row = dict[str, object]
 _RUNS, _MOST_S, _MOST_MB = 3, 30, 1000
-_MISSIONS = {
+_MISSIONS: Mapping[str, Callable[[Path], object]] = {
     "legged robot: many small frames, dense lidars": partial(generate_rig, duration_s=270),
     "payload: twelve cameras of 1280 x 720, two lidars": partial(payload_mission, size_bytes=10**9),
 }

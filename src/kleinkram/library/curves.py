@@ -234,9 +234,13 @@ class TopicNumbers:
             return
         offsets_s = self._span.offsets_s(log_ns for log_ns, _, _ in messages)
         begin = 0
-        for batch in arrow_batches(decoder, messages, fields=fields, notice=self._note):
-            self._add_batch(offsets_s[begin : begin + batch.num_rows], batch)
-            begin += batch.num_rows
+        try:
+            for batch in arrow_batches(decoder, messages, fields=fields, notice=self._note):
+                self._add_batch(offsets_s[begin : begin + batch.num_rows], batch)
+                begin += batch.num_rows
+        except (DecodeError, OverflowError, pa.ArrowException) as error:  # values that no column can hold
+            self.failed += len(messages) - begin
+            self.error = self.error or str(error)
 
     def _note(self, _log_time_ns: int, error: DecodeError) -> None:
         self.failed += 1

@@ -42,7 +42,7 @@ class Frame(NamedTuple):
     encoding: str
 
 
-class Scan(NamedTuple):
+class ScanPoints(NamedTuple):
     """The points of one scan: float32 [N, 3], metres in the frame of the sensor. `total`: how many it had."""
 
     time_ns: int
@@ -156,7 +156,7 @@ def as_bytes(values: NDArray[np.float32], bounds: tuple[float, float]) -> NDArra
     return clipped
 
 
-def read_scan(time_ns: int, value: object) -> Scan:
+def read_scan(time_ns: int, value: object) -> ScanPoints:
     """Return the points of a decoded message: PointCloud2, LaserScan, and lists of points. Raises DecodeError.
 
     Points that are not finite, or all 0, are missing returns and are left out.
@@ -171,7 +171,7 @@ def read_scan(time_ns: int, value: object) -> Scan:
         else:
             xyz = _points_of_cloud(value)
         xyz = xyz[np.isfinite(xyz).all(axis=1) & xyz.any(axis=1)]
-    return Scan(time_ns, xyz[:: max(1, -(-len(xyz) // MAX_POINTS))], len(xyz), is_flat)
+    return ScanPoints(time_ns, xyz[:: max(1, -(-len(xyz) // MAX_POINTS))], len(xyz), is_flat)
 
 
 def _points_of_cloud(value: object) -> NDArray[np.float32]:

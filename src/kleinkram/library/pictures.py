@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from kleinkram.library.curves import BINS, Curve, Panel, TimeSpan
-from kleinkram.library.frames import Frame, Scan, as_bytes, value_range
+from kleinkram.library.frames import Frame, ScanPoints, as_bytes, value_range
 
 OVERVIEW = (640, 360)
 MAX_OVERVIEW_BYTES = 100_000
@@ -235,7 +235,7 @@ def _colour_bar(canvas: Canvas, right: float, y: float, bounds: tuple[float, flo
 
 
 @dataclass(frozen=True)
-class CameraView:
+class CameraFrames:
     """What is shown of a camera: frames in the order of time, and the times with messages, in seconds.
 
     `details`: type, size, rate and number of messages, as one line.
@@ -268,7 +268,7 @@ def _in_colours(frame: Frame, bounds: tuple[float, float]) -> NDArray[np.uint8]:
     return shown
 
 
-def contact_sheet(view: CameraView, span: TimeSpan) -> Canvas:
+def contact_sheet(view: CameraFrames, span: TimeSpan) -> Canvas:
     """Return the frames of a camera in rows, each with its time."""
     columns = min(4, len(view.frames)) if len(view.frames) > 2 else 2
     tile_width = 316
@@ -291,7 +291,7 @@ def contact_sheet(view: CameraView, span: TimeSpan) -> Canvas:
     return canvas
 
 
-def camera_strip(views: Sequence[CameraView], span: TimeSpan) -> Canvas:
+def camera_strip(views: Sequence[CameraFrames], span: TimeSpan) -> Canvas:
     """Return one row a camera along one time axis: frames at their times, and a bar with the times with messages."""
     left, right, row_height, frame_height = 12, 1268, 104, 66
     canvas = Canvas(1280, 40 + len(views) * row_height, scale=1)
@@ -321,7 +321,7 @@ def _presence_bar(canvas: Canvas, box: Box, present_s: Iterable[tuple[float, flo
         canvas.box((edges[0], box[1], max(edges[1], edges[0] + 0.5), box[3]), fill=_PRESENT)
 
 
-def camera_overview(views: Sequence[CameraView]) -> Canvas:
+def camera_overview(views: Sequence[CameraFrames]) -> Canvas:
     """Return up to six cameras in a grid, of each the frame with the most contrast near the middle of the drive."""
     canvas = Canvas(*OVERVIEW, scale=1)
     count = next(number for number in (6, 4, 3, 2, 1) if len(views) >= number)
@@ -334,7 +334,7 @@ def camera_overview(views: Sequence[CameraView]) -> Canvas:
     return canvas
 
 
-def _representative(view: CameraView) -> NDArray[np.uint8]:
+def _representative(view: CameraFrames) -> NDArray[np.uint8]:
     pictures = view.pictures()
     middle = (len(pictures) - 1) / 2
 
@@ -527,7 +527,7 @@ def track_map(
 
 
 def top_views(
-    topic: str, details: str, scans: Sequence[Scan], span: TimeSpan, size: tuple[float, float] = (420, 420)
+    topic: str, details: str, scans: Sequence[ScanPoints], span: TimeSpan, size: tuple[float, float] = (420, 420)
 ) -> Canvas:
     """Return scans from above beside each other, all in one scale; colours are heights, a cross is the sensor."""
     canvas = Canvas(len(scans) * size[0] + 16, size[1] + 60, has_palette=False)
@@ -547,13 +547,13 @@ def top_views(
     return canvas
 
 
-def view_distance(scans: Sequence[Scan]) -> float:
+def view_distance(scans: Sequence[ScanPoints]) -> float:
     """Return how many metres around the sensor are shown: with 98 % of the points, at least 1 m."""
     distances = [np.abs(scan.xyz[:, :2]).max(axis=1) for scan in scans if len(scan.xyz)]
     return max(1.0, float(np.percentile(np.concatenate(distances), 98))) if distances else 1.0
 
 
-def lidar_overview(scan: Scan) -> Canvas:
+def lidar_overview(scan: ScanPoints) -> Canvas:
     """Return a scan from above, in the size of the overview."""
     canvas = Canvas(*OVERVIEW)
     bounds = None if scan.is_flat else value_range([scan.xyz[:, 2]])
@@ -561,7 +561,7 @@ def lidar_overview(scan: Scan) -> Canvas:
     return canvas
 
 
-def _top_view(canvas: Canvas, box: Box, scan: Scan, reach: float, heights: tuple[float, float] | None) -> None:
+def _top_view(canvas: Canvas, box: Box, scan: ScanPoints, reach: float, heights: tuple[float, float] | None) -> None:
     scale = map_scale((-reach, -reach), (reach, reach), box)
     _metric_grid(canvas, scale)
     xyz = scan.xyz[np.argsort(scan.xyz[:, 2], kind="stable")]

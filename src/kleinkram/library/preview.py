@@ -74,13 +74,13 @@ from kleinkram.library.frames import (
     VIDEO_TYPES,
     Frame,
     Samples,
-    Scan,
+    ScanPoints,
     read_frame,
     read_scan,
 )
-from kleinkram.library.pictures import CameraView, Canvas, DrawnTrack, printable
+from kleinkram.library.pictures import CameraFrames, Canvas, DrawnTrack, printable
 from kleinkram.recordings import Recording, RecordingError, Topic, TopicSummary
-from kleinkram.recordings.model import Content
+from kleinkram.recordings.model import Content, counted
 
 WHOLE_BYTES = 1_500_000_000
 SAMPLE_BYTES = 200_000_000
@@ -111,14 +111,21 @@ def _matches(topic: str, patterns: Sequence[str]) -> bool:
     return any(topic == pattern or fnmatchcase(topic, pattern) for pattern in patterns)
 
 
+def patterns_in(text: str) -> tuple[str, ...]:
+    """Return the names and globs of a list that commas separate."""
+    return tuple(filter(None, (part.strip() for part in text.split(","))))
+
+
 def main() -> None:
     """Read the mission, draw it, and report what is not shown."""
     progress(0.0, "Reading the indexes")
     values = parameters()
-    patterns = [
-        tuple(filter(None, (part.strip() for part in str(values[name]).split(",")))) for name in ("topics", "exclude")
-    ]
-    options = Options(*patterns, int(values["frames"]), int(values["max_plots"]))
+    options = Options(
+        patterns_in(str(values["topics"])),
+        patterns_in(str(values["exclude"])),
+        int(values["frames"]),
+        int(values["max_plots"]),
+    )
     mission = read_mission({file.path: in_dir / file.path for file in context().files})
     report_unreadable(mission)
     if mission.facts.start_ns is None or mission.facts.end_ns is None:
@@ -170,7 +177,7 @@ class Collected:
         self.options = options
         self.span = span
         self.cameras: dict[str, Samples[Frame]] = {}
-        self.lidars: dict[str, Samples[Scan]] = {}
+        self.lidars: dict[str, Samples[ScanPoints]] = {}
         self.numbers: dict[str, TopicNumbers] = {}
         self.share = 1.0
         self._is_any_selected = False
@@ -299,7 +306,7 @@ def read_samples(name: str, reader: Recording, collected: Collected) -> None:
     sinks: dict[str, list[SampleSink]] = {}
     needed: dict[str, int] = {}
     for samples, count in ((collected.cameras, collected.options.frames), (collected.lidars, SCANS)):
-        for topic in topics.intersection(samples):
+        for topic in sorted(topics.intersection(samples)):
             sinks[topic], needed[topic] = [samples[topic]], count
     if needed:
         SampleReader(name, reader, needed, 0).read(sinks, SAMPLE_BYTES)
@@ -377,16 +384,21 @@ class Pages:
             return pictures.plot_overview(self._panels, self._span)
         return pictures.message_bars(sorted(self._present_s.items()), self._span)
 
-    def _camera_views(self) -> Iterator[CameraView]:
+    def _camera_views(self) -> Iterator[CameraFrames]:
         for topic, samples in self._collected.cameras.items():
             frames = sorted(samples.items, key=lambda frame: frame.time_ns)
             frames = [frames[place] for place in spread(len(frames), self._collected.options.frames)]
             if frames:
                 size = f"{frames[0].size[0]} × {frames[0].size[1]}"
-                details = [self._facts[topic].message_type or "", size, frames[0].encoding[:60]]
-                details = [*details, *rate_of(self._facts[topic])]
-                present_s = tuple(self._present_s[topic])
-                yield CameraView(topic, " · ".join(filter(None, details)), tuple(frames), present_s)
+                details = self._details(topic, size, frames[0].encoding[:60])
+                yield CameraFrames(topic, details, tuple(frames), tuple(self._present_s[topic]))
+
+    def _details(self, topic: str, *others: str) -> str:
+        """Return type, rate and number of messages of a topic, as far as they are known, as one line."""
+        facts = self._facts.get(topic) or TopicFacts(topic, None, None)
+        rate = f"{facts.rate_hz:.3g} Hz" if facts.rate_hz else ""
+        count = "" if facts.count is None else counted(facts.count, "message")
+        return " · ".join(filter(None, (facts.message_type, *others, rate, count)))
 
     def _draw_cameras(self) -> None:
         for number, view in enumerate(self._views, 1):
@@ -415,8 +427,7 @@ class Pages:
 
     def _draw_lidars(self) -> None:
         for number, (topic, scans) in enumerate(self._scans.items(), 1):
-            details = " · ".join([self._facts[topic].message_type or "", *rate_of(self._facts[topic])])
-            canvas = pictures.top_views(topic, details, scans, self._span)
+            canvas = pictures.top_views(topic, self._details(topic), scans, self._span)
             self._publish(canvas, f"lidar-{number}{file_name_part(topic)}.png", f"{topic} from above, in metres")
 
     def _tracks(self, *, is_gnss: bool) -> list[DrawnTrack]:
@@ -461,7 +472,7 @@ def extent_m(tracks: Sequence[DrawnTrack]) -> float:
     return float((high - low).max())
 
 
-def view_rank(view: CameraView) -> tuple[bool, int, str]:
+def view_rank(view: CameraFrames) -> tuple[bool, int, str]:
     """Return by what cameras are chosen for the overview: with contrast first, colour before grey before depth."""
     shown = view.pictures()
     has_contrast = max(float(picture.std()) for picture in shown) > 4
@@ -469,12 +480,6 @@ def view_rank(view: CameraView) -> tuple[bool, int, str]:
         return not has_contrast, 2, view.topic
     is_grey = all(bool((picture == picture[..., :1]).all()) for picture in shown)
     return not has_contrast, int(is_grey), view.topic
-
-
-def rate_of(topic: TopicFacts) -> list[str]:
-    """Return the rate and the number of messages of a topic, as far as they are known."""
-    rate = [f"{topic.rate_hz:.3g} Hz"] if topic.rate_hz else []
-    return [*rate, *([f"{topic.count} message{'s' if topic.count != 1 else ''}"] if topic.count is not None else [])]
 
 
 def file_name_part(topic: str) -> str:

@@ -17,8 +17,8 @@ from PIL import Image
 from kleinkram.action.testing import TryOutResult, try_out
 from kleinkram.client.actions import read_manifest
 from kleinkram.contract.access import Right
+from kleinkram.contract.actions import Network
 from kleinkram.contract.checks import Verdict
-from kleinkram.contract.runs import Network
 from kleinkram.recordings.sample import Defect, Faults, SampleFormat, generate_file, generate_rig
 from tests.integration.library.packages import LIBRARY
 from tests.recording_files.ros_messages import SECOND, T0, TimedMessage, ros2_mcap

@@ -191,8 +191,9 @@ def test_positions_without_fix_are_not_part_of_the_track() -> None:
 
 
 def test_one_position_is_a_point() -> None:
-    (feature,) = geojson({"/fix": numbers_of([fix(0, 47.0, 8.0)])})["features"]  # type: ignore[misc]  # a list of one
-    assert feature["geometry"] == {"type": "Point", "coordinates": [8.0, 47.0]}
+    features = geojson({"/fix": numbers_of([fix(0, 47.0, 8.0)])})["features"]
+    assert isinstance(features, list)
+    assert features[0]["geometry"] == {"type": "Point", "coordinates": [8.0, 47.0]}
 
 
 def test_a_curve_without_values_has_none() -> None:

@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 
 from kleinkram.library.curves import TimeSpan
-from kleinkram.library.frames import Frame, Scan, read_frame, read_scan, value_range
+from kleinkram.library.frames import Frame, ScanPoints, read_frame, read_scan, value_range
 from kleinkram.library.pictures import (
-    CameraView,
+    CameraFrames,
     Canvas,
     DrawnTrack,
     clock_text,
@@ -75,8 +75,8 @@ def test_a_track_of_one_position_has_a_scale() -> None:
 def test_stray_points_do_not_shrink_the_view_of_a_lidar() -> None:
     near = np.random.default_rng(1).uniform(-10, 10, (990, 3)).astype(np.float32)
     stray = np.full((10, 3), 5000, np.float32)
-    assert 9 < view_distance([Scan(0, np.concatenate([near, stray]), 1000, is_flat=False)]) <= 10
-    assert view_distance([Scan(0, np.empty((0, 3), np.float32), 0, is_flat=False)]) == 1
+    assert 9 < view_distance([ScanPoints(0, np.concatenate([near, stray]), 1000, is_flat=False)]) <= 10
+    assert view_distance([ScanPoints(0, np.empty((0, 3), np.float32), 0, is_flat=False)]) == 1
 
 
 def summary(counts: tuple[int, ...], rate_hz: float) -> TopicSummary:
@@ -109,8 +109,8 @@ def test_control_characters_are_not_drawn() -> None:
     Canvas(50, 20).text(0, 0, "/a\nb", anchor="ma")
 
 
-def view(topic: str, pixels: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]) -> CameraView:
-    return CameraView(topic, "", (Frame(0, pixels, is_depth=False, size=(8, 8), encoding="rgb8"),), ())
+def view(topic: str, pixels: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]) -> CameraFrames:
+    return CameraFrames(topic, "", (Frame(0, pixels, is_depth=False, size=(8, 8), encoding="rgb8"),), ())
 
 
 def test_colour_cameras_come_before_grey_ones_and_black_ones_come_last() -> None:
