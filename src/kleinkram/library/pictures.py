@@ -1,28 +1,34 @@
-"""Draws pictures with Pillow: contact sheets, strips of frames, plots, tracks and top views of lidars.
-
-Lines are drawn at twice their size and made smaller, which smooths them. Lengths are pixels of the result.
-"""
+"""The pictures of a mission: contact sheets, frames over time, plots, tracks and top views of lidars."""
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
 
+from kleinkram.library.canvas import (
+    BORDER,
+    GRID,
+    INK,
+    MUTED,
+    Box,
+    Canvas,
+    clock_text,
+    colour_bar,
+    coloured,
+    tick_texts,
+    ticks,
+    time_axis,
+)
 from kleinkram.library.curves import BINS, Curve, Panel, TimeSpan
 from kleinkram.library.frames import Frame, ScanPoints, as_bytes, value_range
 
 OVERVIEW = (640, 360)
 MAX_OVERVIEW_BYTES = 100_000
-_INK, _MUTED, _GRID, _BORDER = "#1f2937", "#6b7280", "#e5e7eb", "#9ca3af"
 _PRESENT, _ABSENT = "#2563eb", "#fecaca"
 _AXES = {"x": "#d62728", "y": "#2ca02c", "z": "#1f77b4", "w": "#7f7f7f"}  # as tf frames are drawn
 _CYCLE = (
@@ -33,202 +39,6 @@ _CYCLE = (
 _DEPTH_COLOURS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
 _HEIGHT_COLOURS = ((49, 46, 129), (29, 99, 220), (13, 148, 136), (101, 163, 13), (217, 119, 6), (185, 28, 28))
 _UNKNOWN_DEPTH = (55, 55, 60)
-
-_WITHOUT_GLYPH = str.maketrans({"²": "^2", "×": "x", "–": "-", "µ": "u"})  # in the font that is part of Pillow
-
-Box = tuple[float, float, float, float]
-"""Left, top, right and bottom."""
-
-
-@cache
-def _font(size: float) -> Any:
-    return ImageFont.load_default(size)
-
-
-def printable(text: str) -> str:
-    """Return a text without characters that cannot be shown on a line."""
-    return "".join(character if character.isprintable() else "\ufffd" for character in text)
-
-
-class Canvas:
-    """A white picture of a size.
-
-    `scale`: how much larger it is while it is drawn. `has_palette`: its colours are so similar that 255 are enough.
-    """
-
-    def __init__(self, width: float, height: float, *, scale: int = 2, has_palette: bool = True) -> None:
-        self.width, self.height, self._scale, self._has_palette = width, height, scale, has_palette
-        self.image = Image.new("RGB", (round(width * scale), round(height * scale)), "white")
-        self._draw = ImageDraw.Draw(self.image, "RGBA")
-
-    def text(
-        self,
-        x: float,
-        y: float,
-        text: str,
-        *,
-        size: float = 12,
-        colour: str = _INK,
-        anchor: str = "la",
-        room: float = 0,
-    ) -> float:
-        """Write a text, shortened in the middle to fit into `room` pixels if there is a limit; return its width."""
-        font = _font(size * self._scale)
-        text = shown = printable(text[:500]).translate(_WITHOUT_GLYPH)
-        while room and len(shown) > 3 and font.getlength(shown) > room * self._scale:
-            half = (len(shown) - 2) // 2
-            shown = f"{text[:half]}…{text[-half:]}"
-        self._draw.text((x * self._scale, y * self._scale), shown, fill=colour, font=font, anchor=anchor)
-        return float(font.getlength(shown)) / self._scale
-
-    def rising_text(self, x: float, y: float, text: str, *, size: float = 12, colour: str = _MUTED) -> None:
-        """Write a text that is read from below, centred on a place."""
-        font = _font(size * self._scale)
-        left, top, right, bottom = font.getbbox(text)
-        label = Image.new("RGB", (round(right - left) + 4, round(bottom - top) + 4), "white")
-        ImageDraw.Draw(label).text((2 - left, 2 - top), text, fill=colour, font=font)
-        turned = label.transpose(Image.Transpose.ROTATE_90)
-        self.image.paste(
-            turned, (round(x * self._scale) - turned.width // 2, round(y * self._scale) - turned.height // 2)
-        )
-
-    def line(self, points: Iterable[tuple[float, float]], colour: Any, width: float = 1) -> None:
-        """Draw a line through points."""
-        scaled = [(x * self._scale, y * self._scale) for x, y in points]
-        self._draw.line(scaled, fill=colour, width=max(1, round(width * self._scale)), joint="curve")
-
-    def box(self, box: Box, *, fill: Any = None, outline: Any = None) -> None:
-        """Draw a rectangle."""
-        self._draw.rectangle([edge * self._scale for edge in box], fill=fill, outline=outline)
-
-    def area(self, points: Sequence[tuple[float, float]], colour: Any) -> None:
-        """Fill a polygon."""
-        self._draw.polygon([(x * self._scale, y * self._scale) for x, y in points], fill=colour)
-
-    def dot(self, x: float, y: float, radius: float, colour: Any) -> None:
-        """Draw a filled circle."""
-        edges = [
-            (x - radius) * self._scale,
-            (y - radius) * self._scale,
-            (x + radius) * self._scale,
-            (y + radius) * self._scale,
-        ]
-        self._draw.ellipse(edges, fill=colour, outline="white")
-
-    def picture(self, pixels: NDArray[np.uint8], box: Box, *, is_cropped: bool = False) -> Box:
-        """Draw a picture as large as fits into a box, or so that it fills it; return where it is."""
-        image = Image.fromarray(np.ascontiguousarray(pixels))
-        width, height = (box[2] - box[0]) * self._scale, (box[3] - box[1]) * self._scale
-        factors = width / image.width, height / image.height
-        factor = max(factors) if is_cropped else min(factors)
-        size = max(1, round(image.width * factor)), max(1, round(image.height * factor))
-        image = image.resize(size, Image.Resampling.BILINEAR)
-        if is_cropped:
-            left, top = (size[0] - round(width)) // 2, (size[1] - round(height)) // 2
-            image = image.crop((left, top, left + round(width), top + round(height)))
-        place = box[0] + (width - image.width) / 2 / self._scale, box[1] + (height - image.height) / 2 / self._scale
-        self.image.paste(image, (round(place[0] * self._scale), round(place[1] * self._scale)))
-        return (*place, place[0] + image.width / self._scale, place[1] + image.height / self._scale)
-
-    def points(self, xy: NDArray[np.float64], colours: NDArray[np.uint8], box: Box, size: int) -> None:
-        """Draw points [N, 2] as squares, those inside a box; later ones cover earlier ones."""
-        left, top, right, bottom = (round(edge * self._scale) for edge in box)
-        part = np.array(self.image.crop((left, top, right, bottom)))
-        places = np.floor(xy * self._scale).astype(np.int64) - (left, top)
-        for across in range(size):
-            for down in range(size):
-                column, row = places[:, 0] + across, places[:, 1] + down
-                inside = (column >= 0) & (column < right - left) & (row >= 0) & (row < bottom - top)
-                part[row[inside], column[inside]] = colours[inside]
-        self.image.paste(Image.fromarray(part), (left, top))
-
-    def small(self) -> Image.Image:
-        """Return the picture in its size."""
-        if self._scale == 1:
-            return self.image
-        return self.image.resize((round(self.width), round(self.height)), Image.Resampling.LANCZOS)
-
-    def save(self, path: Path, max_bytes: int | None = None) -> None:
-        """Write a PNG, or by the name a JPEG, whose quality is reduced until it has at most `max_bytes`."""
-        image = self.small()
-        if path.suffix != ".jpg":
-            (image.quantize(255, dither=Image.Dither.NONE) if self._has_palette else image).save(path, optimize=True)
-            return
-        for quality in (85, 75, 60, 45, 30, 15):
-            data = io.BytesIO()
-            image.save(data, "jpeg", quality=quality, optimize=True)
-            if max_bytes is None or data.tell() <= max_bytes:
-                break
-        path.write_bytes(data.getvalue())
-
-
-# -- scales -----------------------------------------------------------------------------------------------------------
-
-
-def ticks(low: float, high: float, count: int) -> list[float]:
-    """Return about `count` round numbers (1, 2 or 5 times a power of ten apart) of a range, its ends inclusive."""
-    span = high - low
-    if not math.isfinite(span) or span <= 0:
-        return [low]
-    magnitude = 10.0 ** math.floor(math.log10(span / count))
-    step = next((factor * magnitude for factor in (1, 2, 5, 10) if factor * magnitude * count >= span), span)
-    first, last = math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6)
-    return [number * step for number in range(first, min(last, first + 4 * count) + 1)]
-
-
-def tick_texts(values: Sequence[float]) -> list[str]:
-    """Return the labels of ticks, with as many decimals as distinguish them."""
-    step = values[1] - values[0] if len(values) > 1 else abs(values[0])
-    largest = max(map(abs, values))
-    if largest >= 1e6 or 0 < step < 1e-5:
-        return [f"{value:.6g}" for value in values]
-    decimals = max(0, -math.floor(math.log10(step) + 1e-9)) if step > 0 else 0
-    return [f"{value + 0.0:.{min(decimals, 6)}f}" for value in values]
-
-
-def time_unit(seconds: float) -> tuple[float, str]:
-    """Return in which unit, of how many seconds, a span is shown."""
-    for limit, length, name in ((0.5, 1e-3, "ms"), (300, 1, "s"), (3 * 3600, 60, "min"), (72 * 3600, 3600, "h")):
-        if seconds <= limit:
-            return length, name
-    return 86400, "days"
-
-
-def clock_text(seconds: float) -> str:
-    """Return a time since the start, as 12.3 s, 4:05 min or 2:04:05 h."""
-    if seconds < 60:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(int(seconds), 60)
-    return f"{minutes}:{rest:02} min" if minutes < 60 else f"{minutes // 60}:{minutes % 60:02}:{rest:02} h"
-
-
-def _time_axis(canvas: Canvas, box: Box, span: TimeSpan, *, with_labels: bool) -> None:
-    """Draw vertical grid lines, and below the box the times since the start."""
-    length, name = time_unit(span.seconds)
-    values = ticks(0, span.seconds / length, max(3, round((box[2] - box[0]) / 110)))
-    for value, label in zip(values, tick_texts(values), strict=True):
-        x = box[0] + (box[2] - box[0]) * value * length / span.seconds
-        canvas.line([(x, box[1]), (x, box[3])], _GRID)
-        if with_labels:
-            text = f"{label} {name}" if value == values[-1] else label
-            canvas.text(min(x, box[2] - 12), box[3] + 4, text, size=11, colour=_MUTED, anchor="ma")
-
-
-def coloured(values: NDArray[Any], bounds: tuple[float, float], colours: Sequence[tuple[int, int, int]]) -> Any:
-    """Return values [...] as colours uint8 [..., 3]."""
-    share = np.clip((np.nan_to_num(values) - bounds[0]) / (bounds[1] - bounds[0]), 0, 1)
-    stops = np.linspace(0, 1, len(colours))
-    return np.stack([np.interp(share, stops, [colour[part] for colour in colours]) for part in range(3)], -1).astype(
-        np.uint8
-    )
-
-
-def _colour_bar(canvas: Canvas, right: float, y: float, bounds: tuple[float, float], colours: Any, name: str) -> None:
-    """Draw a bar of colours with the values at its ends, which ends at `right`."""
-    width = canvas.text(right, y, f"{bounds[1]:.3g} m", size=11, colour=_MUTED, anchor="ra")
-    bar = coloured(np.linspace(0, 1, 80)[np.newaxis].repeat(8, 0), (0, 1), colours)
-    canvas.picture(bar, (right - width - 86, y + 3, right - width - 6, y + 11))
-    canvas.text(right - width - 92, y, f"{name} {bounds[0]:.3g}", size=11, colour=_MUTED, anchor="ra")
 
 
 # -- cameras ----------------------------------------------------------------------------------------------------------
@@ -278,16 +88,16 @@ def contact_sheet(view: CameraFrames, span: TimeSpan) -> Canvas:
     canvas = Canvas(columns * (tile_width + 8) + 16, 58 + rows * (tile_height + 26), scale=1)
     canvas.text(12, 10, view.topic, size=16, room=canvas.width - 24)
     has_depth = any(frame.is_depth for frame in view.frames)
-    canvas.text(12, 33, view.details, size=12, colour=_MUTED, room=canvas.width - (280 if has_depth else 24))
+    canvas.text(12, 33, view.details, size=12, colour=MUTED, room=canvas.width - (280 if has_depth else 24))
     if has_depth:
-        _colour_bar(canvas, canvas.width - 12, 33, view.bounds(), _DEPTH_COLOURS, "depth")
+        colour_bar(canvas, canvas.width - 12, 33, view.bounds(), _DEPTH_COLOURS, "depth")
     for number, (frame, picture) in enumerate(zip(view.frames, view.pictures(), strict=True)):
         left = 12 + number % columns * (tile_width + 8)
         top = 56 + number // columns * (tile_height + 26)
         canvas.box((left, top, left + tile_width, top + tile_height), fill="#f3f4f6")
         canvas.picture(picture, (left, top, left + tile_width, top + tile_height))
         offset_s = (frame.time_ns - span.start_ns) / 1e9
-        canvas.text(left + 2, top + tile_height + 4, clock_text(offset_s), size=12, colour=_MUTED)
+        canvas.text(left + 2, top + tile_height + 4, clock_text(offset_s), size=12, colour=MUTED)
     return canvas
 
 
@@ -296,7 +106,7 @@ def camera_strip(views: Sequence[CameraFrames], span: TimeSpan) -> Canvas:
     left, right, row_height, frame_height = 12, 1268, 104, 66
     canvas = Canvas(1280, 40 + len(views) * row_height, scale=1)
     box = (left, 8, right, canvas.height - 28)
-    _time_axis(canvas, box, span, with_labels=True)
+    time_axis(canvas, box, span.seconds, with_labels=True)
     for number, view in enumerate(views):
         top = 8 + number * row_height
         canvas.text(left, top + 2, view.topic, size=12, room=right - left)
@@ -383,15 +193,15 @@ def plot_range(panel: Panel) -> tuple[float, float]:
 def _plot(canvas: Canvas, box: Box, panel: Panel, span: TimeSpan, *, with_times: bool) -> None:
     inner = (box[0] + 62, box[1] + 22, box[2] - 6, box[3] - 8)
     bounds = plot_range(panel)
-    _time_axis(canvas, inner, span, with_labels=with_times)
+    time_axis(canvas, inner, span.seconds, with_labels=with_times)
     values = ticks(*bounds, 5)
     for value, label in zip(values, tick_texts(values), strict=True):
         y = inner[3] - (inner[3] - inner[1]) * (value - bounds[0]) / (bounds[1] - bounds[0])
-        canvas.line([(inner[0], y), (inner[2], y)], _GRID)
-        canvas.text(inner[0] - 5, y, label, size=11, colour=_MUTED, anchor="rm", room=56)
+        canvas.line([(inner[0], y), (inner[2], y)], GRID)
+        canvas.text(inner[0] - 5, y, label, size=11, colour=MUTED, anchor="rm", room=56)
     for number, (name, curve) in enumerate(panel.curves):
         _draw_curve(canvas, inner, curve, bounds, _colour_of(name, number))
-    canvas.box(inner, outline=_BORDER)
+    canvas.box(inner, outline=BORDER)
     names = [name for name, _ in panel.curves if name]
     room = inner[2] - inner[0]
     legend = _legend(canvas, (inner[2], box[1] + 4), names, room * 0.55)
@@ -412,7 +222,7 @@ def _legend(canvas: Canvas, corner: tuple[float, float], names: Sequence[str], r
     while len(shown) > 1 and sum(7.0 * len(name) + 12 for _, name in shown) > room:
         shown.pop()
     if len(shown) < len(names):
-        width += canvas.text(*corner, f"… {len(names)} curves", size=11, colour=_MUTED, anchor="ra") + 8
+        width += canvas.text(*corner, f"… {len(names)} curves", size=11, colour=MUTED, anchor="ra") + 8
     for number, name in reversed(shown):
         x = corner[0] - width
         width += canvas.text(x, corner[1], name, size=11, colour=_colour_of(name, number), anchor="ra", room=room) + 10
@@ -478,13 +288,13 @@ def _metric_grid(canvas: Canvas, scale: MapScale) -> None:
         for value, label in zip(values, tick_texts(values) if values else (), strict=True):
             if axis == 0:
                 x = box[0] + (value - low) * scale.pixels_per_m
-                canvas.line([(x, box[1]), (x, box[3])], _GRID)
-                canvas.text(x, box[3] + 4, label, size=11, colour=_MUTED, anchor="ma")
+                canvas.line([(x, box[1]), (x, box[3])], GRID)
+                canvas.text(x, box[3] + 4, label, size=11, colour=MUTED, anchor="ma")
             else:
                 y = box[3] - (value - low) * scale.pixels_per_m
-                canvas.line([(box[0], y), (box[2], y)], _GRID)
-                canvas.text(box[0] - 5, y, label, size=11, colour=_MUTED, anchor="rm")
-    canvas.box(box, outline=_BORDER)
+                canvas.line([(box[0], y), (box[2], y)], GRID)
+                canvas.text(box[0] - 5, y, label, size=11, colour=MUTED, anchor="rm")
+    canvas.box(box, outline=BORDER)
 
 
 class DrawnTrack(NamedTuple):
@@ -515,13 +325,13 @@ def track_map(
         colour = _CYCLE[number % len(_CYCLE)]
         places = [(float(x), float(y)) for x, y in scale.place(track.xy)]
         canvas.line([(14, 40 + 16 * number), (34, 40 + 16 * number)], colour, 2)
-        canvas.text(40, 40 + 16 * number, track.name, colour=_INK, anchor="lm", room=size[0] - 60)
+        canvas.text(40, 40 + 16 * number, track.name, colour=INK, anchor="lm", room=size[0] - 60)
         if len(places) > 1:
             canvas.line(places, colour, 1.6)
         canvas.dot(*places[0], 5, colour)
         end_x, end_y = places[-1]
         canvas.box((end_x - 4, end_y - 4, end_x + 4, end_y + 4), fill=colour, outline="white")
-    canvas.text((box[0] + box[2]) / 2, size[1] - 20, f"{axes[0]} [m]", colour=_MUTED, anchor="ma")
+    canvas.text((box[0] + box[2]) / 2, size[1] - 20, f"{axes[0]} [m]", colour=MUTED, anchor="ma")
     canvas.rising_text(16, (box[1] + box[3]) / 2, f"{axes[1]} [m]")
     return canvas
 
@@ -533,17 +343,17 @@ def top_views(
     canvas = Canvas(len(scans) * size[0] + 16, size[1] + 60, has_palette=False)
     canvas.text(12, 9, topic, size=16, room=canvas.width - 24)
     is_flat = all(scan.is_flat for scan in scans)
-    canvas.text(12, 31, details, colour=_MUTED, room=canvas.width - (24 if is_flat else 240))
+    canvas.text(12, 31, details, colour=MUTED, room=canvas.width - (24 if is_flat else 240))
     bounds = value_range([scan.xyz[:, 2] for scan in scans])
     if not is_flat:
-        _colour_bar(canvas, canvas.width - 12, 31, bounds, _HEIGHT_COLOURS, "height")
+        colour_bar(canvas, canvas.width - 12, 31, bounds, _HEIGHT_COLOURS, "height")
     reach = view_distance(scans)
     for number, scan in enumerate(scans):
         left = 8 + number * size[0]
         box = (left + 44, 68, left + size[0] - 6, 52 + size[1] - 26)
         _top_view(canvas, box, scan, reach, None if is_flat else bounds)
         text = f"{clock_text((scan.time_ns - span.start_ns) / 1e9)}, {scan.total} points"
-        canvas.text(box[0], 52, text, size=11, colour=_MUTED, room=box[2] - box[0])
+        canvas.text(box[0], 52, text, size=11, colour=MUTED, room=box[2] - box[0])
     return canvas
 
 
@@ -572,7 +382,7 @@ def _top_view(canvas: Canvas, box: Box, scan: ScanPoints, reach: float, heights:
     canvas.points(scale.place(xyz[:, :2].astype(np.float64)), colours, box, 3 if len(xyz) > 3000 else 4)
     ((x, y),) = scale.place(np.zeros((1, 2)))
     for across, up in ((5, 0), (0, 5)):
-        canvas.line([(x - across, y - up), (x + across, y + up)], _INK, 1.5)
+        canvas.line([(x - across, y - up), (x + across, y + up)], INK, 1.5)
 
 
 # -- messages over time -----------------------------------------------------------------------------------------------
@@ -584,7 +394,7 @@ def message_bars(rows: Sequence[tuple[str, Sequence[tuple[float, float]]]], span
     box = (10, 10, OVERVIEW[0] - 14, OVERVIEW[1] - 28)
     shown = rows[:10]
     height = min(60.0, (box[3] - box[1]) / len(shown))
-    _time_axis(canvas, box, span, with_labels=True)
+    time_axis(canvas, box, span.seconds, with_labels=True)
     for number, (topic, present_s) in enumerate(shown):
         top = box[1] + number * height
         canvas.text(box[0], top, topic, size=11, room=box[2] - box[0])

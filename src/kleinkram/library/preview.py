@@ -67,6 +67,7 @@ from kleinkram.checks.content.sample_reader import SampleReader
 from kleinkram.checks.facts import TopicFacts
 from kleinkram.checks.local import LocalMission, read_mission
 from kleinkram.library import pictures
+from kleinkram.library.canvas import Canvas, printable
 from kleinkram.library.curves import TimeSpan, TopicNumbers, most_interesting, numeric_fields, panels_of
 from kleinkram.library.frames import (
     CAMERA_TYPES,
@@ -78,12 +79,12 @@ from kleinkram.library.frames import (
     read_frame,
     read_scan,
 )
-from kleinkram.library.pictures import CameraFrames, Canvas, DrawnTrack, printable
+from kleinkram.library.pictures import CameraFrames, DrawnTrack
 from kleinkram.recordings import Recording, RecordingError, Topic, TopicSummary
 from kleinkram.recordings.model import Content, counted
 
 WHOLE_BYTES = 1_500_000_000
-SAMPLE_BYTES = 200_000_000
+SAMPLE_BYTES = 400_000_000
 MAX_CAMERAS, MAX_LIDARS, MAX_TOPICS, MAX_TRACKS = 24, 8, 300, 10
 SCANS = 3
 PANELS_OF_PICTURE = 12
@@ -323,8 +324,8 @@ def read_numbers(reader: Recording, collected: Collected) -> None:
         return
     segments = reader.segments(names)
     count = max(min(2, len(segments)), int(collected.share * len(segments)))
-    for number in range(count):
-        for block in reader.segment_messages(segments[number * len(segments) // count], names):
+    for place in spread(len(segments), count):
+        for block in reader.segment_messages(segments[place], names):
             for message in block:
                 collected.numbers[message.topic].add(message)
 

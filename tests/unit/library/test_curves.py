@@ -21,7 +21,7 @@ from kleinkram.library.curves import (
     numeric_fields,
     panels_of,
 )
-from kleinkram.library.preview import geojson
+from kleinkram.library.preview import Collected, Options, geojson, read_numbers
 from kleinkram.recordings import Channel, RawMessage, Recording, Schema
 from tests.recording_files.ros_messages import SECOND, T0, TimedMessage, ros2_mcap
 
@@ -109,6 +109,22 @@ def test_all_times_at_zero_are_one_moment() -> None:
 def test_messages_outside_of_the_time_of_the_mission_are_left_out() -> None:
     numbers = numbers_of([imu(-5, 7.0), imu(5, 1.0), imu(50, 8.0)])
     assert numbers.curves["linear_acceleration.x"].bounds == (1.0, 1.0)
+
+
+def test_of_a_large_mission_segments_are_read_that_are_spread_evenly() -> None:
+    collected = Collected(Options(("*",), (), frames=12, max_plots=24), SPAN, camera_count=0)
+    collected.share = 0.1
+    messages = [imu(number / 1000, 0.5) for number in range(10_001)]
+    with Recording.open(ros2_mcap(messages, chunk_bytes=2**14)) as recording:
+        collected.plan(recording.topics)
+        read_numbers(recording, collected)
+    numbers = collected.numbers["/imu"]
+    numbers.finish()
+    curve = numbers.curves["linear_acceleration.x"]
+    assert 0.05 < curve.count / len(messages) < 0.12
+    used = np.flatnonzero(~np.isnan(curve.low))
+    assert (used[0], used[-1]) == (0, BINS - 1)
+    assert np.diff(used).max() < 0.15 * BINS
 
 
 def test_numbers_in_json_are_found_in_the_messages() -> None:

@@ -9,21 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from kleinkram.library.canvas import Canvas, clock_text, printable, tick_texts, ticks, time_unit
 from kleinkram.library.curves import TimeSpan
 from kleinkram.library.frames import Frame, ScanPoints, read_frame, read_scan, value_range
-from kleinkram.library.pictures import (
-    CameraFrames,
-    Canvas,
-    DrawnTrack,
-    clock_text,
-    map_scale,
-    printable,
-    tick_texts,
-    ticks,
-    time_unit,
-    track_bounds,
-    view_distance,
-)
+from kleinkram.library.pictures import CameraFrames, DrawnTrack, map_scale, track_bounds, view_distance
 from kleinkram.library.preview import file_name_part, present_times, spread, view_rank
 from kleinkram.recordings.decoding import DecodeError
 from kleinkram.recordings.model import MessageDensity, TopicSummary
