@@ -168,7 +168,13 @@ def tick_texts(values: Sequence[float]) -> list[str]:
 
 def time_unit(seconds: float) -> tuple[float, str]:
     """Return in which unit, of how many seconds, a span is shown."""
-    for limit, length, name in ((0.5, 1e-3, "ms"), (300, 1, "s"), (3 * 3600, 60, "min"), (72 * 3600, 3600, "h")):
+    for limit, length, name in (
+        (5e-4, 1e-6, "us"),
+        (0.5, 1e-3, "ms"),
+        (300, 1, "s"),
+        (3 * 3600, 60, "min"),
+        (72 * 3600, 3600, "h"),
+    ):
         if seconds <= limit:
             return length, name
     return 86400, "days"
@@ -191,7 +197,7 @@ def time_axis(canvas: Canvas, box: Box, seconds: float, *, with_labels: bool) ->
         canvas.line([(x, box[1]), (x, box[3])], GRID)
         if with_labels:
             text = f"{label} {name}" if value == values[-1] else label
-            canvas.text(min(x, box[2] - 12), box[3] + 4, text, size=11, colour=MUTED, anchor="ma")
+            canvas.text(max(min(x, box[2] - 12), 16), box[3] + 4, text, size=11, colour=MUTED, anchor="ma")
 
 
 def coloured(values: NDArray[Any], bounds: tuple[float, float], colours: Sequence[tuple[int, int, int]]) -> Any:

@@ -53,14 +53,24 @@ KNOWN_FIELDS: Mapping[str, Sequence[tuple[str, Unit]]] = {
     "PointStamped": (("point", "m"),),
     "TransformStamped": (("transform.translation", "m"),),
     "Vector3Stamped": (("vector", ""),),
+    "sensor_combined": (("accelerometer_m_s2", "m/s²"), ("gyro_rad", "rad/s")),
+    "vehicle_local_position": (("x", "m"), ("y", "m"), ("z", "m"), ("vx", "m/s"), ("vy", "m/s"), ("vz", "m/s")),
+    "battery_status": (("voltage_v", "V"), ("current_a", "A"), ("remaining", "")),
+    "vehicle_air_data": (("baro_alt_meter", "m"), ("baro_pressure_pa", "Pa")),
 }
-"""Of message types of ROS, without package: the fields that are plotted, in order of interest, with their units."""
+"""Of message types of ROS (without package) and PX4: the fields that are plotted, by interest, with their units."""
+
+NOT_PLOTTED = frozenset(("CameraInfo", "Log", "ParameterEvent"))
+"""Types of messages whose numbers say nothing over time."""
+
+_COUNTERS = frozenset(("seq", "sequence", "sequence_id", "sec", "secs", "nsec", "nsecs", "nanosec", "stamp"))
 
 _POSITIONS = (
     ("pose.pose.position.x", "pose.pose.position.y"),
     ("pose.position.x", "pose.position.y"),
     ("transform.translation.x", "transform.translation.y"),
 )
+_PLANAR_POSES = frozenset(("Pose", "Pose2D"))
 _GNSS = ("longitude", "latitude")
 
 
@@ -157,11 +167,18 @@ def east_north(degrees: NDArray[np.float64], origin: tuple[float, float]) -> NDA
     return np.column_stack([east, np.radians(degrees[:, 1] - origin[1])]) * _EARTH_RADIUS_M
 
 
+def short_type(message_type: str) -> str:
+    """Return the name of a type without its package."""
+    return message_type.replace(".", "/").rpartition("/")[2]
+
+
 def numeric_fields(topic: Topic) -> list[str] | None:
     """Return the numbers in the messages of a topic, as names of columns; None where only the messages say.
 
     Raises DecodeError: they cannot be decoded.
     """
+    if short_type(topic.message_type) in NOT_PLOTTED:
+        return []
     decoder = decoder_of(topic.message_encoding, topic.schema)
     if isinstance(decoder, Undecodable):
         raise DecodeError(decoder.type_name, decoder.reason)
@@ -172,8 +189,14 @@ def _numeric_fields(decoder: Decoder) -> list[str] | None:
     if decoder.struct is None:
         return None
     columns = columns_of(decoder.struct, None)
-    names = [column.name for column in columns if _is_numeric(column.kind) and "covariance" not in column.name]
+    names = [column.name for column in columns if _is_numeric(column.kind) and not _is_bookkeeping(column.name)]
     return names[:_MAX_FIELDS]
+
+
+def _is_bookkeeping(name: str) -> bool:
+    """Return whether a field is a time, a counter or a covariance."""
+    leaf = name.rpartition(".")[2].lower()
+    return leaf in _COUNTERS or leaf.startswith("timestamp") or "covariance" in leaf
 
 
 def _is_numeric(kind: Type) -> bool:
@@ -197,7 +220,7 @@ class TopicNumbers:
 
     def __init__(self, topic: str, message_type: str, span: TimeSpan) -> None:
         self.topic = topic
-        self.message_type = message_type.replace(".", "/").rpartition("/")[2]
+        self.message_type = short_type(message_type)
         self.curves: dict[str, Curve] = {}
         self.track: Track | None = None
         self.element_names: tuple[str, ...] = ()
@@ -250,7 +273,7 @@ class TopicNumbers:
         bins = self._span.bins(offsets_s)
         numbers: dict[str, NDArray[np.float64]] = {}
         for name, column in zip(batch.schema.names, batch.columns, strict=True):
-            if name not in TIME_COLUMNS and "covariance" not in name:
+            if name not in TIME_COLUMNS and not _is_bookkeeping(name):
                 numbers.update(_numbers_of(name, column))
         for name, values in numbers.items():
             if name in self.curves or len(self.curves) < _MAX_CURVES:
@@ -258,7 +281,8 @@ class TopicNumbers:
         self._add_track(offsets_s, numbers)
 
     def _add_track(self, offsets_s: NDArray[np.float64], numbers: Mapping[str, NDArray[np.float64]]) -> None:
-        pair = next((pair for pair in (_GNSS, *_POSITIONS) if all(name in numbers for name in pair)), None)
+        pairs = (_GNSS, *_POSITIONS, *((("x", "y"),) if self.message_type in _PLANAR_POSES else ()))
+        pair = next((pair for pair in pairs if all(name in numbers for name in pair)), None)
         if pair is None:
             return
         if self.track is None:

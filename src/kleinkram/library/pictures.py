@@ -123,8 +123,10 @@ def camera_strip(views: Sequence[CameraFrames], span: TimeSpan) -> Canvas:
     return canvas
 
 
-def _presence_bar(canvas: Canvas, box: Box, present_s: Iterable[tuple[float, float]], span: TimeSpan) -> None:
-    canvas.box(box, fill=_ABSENT)
+def _presence_bar(
+    canvas: Canvas, box: Box, present_s: Iterable[tuple[float, float]], span: TimeSpan, absent: str = _ABSENT
+) -> None:
+    canvas.box(box, fill=absent)
     scale = (box[2] - box[0]) / span.seconds
     for begin_s, end_s in present_s:
         edges = [min(max(box[0] + second * scale, box[0]), box[2]) for second in (begin_s, end_s)]
@@ -340,7 +342,7 @@ def top_views(
     topic: str, details: str, scans: Sequence[ScanPoints], span: TimeSpan, size: tuple[float, float] = (420, 420)
 ) -> Canvas:
     """Return scans from above beside each other, all in one scale; colours are heights, a cross is the sensor."""
-    canvas = Canvas(len(scans) * size[0] + 16, size[1] + 60, has_palette=False)
+    canvas = Canvas(max(660, len(scans) * size[0] + 16), size[1] + 60, has_palette=False)
     canvas.text(12, 9, topic, size=16, room=canvas.width - 24)
     is_flat = all(scan.is_flat for scan in scans)
     canvas.text(12, 31, details, colour=MUTED, room=canvas.width - (24 if is_flat else 240))
@@ -398,5 +400,5 @@ def message_bars(rows: Sequence[tuple[str, Sequence[tuple[float, float]]]], span
     for number, (topic, present_s) in enumerate(shown):
         top = box[1] + number * height
         canvas.text(box[0], top, topic, size=11, room=box[2] - box[0])
-        _presence_bar(canvas, (box[0], top + 16, box[2], top + min(height - 4, 28)), present_s, span)
+        _presence_bar(canvas, (box[0], top + 16, box[2], top + min(height - 4, 28)), present_s, span, GRID)
     return canvas

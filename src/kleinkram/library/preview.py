@@ -68,7 +68,7 @@ from kleinkram.checks.facts import TopicFacts
 from kleinkram.checks.local import LocalMission, read_mission
 from kleinkram.library import pictures
 from kleinkram.library.canvas import Canvas, printable
-from kleinkram.library.curves import TimeSpan, TopicNumbers, most_interesting, numeric_fields, panels_of
+from kleinkram.library.curves import TimeSpan, TopicNumbers, most_interesting, numeric_fields, panels_of, short_type
 from kleinkram.library.frames import (
     CAMERA_TYPES,
     LIDAR_TYPES,
@@ -161,11 +161,7 @@ def report_unreadable(mission: LocalMission) -> None:
 
 
 def _camera_count(mission: LocalMission) -> int:
-    return sum(_short_type(topic.message_type or "") in CAMERA_TYPES for topic in mission.facts.topics)
-
-
-def _short_type(message_type: str) -> str:
-    return message_type.replace(".", "/").rpartition("/")[2]
+    return sum(short_type(topic.message_type or "") in CAMERA_TYPES for topic in mission.facts.topics)
 
 
 # -- reading ----------------------------------------------------------------------------------------------------------
@@ -193,7 +189,7 @@ class Collected:
                 self._plan(topic)
 
     def _plan(self, topic: Topic) -> None:
-        name, kind = topic.name, _short_type(topic.message_type)
+        name, kind = topic.name, short_type(topic.message_type)
         if topic.count == 0:
             self.leave_out("they have no messages", [name])
         elif topic.undecodable is not None:

@@ -145,6 +145,25 @@ def test_fields_without_numbers_are_known_before_messages_are_read() -> None:
             assert numeric_fields(recording.topics[0]) == fields
 
 
+def test_counters_and_times_are_not_plotted() -> None:
+    channel = Channel("/json", "json", Schema("Status", "jsonschema", b"{}"))
+    numbers = TopicNumbers("/json", "Status", SPAN)
+    for number in range(3):
+        data = json.dumps({"header": {"seq": number}, "timestamp_sample": number, "covariance": [1.0], "rpm": number})
+        numbers.add(RawMessage("/json", T0 + number, T0, 0, data.encode(), channel))
+    numbers.finish()
+    assert list(numbers.curves) == ["rpm"]
+
+
+def test_a_planar_pose_has_a_track() -> None:
+    values = [{"x": float(number), "y": 2.0, "theta": 0.1} for number in range(4)]
+    numbers = numbers_of(
+        TimedMessage("/pose", "geometry_msgs/Pose2D", T0 + number * SECOND, pose) for number, pose in enumerate(values)
+    )
+    assert numbers.track is not None
+    assert numbers.track.rows[:, 1:].tolist() == [[0, 2], [1, 2], [2, 2], [3, 2]]
+
+
 def test_every_topic_has_a_plot_before_one_has_two_and_constants_come_last() -> None:
     moving = numbers_of(imu(number, float(number)) for number in range(10))
     still = numbers_of(TimedMessage("/still", "std_msgs/Float64", T0 + number, {"data": 3.0}) for number in range(10))
