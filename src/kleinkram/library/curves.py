@@ -59,6 +59,7 @@ KNOWN_FIELDS: Mapping[str, Sequence[tuple[str, Unit]]] = {
     "vehicle_air_data": (("baro_alt_meter", "m"), ("baro_pressure_pa", "Pa")),
 }
 """Of message types of ROS (without package) and PX4: the fields that are plotted, by interest, with their units."""
+_PACKAGES = frozenset(("sensor_msgs", "geometry_msgs", "nav_msgs", "foxglove", "foxglove_msgs", ""))
 
 NOT_PLOTTED = frozenset(("CameraInfo", "Log", "ParameterEvent"))
 """Types of messages whose numbers say nothing over time."""
@@ -69,6 +70,7 @@ _POSITIONS = (
     ("pose.pose.position.x", "pose.pose.position.y"),
     ("pose.position.x", "pose.position.y"),
     ("transform.translation.x", "transform.translation.y"),
+    ("position.x", "position.y"),
 )
 _PLANAR_POSES = frozenset(("Pose", "Pose2D"))
 _GNSS = ("longitude", "latitude")
@@ -220,7 +222,7 @@ class TopicNumbers:
 
     def __init__(self, topic: str, message_type: str, span: TimeSpan) -> None:
         self.topic = topic
-        self.message_type = short_type(message_type)
+        self.message_type = message_type
         self.curves: dict[str, Curve] = {}
         self.track: Track | None = None
         self.element_names: tuple[str, ...] = ()
@@ -281,7 +283,7 @@ class TopicNumbers:
         self._add_track(offsets_s, numbers)
 
     def _add_track(self, offsets_s: NDArray[np.float64], numbers: Mapping[str, NDArray[np.float64]]) -> None:
-        pairs = (_GNSS, *_POSITIONS, *((("x", "y"),) if self.message_type in _PLANAR_POSES else ()))
+        pairs = (_GNSS, *_POSITIONS, *((("x", "y"),) if short_type(self.message_type) in _PLANAR_POSES else ()))
         pair = next((pair for pair in pairs if all(name in numbers for name in pair)), None)
         if pair is None:
             return
@@ -346,8 +348,10 @@ class Panel(NamedTuple):
 def panels_of(numbers: TopicNumbers) -> list[Panel]:
     """Return the plots that a topic could have; fields without a finite value have none."""
     curves = {name: curve for name, curve in numbers.curves.items() if curve.count}
-    known = KNOWN_FIELDS.get(numbers.message_type)
-    rank = list(KNOWN_FIELDS).index(numbers.message_type) if known else len(KNOWN_FIELDS)
+    kind = short_type(numbers.message_type)
+    package = numbers.message_type.replace(".", "/").partition("/")[0] if kind != numbers.message_type else ""
+    known = KNOWN_FIELDS.get(kind) if package in _PACKAGES else None
+    rank = list(KNOWN_FIELDS).index(kind) if known else len(KNOWN_FIELDS)
     fields = known or [(name, "") for name in dict.fromkeys(_group_of(name, curves) for name in curves)]
     panels = []
     for name, unit in fields:

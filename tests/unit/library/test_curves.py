@@ -145,6 +145,19 @@ def test_fields_without_numbers_are_known_before_messages_are_read() -> None:
             assert numeric_fields(recording.topics[0]) == fields
 
 
+@pytest.mark.parametrize(
+    ("message_type", "unit"),
+    [("sensor_msgs/msg/Temperature", "°C"), ("foxglove.Temperature", "°C"), ("lab/Temperature", "")],
+)
+def test_fields_of_other_packages_have_no_units(message_type: str, unit: str) -> None:
+    numbers = TopicNumbers("/json", message_type, SPAN)
+    channel = Channel("/json", "json", Schema(message_type, "jsonschema", b"{}"))
+    for number in range(3):
+        numbers.add(RawMessage("/json", T0 + number, T0, 0, json.dumps({"temperature": number}).encode(), channel))
+    numbers.finish()
+    assert [(panel.field, panel.unit) for panel in panels_of(numbers)] == [("temperature", unit)]
+
+
 def test_counters_and_times_are_not_plotted() -> None:
     channel = Channel("/json", "json", Schema("Status", "jsonschema", b"{}"))
     numbers = TopicNumbers("/json", "Status", SPAN)
