@@ -21,6 +21,7 @@ from kleinkram.library.curves import (
     numeric_fields,
     panels_of,
 )
+from kleinkram.library.pictures import plot_range
 from kleinkram.library.preview import Collected, Options, geojson, read_numbers
 from kleinkram.recordings import Channel, RawMessage, Recording, Schema
 from tests.recording_files.ros_messages import SECOND, T0, TimedMessage, ros2_mcap
@@ -92,6 +93,15 @@ def test_values_that_are_not_finite_are_counted_and_left_out() -> None:
     (panel,) = panels_of(numbers)
     assert panel.curves[0][1].bounds == (1.0, 2.0)
     assert panel.curves[0][1].not_finite == 3
+
+
+def test_the_axis_of_a_plot_has_all_values_and_a_margin() -> None:
+    numbers = numbers_of(imu(number, float(number)) for number in range(10))
+    acceleration, turn_rate = panels_of(numbers)
+    assert plot_range(acceleration) == pytest.approx((-0.05 * 9.81, 1.05 * 9.81))
+    assert plot_range(turn_rate) == pytest.approx((-9.45, 0.45))
+    (still,) = panels_of(numbers_of([TimedMessage("/still", "std_msgs/Float64", T0, {"data": 3.0})]))
+    assert plot_range(still) == pytest.approx((2.85, 3.15))
 
 
 def test_a_topic_of_nan_only_has_no_plot() -> None:
