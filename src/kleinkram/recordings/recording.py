@@ -358,7 +358,7 @@ class Recording:
             self._problem_log.add("message-undecodable", name, message)
 
         messages = _timed(blocks, topic.schema, topic.message_encoding, self._problem_log)
-        return _decoder_of(topic.message_encoding, topic.schema), messages, notice
+        return decoder_of(topic.message_encoding, topic.schema), messages, notice
 
     def _select(self, topics: Topics | None, start: Time | None, end: Time | None) -> Selection:
         if topics is None:
@@ -412,7 +412,7 @@ def _decode_blocks(blocks: Iterable[Block], problem_log: ProblemLog) -> Iterator
         for topic, log_ns, publish_ns, sequence, data, channel in block:
             known = decoders.get(id(channel))
             if known is None:
-                decoder = _decoder_of(channel.message_encoding, channel.schema)
+                decoder = decoder_of(channel.message_encoding, channel.schema)
                 known = decoders[id(channel)] = (channel, decoder if isinstance(decoder, Decoder) else None)
             value: object = data
             if known[1] is not None:
@@ -429,13 +429,14 @@ def decode(message: RawMessage) -> object:
     Raises:
         DecodeError: it cannot be decoded.
     """
-    decoder = _decoder_of(message.channel.message_encoding, message.channel.schema)
+    decoder = decoder_of(message.channel.message_encoding, message.channel.schema)
     if isinstance(decoder, Undecodable):
         raise DecodeError(decoder.type_name, decoder.reason)
     return decoder.decode(message.data)
 
 
-def _decoder_of(message_encoding: str, schema: Schema) -> Decoder | Undecodable:
+def decoder_of(message_encoding: str, schema: Schema) -> Decoder | Undecodable:
+    """Return the decoder of the messages of a schema, or why there is none."""
     if (message_encoding, schema.encoding) == ("ulog", "ulog"):
         return decoding.decoder_for("ros1", schema.name, "ros1msg", as_ros1_definition(schema.name, schema.data))
     return decoding.decoder_for(message_encoding, schema.name, schema.encoding, schema.data)
@@ -465,7 +466,7 @@ def _have_one_layout(one: Schema, other: Schema, one_encoding: str, other_encodi
         return False
     if one == other:
         return True
-    decoders = [_decoder_of(one_encoding, schema) for schema in (one, other)]
+    decoders = [decoder_of(one_encoding, schema) for schema in (one, other)]
     layouts = [decoder.layout for decoder in decoders if isinstance(decoder, Decoder)]
     return len(layouts) == 2 and layouts[0] == layouts[1]
 
@@ -483,7 +484,7 @@ def _list_topics(contents: Iterable[MemberContents]) -> tuple[Topic, ...]:
             counts[topic] = None if so_far is None or here is None else so_far + here
     topics = []
     for name, channel in sorted(first.items()):
-        decoder = _decoder_of(channel.message_encoding, channel.schema)
+        decoder = decoder_of(channel.message_encoding, channel.schema)
         undecodable = decoder.reason if isinstance(decoder, Undecodable) else None
         schema = channel.schema
         topics.append(Topic(name, schema.name, schema, channel.message_encoding, counts[name], undecodable))
