@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from typing_extensions import Self
 
-from kleinkram.contract.actions import ActionDefinition, Network, ParameterValues
+from kleinkram.contract.actions import ActionDefinition, Network, OwnDefinition, ParameterValues
 from kleinkram.contract.base import Request, Response
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.contract.files import FileRead, RecordingRead, TopicRead
@@ -112,7 +112,7 @@ class RunsCreate(Request):
     mission_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=MAX_LAUNCHED)]
     action_id: uuid.UUID | None = None
     version: Annotated[int, Field(ge=1, lt=2**31)] | None = None
-    definition: ActionDefinition | None = None
+    definition: OwnDefinition | None = None
     parameters: ParameterValues = {}
     force: bool = False
 

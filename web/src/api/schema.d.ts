@@ -1006,6 +1006,48 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/library": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Library
+         * @description List the actions that are shipped with this server, and which of them a project, or the whole lab, has.
+         */
+        get: operations["list_library"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/library/{name}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Add From Library
+         * @description Publish a shipped action under its name, locked like others; where it was added before, its next version.
+         *
+         *     It is unchanged where nothing newer is shipped.
+         */
+        post: operations["add_from_library"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/me": {
         parameters: {
             query?: never;
@@ -2876,6 +2918,7 @@ export interface components {
          *     is the Python that the script needs.
          *     `right` is the right on the mission that launching requires, and the right of the run's token.
          *     `metrics` describes metrics for tables; an action may report others, too.
+         *     `library` is set by the server where it added a shipped action; it is ignored in what people publish or run.
          */
         ActionDefinition: {
             /**
@@ -2906,6 +2949,8 @@ export interface components {
              *     }
              */
             inputs: components["schemas"]["Inputs"];
+            /** Library */
+            library?: string | null;
             /** Lock */
             lock?: string | null;
             /**
@@ -3976,7 +4021,7 @@ export interface components {
          * @description The closed set of failures.
          * @enum {string}
          */
-        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "last_sign_in_method" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "group_fixed" | "not_found" | "wrong_client" | "ambiguous_name" | "name_taken" | "edit_conflict" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "method_not_allowed" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "rate_limited" | "too_many_streams" | "store_unavailable" | "database_unavailable" | "internal_error";
+        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "last_sign_in_method" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "group_fixed" | "not_found" | "wrong_client" | "ambiguous_name" | "name_taken" | "not_from_library" | "edit_conflict" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "method_not_allowed" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "rate_limited" | "too_many_streams" | "store_unavailable" | "database_unavailable" | "internal_error";
         /**
          * ExecutorAbilities
          * @description What an executor supports.
@@ -4798,6 +4843,63 @@ export interface components {
          * @enum {string}
          */
         LeaseStatus: "active" | "cancel" | "lost";
+        /**
+         * LibraryActionRead
+         * @description An action of the library. `name` is that of its library, `kleinkram/preview`; `version` that of Kleinkram.
+         *
+         *     `action_id` and `action_version` are the action of that name which the project or the lab has, in its latest
+         *     version.
+         */
+        LibraryActionRead: {
+            /** Action Id */
+            action_id: string | null;
+            /** Action Version */
+            action_version: number | null;
+            /** Dependencies */
+            dependencies: string[];
+            /** Description */
+            description: string;
+            inputs: components["schemas"]["Inputs"];
+            /** Metrics */
+            metrics: components["schemas"]["DeclaredMetric"][];
+            /** Name */
+            name: string;
+            network: components["schemas"]["Network"];
+            /** Parameters */
+            parameters: components["schemas"]["Parameter"][];
+            /** Requires Python */
+            requires_python: string | null;
+            resources: components["schemas"]["Resources"];
+            right: components["schemas"]["Right"];
+            state: components["schemas"]["LibraryState"];
+            /** Version */
+            version: string;
+        };
+        /**
+         * LibraryAdd
+         * @description Where to add an action of the library: in a project, or without one for the whole lab.
+         */
+        LibraryAdd: {
+            /** Project Id */
+            project_id?: string | null;
+        };
+        /**
+         * LibraryRead
+         * @description All actions of the library, by name.
+         */
+        LibraryRead: {
+            /** Items */
+            items: components["schemas"]["LibraryActionRead"][];
+        };
+        /**
+         * LibraryState
+         * @description Whether a project, or the whole lab, has an action of the library.
+         *
+         *     `available`: it has none of that name. `added`: it has what is shipped. `outdated`: adding it again publishes the
+         *     next version. `name_taken`: its latest version of that name is not from the library.
+         * @enum {string}
+         */
+        LibraryState: "available" | "added" | "outdated" | "name_taken";
         /**
          * LineageFile
          * @description A file in a lineage. `id` is null where it no longer exists or is not visible to the reader.
@@ -9894,6 +9996,72 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["HomeStorage"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_library: {
+        parameters: {
+            query?: {
+                project_id?: string | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["LibraryRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    add_from_library: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                name: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["LibraryAdd"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ActionRead"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */
