@@ -158,8 +158,8 @@ def _create_run(api: Api, project_id: str, mission_id: str, file_id: str) -> tup
     api.post(f"/runs/{run}/cancel").ok()
     artifact = str(uuid.uuid4())
     api.sql(
-        "INSERT INTO run_artifact (id, run_id, path, blob_id) SELECT %s, %s, 'left.png', blob_id FROM file WHERE id = %s",
-        *(artifact, run, file_id),
+        "INSERT INTO run_artifact (id, run_id, path, blob_id) SELECT %s, %s, %s, blob_id FROM file WHERE id = %s",
+        *(artifact, run, "left.png", file_id),
     )
     shown = '[{"path": "left.png"}]'
     api.sql("UPDATE run SET state = 'done', reason = 'done', previews = %s WHERE id = %s", shown, run)

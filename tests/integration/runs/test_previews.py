@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.client import Client
+import kleinkram
 from kleinkram.contract.access import Right
 from kleinkram.contract.previews import MAX_LISTED_PICTURE_BYTES
 from tests.integration import people
@@ -45,9 +45,7 @@ def pictures(api: Api, *missions: Any) -> list[Any]:
     return list(api.post("/missions/pictures", {"mission_ids": [one["id"] for one in missions]}).ok()["items"])
 
 
-def test_previews_of_the_action_preview_come_first_then_the_latest(
-    lab: Api, runner: FakeRunner, place: Place
-) -> None:
+def test_previews_of_the_action_preview_come_first_then_the_latest(lab: Api, runner: FakeRunner, place: Place) -> None:
     run_ids = {}
     for name, previews in (("preview", (SHEET, TABLE)), ("slam", (TRACK,)), ("stats", (TABLE,)), ("nothing", ())):
         launch(lab, runner, place.mission, name=name)
@@ -206,9 +204,7 @@ def test_pictures_of_many_missions_take_two_statements_and_are_recorded(
     own = [statement for statement in statements if "run_artifact" in statement or "audit_event" in statement]
     assert len(own) == 2
     assert {item["mission_id"] for item in listed_pictures} == {mission["id"] for mission in missions[:3]}
-    (event,) = [
-        event for event in lab.events(place.project["id"]) if event["operation"] == "project.preview"
-    ]
+    (event,) = [event for event in lab.events(place.project["id"]) if event["operation"] == "project.preview"]
     assert (event["actor"]["id"], event["after"]) == (person.id, {"missions": 3})
 
 
@@ -226,13 +222,11 @@ def test_pictures_are_requested_of_1_to_200_missions(lab: Api, mission_ids: list
     lab.post("/missions/pictures", {"mission_ids": mission_ids}).refused(422, "invalid_request")
 
 
-def test_the_sdk_lists_and_downloads_previews(
-    lab: Api, runner: FakeRunner, place: Place, tmp_path: Path
-) -> None:
+def test_the_sdk_lists_and_downloads_previews(lab: Api, runner: FakeRunner, place: Place, tmp_path: Path) -> None:
     for name, preview in (("preview", SHEET), ("slam", TRACK)):
         launch(lab, runner, place.mission, name=name)
         finish(runner, preview)
-    with Client(lab.url, lab.token) as client:
+    with kleinkram.connect(lab.url, lab.token) as client:
         previews = client.missions.previews(place.mission["id"])
         assert [(preview.path, preview.kind.value) for preview in previews] == [
             ("sheet.PNG", "picture"),

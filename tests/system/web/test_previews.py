@@ -26,17 +26,20 @@ from kleinkram.action import out, report
 
 def write_png(path, width, height, red):
     rows = b"".join(
-        b"\\0" + b"".join(bytes((red, 255 * x // width, 255 * y // height)) for x in range(width)) for y in range(height)
+        b"\\0" + b"".join(bytes((red, 255 * x // width, 255 * y // height)) for x in range(width))
+        for y in range(height)
     )
-    chunks = ((b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
-    framed = (struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks)
+    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    chunks = (b"IHDR" + head, b"IDAT" + zlib.compress(rows), b"IEND")
+    framed = (struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk)) for chunk in chunks)
     path.write_bytes(b"\\x89PNG\\r\\n\\x1a\\n" + b"".join(framed))
 
 
 write_png(out / "sheet.png", 800, 600, 40)
 report.preview("sheet.png", title={_MARKUP!r})
 head = '<svg xmlns="http://www.w3.org/2000/svg" width="400" height="120" onload="alert(3)"><script>alert(4)</script>'
-(out / "plot.svg").write_text(head + '<path d="M0 60 L100 20 L200 90 L300 30 L400 60" stroke="black" fill="none"/></svg>')
+curve = '<path d="M0 60 L100 20 L200 90 L300 30 L400 60" stroke="black" fill="none"/>'
+(out / "plot.svg").write_text(head + curve + "</svg>")
 report.preview("plot.svg", title="Speed over time")
 line = [[8.5, 47.3], [8.501, 47.3], [8.501, 47.301]]
 (out / "track.geojson").write_text(json.dumps({{"type": "LineString", "coordinates": line}}))
@@ -102,11 +105,11 @@ def _create_objects(terminal: Terminal, tmp_path: Path) -> None:
     script.write_text(_SCRIPT)
     terminal.run("project", "create", "Alps")
     terminal.run("action", "create", script, "-p", "Alps")
+    for number in range(70):
+        terminal.run("mission", "create", f"planned {number:02}", "-p", "Alps")
     for name in ("day", "night"):
         terminal.run("sample", tmp_path / name, "--size", "1MB", "--format", "mcap")
         terminal.run("upload", "-p", "Alps", "-m", name, "--create", "--wait", tmp_path / name)
-    for number in range(70):
-        terminal.run("mission", "create", f"planned {number:02}", "-p", "Alps")
     terminal.run("action", "run", "preview", "-p", "Alps", "-m", "night", "--follow", "--yes")
     (tmp_path / "more").mkdir()
     terminal.run("sample", tmp_path / "more" / "later", "--size", "1MB", "--format", "mcap")

@@ -95,11 +95,9 @@ def _previews(actor: Actor, mission_ids: Sequence[uuid.UUID]) -> tuple[Select[An
     """Return the previews of missions, and the order of those of one mission."""
     latest = _latest_runs(actor, mission_ids).subquery("latest")
     made = run.alias("made")
-    listed = func.jsonb_array_elements(latest.c.previews).table_valued(
-        column("entry", JSONB), with_ordinality="number"
-    )
+    listed = func.jsonb_array_elements(latest.c.previews).table_valued(column("entry", JSONB), with_ordinality="number")
     listed = listed.render_derived(name="listed")
-    of_run = [latest.c[name] for name in latest.c.keys() if name != "previews"]
+    of_run = [one for one in latest.c if one.name != "previews"]
     title = func.coalesce(listed.c.entry["title"].astext, "").label("title")
     of_artifact = (run_artifact.c.id.label("artifact_id"), run_artifact.c.path, title)
     columns = (*of_run, made.c.ended_at, *of_artifact, blob.c.size_bytes, blob.c.sha256, blob.c.key)
@@ -108,7 +106,9 @@ def _previews(actor: Actor, mission_ids: Sequence[uuid.UUID]) -> tuple[Select[An
         .select_from(latest)
         .join(made, made.c.id == latest.c.run_id)
         .join(listed, true())
-        .join(run_artifact, (run_artifact.c.run_id == made.c.id) & (run_artifact.c.path == listed.c.entry["path"].astext))
+        .join(
+            run_artifact, (run_artifact.c.run_id == made.c.id) & (run_artifact.c.path == listed.c.entry["path"].astext)
+        )
         .join(blob, blob.c.id == run_artifact.c.blob_id)
         .where(blob.c.state.not_in(UNREADABLE))
     )

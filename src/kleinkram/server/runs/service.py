@@ -221,7 +221,9 @@ async def link_artifacts(
                 raise FileUnavailable(path=rows_by_id[entry].path, state=rows_by_id[entry].state)
         after: Metadata = {"files": len(rows_by_id)}
         name, where = visible.run.action.name, visible.run.mission
-        event = Event(f"run.{requested.purpose.value}", "run", run_id, name, where.project.id, after=after, mission_id=where.id)
+        event = Event(
+            f"run.{requested.purpose.value}", "run", run_id, name, where.project.id, after=after, mission_id=where.id
+        )
         await audit(db, actor, event)
     expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
