@@ -13,7 +13,7 @@ from kleinkram.contract.actions import ActionDefinition
 from kleinkram.contract.base import Page
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.contract.errors import FileUnavailable, NotFound
-from kleinkram.contract.files import BlobState
+from kleinkram.contract.files import BlobState, FetchPurpose
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.people import PersonRef
@@ -32,6 +32,7 @@ from kleinkram.server.tables.runs import ACTIVE
 
 _MAX_LINEAGE_RUNS = 100
 _MAX_LINEAGE_FILES = 1000
+_FETCHED = {FetchPurpose.download: "run.download", FetchPurpose.preview: "run.preview"}
 UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 # The fields of `RunRead` that are columns of the same name.
 _SAME = (
@@ -221,9 +222,8 @@ async def link_artifacts(
                 raise FileUnavailable(path=rows_by_id[entry].path, state=rows_by_id[entry].state)
         after: Metadata = {"files": len(rows_by_id)}
         name, where = visible.run.action.name, visible.run.mission
-        event = Event(
-            f"run.{requested.purpose.value}", "run", run_id, name, where.project.id, after=after, mission_id=where.id
-        )
+        operation, project_id = _FETCHED[requested.purpose], where.project.id
+        event = Event(operation, "run", run_id, name, project_id, after=after, mission_id=where.id)
         await audit(db, actor, event)
     expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
