@@ -220,7 +220,8 @@ class Runs(ApiResource):
         from kleinkram.client.transfer.download import fetch
         from kleinkram.client.transfer.download_target import DownloadPlan  # imports the client
 
-        plan, run_ids = DownloadPlan(), {}
+        plan = DownloadPlan()
+        run_ids: dict[uuid.UUID, uuid.UUID] = {}
         for preview in previews:
             run_ids[preview.artifact_id] = preview.run_id
             same = preview.model_dump(include={"run_id", "path", "size_bytes", "sha256"})
@@ -228,7 +229,7 @@ class Runs(ApiResource):
             plan.add(artifact, dest, f"{preview.action.name}/{preview.path}")
 
         def links(ids: Sequence[uuid.UUID]) -> Sequence[DownloadLink]:
-            links_by_id = {}
+            links_by_id: dict[uuid.UUID, DownloadLink] = {}
             for run_id in {run_ids[artifact_id] for artifact_id in ids}:
                 own = [artifact_id for artifact_id in ids if run_ids[artifact_id] == run_id]
                 links_by_id |= {link.artifact.id: _as_link(link) for link in self.artifact_urls(run_id, own)}

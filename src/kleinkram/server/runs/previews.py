@@ -28,7 +28,7 @@ from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.runs.launch import inputs_fingerprint
-from kleinkram.server.runs.project_results import InputFile, present_inputs
+from kleinkram.server.runs.project_results import PresentInput, present_inputs
 from kleinkram.server.runs.queries import ACTION_NAME, visible_runs
 from kleinkram.server.runs.service import UNREADABLE
 from kleinkram.server.tables import action, action_version, blob, project, run, run_artifact
@@ -137,7 +137,7 @@ async def _outdated(db: Connection, mission_id: uuid.UUID, rows: Sequence[Row[An
     columns = (action_version.c.id, action_version.c.definition)
     stmt = select(*columns).where(among(action_version.c.id, {row.version_id for row in rows}))
     definitions = {row.id: ActionDefinition.model_validate(row.definition) for row in await db.execute(stmt)}
-    present: dict[str, Sequence[InputFile]] = {}  # most actions read the same files
+    present: dict[str, Sequence[PresentInput]] = {}  # most actions read the same files
     outdated = set()
     for row in {row.run_id: row for row in rows}.values():
         definition = definitions[row.version_id]

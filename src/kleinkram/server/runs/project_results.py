@@ -94,7 +94,7 @@ class _Named(NamedTuple):
     definition: ActionDefinition
 
 
-class InputFile(NamedTuple):
+class PresentInput(NamedTuple):
     """A file of a mission that an action would read now."""
 
     path: str
@@ -125,7 +125,7 @@ async def project_results(
 
 
 def _result(
-    named: _Named, mission_id: uuid.UUID, inputs: Sequence[InputFile], runs: Sequence[Row[Any]]
+    named: _Named, mission_id: uuid.UUID, inputs: Sequence[PresentInput], runs: Sequence[Row[Any]]
 ) -> ActionResult:
     """Return the result of the runs of an action on a mission, latest first."""
     missing = ActionResult(mission_id, named.action_id, named.name, named.number, ResultState.missing)
@@ -178,7 +178,7 @@ async def _named_actions(db: Connection, project_ids: set[uuid.UUID]) -> list[_N
 
 async def present_inputs(
     db: Connection, definition: ActionDefinition, mission_ids: Sequence[uuid.UUID]
-) -> Mapping[uuid.UUID, list[InputFile]]:
+) -> Mapping[uuid.UUID, list[PresentInput]]:
     """Return the files that an action would read now, by mission and in the order of their paths."""
     requested = definition.inputs
     matching = FileFilter(path=requested.paths, topic=requested.topics, message_type=requested.message_types)
@@ -189,9 +189,9 @@ async def present_inputs(
     stmt = stmt.where(among(file.c.mission_id, mission_ids))
     if not requested.derived:
         stmt = stmt.where(file.c.origin != DERIVED_ORIGIN)
-    inputs: dict[uuid.UUID, list[InputFile]] = defaultdict(list)
+    inputs: dict[uuid.UUID, list[PresentInput]] = defaultdict(list)
     for row in await db.execute(stmt.order_by(file.c.mission_id, file.c.path)):
-        inputs[row.mission_id].append(InputFile(row.path, row.sha256))
+        inputs[row.mission_id].append(PresentInput(row.path, row.sha256))
     return inputs
 
 
