@@ -5,7 +5,7 @@ export const texts = {
   title: "Previews",
   of: (action: string, version: number | null) => (version === null ? action : `${action} v${version}`),
   outdated: "Outdated",
-  outdatedWhy: "The files of the mission have changed since. Run the action again to update this.",
+  outdatedWhy: "What the action reads of the mission has changed since. Run the action again to update this.",
   all: (count: number) => `Show all ${counted(count, "preview")}`,
   fewer: "Show fewer",
   truncated: (count: number) => `These are the first ${count} previews. The pages of the runs show all.`,

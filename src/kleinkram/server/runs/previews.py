@@ -27,6 +27,7 @@ from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
+from kleinkram.server.runs.declared_inputs import DeclaredInputs, read_declared_inputs
 from kleinkram.server.runs.launch import inputs_fingerprint
 from kleinkram.server.runs.project_results import PresentInput, present_inputs
 from kleinkram.server.runs.queries import ACTION_NAME, visible_runs
@@ -137,19 +138,21 @@ async def _outdated(db: Connection, mission_id: uuid.UUID, rows: Sequence[Row[An
     columns = (action_version.c.id, action_version.c.definition)
     stmt = select(*columns).where(among(action_version.c.id, {row.version_id for row in rows}))
     definitions = {row.id: ActionDefinition.model_validate(row.definition) for row in await db.execute(stmt)}
-    present: dict[str, Sequence[PresentInput]] = {}  # most actions read the same files
+    present: dict[str, tuple[Sequence[PresentInput], DeclaredInputs]] = {}  # most actions read the same files
     outdated = set()
     for row in {row.run_id: row for row in rows}.values():
         definition = definitions[row.version_id]
         inputs = definition.inputs.model_dump_json()
         if inputs not in present:
-            present[inputs] = (await present_inputs(db, definition, [mission_id])).get(mission_id, ())
+            files = await present_inputs(db, definition, [mission_id])
+            declared = await read_declared_inputs(db, definition.inputs, [mission_id])
+            present[inputs] = files.get(mission_id, ()), declared[mission_id]
         try:
             parameters = definition.fill_in(row.parameters)
         except ParametersWrong:  # the rules for parameters became stricter
             outdated.add(row.run_id)
             continue
-        if inputs_fingerprint(row.version_id, parameters, present[inputs]) != row.inputs_fingerprint:
+        if inputs_fingerprint(row.version_id, parameters, *present[inputs]) != row.inputs_fingerprint:
             outdated.add(row.run_id)
     return outdated
 
