@@ -116,6 +116,17 @@ def test_previews_are_outdated_once_the_files_that_the_action_reads_have_changed
     assert item["path"] == "sheet.PNG", "an outdated picture is better than none"
 
 
+def test_previews_are_outdated_once_metadata_that_the_action_declares_has_changed(
+    lab: Api, runner: FakeRunner, place: Place
+) -> None:
+    launch(lab, runner, place.mission, inputs={"metadata": ["robot"]})
+    finish(runner, SHEET)
+    lab.patch(f"/missions/{place.mission['id']}", {"metadata": {"weather": "rain"}}).ok()
+    assert outdated(lab, place) == {False}
+    lab.patch(f"/missions/{place.mission['id']}", {"metadata": {"robot": "spot"}}).ok()
+    assert outdated(lab, place) == {True}
+
+
 def test_previews_of_an_archived_action_stay_until_one_of_its_name_has_some(
     lab: Api, runner: FakeRunner, place: Place
 ) -> None:
