@@ -5535,8 +5535,8 @@ export interface components {
          * MissionPreview
          * @description An artifact that the latest run of an action shows of its mission.
          *
-         *     `run_id` is the run that made it at `made_at`, which a later one may reuse. `outdated`: the files, or
-         *     declared metadata and checks, that the action reads have changed since.
+         *     `run_id` is the run that made it at `made_at`, which a later one may reuse. `outdated`: what the action reads has
+         *     changed since: files, or the metadata and checks that it declares.
          */
         MissionPreview: {
             action: components["schemas"]["ActionRef"];
