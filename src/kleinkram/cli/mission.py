@@ -7,15 +7,19 @@ from typing import Annotated
 from kleinkram.cli import options
 from kleinkram.cli.commands import AsJson, Many, Subcommands, Text, argument, flag, option
 from kleinkram.cli.filters import WhereOption, filter_of, projects_of
-from kleinkram.cli.render import Output, as_list, as_total, details, line, note, show_json, table
+from kleinkram.cli.render import Output, as_list, as_table, as_total, details, line, note, show_json, table
+from kleinkram.cli.run_view import action_name
+from kleinkram.cli.transfer import run_transfer, transfer_output
 from kleinkram.cli.units import count as count_of
 from kleinkram.cli.units import duration, instant, rate, size, span
 from kleinkram.cli.verdicts import accept, add_note, verdict_text
 from kleinkram.client import Client
-from kleinkram.client.errors import InvalidInput
+from kleinkram.client.errors import InvalidInput, NothingToDo
+from kleinkram.contract.errors import NotAuthenticated, ScopeMissing
 from kleinkram.contract.files import BlobState, FileFilter, FileRead, RecordingRead
 from kleinkram.contract.missions import MissionFilter, MissionRead, MissionSort
 from kleinkram.contract.names import is_id
+from kleinkram.contract.previews import MissionPreview
 
 app = Subcommands("Manage missions: each is one outing of a robot, with the metadata that its project requires.")
 NameArgument = Annotated[
@@ -87,11 +91,16 @@ def info(
     matching = FileFilter(mission_id=target.id)
     recordings = [*client.recordings.list(target.id)]
     files = [*client.files.list(matching)]
+    try:
+        shown_by_runs = client.missions.previews(target.id)
+    except (NotAuthenticated, ScopeMissing):  # links show no runs
+        shown_by_runs = []
     if as_json:
         topics_by_file = [*client.files.find_topics(matching)]
-        show_json({"mission": target, "recordings": recordings, "files": files, "topics": topics_by_file})
+        results = {"files": files, "topics": topics_by_file, "previews": shown_by_runs}
+        show_json({"mission": target, "recordings": recordings, **results})
         return
-    _show_mission(target)
+    _show_mission(target, preview_count=len(shown_by_runs))
     if recordings:
         _heading("Recordings")
         _show_recordings(recordings)
@@ -112,6 +121,36 @@ def info(
                 for row in topics
             ],
         )
+
+
+@app.command("previews")
+def previews(
+    client: Client,
+    name: NameArgument = None,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
+    dest: Annotated[Path | None, option("--dest", "DIR", "Download them to DIR, verified.")] = None,
+    overwrite: options.Overwrite = False,
+) -> Output:
+    """List or download the pictures, tables and tracks that the latest runs of actions made of a mission."""
+    target = client.missions.get(options.the_ref("mission", name, mission), project=project)
+    rows = client.missions.previews(target.id)
+    if dest is None:
+        headers = ["action", "path", "title", "size", "made", "outdated", "run"]
+        return as_table(rows, headers, _preview_cells)
+    if not rows:
+        raise NothingToDo(reason=f"{target.project.name}/{target.name} has no previews")
+    report, elapsed_s = run_transfer(
+        lambda watcher: client.runs.download_previews(rows, dest, overwrite=overwrite, watcher=watcher)
+    )
+    for error in report.left_out:
+        note(str(error))
+    return transfer_output(report, elapsed_s)
+
+
+def _preview_cells(row: MissionPreview) -> tuple[object, ...]:
+    made, outdated = f"{row.made_at:%Y-%m-%d %H:%M}Z", "yes" if row.outdated else None
+    return action_name(row.action), row.path, row.title, size(row.size_bytes), made, outdated, row.run_id
 
 
 @app.command("update")
@@ -204,7 +243,7 @@ def _output(mission: MissionRead) -> Output:
     return Output(mission, lambda: _show_mission(mission))
 
 
-def _show_mission(mission: MissionRead) -> None:
+def _show_mission(mission: MissionRead, preview_count: int = 0) -> None:
     pending = mission.pending_file_count
     details(
         [
@@ -218,6 +257,7 @@ def _show_mission(mission: MissionRead) -> None:
             ("span", span(mission.start_ns, mission.end_ns)),
             ("files", f"{mission.file_count}, {size(mission.size_bytes)}"),
             ("messages", mission.message_count),
+            ("previews", f"{preview_count} (`klein mission previews`)" if preview_count else None),
             ("not read yet", count_of(pending, "file") if pending else None),
             ("etag", mission.etag),
             ("notes", mission.notes),

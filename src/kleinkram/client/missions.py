@@ -1,7 +1,7 @@
 """Projects and missions. `if_match` is the ETag that something must still have to be changed, else EditConflict."""
 
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from typing_extensions import Unpack
 
@@ -20,6 +20,7 @@ from kleinkram.contract.missions import (
     MissionTemplate,
     MissionUpdate,
 )
+from kleinkram.contract.previews import MissionPreview, MissionPreviews
 from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 
 
@@ -184,6 +185,13 @@ class Missions(NamedResource[MissionRead]):
             page = self._api.get(path, MissionTopics, [*query, ("cursor", cursor)])
             cursor, items = page.next, [*items, *page.items]
         return whole.model_copy(update={"items": items, "next": None})
+
+    def previews(self, mission_id: Ref) -> Sequence[MissionPreview]:
+        """Return the first 100 previews of a mission: of each action, those of the latest run that is done and has any.
+
+        Those of the action `preview` come first. `client.runs.download_previews` downloads them.
+        """
+        return self._api.get(f"/missions/{self.id_of(mission_id)}/previews", MissionPreviews).items
 
     def create(
         self,

@@ -22,6 +22,7 @@ from kleinkram.contract import runners, runs
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.checks import CheckStatus, Verdict
 from kleinkram.contract.files import BlobState, DownloadLink
+from kleinkram.contract.previews import MissionPreview
 from kleinkram.contract.reports import Severity
 from kleinkram.contract.uploads import UploadDecisions, UploadFile
 
@@ -201,6 +202,38 @@ class Runs(ApiResource):
 
         def links(ids: Sequence[uuid.UUID]) -> Sequence[DownloadLink]:
             return [_as_link(entry) for entry in self.artifact_urls(run_id, ids)]
+
+        return fetch(links, self._api.endpoint.url, plan, overwrite=overwrite, watcher=watcher)
+
+    def download_previews(
+        self,
+        previews: Iterable[MissionPreview],
+        dest: Path,
+        *,
+        overwrite: bool = False,
+        watcher: "Watcher | None" = None,
+    ) -> "TransferReport":
+        """Download previews of missions, as `client.missions.previews` returns them; those of each action to a folder.
+
+        As `download_artifacts`: each is verified before it gets its name, and the same call again resumes.
+        """
+        from kleinkram.client.transfer.download import fetch
+        from kleinkram.client.transfer.download_target import DownloadPlan  # imports the client
+
+        plan = DownloadPlan()
+        run_ids: dict[uuid.UUID, uuid.UUID] = {}
+        for preview in previews:
+            run_ids[preview.artifact_id] = preview.run_id
+            same = preview.model_dump(include={"run_id", "path", "size_bytes", "sha256"})
+            artifact = runs.ArtifactRead(id=preview.artifact_id, file_id=None, **same)
+            plan.add(artifact, dest, f"{preview.action.name}/{preview.path}")
+
+        def links(ids: Sequence[uuid.UUID]) -> Sequence[DownloadLink]:
+            links_by_id: dict[uuid.UUID, DownloadLink] = {}
+            for run_id in {run_ids[artifact_id] for artifact_id in ids}:
+                own = [artifact_id for artifact_id in ids if run_ids[artifact_id] == run_id]
+                links_by_id |= {link.artifact.id: _as_link(link) for link in self.artifact_urls(run_id, own)}
+            return [links_by_id[artifact_id] for artifact_id in ids]
 
         return fetch(links, self._api.endpoint.url, plan, overwrite=overwrite, watcher=watcher)
 

@@ -11,7 +11,7 @@ from typing_extensions import Self
 from kleinkram.contract.actions import ActionDefinition, Network, OwnDefinition, ParameterValues
 from kleinkram.contract.base import Request, Response
 from kleinkram.contract.checks import Check, CheckStatus
-from kleinkram.contract.files import FileRead, RecordingRead, TopicRead
+from kleinkram.contract.files import FetchPurpose, FileRead, RecordingRead, TopicRead
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import LocationFilter, MissionRead, MissionRef
 from kleinkram.contract.names import Term
@@ -263,9 +263,10 @@ class ArtifactUrl(Response):
 
 
 class ArtifactsRequest(Request):
-    """Artifacts of a run to download."""
+    """Artifacts of a run to download or preview; the audit log contains the purpose."""
 
     artifact_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=500)]
+    purpose: FetchPurpose = FetchPurpose.download
 
 
 class ArtifactUrls(Response):

@@ -92,6 +92,14 @@ RUN_OPERATIONS: dict[str, tuple[Caller, ...]] = {
             Target.mission,
         ),
     ),
+    "list_mission_previews": (Caller(get("/missions/{mission}/previews"), Target.mission),),
+    "get_mission_pictures": (
+        Caller(
+            post("/missions/pictures", lambda principal: {"mission_ids": [principal.objects.mission]}),
+            Target.mission,
+            shows=has_items,
+        ),
+    ),
     "get_run_log": (Caller(get("/runs/{run}/log"), Target.mission),),
     "list_run_checks": (Caller(get("/run-checks", mission_id="{mission}"), Target.mission, shows=has_items),),
     "list_findings": (Caller(get("/findings", mission_id="{mission}"), Target.mission, shows=has_items),),

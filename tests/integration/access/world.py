@@ -158,9 +158,11 @@ def _create_run(api: Api, project_id: str, mission_id: str, file_id: str) -> tup
     api.post(f"/runs/{run}/cancel").ok()
     artifact = str(uuid.uuid4())
     api.sql(
-        "INSERT INTO run_artifact (id, run_id, path, blob_id) SELECT %s, %s, 'left', blob_id FROM file WHERE id = %s",
-        *(artifact, run, file_id),
+        "INSERT INTO run_artifact (id, run_id, path, blob_id) SELECT %s, %s, %s, blob_id FROM file WHERE id = %s",
+        *(artifact, run, "left.png", file_id),
     )
+    shown = '[{"path": "left.png"}]'
+    api.sql("UPDATE run SET state = 'done', reason = 'done', previews = %s WHERE id = %s", shown, run)
     api.sql("INSERT INTO run_check (run_id, name, status, message) VALUES (%s, 'a.check', 'ok', 'A check.')", run)
     api.sql("INSERT INTO run_finding (run_id, severity, code, message) VALUES (%s, 'info', 'code', 'A finding.')", run)
     api.sql("INSERT INTO run_metric (run_id, name, value) VALUES (%s, 'count', 1)", run)

@@ -45,7 +45,8 @@ WRITES: dict[str, set[str]] = {
     "create_runs": {"run.create"},
     "retry_run": {"run.create"},
     "cancel_run": {"[run.cancel]"},
-    "download_artifacts": {"run.download"},
+    "download_artifacts": {"run.download", "[run.preview]"},
+    "get_mission_pictures": {"project.preview"},
     "register_runner": {"[runner.register]"},
     "finish_run": {"[run.end]", "[file.create]"},
     # Messages of a runner during a run. The audit entry is written when the run ends.

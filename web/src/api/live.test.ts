@@ -10,6 +10,12 @@ it("makes old what a change of a file shows in", () => {
   expect(keysOf("change", { ...change, id: null })).toContainEqual(["files", "one"]);
 });
 
+it("makes old the previews of a mission, and nothing else of it, when a run on it changes", () => {
+  const keys = keysOf("change", { ...change, resource_type: "run", id: "r" });
+  expect(keys).toContainEqual(["runs", "one", "r"]);
+  expect(keys.filter(([first]) => first === "missions")).toEqual([["missions", "one", "m", "previews"]]);
+});
+
 it("makes old everything where something was missed, and nothing for resource types that nobody shows", () => {
   expect(keysOf("refetch", { reason: "rights" })).toEqual([[]]);
   expect(keysOf("change", { ...change, resource_type: "weather" })).toEqual([]);

@@ -125,7 +125,12 @@ const OF_RESOURCE_TYPES: Readonly<Record<string, (change: Change) => readonly Ke
   upload: (change) => (change.mission_id === null ? [] : [keys.uploads(change.mission_id)]),
   mission: (change) => [change.id === null ? ["missions"] : keys.mission(change.id), ["missions", "list"], ["projects"], ["trash"], ["stats"]],
   project: () => [["projects"], ["missions"], ["trash"], ["stats"]],
-  run: (change) => [["runs", "list"], change.id === null ? ["runs"] : keys.run(change.id), ...(change.id === null ? [] : [["files", "one"]])],
+  run: (change) => [
+    ["runs", "list"],
+    change.id === null ? ["runs"] : keys.run(change.id),
+    ...(change.id === null ? [] : [["files", "one"]]),
+    ...(change.mission_id === null ? [] : [keys.missionPreviews(change.mission_id)]),
+  ],
   action: () => [["actions"]],
   grant: () => [["access"], ["projects"], ["missions"]],
   share: () => [["shares"]],

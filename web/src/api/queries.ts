@@ -58,6 +58,7 @@ export const keys = {
   missionChecks: (id: string) => ["missions", "one", id, "checks"],
   projectChecks: (id: string) => ["projects", "one", id, "checks"],
   projectActions: (id: string) => ["projects", "one", id, "actions"],
+  missionPreviews: (id: string) => ["missions", "one", id, "previews"],
   missionAccess: (id: string) => ["access", "mission", id, "who"],
   recordings: (missionId: string) => ["missions", "one", missionId, "recordings"],
   uploads: (missionId: string) => ["missions", "one", missionId, "uploads"],

@@ -1512,6 +1512,26 @@ export interface paths {
         patch: operations["update_mission_grant"];
         trace?: never;
     };
+    "/api/v1/missions/{mission_id}/previews": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Mission Previews
+         * @description List the pictures, tables and tracks that the latest run of each action shows of a mission.
+         */
+        get: operations["list_mission_previews"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/missions/{mission_id}/recordings": {
         parameters: {
             query?: never;
@@ -1610,6 +1630,26 @@ export interface paths {
          * @description Announce files to upload and learn what to send.
          */
         post: operations["begin_uploads"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/missions/pictures": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Get Mission Pictures
+         * @description Return the first picture of each of some missions, for lists; the audit log records who views them.
+         */
+        post: operations["get_mission_pictures"];
         delete?: never;
         options?: never;
         head?: never;
@@ -2447,7 +2487,7 @@ export interface paths {
         put?: never;
         /**
          * Download Artifacts
-         * @description Return URLs of artifacts, and record the download in the audit log.
+         * @description Return URLs of artifacts; the audit log records who requests them, and why.
          */
         post: operations["download_artifacts"];
         delete?: never;
@@ -3215,11 +3255,13 @@ export interface components {
         };
         /**
          * ArtifactsRequest
-         * @description Artifacts of a run to download.
+         * @description Artifacts of a run to download or preview; the audit log contains the purpose.
          */
         ArtifactsRequest: {
             /** Artifact Ids */
             artifact_ids: string[];
+            /** @default download */
+            purpose: components["schemas"]["FetchPurpose"];
         };
         /**
          * ArtifactUploadsCreate
@@ -5448,6 +5490,97 @@ export interface components {
             to: string;
         };
         /**
+         * MissionPicture
+         * @description The first picture of a mission of at most 4 MB, with a URL to GET it from before `expires_at`.
+         */
+        MissionPicture: {
+            /**
+             * Artifact Id
+             * Format: uuid
+             */
+            artifact_id: string;
+            /**
+             * Expires At
+             * Format: date-time
+             */
+            expires_at: string;
+            /**
+             * Mission Id
+             * Format: uuid
+             */
+            mission_id: string;
+            /** Path */
+            path: string;
+            /**
+             * Run Id
+             * Format: uuid
+             */
+            run_id: string;
+            /** Size Bytes */
+            size_bytes: number;
+            /** Title */
+            title: string;
+            /** Url */
+            url: string;
+        };
+        /**
+         * MissionPictures
+         * @description The pictures of those missions that have one, in no order.
+         */
+        MissionPictures: {
+            /** Items */
+            items: components["schemas"]["MissionPicture"][];
+        };
+        /**
+         * MissionPreview
+         * @description An artifact that the latest run of an action shows of its mission.
+         *
+         *     `run_id` is the run that made it at `made_at`, which a later one may reuse. `outdated`: what the action reads has
+         *     changed since: files, or the metadata and checks that it declares.
+         */
+        MissionPreview: {
+            action: components["schemas"]["ActionRef"];
+            /**
+             * Artifact Id
+             * Format: uuid
+             */
+            artifact_id: string;
+            kind: components["schemas"]["PreviewKind"];
+            /**
+             * Made At
+             * Format: date-time
+             */
+            made_at: string;
+            /** Outdated */
+            outdated: boolean;
+            /** Path */
+            path: string;
+            /**
+             * Run Id
+             * Format: uuid
+             */
+            run_id: string;
+            /** Sha256 */
+            sha256: string;
+            /** Size Bytes */
+            size_bytes: number;
+            /** Title */
+            title: string;
+        };
+        /**
+         * MissionPreviews
+         * @description The first 100 previews of a mission: those of the action `preview`, then those that were made last.
+         *
+         *     Of each action, by its name, these are the previews of the latest run that is done and has any. Those whose bytes
+         *     are lost or corrupt are left out. `truncated`: there are more.
+         */
+        MissionPreviews: {
+            /** Items */
+            items: components["schemas"]["MissionPreview"][];
+            /** Truncated */
+            truncated: boolean;
+        };
+        /**
          * MissionRead
          * @description A mission and its totals.
          *
@@ -6109,6 +6242,14 @@ export interface components {
             name: string;
         };
         /**
+         * PicturesRequest
+         * @description The missions of a list.
+         */
+        PicturesRequest: {
+            /** Mission Ids */
+            mission_ids: string[];
+        };
+        /**
          * Preview
          * @description A picture (PNG, JPEG, SVG), table (CSV) or track (GeoJSON) among the artifacts that is shown with the run.
          */
@@ -6121,6 +6262,12 @@ export interface components {
              */
             title: string;
         };
+        /**
+         * PreviewKind
+         * @description What a preview shows, by the ending of its path: PNG, JPEG or SVG; CSV; GeoJSON; or none of these.
+         * @enum {string}
+         */
+        PreviewKind: "picture" | "table" | "track" | "other";
         /**
          * ProblemDocument
          * @description A failure on the wire (RFC 9457), with the fields of the error's class beside these.
@@ -11010,6 +11157,37 @@ export interface operations {
             };
         };
     };
+    list_mission_previews: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                mission_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MissionPreviews"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
     list_recordings: {
         parameters: {
             query?: {
@@ -11204,6 +11382,39 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["UploadDecisions"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_mission_pictures: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["PicturesRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MissionPictures"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */

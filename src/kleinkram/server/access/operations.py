@@ -141,6 +141,8 @@ OPERATIONS: dict[str, Permission] = {
     "list_run_inputs": Permission(ResourceKind.mission, Right.read, _READ),
     "list_artifacts": Permission(ResourceKind.mission, Right.read, _READ),
     "download_artifacts": Permission(ResourceKind.mission, Right.read, _READ),
+    "list_mission_previews": Permission(ResourceKind.mission, Right.read, _READ),
+    "get_mission_pictures": _visible(guests=False),
     "get_run_log": Permission(ResourceKind.mission, Right.read, _READ),
     "list_run_checks": _visible(guests=False),
     "list_findings": _visible(guests=False),

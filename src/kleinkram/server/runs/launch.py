@@ -20,7 +20,7 @@ from kleinkram.contract.errors import (
     NoRunner,
     NotFound,
 )
-from kleinkram.contract.files import BlobState, FileFilter
+from kleinkram.contract.files import FileFilter
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runs import (
@@ -52,7 +52,6 @@ _REUSED_COLUMNS = (
     *("exit_code", "image_digest", "problems", "proposed", "previews"),
     *("artifact_count", "metric_count", "finding_counts", "check_counts", "verdict"),
 )
-_UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 # Names in `/in` that runners use themselves.
 _RESERVED = {CONTEXT_FILE, ".kleinkram"}
 
@@ -325,7 +324,7 @@ async def _find_inputs(
             details += " (files that runs made are inputs only with `derived: true`)"
         raise NoInputs(mission=target.name, action=definition.name, inputs=details)
     for entry in inputs:
-        if entry.state in _UNREADABLE:
+        if entry.state in service.UNREADABLE:
             raise FileUnavailable(path=entry.path, state=entry.state)
         if entry.path.partition("/")[0] in _RESERVED:
             message = f"the file {entry.path!r} has a name that runners use in /in; rename it"

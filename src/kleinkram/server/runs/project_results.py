@@ -97,7 +97,9 @@ class _Named(NamedTuple):
     definition: ActionDefinition
 
 
-class _InputFile(NamedTuple):
+class PresentInput(NamedTuple):
+    """A file of a mission that an action would read now."""
+
     path: str
     sha256: bytes
 
@@ -113,7 +115,7 @@ async def project_results(
     results: dict[uuid.UUID, list[ActionResult]] = {mission_id: [] for mission_id in mission_ids}
     for named in await _named_actions(db, {*projects.values()}):
         own = [mission_id for mission_id, project_id in projects.items() if project_id == named.project_id]
-        inputs = await _present_inputs(db, named.definition, own)
+        inputs = await present_inputs(db, named.definition, own)
         declared = await read_declared_inputs(db, named.definition.inputs, [*inputs])
         runs = await _runs(db, named.action_id, [*inputs])
         problems = await _problems(db, named, [*inputs])
@@ -130,7 +132,7 @@ async def project_results(
 def _result(
     named: _Named,
     mission_id: uuid.UUID,
-    inputs: Sequence[_InputFile],
+    inputs: Sequence[PresentInput],
     declared: DeclaredInputs,
     runs: Sequence[Row[Any]],
 ) -> ActionResult:
@@ -183,9 +185,10 @@ async def _named_actions(db: Connection, project_ids: set[uuid.UUID]) -> list[_N
     ]
 
 
-async def _present_inputs(
+async def present_inputs(
     db: Connection, definition: ActionDefinition, mission_ids: Sequence[uuid.UUID]
-) -> Mapping[uuid.UUID, list[_InputFile]]:
+) -> Mapping[uuid.UUID, list[PresentInput]]:
+    """Return the files that an action would read now, by mission and in the order of their paths."""
     requested = definition.inputs
     matching = FileFilter(path=requested.paths, topic=requested.topics, message_type=requested.message_types)
     columns = (file.c.mission_id, file.c.path, blob.c.sha256)
@@ -195,9 +198,9 @@ async def _present_inputs(
     stmt = stmt.where(among(file.c.mission_id, mission_ids))
     if not requested.derived:
         stmt = stmt.where(file.c.origin != DERIVED_ORIGIN)
-    inputs: dict[uuid.UUID, list[_InputFile]] = defaultdict(list)
+    inputs: dict[uuid.UUID, list[PresentInput]] = defaultdict(list)
     for row in await db.execute(stmt.order_by(file.c.mission_id, file.c.path)):
-        inputs[row.mission_id].append(_InputFile(row.path, row.sha256))
+        inputs[row.mission_id].append(PresentInput(row.path, row.sha256))
     return inputs
 
 

@@ -9,10 +9,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from kleinkram.contract import runs
 from kleinkram.contract.base import Page
 from kleinkram.contract.metrics import MetricNameFilter, MetricNames, MetricTableQuery, MetricTableRead
+from kleinkram.contract.previews import MissionPictures, MissionPreviews, PicturesRequest
 from kleinkram.contract.project_actions import ProjectActionAdd, ProjectActionList, ProjectActionRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
 from kleinkram.server.pagination import CountedPageQuery, PageQuery
-from kleinkram.server.runs import launch, lifecycle, logs, metric_tables, project_actions, service
+from kleinkram.server.runs import launch, lifecycle, logs, metric_tables, previews, project_actions, service
 
 router = APIRouter(prefix="/api/v1", tags=["runs"])
 
@@ -114,9 +115,23 @@ async def list_artifacts(
 async def download_artifacts(
     run_id: uuid.UUID, requested: runs.ArtifactsRequest, context: CurrentContext, actor: CurrentActor
 ) -> runs.ArtifactUrls:
-    """Return URLs of artifacts, and record the download in the audit log."""
-    items = await service.link_artifacts(context, actor, run_id=run_id, artifact_ids=requested.artifact_ids)
+    """Return URLs of artifacts; the audit log records who requests them, and why."""
+    items = await service.link_artifacts(context, actor, run_id=run_id, requested=requested)
     return runs.ArtifactUrls(items=items)
+
+
+@router.get("/missions/{mission_id}/previews", operation_id="list_mission_previews")
+async def list_mission_previews(mission_id: uuid.UUID, db: Reading, actor: CurrentActor) -> MissionPreviews:
+    """List the pictures, tables and tracks that the latest run of each action shows of a mission."""
+    return await previews.list_mission_previews(db, actor, mission_id=mission_id)
+
+
+@router.post("/missions/pictures", operation_id="get_mission_pictures")
+async def get_mission_pictures(
+    requested: PicturesRequest, context: CurrentContext, actor: CurrentActor
+) -> MissionPictures:
+    """Return the first picture of each of some missions, for lists; the audit log records who views them."""
+    return await previews.get_mission_pictures(context, actor, mission_ids=requested.mission_ids)
 
 
 @router.get("/runs/{run_id}/log", operation_id="get_run_log")

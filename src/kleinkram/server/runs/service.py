@@ -13,7 +13,7 @@ from kleinkram.contract.actions import ActionDefinition
 from kleinkram.contract.base import Page
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.contract.errors import FileUnavailable, NotFound
-from kleinkram.contract.files import BlobState
+from kleinkram.contract.files import BlobState, FetchPurpose
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.people import PersonRef
@@ -32,7 +32,8 @@ from kleinkram.server.tables.runs import ACTIVE
 
 _MAX_LINEAGE_RUNS = 100
 _MAX_LINEAGE_FILES = 1000
-_UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
+_FETCHED = {FetchPurpose.download: "run.download", FetchPurpose.preview: "run.preview"}
+UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 # The fields of `RunRead` that are columns of the same name.
 _SAME = (
     *("id", "version_id", "network", "parameters", "state", "reason", "message", "exit_code", "progress"),
@@ -201,14 +202,15 @@ def _to_artifact(row: RowMapping) -> runs.ArtifactRead:
 
 
 async def link_artifacts(
-    context: AppContext, actor: Actor, *, run_id: uuid.UUID, artifact_ids: Sequence[uuid.UUID]
+    context: AppContext, actor: Actor, *, run_id: uuid.UUID, requested: runs.ArtifactsRequest
 ) -> list[runs.ArtifactUrl]:
-    """Return URLs of artifacts, in the requested order, and record the download.
+    """Return URLs of artifacts, in the requested order, and record who downloads or previews them.
 
     Raises:
         NotFound: one of them is not there, or not for this actor.
         FileUnavailable: the store's copy of one is lost or corrupt.
     """
+    artifact_ids = requested.artifact_ids
     async with context.database.begin() as db:
         visible = await find_run(db, actor, run_id)
         stmt = queries.artifacts_of(actor, visible.results_id).where(among(run_artifact.c.id, artifact_ids))
@@ -216,11 +218,12 @@ async def link_artifacts(
         for entry in artifact_ids:
             if entry not in rows_by_id:
                 raise NotFound(resource_type="artifact", ref=str(entry))
-            if rows_by_id[entry].state in _UNREADABLE:
+            if rows_by_id[entry].state in UNREADABLE:
                 raise FileUnavailable(path=rows_by_id[entry].path, state=rows_by_id[entry].state)
         after: Metadata = {"files": len(rows_by_id)}
         name, where = visible.run.action.name, visible.run.mission
-        event = Event("run.download", "run", run_id, name, where.project.id, after=after, mission_id=where.id)
+        operation, project_id = _FETCHED[requested.purpose], where.project.id
+        event = Event(operation, "run", run_id, name, project_id, after=after, mission_id=where.id)
         await audit(db, actor, event)
     expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)

@@ -1,14 +1,13 @@
 // Previews of artifacts. Their bytes are fetched by the page: pictures are shown in an <img>, which executes nothing of an
 // SVG; everything else as text.
-import { addressOf, type Sample } from "./queries";
-import type { Artifact } from "@/api/types";
+import { previewAddressOf, type PreviewArtifact, type Sample } from "./queries";
 
 const PICTURES: Readonly<Record<string, string>> = { png: "image/png", jpg: "image/jpeg", jpeg: "image/jpeg", svg: "image/svg+xml" };
 const MAX_BYTES = 20_000_000;
 const MAX_ROWS = 200;
 
 export type Shown =
-  | { readonly kind: "picture"; readonly address: string }
+  | { readonly kind: "picture"; readonly bytes: Blob }
   | { readonly kind: "table"; readonly rows: readonly (readonly string[])[]; readonly count: number }
   | { readonly kind: "track"; readonly track: Track }
   | { readonly kind: "tooLarge" | "unknown" | "broken" };
@@ -17,8 +16,8 @@ function endingOf(path: string): string {
   return path.slice(path.lastIndexOf(".") + 1).toLowerCase();
 }
 
-async function read(artifact: Artifact, signal: AbortSignal): Promise<Blob> {
-  const answer = await fetch(await addressOf(artifact), { signal, credentials: "omit" });
+async function read(artifact: PreviewArtifact, signal: AbortSignal): Promise<Blob> {
+  const answer = await fetch(await previewAddressOf(artifact), { signal, credentials: "omit" });
   if (!answer.ok) throw new Error(`the store answered ${answer.status}`);
   return answer.blob();
 }
@@ -33,14 +32,19 @@ function drawn(text: string): Shown {
   }
 }
 
-/** Returns the preview of an artifact. The caller revokes the URL of a picture. */
-export async function previewOf(artifact: Artifact, signal: AbortSignal): Promise<Shown> {
+/** Returns bytes as a picture of the type that a path says, which an `<img>` shows. */
+export function asPicture(bytes: Blob, path: string): Blob {
+  return new Blob([bytes], { type: PICTURES[endingOf(path)] ?? "" });
+}
+
+/** Returns the preview of an artifact. */
+export async function previewOf(artifact: PreviewArtifact, signal: AbortSignal): Promise<Shown> {
   const ending = endingOf(artifact.path);
-  const picture = PICTURES[ending];
-  if (picture === undefined && !["csv", "geojson", "json"].includes(ending)) return { kind: "unknown" };
+  const isPicture = ending in PICTURES;
+  if (!isPicture && !["csv", "geojson", "json"].includes(ending)) return { kind: "unknown" };
   if (artifact.size_bytes > MAX_BYTES) return { kind: "tooLarge" };
   const bytes = await read(artifact, signal);
-  if (picture !== undefined) return { kind: "picture", address: URL.createObjectURL(new Blob([bytes], { type: picture })) };
+  if (isPicture) return { kind: "picture", bytes: asPicture(bytes, artifact.path) };
   const text = await bytes.text();
   return ending === "csv" ? { kind: "table", ...rowsOf(text, MAX_ROWS + 1) } : drawn(text);
 }

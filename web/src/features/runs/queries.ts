@@ -1,7 +1,9 @@
 // Queries and mutations of runs.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed } from "vue";
+import { batched } from "@/api/batched";
 import { api, call } from "@/api/client";
+import { Problem } from "@/api/problem";
 import { keys, useList } from "@/api/queries";
 import type { components, operations } from "@/api/schema";
 import type { Artifact, RunState } from "@/api/types";
@@ -13,9 +15,12 @@ export type RunCheck = Schemas["CheckRead"];
 export type Metric = Schemas["MetricRead"];
 export type Input = Schemas["RunInput"];
 export type Preview = Schemas["Preview"];
+/** What is needed of an artifact to show it. */
+export type PreviewArtifact = Pick<Artifact, "id" | "run_id" | "path" | "size_bytes">;
 export type Sample = Schemas["UsageSample"];
 
 const PAGE = 500;
+const MAX_ADDRESSES = 500;
 const ACTIVE: readonly RunState[] = ["queued", "preparing", "running", "collecting"];
 /** No event reports resource use, so it is polled. */
 const POLL_MS = 5_000;
@@ -68,11 +73,30 @@ export function useArtifacts(runId: string) {
   );
 }
 
+async function addressesOf(runId: string, artifactIds: readonly string[], purpose: "download" | "preview"): Promise<ReadonlyMap<string, string>> {
+  const params = { path: { run_id: runId } };
+  const body = { artifact_ids: [...artifactIds], purpose };
+  const { items } = await call(api.POST("/api/v1/runs/{run_id}/artifacts/download", { params, body }));
+  return new Map(items.map(({ artifact, url }) => [artifact.id, url]));
+}
+
 /** Returns where to read an artifact, for some minutes. */
 export async function addressOf(artifact: Artifact): Promise<string> {
-  const params = { path: { run_id: artifact.run_id } };
-  const { items } = await call(api.POST("/api/v1/runs/{run_id}/artifacts/download", { params, body: { artifact_ids: [artifact.id] } }));
-  return items[0]?.url ?? "";
+  return (await addressesOf(artifact.run_id, [artifact.id], "download")).get(artifact.id) ?? "";
+}
+
+const previewAddresses = new Map<string, (artifactId: string) => Promise<string | undefined>>();
+
+/** Returns where to read an artifact that is shown. Those of one run that appear together need one request. */
+export async function previewAddressOf({ id, run_id: runId }: PreviewArtifact): Promise<string> {
+  const ofRun = previewAddresses.get(runId) ?? batched((ids) => addressesOf(runId, ids, "preview"), MAX_ADDRESSES);
+  previewAddresses.set(runId, ofRun);
+  try {
+    return (await ofRun(id)) ?? "";
+  } catch (thrown) {
+    if (!(thrown instanceof Problem) || thrown.isPassing) throw thrown;
+    return (await addressesOf(runId, [id], "preview")).get(id) ?? ""; // the store may have lost another one of them
+  }
 }
 
 export function useRunChanges(runId: string) {

@@ -1,0 +1,61 @@
+// Queries of previews: those of a mission, and the first pictures of missions in lists.
+import { useQuery } from "@tanstack/vue-query";
+import { computed } from "vue";
+import { thumbnailOf } from "./thumbnails";
+import { batched } from "@/api/batched";
+import { api, call } from "@/api/client";
+import { keys } from "@/api/queries";
+import type { components } from "@/api/schema";
+import { useMe } from "@/api/session";
+import type { PreviewArtifact } from "@/features/runs/queries";
+
+type Schemas = components["schemas"];
+export type MissionPreview = Schemas["MissionPreview"];
+export type MissionPicture = Schemas["MissionPicture"];
+
+/** The most missions that the server takes at once. */
+const MOST = 200;
+/** A list that is opened again asks for its pictures again only after this time. Each request is recorded in the audit log. */
+const FRESH_MS = 300_000;
+
+/** The previews of a mission; visitors without an account see none. */
+export function useMissionPreviews(missionId: string) {
+  const { me } = useMe();
+  const path = { mission_id: missionId };
+  return useQuery({
+    queryKey: keys.missionPreviews(missionId),
+    queryFn: ({ signal }) => call(api.GET("/api/v1/missions/{mission_id}/previews", { params: { path }, signal })),
+    enabled: () => me.value !== null,
+  });
+}
+
+export function artifactOf({ artifact_id: id, run_id, path, size_bytes }: MissionPreview): PreviewArtifact {
+  return { id, run_id, path, size_bytes };
+}
+
+export function nameOf({ title, path }: Pick<MissionPreview, "title" | "path">): string {
+  return title || path;
+}
+
+const pictureOf = batched(async (missionIds) => {
+  const { items } = await call(api.POST("/api/v1/missions/pictures", { body: { mission_ids: [...missionIds] } }));
+  return new Map(items.map((item) => [item.mission_id, item]));
+}, MOST);
+
+/** The first picture of a mission, and a small copy of it. */
+export function useThumbnail(missionId: () => string, isEnabled: () => boolean) {
+  const { me } = useMe();
+  const { data: picture } = useQuery({
+    queryKey: computed(() => ["pictures", missionId()]),
+    queryFn: async () => (await pictureOf(missionId())) ?? null,
+    enabled: () => me.value !== null && isEnabled(),
+    staleTime: FRESH_MS,
+  });
+  const { data: bytes } = useQuery({
+    queryKey: computed(() => ["thumbnails", picture.value?.artifact_id ?? ""]),
+    queryFn: ({ signal }) => thumbnailOf(picture.value as MissionPicture, pictureOf, signal),
+    enabled: () => isEnabled() && Boolean(picture.value),
+    staleTime: "static", // artifacts never change
+  });
+  return { picture, bytes };
+}
