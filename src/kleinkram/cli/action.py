@@ -292,7 +292,7 @@ def info(
     """Show an action in its latest version, or in another: its definition, inputs and parameters."""
     name, number = split_version(action)
     target = client.actions.get(name, project=project)
-    version = client.actions.version(target, number)
+    version = client.actions.version(target, number or target.latest.number)
     return Output({"action": target, "version": version}, lambda: _show(target, version))
 
 
@@ -360,7 +360,10 @@ def _show(action: ActionRead, version: ActionVersionRead) -> None:
             ("command", definition.command),
             ("needs", definition.dependencies),
             ("python", definition.requires_python),
-            ("locked", None if definition.lock is None else f"{len(_packages_of(definition.lock))} packages"),
+            (
+                "locked",
+                f"{len({text.partition('==')[0] for text in version.packages})} packages" * bool(version.packages),
+            ),
             ("inputs", _inputs(definition.inputs)),
             (
                 "resources",
