@@ -45,11 +45,12 @@ def parse_requirement(text: str) -> Requirement:
     Raises:
         ValueError: it is not one of a package index.
     """
-    if _CONTROL.search(text):
-        raise ValueError(f"{text!r} contains a line break or another control character")
     try:
         requirement = Requirement(text)
-    except InvalidRequirement as error:
+        # As it is written to a file of requirements; a marker may have escaped characters.
+        if _CONTROL.search(str(requirement)):
+            raise ValueError("it contains a line break or another control character")
+    except (InvalidRequirement, ValueError) as error:
         raise ValueError(f"{text!r} is not a requirement: {' '.join(str(error).split())}") from None
     if requirement.url is not None:
         raise ValueError(f"{text!r} names a URL; packages come from the package index")

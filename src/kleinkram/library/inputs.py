@@ -28,7 +28,7 @@ from kleinkram.recordings.trajectories import (
 )
 
 _TRANSFORM_TYPES = ("TFMessage", "tfMessage")
-_WITH_RECORDING = re.compile(r"(?!tf:)(?P<recording>[^:].*?):(?P<rest>(/|tf:).+)", re.DOTALL)
+WITH_RECORDING = re.compile(r"(?!tf:)(?P<recording>[^:].*?):(?P<rest>(/|tf:).+)", re.DOTALL)
 _SHOWN = 10
 
 
@@ -128,7 +128,7 @@ def _input_paths() -> list[str]:
 
 
 def _from_recording(source: str, recordings: Sequence[InputRecording]) -> InputTrajectory:
-    match = _WITH_RECORDING.fullmatch(source)
+    match = WITH_RECORDING.fullmatch(source)
     name, rest = (match["recording"], match["rest"]) if match else ("*", source)
     selected = [recording for recording in recordings if recording.name == name or fnmatchcase(recording.name, name)]
     if match and not selected:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from kleinkram.library.inputs import InputRecording, only_recording
+from kleinkram.library.inputs import WITH_RECORDING, InputRecording, only_recording
 from kleinkram.recordings import Schema, Topic
 from kleinkram.recordings.trajectories import TrajectoryRefused
 
@@ -28,3 +28,17 @@ def test_of_two_originals_one_must_be_named() -> None:
         TrajectoryRefused, match=r"^/odom: 2 recordings have it: a.bag, b.bag; name one, such as a.bag:/odom"
     ):
         only_recording("/odom", [recording("a.bag"), recording("b.bag")], is_odometry)
+
+
+@pytest.mark.parametrize(
+    ("source", "name", "rest"),
+    [
+        ("tf:/map->/base_link", None, None),
+        ("tf:map->base_link", None, None),
+        ("nuc/nuc.mcap:tf:/map->/base", "nuc/nuc.mcap", "tf:/map->/base"),
+        ("nuc.mcap:/odom", "nuc.mcap", "/odom"),
+    ],
+)
+def test_a_frame_with_a_slash_is_no_recording(source: str, name: str | None, rest: str | None) -> None:
+    match = WITH_RECORDING.fullmatch(source)
+    assert (match and match["recording"], match and match["rest"]) == (name, rest)
