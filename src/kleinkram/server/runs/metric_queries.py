@@ -115,7 +115,7 @@ def declarations(runs: Select[Any]) -> Select[Any]:
     declared = action_version.c.definition["metrics"]
     has_some = func.jsonb_array_length(func.coalesce(declared, cast("[]", JSONB))) > 0
     columns = (action_version.c.id, _ACTION_KEY.label("action_key"), declared.label("declared"))
-    stmt = select(*columns).outerjoin(action, action.c.id == action_version.c.action_id)
+    stmt = select(*columns).outerjoin_from(action_version, action, action.c.id == action_version.c.action_id)
     stmt = stmt.where(action_version.c.id.in_(versions), has_some)
     return stmt.order_by(action_version.c.created_at, action_version.c.id)
 
