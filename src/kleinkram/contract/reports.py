@@ -18,8 +18,8 @@ MAX_FINDINGS = 10_000
 MAX_METRICS = 10_000
 MAX_PREVIEWS = 100
 MAX_METRIC_LABELS = 20
-MAX_METRIC = 1e300
-"""Of the size of a metric, so that sums and differences of metrics are finite, too."""
+MAX_METRIC = 1e150
+"""Of the size of a metric, so that sums of their squares, which PostgreSQL's mean needs, are finite, too."""
 MAX_REPORT_BYTES = 16 * 2**20
 """Of `report.json`."""
 MAX_REPORT_BODY_BYTES = 2 * MAX_REPORT_BYTES

@@ -372,14 +372,11 @@ def test_a_value_without_a_unit_has_that_of_its_own_version(work: Lab) -> None:
 
 
 def test_names_of_metrics_have_all_units_that_were_reported(work: Lab) -> None:
-    for name, unit in (("a", "mm"), ("b", "km")):
-        work.mission(name)
-        work.run(name, {"name": "ate", "value": 1, "unit": unit}, 2)
-    (item,) = work.api.get("/metrics", {"project_id": work.project["id"]}).ok()["items"]
-    assert (item["unit"], item["run_count"]) == ("m", 2), "the later of two values of one name counts"
+    work.mission("a")
+    work.run("a", 1)
     work.run("a", {"name": "ate", "value": 1, "unit": "mm"})
     (item,) = work.api.get("/metrics", {"project_id": work.project["id"]}).ok()["items"]
-    assert item["unit"] == "m, mm"
+    assert (item["unit"], item["run_count"]) == ("m, mm", 2)
 
 
 def test_true_and_one_are_two_values_of_a_parameter(work: Lab) -> None:
@@ -429,14 +426,14 @@ def test_rows_without_runs_are_those_of_the_filter(work: Lab) -> None:
 
 
 def test_metrics_of_any_accepted_size_can_be_aggregated_and_compared(work: Lab) -> None:
-    for name, value in (("a", 1e300), ("b", -1e300)):
+    for name, value in (("a", 1e150), ("b", -1e150)):
         work.mission(name)
         work.run(name, value)
         work.run(name, -value, method="other")
     table = work.table(columns=["param.method"], compare=["method=kiss", "method=other"])
-    assert table["comparison"]["differences"] == [-2e300, 2e300]
+    assert table["comparison"]["differences"] == [-2e150, 2e150]
     assert _values(work.table(rows="project", aggregate="mean")) == {work.project["name"]: [0]}
     run_id = work.launch("a", method="large")
-    report = {"report": {"metrics": [{"name": "ate", "value": 1e301}]}}
+    report = {"report": {"metrics": [{"name": "ate", "value": 1e151}]}}
     work.runner.finish(work.runner.claim(), **report).refused(422, "invalid_request")
     assert run_id

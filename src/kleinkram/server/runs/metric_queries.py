@@ -111,7 +111,7 @@ def declarations(runs: Select[Any]) -> Select[Any]:
 
     A definition may be large: it is read once for each version, not for each run.
     """
-    versions = runs.with_only_columns(run.c.version_id, maintain_column_froms=True).correlate(None)
+    versions = select(runs.subquery().c.version_id)
     declared = action_version.c.definition["metrics"]
     has_some = func.jsonb_array_length(func.coalesce(declared, cast("[]", JSONB))) > 0
     columns = (action_version.c.id, _ACTION_KEY.label("action_key"), declared.label("declared"))
@@ -180,8 +180,8 @@ def results(relevant: CTE, matching: MetricTableQuery, units: Mapping[uuid.UUID,
         run_metric.c.topic,
         run_metric.c.labels,
     )
-    stmt = stmt.join(run_metric, run_metric.c.run_id == latest.c.result_id)
-    stmt = stmt.outerjoin(declared, declared.c.version_id == latest.c.version_id)
+    stmt = stmt.join_from(latest, run_metric, run_metric.c.run_id == latest.c.result_id)
+    stmt = stmt.outerjoin_from(latest, declared, declared.c.version_id == latest.c.version_id)
     return stmt.where(*conditions).cte("results")
 
 

@@ -275,7 +275,7 @@ def _sort_key(value: ParameterValue | None) -> tuple[int, float, str, str]:
     try:
         return 0, float(value), "", str(value)
     except OverflowError:  # an integer of hundreds of digits
-        return 0, math.copysign(math.inf, value), "", str(value)
+        return 0, math.inf if value > 0 else -math.inf, "", str(value)
 
 
 def _row_keys(group: str, content: _Content) -> list[str | None]:
