@@ -348,6 +348,7 @@ def _show_actions(actions: Iterable[ActionRead]) -> None:
 
 def _show(action: ActionRead, version: ActionVersionRead) -> None:
     definition, resources = version.definition, version.definition.resources
+    locked = len({text.partition("==")[0] for text in version.packages})
     details(
         [
             ("action", f"{action.name}@{version.number}"),
@@ -360,10 +361,7 @@ def _show(action: ActionRead, version: ActionVersionRead) -> None:
             ("command", definition.command),
             ("needs", definition.dependencies),
             ("python", definition.requires_python),
-            (
-                "locked",
-                f"{len({text.partition('==')[0] for text in version.packages})} packages" * bool(version.packages),
-            ),
+            ("locked", f"{locked} packages" if locked else None),
             ("inputs", _inputs(definition.inputs)),
             (
                 "resources",
