@@ -67,6 +67,12 @@ INSERT INTO mission_checks (mission_id, verdict, files_revision, project_id, che
       ::jsonb || jsonb_build_object('acceptance_id', %(current)s, 'run_id', %(run)s, 'message', 'Slow.'),
     '{"name": "topic.rate", "status": "error", "topic": "/other"}'::jsonb))
 """
+_DECIDED = """
+INSERT INTO project_action (id, project_id, action_id, trigger, parameters, added_by_id)
+  VALUES (%(named)s, %(project)s, %(action)s, 'complete', '{}', %(person)s);
+INSERT INTO project_action_mission (project_action_id, mission_id, files_revision) VALUES (%(named)s, %(mission)s, 3);
+UPDATE project SET checks_number = 5
+"""
 # What a server of the earlier schema reads and writes while its database is upgraded.
 _READS = (
     "SELECT f.path, b.state, m.name, p.name, a.name FROM file f JOIN blob b ON b.id = f.blob_id"
@@ -165,6 +171,24 @@ def test_an_earlier_acceptance_covers_what_it_covered(postgres: RunningPostgres)
         ]
         assert rows[1] == ("withdrawn", [])
         assert connection.execute("SELECT is_outdated FROM mission_checks").fetchall() == [(True,)]
+    postgres.drop_database(name)
+
+
+def test_what_was_decided_was_decided_by_the_present_checks(postgres: RunningPostgres) -> None:
+    """Else every action that runs by itself would run again after the upgrade."""
+    name = postgres.create_database()
+    config = alembic_config(_url(postgres, name), _ROLE)
+    command.upgrade(config, "0105")
+    names = ("person", "project", "mission", "action", "version", "run", "current", "withdrawn", "named")
+    ids = {one: str(uuid.uuid4()) for one in names}
+    with psycopg.connect(postgres.migrate_url(name), cursor_factory=psycopg.ClientCursor) as connection:
+        connection.execute(_FILL, ids)
+        connection.execute(_ACCEPTED, ids)
+        connection.execute(_DECIDED, ids)
+    command.upgrade(config, "0106")
+    with psycopg.connect(postgres.serve_url(name)) as connection:
+        assert connection.execute("SELECT checks_number FROM project_action_mission").fetchall() == [(5,)]
+        assert connection.execute("SELECT input_metadata, checks_sha256 FROM run").fetchall() == [(None, None)]
     postgres.drop_database(name)
 
 

@@ -14,6 +14,7 @@ Dependencies of a script that are not installed where the test runs are installe
 
 import contextlib
 import datetime
+import hashlib
 import os
 import shutil
 import subprocess
@@ -37,7 +38,7 @@ from kleinkram.contract.missions import MissionRead, MissionRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.reports import EVENTS_FILE, REPORT_FILE, Report, ReportEvent, verdict_of_report
-from kleinkram.contract.runs import CONTEXT_FILE, ActionRef, Cause, RunContext
+from kleinkram.contract.runs import CONTEXT_FILE, ActionRef, Cause, RunChecks, RunContext
 from kleinkram.environments.cache import CannotInstall, Environment, EnvironmentRequest, compile_packages
 from kleinkram.environments.local import local_environments, local_index, with_lock
 from kleinkram.environments.python import PROBE, PythonUnknown, parse_python
@@ -88,12 +89,13 @@ def try_out(
     files: Mapping[str, Path | bytes],
     parameters: ParameterValues | None = None,
     metadata: Metadata | None = None,
+    checks: str | None = None,
     timeout_s: float = 60,
 ) -> TryOutResult:
     """Run a script on files, given by their paths in the mission, in an empty directory.
 
     The manifest is `action.yaml` beside the script, or the script's header. All files are inputs, whatever `inputs` the
-    manifest declares. `metadata` is that of the mission.
+    manifest declares. `metadata` is that of the mission, `checks` the text of its project's `checks.yaml`.
 
     Raises:
         InvalidInput: the manifest or a parameter is invalid, or its dependencies cannot be installed.
@@ -117,6 +119,7 @@ def try_out(
         files=[_put(in_dir, path, content) for path, content in sorted(files.items())],
         topics=[],
         recordings=[],
+        checks=None if checks is None else _checks(checks),
     )
     (in_dir / CONTEXT_FILE).write_text(context.model_dump_json())
     variables = {IN_VARIABLE: str(in_dir), OUT_VARIABLE: str(out), "TMPDIR": str(scratch)}
@@ -173,6 +176,10 @@ def _put(folder: Path, path: str, content: Path | bytes) -> FileRead:
     fields |= {"uploaded_by": _NOBODY, "created_at": _CREATED_AT}
     fields |= {name: [] for name in ("labels", "compression", "problems", "facts")}
     return FileRead.model_validate(fields)
+
+
+def _checks(text: str) -> RunChecks:
+    return RunChecks(version=1, sha256=hashlib.sha256(text.encode()).hexdigest(), text=text)
 
 
 def _mission(metadata: Metadata) -> MissionRead:

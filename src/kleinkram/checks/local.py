@@ -13,6 +13,7 @@ from typing import NamedTuple
 from pydantic import JsonValue
 
 from kleinkram.checks.facts import FileFacts, MissionFacts, RecordingFacts, TopicFacts
+from kleinkram.checks.outcomes import ShowProgress, show_nothing
 from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.formats.rosbag2.metadata import (
@@ -78,12 +79,20 @@ class LocalMission:
     summaries: Mapping[str, RecordingSummary]
 
 
-def read_mission(files: Mapping[str, Path], metadata: Mapping[str, JsonValue] | None = None) -> LocalMission:
+def read_mission(
+    files: Mapping[str, Path],
+    metadata: Mapping[str, JsonValue] | None = None,
+    *,
+    show: ShowProgress = show_nothing,
+) -> LocalMission:
     """Read the indexes of local files, by their paths in the mission.
 
     A file that cannot be read has the content `error`, with the reason; it hides no other.
     """
-    summaries = {path: _summary(files[path]) for path in sorted(files)}
+    summaries: dict[str, RecordingSummary] = {}
+    for number, path in enumerate(sorted(files)):
+        show(number / len(files), path)
+        summaries[path] = _summary(files[path])
     metadata_files = _metadata_files(files)
     parsed = {path: content for path, content in metadata_files.items() if content is not None}
     groups = group((path for path in files if path in metadata_files or not _is_metadata(path)), parsed)

@@ -1,6 +1,6 @@
 """Outcomes of checks: rows, their order and number, and quantities as text."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 from typing import NamedTuple, Protocol
 
@@ -13,6 +13,14 @@ from kleinkram.recordings.model import span_text
 _MAX_MESSAGE, _MAX_TOPIC = 2000, 1024
 _MAX_TIME_NS = 2**63
 _SEVERITIES = {CheckSeverity.warning: CheckStatus.warning, CheckSeverity.error: CheckStatus.error}
+
+
+ShowProgress = Callable[[float, str], None]
+"""Called with the part that is done, from 0 to 1, and the file or recording that comes next."""
+
+
+def show_nothing(_fraction: float, _name: str) -> None:
+    """Show no progress."""
 
 
 def failed(severity: CheckSeverity) -> CheckStatus:

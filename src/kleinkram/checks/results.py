@@ -1,5 +1,6 @@
 """What the checks of a mission amount to: its verdict, with the checks, their numbers and the profiles applied."""
 
+import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -13,8 +14,16 @@ from kleinkram.checks.document import ChecksDocument, MatchedMetadata, Profile
 from kleinkram.checks.facts import MissionFacts
 from kleinkram.checks.index_checks import checks_needing_content, index_checks
 from kleinkram.checks.local import LocalMission, LocalRecording
-from kleinkram.checks.outcomes import collect
-from kleinkram.contract.checks import WORST_FIRST, Check, CheckDepth, CheckStatus, Verdict, verdict_of
+from kleinkram.checks.outcomes import ShowProgress, collect, show_nothing
+from kleinkram.contract.checks import (
+    WORST_FIRST,
+    Check,
+    CheckDepth,
+    CheckReportCreate,
+    CheckStatus,
+    Verdict,
+    verdict_of,
+)
 from kleinkram.recordings.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -65,6 +74,16 @@ class CheckResults:
             "checks": [check.model_dump(mode="json") for check in self.checks],
         }
 
+    def to_report(self, text: str, files: Mapping[str, str]) -> CheckReportCreate:
+        """Return the results as a report for a server: by the rules in `text`, of files (SHA-256 in hex by path)."""
+        return CheckReportCreate(
+            checks=[*self.checks],
+            depth=self.depth,
+            document_sha256=hashlib.sha256(text.encode()).hexdigest(),
+            profiles_applied=[*self.profiles_applied],
+            files=dict(files),
+        )
+
 
 def evaluate_index(document: ChecksDocument, facts: MissionFacts) -> CheckResults:
     """Check a mission by the indexes of its files; checks that need messages are listed as `needs_content`."""
@@ -74,16 +93,21 @@ def evaluate_index(document: ChecksDocument, facts: MissionFacts) -> CheckResult
 
 
 def evaluate(
-    document: ChecksDocument, mission: LocalMission, depth: CheckDepth, *, more: Iterable[Check] = ()
+    document: ChecksDocument,
+    mission: LocalMission,
+    depth: CheckDepth,
+    *,
+    more: Iterable[Check] = (),
+    show: ShowProgress = show_nothing,
 ) -> CheckResults:
     """Check local files by their indexes and, with `CheckDepth.content`, by samples of their messages.
 
-    `more`: other checks that count.
+    `more`: other checks that count. `show`: of the recordings whose messages are read.
     """
     chosen = choose_profiles(document, mission.facts.metadata)
     profiles = chosen.applied
     others = (
-        content_checks(profiles, mission)
+        content_checks(profiles, mission, show)
         if depth is CheckDepth.content
         else checks_needing_content(profiles, mission.facts)
     )
@@ -103,14 +127,17 @@ def _without_repetition(checks: Iterable[Check]) -> Iterator[Check]:
             yield check
 
 
-def content_checks(profiles: Sequence[Profile], mission: LocalMission) -> Iterator[Check]:
+def content_checks(
+    profiles: Sequence[Profile], mission: LocalMission, show: ShowProgress = show_nothing
+) -> Iterator[Check]:
     """Open the recordings of a mission and check samples of their messages, in the order of the rules."""
     if not need_content(profiles):
         return
     from kleinkram.checks.content import check_content
 
     with ExitStack() as stack:
-        yield from check_content(profiles, [_opened(recording, stack) for recording in mission.recordings])
+        opened = [_opened(recording, stack) for recording in mission.recordings]
+        yield from check_content(profiles, opened, show=show)
 
 
 def _opened(recording: LocalRecording, stack: ExitStack) -> "OpenRecording":

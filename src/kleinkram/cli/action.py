@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from pydantic import ValidationError
 
-from kleinkram.cli import options
+from kleinkram.cli import action_library, options
+from kleinkram.cli.action_library import read_action
 from kleinkram.cli.commands import Subcommands, Text, argument, flag, option
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.render import Output, as_list, as_table, details, line, note, table
@@ -44,8 +45,13 @@ _ISOLATIONS = {
 
 app = Subcommands("Manage actions: what to run on the files of a mission.")
 app.command("run")(launch)
+app.command("library")(action_library.library)
+app.command("add")(action_library.add)
 
 PathArgument = Annotated[Path, argument("PATH", "A script, or a folder with action.yaml.")]
+PathOrShippedArgument = Annotated[
+    Path, argument("PATH", "A script, a folder with action.yaml, or a shipped action, such as kleinkram/preview.")
+]
 ActionArgument = Annotated[str, argument("ACTION", "Name or id of the action.")]
 LockOption = Annotated[
     Path | None, option("--lock", "FILE", "Install the dependencies in the versions of this lock.", dir_okay=False)
@@ -64,7 +70,7 @@ IndexOption = Annotated[
 @app.command("run-local")
 def run_local(
     client: Client,
-    action: PathArgument,
+    action: PathOrShippedArgument,
     mission: options.MissionOption = None,
     project: options.ProjectOption = None,
     parameters: options.SetOption = None,
@@ -82,7 +88,7 @@ def run_local(
     from kleinkram.cli.transfer import watching
     from kleinkram.runner.local_run import run_locally
 
-    definition = read_manifest(action)
+    definition = read_action(action)
     values = options.parameter_values(definition, parameters or [])
     if mission is None:
         raise InvalidInput(what="The command", reason="specify a mission with -m")
@@ -244,12 +250,12 @@ def create(
 
 @app.command("lock")
 def lock_(
-    path: PathArgument,
+    path: PathOrShippedArgument,
     out: Annotated[Path | None, option("--out", "FILE", "Write the lock to FILE. Default: print it.")] = None,
     package_index: IndexOption = None,
 ) -> Output:
     """Lock the dependencies of a script: one version of each package, with hashes, for `--lock` of other commands."""
-    definition = read_manifest(path)
+    definition = read_action(path)
     index = _index(package_index)
     if index is None:
         raise InvalidInput(what="The package index", reason="it is off")
@@ -265,7 +271,7 @@ def lock_(
     document = {"packages": packages, "lock": lock}
     if out is not None:
         return Output(document, f"Locked {len(packages)} packages in {out}.")
-    return Output(document, lambda: line(lock.rstrip()))
+    return Output(document, lambda: sys.stdout.write(lock))
 
 
 @app.command("list")
@@ -329,13 +335,14 @@ def archive(
 
 def _show_actions(actions: Iterable[ActionRead]) -> None:
     table(
-        ["project", "action", "version", "runs", "description", "changed", "by", "id"],
+        ["project", "action", "version", "runs", "from", "description", "changed", "by", "id"],
         [
             (
                 row.project.name if row.project else "(whole lab)",
                 row.name,
                 row.latest.number,
                 _code(row.latest.definition),
+                (row.latest.definition.library or "").partition("@")[0],
                 row.description.partition("\n")[0],
                 row.latest.created_at,
                 row.latest.created_by.name,
@@ -371,6 +378,7 @@ def _show(action: ActionRead, version: ActionVersionRead) -> None:
             ("runners", resources.labels),
             ("network", definition.network.value),
             ("right", definition.right.value),
+            ("from", definition.library),
             ("published", f"{version.created_at:%Y-%m-%d %H:%M}Z by {version.created_by.name}"),
             ("etag", action.etag),
         ]
@@ -396,7 +404,10 @@ def _packages_of(lock: str) -> list[str]:
 
 def _inputs(inputs: Inputs) -> str:
     lists = [("files", inputs.paths), ("with topics", inputs.topics), ("of types", inputs.message_types)]
-    return "; ".join(f"{what} {', '.join(globs)}" for what, globs in lists if globs) or "all files"
+    files = "; ".join(f"{what} {', '.join(globs)}" for what, globs in lists if globs) or "all files"
+    parts = [files, *(["also files that runs made"] if inputs.derived else [])]
+    parts += [f"metadata {', '.join(inputs.metadata)}"] if inputs.metadata else []
+    return "; ".join([*parts, *(["checks.yaml of the project, with all metadata"] if inputs.checks else [])])
 
 
 def _code(definition: ActionDefinition) -> str:

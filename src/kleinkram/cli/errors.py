@@ -94,6 +94,7 @@ _CLASSES: dict[ExitCode, tuple[type[KleinkramError], ...]] = {
         remote.GroupFixed,
         remote.AmbiguousName,
         remote.NameTaken,
+        remote.NotFromLibrary,
         remote.EditConflict,
         remote.FileExists,
         remote.PathConflict,

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from kleinkram.cli import options, run_reports
+from kleinkram.cli.action_library import read_action
 from kleinkram.cli.commands import AsJson, Many, Subcommands, Text, argument, flag, option
 from kleinkram.cli.errors import ExitCode, exit_code_of
 from kleinkram.cli.filters import Choice, WhereOption, filter_of, find_missions, ids_of, mission_query
@@ -20,10 +21,10 @@ from kleinkram.cli.transfer import run_transfer, transfer_output
 from kleinkram.cli.units import count as count_of
 from kleinkram.cli.units import size
 from kleinkram.client import Client
-from kleinkram.client.actions import read_manifest
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.contract import runs as contract
 from kleinkram.contract.checks import CheckStatus, Verdict
+from kleinkram.contract.library import LIBRARY_PREFIX
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.problems import from_problem
 
@@ -38,7 +39,10 @@ _SHOWN = 50
 
 def launch(
     client: Client,
-    action: Annotated[str, argument("ACTION", "Name, NAME@VERSION or id; or a script, or a folder with action.yaml.")],
+    action: Annotated[
+        str,
+        argument("ACTION", "Name, NAME@VERSION or id; or a script, a folder with action.yaml, or a shipped action."),
+    ],
     missions: options.MissionsOption = None,
     project: options.ProjectsOption = None,
     query: Annotated[Text, option("--query -q", "QUERY", "Run on each mission that the query finds.")] = None,
@@ -59,8 +63,8 @@ def launch(
     targets = _missions(client, missions or [], Choice(query=query, project=project, where=where))
     path = Path(action)
     published, version = None, None
-    if path.exists():
-        definition = read_manifest(path)
+    if path.exists() or action.startswith(LIBRARY_PREFIX):
+        definition = read_action(path)
         note(f"Running {definition.name} as it is in {path}, unpublished.")
     elif "/" in action or path.suffix == ".py":
         raise InvalidInput(what=f"The action {action!r}", reason="there is no such file or folder")

@@ -1,6 +1,5 @@
 """The checks of `klein upload --check`: made before anything is sent, and stored with the mission afterwards."""
 
-import hashlib
 import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from kleinkram.cli.render import note
 from kleinkram.client import Client
 from kleinkram.client.errors import MissionNotGood, NothingToDo
 from kleinkram.client.transfer import TransferReport, UploadPlan
-from kleinkram.contract.checks import CheckDepth, CheckReportCreate, Verdict
+from kleinkram.contract.checks import CheckDepth, Verdict
 from kleinkram.contract.missions import MissionRead
 
 
@@ -83,12 +82,5 @@ class CheckedUpload:
         if not files or len(files) < len(paths) or not self.results.checks:
             note("The outcome of the checks was not stored, because not all checked recordings were uploaded.")
             return
-        outcome = CheckReportCreate(
-            checks=[*self.results.checks],
-            depth=self.results.depth,
-            document_sha256=hashlib.sha256(self.rules.text.encode()).hexdigest(),
-            profiles_applied=[*self.results.profiles_applied],
-            files=files,
-        )
-        client.checks.report(mission_id, outcome)
+        client.checks.report(mission_id, self.results.to_report(self.rules.text, files))
         note("Stored the outcome of the checks with the mission.")

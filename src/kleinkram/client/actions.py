@@ -4,11 +4,11 @@ A manifest is a folder with `action.yaml`, or one script that describes itself i
 ETag that an action must still have to be changed, else EditConflict.
 """
 
-import re
-import sys
+import builtins
 import uuid
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from pydantic import ValidationError
 
@@ -18,7 +18,6 @@ from kleinkram.client.errors import InvalidInput
 from kleinkram.client.missions import Projects
 from kleinkram.contract import project_actions as contract
 from kleinkram.contract.actions import (
-    MAX_SCRIPT_CHARACTERS,
     ActionCreate,
     ActionDefinition,
     ActionFilter,
@@ -28,20 +27,15 @@ from kleinkram.contract.actions import (
     ParameterValues,
     VersionCreate,
 )
+from kleinkram.contract.library import LIBRARY_PREFIX, LibraryActionRead, LibraryAdd, LibraryFilter, LibraryRead
 from kleinkram.contract.problems import first_problem
 from kleinkram.contract.project_actions import ProjectActionAdd, ProjectActionRead, RunTrigger
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from kleinkram.contract.scripts import read_script
 
 MANIFEST = "action.yaml"
 MAIN = "main.py"
 _MAX_BYTES = 1_000_000
 _MAX_DEPTH = 50
-# Source: PEP 723, "Inline script metadata", its reference implementation.
-_BLOCK = re.compile(r"(?m)^# /// script$\s(?P<content>(^#(| .*)$\s)+)^# ///$")
 
 
 class Actions(NamedResource[ActionRead]):
@@ -91,6 +85,24 @@ class Actions(NamedResource[ActionRead]):
         """Publish the next version of an action, under its name; earlier ones stay and can be run."""
         body = checked(VersionCreate, "The version", definition=definition)
         return self._api.send("POST", f"/actions/{self.id_of(action_id)}/versions", ActionRead, body, etag=if_match)
+
+    def library(self, *, project: Ref | None = None) -> builtins.list[LibraryActionRead]:
+        """Return the actions that the server is shipped with, and which of them a project or the whole lab has."""
+        matching = checked(LibraryFilter, "The filter", project_id=self._project_id(project))
+        return self._api.get("/library", LibraryRead, query_of(matching)).items
+
+    def add_from_library(self, name: str, *, project: Ref | None = None) -> ActionRead:
+        """Publish a shipped action (`kleinkram/preview`) in a project, or for the whole lab, under its name.
+
+        Where it was added before, publish its next version; unchanged where nothing newer is shipped.
+
+        Raises:
+            NotFound: the library has no such action.
+            NotFromLibrary: there is another action of that name.
+            Forbidden: it requires WRITE on the project; for the lab, the right to create projects.
+        """
+        body = checked(LibraryAdd, "The action", project_id=self._project_id(project))
+        return self._api.send("POST", f"/library/{quote(name.removeprefix(LIBRARY_PREFIX), safe='')}", ActionRead, body)
 
     def versions(self, action_id: Ref) -> Listing[ActionVersionRead]:
         """Yield the versions of an action, latest first, without their locks, which `version` returns."""
@@ -175,11 +187,14 @@ def read_manifest(path: Path) -> ActionDefinition:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
         raise InvalidInput(what=str(file), reason=f"cannot be read as an action: {reason}") from error
-    fields = _of_script(file, text) if file.suffix == ".py" else _of_yaml(file, text)
     try:
-        return ActionDefinition.model_validate(fields)
+        if file.suffix == ".py":
+            return read_script(text, name=file.stem)
+        return ActionDefinition.model_validate(_of_yaml(file, text))
     except ValidationError as error:
         raise InvalidInput(what=str(file), reason=first_problem(error, "the action")) from error
+    except ValueError as error:
+        raise InvalidInput(what=str(file), reason=str(error)) from error
 
 
 def _of_yaml(file: Path, text: str) -> dict[str, Any]:
@@ -194,23 +209,3 @@ def _of_yaml(file: Path, text: str) -> dict[str, Any]:
     if not isinstance(fields, dict):
         raise InvalidInput(what=str(file), reason="it is not a mapping of names to values")
     return fields
-
-
-def _of_script(file: Path, text: str) -> dict[str, Any]:
-    if len(text) > MAX_SCRIPT_CHARACTERS:
-        raise InvalidInput(what=str(file), reason=f"has {len(text)} characters; {MAX_SCRIPT_CHARACTERS} are allowed")
-    blocks = _BLOCK.findall(text.replace("\r\n", "\n"))
-    if len(blocks) > 1:
-        raise InvalidInput(what=str(file), reason="has two headers '# /// script'")
-    header: dict[str, Any] = {}
-    if blocks:
-        lines = (line.removeprefix("#").removeprefix(" ") for line in blocks[0][0].splitlines())
-        try:
-            header = tomllib.loads("\n".join(lines))
-        except tomllib.TOMLDecodeError as error:
-            raise InvalidInput(what=str(file), reason=f"its header is not TOML: {error}") from error
-    fields = header.get("tool", {}).get("kleinkram", {})
-    of_header = {"dependencies": header.get("dependencies", [])}
-    if "requires-python" in header:
-        of_header["requires_python"] = header["requires-python"]
-    return {"name": file.stem, **fields, "script": text, **of_header}

@@ -16,6 +16,7 @@ from typing_extensions import Self
 
 from kleinkram.contract.access import Right
 from kleinkram.contract.base import ETag, Request, Response, etag_of
+from kleinkram.contract.metadata import MAX_KEY_CHARACTERS
 from kleinkram.contract.names import Label, Name, Term, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
@@ -33,7 +34,10 @@ ParameterValue = bool | int | float | str
 ParameterValues = dict[str, ParameterValue]
 Argument = Annotated[str, AfterValidator(check_text), Field(max_length=100_000)]
 Globs = Annotated[list[Term], Field(max_length=50)]
+MetadataKey = Annotated[str, AfterValidator(check_text), Field(min_length=1, max_length=MAX_KEY_CHARACTERS)]
 ImageName = Annotated[str, Field(pattern=r"^[a-z0-9][A-Za-z0-9._/:@-]{0,299}$")]
+LibraryVersion = Annotated[str, Field(pattern=r"^kleinkram/[a-z0-9-]{1,64}@[0-9A-Za-z.+!-]{1,64}$")]
+"""A shipped action, and the version of Kleinkram that it was added from: `kleinkram/preview@1.2.0`."""
 
 
 class ParameterType(str, enum.Enum):
@@ -126,13 +130,17 @@ class Network(str, enum.Enum):
 class Inputs(Request):
     """The input files of an action: those that match all three lists of globs; an empty list matches all.
 
-    Files that runs made are inputs only with `derived`.
+    Files that runs made are inputs only with `derived`. `metadata` names the metadata fields of the mission that the
+    action reads; with `checks`, it reads the `checks.yaml` of the project, and all metadata, by which its profiles are
+    chosen. Results depend on the values of what is declared: if one changes, they are outdated.
     """
 
     paths: Globs = []
     topics: Globs = []
     message_types: Globs = []
     derived: bool = False
+    metadata: Annotated[list[MetadataKey], Field(max_length=50)] = []
+    checks: bool = False
 
 
 def _size(value: object) -> object:
@@ -223,6 +231,7 @@ class ActionDefinition(Request):
     is the Python that the script needs.
     `right` is the right on the mission that launching requires, and the right of the run's token.
     `metrics` describes metrics for tables; an action may report others, too.
+    `library` is set by the server where it added a shipped action; it is ignored in what people publish or run.
     """
 
     name: Name
@@ -239,6 +248,7 @@ class ActionDefinition(Request):
     resources: Resources = Resources()
     network: Network = Network.none
     right: Right = Right.read
+    library: LibraryVersion | None = None
 
     @model_validator(mode="after")
     def _can_be_run(self) -> Self:
@@ -280,17 +290,25 @@ class ActionDefinition(Request):
         return values
 
 
+def _without_library(definition: ActionDefinition) -> ActionDefinition:
+    return definition if definition.library is None else definition.model_copy(update={"library": None})
+
+
+OwnDefinition = Annotated[ActionDefinition, AfterValidator(_without_library)]
+"""The definition of an action by a person, not by the library, whatever it says."""
+
+
 class ActionCreate(Request):
     """An action to publish: in a project, or without one for the whole lab."""
 
     project_id: uuid.UUID | None = None
-    definition: ActionDefinition
+    definition: OwnDefinition
 
 
 class VersionCreate(Request):
     """A further version of an action; the name is unchanged."""
 
-    definition: ActionDefinition
+    definition: OwnDefinition
 
 
 class ActionUpdate(Request):

@@ -167,7 +167,7 @@ class ChecksVersionRead(Response):
 
 
 class CheckReportCreate(Request):
-    """Checks that an uploader made, by profiles of the `checks.yaml` with this hash, of these files (SHA-256 by path).
+    """Checks by an uploader or a run, by profiles of the `checks.yaml` with this hash, of files (SHA-256 by path).
 
     They count while exactly these are the recorded files of the mission, and exactly these profiles apply to it.
     """
@@ -180,10 +180,10 @@ class CheckReportCreate(Request):
 
 
 class CheckReportRead(Response):
-    """A report of checks by an uploader, without the checks.
+    """A report of checks by an uploader or a run, without the checks.
 
     `is_current`: it was made of the present files and by the present `checks.yaml` (by any, while the project has
-    none), so that it counts.
+    none), so that it counts. `run_id`: the run that made it, which acted for `created_by`.
     """
 
     id: uuid.UUID
@@ -195,10 +195,11 @@ class CheckReportRead(Response):
     is_current: bool
     created_at: datetime.datetime
     created_by: PersonRef
+    run_id: uuid.UUID | None = None
 
 
 class CheckSource(str, enum.Enum):
-    """Who made a check: the server, from the index; an uploader; or an action of the project."""
+    """Who made a check: the server, from the index; the report of an uploader or run; or an action of the project."""
 
     server = "server"
     report = "report"

@@ -7,8 +7,8 @@ raises the same class that the server raised. Never match on a message.
       sign-in       NotAuthenticated SignInPending SlowDown SignInDenied SignInExpired SignInFailed SignInRefused
                     SignInTooOld SecondFactorNeeded SecondFactorWrong CodeGone ProviderUnavailable LastSignInMethod
       permissions   Forbidden ScopeMissing TokenTooWide RightExceeded LastOwner LastAdmin GroupFixed
-      requests      NotFound WrongClient AmbiguousName NameTaken EditConflict InvalidRequest InvalidQuery InvalidCursor
-                    YamlInvalid FieldsInvalid MetadataInvalid BodyTooLarge MethodNotAllowed
+      requests      NotFound WrongClient AmbiguousName NameTaken NotFromLibrary EditConflict InvalidRequest
+                    InvalidQuery InvalidCursor YamlInvalid FieldsInvalid MetadataInvalid BodyTooLarge MethodNotAllowed
       files         FileExists PathConflict NameLeased UploadGone UploadIncomplete ChecksumMismatch FileUnavailable
                     QuotaExceeded
       runs          RunGone NoInputs NoRunner
@@ -55,6 +55,7 @@ class ErrorCode(str, enum.Enum):
     wrong_client = "wrong_client"
     ambiguous_name = "ambiguous_name"
     name_taken = "name_taken"
+    not_from_library = "not_from_library"
     edit_conflict = "edit_conflict"
     invalid_request = "invalid_request"
     invalid_query = "invalid_query"
@@ -306,6 +307,12 @@ class NameTaken(KleinkramError, status=409):
     """There is already a {resource_type} named {name!r} here (names that differ only in case or Unicode form are the same)."""  # noqa: E501  one sentence
 
     resource_type: str
+    name: str
+
+
+class NotFromLibrary(KleinkramError, status=409):
+    """The action {name!r} here was published by somebody, not added from the library, so it was not replaced. Archive it to add the one from the library."""  # noqa: E501  one sentence
+
     name: str
 
 

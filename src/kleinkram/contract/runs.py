@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from typing_extensions import Self
 
-from kleinkram.contract.actions import ActionDefinition, Network, ParameterValues
+from kleinkram.contract.actions import ActionDefinition, Network, OwnDefinition, ParameterValues
 from kleinkram.contract.base import Request, Response
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.contract.files import FileRead, RecordingRead, TopicRead
@@ -74,10 +74,20 @@ class Cause(Response):
     retry_of_id: uuid.UUID | None = None
 
 
+class RunChecks(Response):
+    """The `checks.yaml` of the project as it was at the launch. `version` is its number, `sha256` that of the text."""
+
+    version: Annotated[int, Field(ge=1)]
+    sha256: str
+    text: str
+
+
 class RunContext(Response):
     """The content of `/in/mission.json`: the mission, the input files with their topics, the parameters.
 
-    `run_id` is null for a local run. `topics` belong to the files, `recordings` to the mission.
+    `run_id` is null for a local run. `topics` belong to the files, `recordings` to the mission. Metadata that the
+    action declares as inputs have their values at the launch. `checks` is null unless the action declares to read it,
+    and where the project has none.
     """
 
     contract: Literal[1] = 1
@@ -89,19 +99,20 @@ class RunContext(Response):
     files: list[FileRead]
     topics: list[TopicRead]
     recordings: list[RecordingRead]
+    checks: RunChecks | None = None
 
 
 class RunsCreate(Request):
     """An action to run on each of some missions: a published one by id, or an unpublished definition.
 
     Without `version`, the latest version runs. Results of an earlier successful run with the same version, image,
-    parameters and inputs are reused unless `force`.
+    parameters and inputs (files, and the metadata and checks that it declares) are reused unless `force`.
     """
 
     mission_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=MAX_LAUNCHED)]
     action_id: uuid.UUID | None = None
     version: Annotated[int, Field(ge=1, lt=2**31)] | None = None
-    definition: ActionDefinition | None = None
+    definition: OwnDefinition | None = None
     parameters: ParameterValues = {}
     force: bool = False
 

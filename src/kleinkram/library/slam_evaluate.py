@@ -42,6 +42,7 @@
 #
 # [tool.kleinkram.inputs]
 # derived = true
+# metadata = ["reference"]
 # paths = [
 #   "*.tum", "*.txt", "*.csv",
 #   "*.mcap", "*.bag", "*.db3", "*.mcap.zst*", "*.db3.zst*", "*.bag.zst*", "*metadata.yaml",

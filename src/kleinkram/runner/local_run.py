@@ -17,7 +17,7 @@ from kleinkram.client.transfer import Watcher, download, plan_download
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionRead
-from kleinkram.contract.runs import ActionRef, Cause, EndReason, RunContext
+from kleinkram.contract.runs import ActionRef, Cause, EndReason, RunChecks, RunContext
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, LockedScript, RunJob, wait_for_end
 from kleinkram.runner.inputs import check_input_path, command_of, write_context
 from kleinkram.runner.results import Results, collect_results
@@ -76,6 +76,7 @@ def run_locally(
             files=files,
             topics=[topic for file in files for topic in client.files.topics(file.id)],
             recordings=list(client.recordings.list(mission.id)),
+            checks=_checks_of(client, mission) if action.inputs.checks else None,
         )
         write_context(directory / "in", context, action.script)
         command = command_of(action, in_image=action.image is not None)
@@ -91,6 +92,11 @@ def run_locally(
         ending = Ending(EndReason.broken_report, results.report_error, ending.exit_code)
     results.report = results.final_report(ending.reason)
     return LocalRun(ending, results, out)
+
+
+def _checks_of(client: Client, mission: MissionRead) -> RunChecks | None:
+    checks = client.checks.get(mission.project.id)
+    return RunChecks(version=checks.number, sha256=checks.sha256, text=checks.text) if checks.text else None
 
 
 def _download_inputs(

@@ -9,6 +9,7 @@ from fastapi.routing import APIRoute
 
 import kleinkram
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
+from kleinkram.server.actions.routes import library_router as library
 from kleinkram.server.actions.routes import router as actions
 from kleinkram.server.admin.routes import router as admin
 from kleinkram.server.audit.requests import AdminReads, Refusals
@@ -65,6 +66,7 @@ ROUTERS = (
     uploads,
     search,
     actions,
+    library,
     runs,
     runners,
     trash,

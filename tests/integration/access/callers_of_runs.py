@@ -62,6 +62,12 @@ RUN_OPERATIONS: dict[str, tuple[Caller, ...]] = {
     "publish_action_version": (
         Caller(post("/actions/{action}/versions", lambda _: {"definition": ACTION}), Target.project),
     ),
+    "list_library": (Caller(get("/library", project_id="{project}"), Target.project),),
+    "add_from_library": (
+        Caller(
+            post("/library/slam-evaluate", lambda principal: {"project_id": principal.objects.project}), Target.project
+        ),
+    ),
     "list_project_actions": (Caller(get("/projects/{project}/actions"), Target.project),),
     "add_project_action": (
         Caller(

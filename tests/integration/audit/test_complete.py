@@ -39,6 +39,7 @@ WRITES: dict[str, set[str]] = {
     "create_action": {"action.create"},
     "update_action": {"[action.archive]", "[action.restore]"},
     "publish_action_version": {"[action.publish]"},
+    "add_from_library": {"action.create", "[action.publish]"},
     "add_project_action": {"project.add_action"},
     "remove_project_action": {"[project.remove_action]"},
     "create_runs": {"run.create"},

@@ -8,6 +8,7 @@ import pytest
 from pydantic import BaseModel
 from typer.testing import CliRunner, Result
 
+import kleinkram
 from kleinkram.cli.errors import ExitCode, NotConfirmed
 from kleinkram.cli.main import app
 from kleinkram.cli.options import parameter_values
@@ -20,6 +21,7 @@ from kleinkram.contract.errors import NotFound
 from kleinkram.contract.problems import to_problem
 from kleinkram.contract.reports import Metric
 from kleinkram.contract.runs import LogChunkRead, MetricRead, RunCreated, RunRead, RunRefused, RunsCreated, RunState
+from kleinkram.library import shipped_actions
 from tests.api_objects import action_read, mission_read, run_detail
 from tests.scripted_server import Scripted, scripted
 
@@ -56,6 +58,18 @@ def test_an_unpublished_action_is_run_and_followed(tmp_path: Path) -> None:
     assert "hello" in ran.stderr
     assert "exit code 3" in ran.stderr
     assert script.requests[1].body["definition"]["script"] == "print('hello')"
+
+
+def test_a_shipped_action_is_run_unpublished() -> None:
+    shipped = shipped_actions()["slam-evaluate"]
+    with scripted(page(MISSION), made(run_detail(RunState.queued))) as script:
+        ran = klein(script, "action", "run", "kleinkram/slam-evaluate", "-m", "day", "--set", "alignment=yaw")
+    assert ran.exit_code == 0, ran.output
+    assert (
+        f"kleinkram/slam-evaluate is that of kleinkram {kleinkram.__version__}, which is installed here." in ran.stderr
+    )
+    body = script.requests[1].body
+    assert (body["definition"]["script"], body["parameters"]["alignment"]) == (shipped.script, "yaw")
 
 
 @pytest.mark.parametrize(("arguments", "exit_code"), [([], ExitCode.verdict_bad), (["--ignore-verdict"], 0)])

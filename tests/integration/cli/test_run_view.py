@@ -7,6 +7,7 @@ from typer.testing import CliRunner
 
 from kleinkram.cli.main import app
 from kleinkram.cli.run_view import status_text
+from kleinkram.contract.actions import Inputs
 from kleinkram.contract.base import Page
 from kleinkram.contract.checks import CheckStatus, Verdict
 from kleinkram.contract.reports import Progress, Severity
@@ -104,3 +105,13 @@ def test_an_action_shows_its_parameters() -> None:
     assert "look@1" in text
     assert "a script" in text
     assert "all files" in text
+
+
+def test_an_action_shows_the_inputs_that_it_declares_beside_files() -> None:
+    action = action_read("verify")
+    inputs = Inputs(paths=["*.mcap"], metadata=["reference", "robot"], checks=True)
+    definition = action.latest.definition.model_copy(update={"inputs": inputs})
+    declaring = action.model_copy(update={"latest": action.latest.model_copy(update={"definition": definition})})
+    with scripted(Page(items=[declaring], next=None)) as script:
+        text = shown(script, "action", "info", "verify")
+    assert "files *.mcap; metadata reference, robot; checks.yaml of the project, with all metadata" in text

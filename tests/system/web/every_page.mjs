@@ -283,6 +283,11 @@ await checkPage(page, "signed-in", { path: "/signed-in", allowedErrors: WINDOW_N
 await page.goto(`${address}/projects`);
 await page.getByRole("button", { name: "New project" }).first().click();
 await checkPage(page, "dialog-project", { ...dialogOnly, ready: "dialog[open]" });
+await page.goto(`${address}/actions`);
+await page.getByRole("button", { name: "Add from library" }).first().click();
+await page.locator("dialog[open] [data-shipped]").first().waitFor();
+await page.locator("dialog[open]").getByLabel("Add to").selectOption({ label: project });
+await checkPage(page, "dialog-library", { ...dialogOnly, ready: "dialog[open] [data-shipped]", expectedTexts: [project] });
 await page.goto(`${address}${ofMission("")}`);
 await page.locator("[data-lanes]").waitFor();
 await page.getByRole("button", { name: /^Share/ }).first().click();

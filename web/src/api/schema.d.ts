@@ -1026,6 +1026,48 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/library": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Library
+         * @description List the actions that are shipped with this server, and which of them a project, or the whole lab, has.
+         */
+        get: operations["list_library"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/library/{name}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Add From Library
+         * @description Publish a shipped action under its name, locked like others; where it was added before, its next version.
+         *
+         *     It is unchanged where nothing newer is shipped.
+         */
+        post: operations["add_from_library"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/me": {
         parameters: {
             query?: never;
@@ -2896,6 +2938,7 @@ export interface components {
          *     is the Python that the script needs.
          *     `right` is the right on the mission that launching requires, and the right of the run's token.
          *     `metrics` describes metrics for tables; an action may report others, too.
+         *     `library` is set by the server where it added a shipped action; it is ignored in what people publish or run.
          */
         ActionDefinition: {
             /**
@@ -2917,13 +2960,17 @@ export interface components {
             image?: string | null;
             /**
              * @default {
+             *       "checks": false,
              *       "derived": false,
              *       "message_types": [],
+             *       "metadata": [],
              *       "paths": [],
              *       "topics": []
              *     }
              */
             inputs: components["schemas"]["Inputs"];
+            /** Library */
+            library?: string | null;
             /** Lock */
             lock?: string | null;
             /**
@@ -3570,7 +3617,7 @@ export interface components {
         };
         /**
          * CheckReportCreate
-         * @description Checks that an uploader made, by profiles of the `checks.yaml` with this hash, of these files (SHA-256 by path).
+         * @description Checks by an uploader or a run, by profiles of the `checks.yaml` with this hash, of files (SHA-256 by path).
          *
          *     They count while exactly these are the recorded files of the mission, and exactly these profiles apply to it.
          */
@@ -3589,10 +3636,10 @@ export interface components {
         };
         /**
          * CheckReportRead
-         * @description A report of checks by an uploader, without the checks.
+         * @description A report of checks by an uploader or a run, without the checks.
          *
          *     `is_current`: it was made of the present files and by the present `checks.yaml` (by any, while the project has
-         *     none), so that it counts.
+         *     none), so that it counts. `run_id`: the run that made it, which acted for `created_by`.
          */
         CheckReportRead: {
             /** Check Count */
@@ -3615,11 +3662,13 @@ export interface components {
             id: string;
             /** Is Current */
             is_current: boolean;
+            /** Run Id */
+            run_id?: string | null;
             verdict: components["schemas"]["Verdict"];
         };
         /**
          * CheckSource
-         * @description Who made a check: the server, from the index; an uploader; or an action of the project.
+         * @description Who made a check: the server, from the index; the report of an uploader or run; or an action of the project.
          * @enum {string}
          */
         CheckSource: "server" | "report" | "action";
@@ -3998,7 +4047,7 @@ export interface components {
          * @description The closed set of failures.
          * @enum {string}
          */
-        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "last_sign_in_method" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "group_fixed" | "not_found" | "wrong_client" | "ambiguous_name" | "name_taken" | "edit_conflict" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "method_not_allowed" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "rate_limited" | "too_many_streams" | "store_unavailable" | "database_unavailable" | "internal_error";
+        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "last_sign_in_method" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "group_fixed" | "not_found" | "wrong_client" | "ambiguous_name" | "name_taken" | "not_from_library" | "edit_conflict" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "method_not_allowed" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "rate_limited" | "too_many_streams" | "store_unavailable" | "database_unavailable" | "internal_error";
         /**
          * ExecutorAbilities
          * @description What an executor supports.
@@ -4694,9 +4743,16 @@ export interface components {
          * Inputs
          * @description The input files of an action: those that match all three lists of globs; an empty list matches all.
          *
-         *     Files that runs made are inputs only with `derived`.
+         *     Files that runs made are inputs only with `derived`. `metadata` names the metadata fields of the mission that the
+         *     action reads; with `checks`, it reads the `checks.yaml` of the project, and all metadata, by which its profiles are
+         *     chosen. Results depend on the values of what is declared: if one changes, they are outdated.
          */
         Inputs: {
+            /**
+             * Checks
+             * @default false
+             */
+            checks: boolean;
             /**
              * Derived
              * @default false
@@ -4707,6 +4763,11 @@ export interface components {
              * @default []
              */
             message_types: string[];
+            /**
+             * Metadata
+             * @default []
+             */
+            metadata: string[];
             /**
              * Paths
              * @default []
@@ -4808,6 +4869,63 @@ export interface components {
          * @enum {string}
          */
         LeaseStatus: "active" | "cancel" | "lost";
+        /**
+         * LibraryActionRead
+         * @description An action of the library. `name` is that of its library, `kleinkram/preview`; `version` that of Kleinkram.
+         *
+         *     `action_id` and `action_version` are the action of that name which the project or the lab has, in its latest
+         *     version.
+         */
+        LibraryActionRead: {
+            /** Action Id */
+            action_id: string | null;
+            /** Action Version */
+            action_version: number | null;
+            /** Dependencies */
+            dependencies: string[];
+            /** Description */
+            description: string;
+            inputs: components["schemas"]["Inputs"];
+            /** Metrics */
+            metrics: components["schemas"]["DeclaredMetric"][];
+            /** Name */
+            name: string;
+            network: components["schemas"]["Network"];
+            /** Parameters */
+            parameters: components["schemas"]["Parameter"][];
+            /** Requires Python */
+            requires_python: string | null;
+            resources: components["schemas"]["Resources"];
+            right: components["schemas"]["Right"];
+            state: components["schemas"]["LibraryState"];
+            /** Version */
+            version: string;
+        };
+        /**
+         * LibraryAdd
+         * @description Where to add an action of the library: in a project, or without one for the whole lab.
+         */
+        LibraryAdd: {
+            /** Project Id */
+            project_id?: string | null;
+        };
+        /**
+         * LibraryRead
+         * @description All actions of the library, by name.
+         */
+        LibraryRead: {
+            /** Items */
+            items: components["schemas"]["LibraryActionRead"][];
+        };
+        /**
+         * LibraryState
+         * @description Whether a project, or the whole lab, has an action of the library.
+         *
+         *     `available`: it has none of that name. `added`: it has what is shipped. `outdated`: adding it again publishes the
+         *     next version. `name_taken`: its latest version of that name is not from the library.
+         * @enum {string}
+         */
+        LibraryState: "available" | "added" | "outdated" | "name_taken";
         /**
          * LineageFile
          * @description A file in a lineage. `id` is null where it no longer exists or is not visible to the reader.
@@ -6570,14 +6688,29 @@ export interface components {
             token: string | null;
         };
         /**
+         * RunChecks
+         * @description The `checks.yaml` of the project as it was at the launch. `version` is its number, `sha256` that of the text.
+         */
+        RunChecks: {
+            /** Sha256 */
+            sha256: string;
+            /** Text */
+            text: string;
+            /** Version */
+            version: number;
+        };
+        /**
          * RunContext
          * @description The content of `/in/mission.json`: the mission, the input files with their topics, the parameters.
          *
-         *     `run_id` is null for a local run. `topics` belong to the files, `recordings` to the mission.
+         *     `run_id` is null for a local run. `topics` belong to the files, `recordings` to the mission. Metadata that the
+         *     action declares as inputs have their values at the launch. `checks` is null unless the action declares to read it,
+         *     and where the project has none.
          */
         RunContext: {
             action: components["schemas"]["ActionRef"];
             cause: components["schemas"]["Cause"];
+            checks?: components["schemas"]["RunChecks"] | null;
             /**
              * Contract
              * @default 1
@@ -6957,7 +7090,7 @@ export interface components {
          * @description An action to run on each of some missions: a published one by id, or an unpublished definition.
          *
          *     Without `version`, the latest version runs. Results of an earlier successful run with the same version, image,
-         *     parameters and inputs are reused unless `force`.
+         *     parameters and inputs (files, and the metadata and checks that it declares) are reused unless `force`.
          */
         RunsCreate: {
             /** Action Id */
@@ -9927,6 +10060,72 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["HomeStorage"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    list_library: {
+        parameters: {
+            query?: {
+                project_id?: string | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["LibraryRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    add_from_library: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                name: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["LibraryAdd"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ActionRead"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */

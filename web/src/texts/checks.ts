@@ -43,7 +43,7 @@ export function countsText(counts: CheckCounts): string {
 
 const sources: Readonly<Record<components["schemas"]["CheckSource"], Named>> = {
   server: { label: "Index", why: "The server made it from the index of the recordings." },
-  report: { label: "Content report", why: "The uploader made it from the files, and sent the outcome." },
+  report: { label: "Content report", why: "An uploader or a run made it from the files, and sent the outcome." },
   action: { label: "Action", why: "A run of an action made it." },
 };
 
@@ -88,7 +88,8 @@ export const texts = {
   actionOf: (name: string, version: number | null | undefined) => (typeof version === "number" ? `${name}@${version}` : name),
   acceptanceEnds,
   by: (name: string) => `by ${name}`,
-  reports: "Reports of uploaders",
+  reports: "Reports of uploaders and runs",
+  byRun: "run",
   reportIs: (checks: number, files: number) => `${counted(checks, "check")} of ${counted(files, "file")}`,
   depths: { index: "from the index", content: "from the content" },
   superseded: "no longer counts",

@@ -20,7 +20,7 @@ from kleinkram.checks.content.families import (
     why_none,
 )
 from kleinkram.checks.document import Profile
-from kleinkram.checks.outcomes import LEFT_OUT, make_check
+from kleinkram.checks.outcomes import LEFT_OUT, ShowProgress, make_check, show_nothing
 from kleinkram.contract.checks import MAX_CHECKS, Check, CheckStatus
 
 if TYPE_CHECKING:
@@ -42,7 +42,11 @@ class OpenRecording:
 
 
 def check_content(
-    profiles: Sequence[Profile], recordings: Sequence[OpenRecording], *, budget_bytes: int | None = None
+    profiles: Sequence[Profile],
+    recordings: Sequence[OpenRecording],
+    *,
+    budget_bytes: int | None = None,
+    show: ShowProgress = show_nothing,
 ) -> list[Check]:
     """Return the checks that read messages: first those that apply to no topic, then the others in their order.
 
@@ -53,6 +57,7 @@ def check_content(
         recordings: opened; they stay open.
         budget_bytes: about how many bytes of segments are read at most; None: 64 MB, of larger missions 4 %. Within
             it, all messages of the topics are read if they are not too many, else samples.
+        show: progress by recordings.
     """
     topics = [
         TopicOfRecording(item.name, topic.name, topic.message_type)
@@ -63,14 +68,16 @@ def check_content(
     rules, left_out = _bounded(planned_rules(profiles, topics))
     rows = list(islice(_unplanned(rules, recordings), MAX_CHECKS))
     opened = {item.name: item.recording for item in recordings if item.recording is not None}
-    rows += _made([planned for planned in rules if planned.topics], opened, budget_bytes)
+    rows += _made([planned for planned in rules if planned.topics], opened, budget_bytes, show)
     if left_out:
         message = f"{left_out} topics of rules were left out: at most {MAX_CHECKS} are checked"
         rows.append(make_check(LEFT_OUT, CheckStatus.not_made, message))
     return rows
 
 
-def _made(rules: Sequence[PlannedRule], recordings: dict[str, Recording], budget_bytes: int | None) -> list[Check]:
+def _made(
+    rules: Sequence[PlannedRule], recordings: dict[str, Recording], budget_bytes: int | None, show: ShowProgress
+) -> list[Check]:
     if not rules:
         return []
     try:
@@ -83,7 +90,7 @@ def _made(rules: Sequence[PlannedRule], recordings: dict[str, Recording], budget
         return [row for rule in rules for row in unmade_checks(rule, CheckStatus.not_made, message)]
     from kleinkram.checks.content.run import run_checks  # imports numpy
 
-    return run_checks(rules, recordings, budget_bytes)
+    return run_checks(rules, recordings, budget_bytes, show)
 
 
 def _bounded(rules: Iterator[PlannedRule]) -> tuple[list[PlannedRule], int]:

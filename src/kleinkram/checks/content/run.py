@@ -20,6 +20,7 @@ from kleinkram.checks.content.segment_plan import READ_WHOLE_MESSAGES, default_b
 from kleinkram.checks.content.transforms import TransformProbe
 from kleinkram.checks.content.values import ValueProbe
 from kleinkram.checks.document import ImageRule
+from kleinkram.checks.outcomes import ShowProgress
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.recordings.recording import Recording
 
@@ -112,11 +113,14 @@ def _rows_of_rule(planned: PlannedRule, names: tuple[str, ...], reason: str) -> 
 
 
 def run_checks(
-    planned_rules: Sequence[PlannedRule], recordings: Mapping[str, Recording], budget_bytes: int | None
+    planned_rules: Sequence[PlannedRule],
+    recordings: Mapping[str, Recording],
+    budget_bytes: int | None,
+    show: ShowProgress,
 ) -> list[Check]:
     """Return the rows of all rules, in their order.
 
-    `recordings`: by name; all that the rules name are among them. `budget_bytes`: as in `check_content`.
+    `recordings`: by name; all that the rules name are among them. `budget_bytes`, `show`: as in `check_content`.
     """
     rules = [_Attached(planned) for planned in planned_rules]
     probes: dict[str, dict[str, list[AnyProbe]]] = defaultdict(lambda: defaultdict(list))
@@ -136,7 +140,8 @@ def run_checks(
     budget = default_budget(total_bytes) if budget_bytes is None else budget_bytes
     total_messages = sum(reader.message_count for reader in readers.values())
     is_whole = total_bytes <= budget and total_messages <= READ_WHOLE_MESSAGES
-    for name, reader in readers.items():
+    for number, (name, reader) in enumerate(readers.items()):
+        show(number / len(readers), name)
         reader.read(probes[name], None if is_whole else budget * reader.size_bytes // max(1, total_bytes))
     _follow_up(rules, readers)
     return [row for rule in rules for row in rule.checks()]

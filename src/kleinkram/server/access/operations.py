@@ -126,6 +126,9 @@ OPERATIONS: dict[str, Permission] = {
     "list_action_versions": Permission(ResourceKind.project, Right.read, _READ),
     "get_action_version": Permission(ResourceKind.project, Right.read, _READ),
     "publish_action_version": Permission(ResourceKind.project, Right.write, _WRITE),
+    # The actions that are shipped with the server, of which a project or the whole lab has some
+    "list_library": Permission(ResourceKind.project, Right.read, _READ),
+    "add_from_library": Permission(ResourceKind.project, Right.write, _WRITE),
     # Actions that a project names
     "list_project_actions": Permission(ResourceKind.project, Right.read, _READ),
     "add_project_action": Permission(ResourceKind.project, Right.write, _WRITE, also=Scope.run),

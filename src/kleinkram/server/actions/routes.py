@@ -14,12 +14,14 @@ from kleinkram.contract.actions import (
     VersionCreate,
 )
 from kleinkram.contract.base import Page
-from kleinkram.server.actions import service
+from kleinkram.contract.library import LibraryAdd, LibraryFilter, LibraryRead
+from kleinkram.server.actions import library, service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction, VersionNumber
 from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.pagination import PageQuery
 
 router = APIRouter(prefix="/api/v1/actions", tags=["actions"])
+library_router = APIRouter(prefix="/api/v1/library", tags=["actions"])
 
 
 class ActionListQuery(ActionFilter, PageQuery):
@@ -37,7 +39,8 @@ async def list_actions(
 @router.post("", operation_id="create_action", status_code=201)
 async def create_action(requested: ActionCreate, context: CurrentContext, actor: CurrentActor) -> ActionRead:
     """Publish an action. The dependencies of its script are locked, unless it has a lock."""
-    return await service.create_action(context, actor, requested=requested)
+    project_id, definition = requested.project_id, requested.definition
+    return await service.create_action(context, actor, project_id=project_id, definition=definition)
 
 
 @router.get("/{action_id}", operation_id="get_action")
@@ -81,3 +84,22 @@ async def publish_action_version(
     """Publish a further version of an action, locked like the first. With If-Match, only if its ETag still matches."""
     definition = requested.definition
     return await service.add_version(context, actor, action_id=action_id, definition=definition, if_match=if_match)
+
+
+@library_router.get("", operation_id="list_library")
+async def list_library(
+    query: Annotated[LibraryFilter, Query()], context: CurrentContext, db: Reading, actor: CurrentActor
+) -> LibraryRead:
+    """List the actions that are shipped with this server, and which of them a project, or the whole lab, has."""
+    return await library.list_library(db, actor, context.settings, project_id=query.project_id)
+
+
+@library_router.post("/{name}", operation_id="add_from_library", status_code=201)
+async def add_from_library(
+    name: str, requested: LibraryAdd, context: CurrentContext, actor: CurrentActor
+) -> ActionRead:
+    """Publish a shipped action under its name, locked like others; where it was added before, its next version.
+
+    It is unchanged where nothing newer is shipped.
+    """
+    return await library.add_from_library(context, actor, name=name, project_id=requested.project_id)

@@ -12,7 +12,6 @@ from sqlalchemy.exc import IntegrityError
 
 from kleinkram.contract.access import Right
 from kleinkram.contract.actions import (
-    ActionCreate,
     ActionDefinition,
     ActionFilter,
     ActionRead,
@@ -41,6 +40,7 @@ _ACTION_ORDER = Order([action.c.name, action.c.id])
 # Latest first.
 _VERSION_ORDER = Order([action_version.c.number, action_version.c.id], descending=True)
 _publisher = person.alias("publisher")
+_ADDED = ("metadata", "checks")
 
 
 async def list_actions(db: Connection, actor: Actor, *, matching: ActionFilter, page: PageRequest) -> Page[ActionRead]:
@@ -68,7 +68,16 @@ async def get_action(db: Connection, actor: Actor, action_id: uuid.UUID) -> Acti
     return _to_action(await _row(db, actor, action_id))
 
 
-async def create_action(context: AppContext, actor: Actor, *, requested: ActionCreate) -> ActionRead:
+async def find_actions(db: Connection, actor: Actor, *, project_id: uuid.UUID | None) -> dict[str, ActionRead]:
+    """Return the actions of a project, or of the whole lab, by the key of their name, without archived ones."""
+    is_here = action.c.project_id.is_not_distinct_from(project_id)
+    stmt = _visible_actions(actor).where(is_here, action.c.archived_at.is_(None))
+    return {row["name_key"]: _to_action(row) for row in (await db.execute(stmt)).mappings()}
+
+
+async def create_action(
+    context: AppContext, actor: Actor, *, project_id: uuid.UUID | None, definition: ActionDefinition
+) -> ActionRead:
     """Publish the first version of an action and return the action. Opens its own transactions.
 
     Raises:
@@ -78,18 +87,22 @@ async def create_action(context: AppContext, actor: Actor, *, requested: ActionC
         InvalidRequest: its dependencies cannot be locked.
     """
     creators = context.settings.creators
-    definition = requested.definition
     if dependency_locks.needs_lock(definition, context.settings):
         async with context.database.begin() as db:
-            await _require_publisher(db, actor, requested.project_id, creators)
+            await require_publisher(db, actor, project_id, creators)
         definition = await dependency_locks.lock(definition, context.settings)
     async with context.database.begin() as db:
-        needs_admin = await _require_publisher(db, actor, requested.project_id, creators)
-        return await _create_action(db, actor, requested.project_id, definition, needs_admin=needs_admin)
+        needs_admin = await require_publisher(db, actor, project_id, creators)
+        return await _create_action(db, actor, project_id, definition, needs_admin=needs_admin)
 
 
-async def _require_publisher(db: Connection, actor: Actor, project_id: uuid.UUID | None, creators: Creators) -> bool:
-    """Require the right to publish in a project, or for the whole lab; return whether that took admin rights."""
+async def require_publisher(db: Connection, actor: Actor, project_id: uuid.UUID | None, creators: Creators) -> bool:
+    """Require the right to publish in a project, or for the whole lab; return whether that took admin rights.
+
+    Raises:
+        NotFound: the project is not there, or not for this actor.
+        Forbidden: this actor may not publish there.
+    """
     if project_id is None:
         return await require_creator(db, actor, creators, resource_type="action")
     await require_project(db, actor, "create_action", project_id)
@@ -123,7 +136,8 @@ async def add_version(
 ) -> ActionRead:
     """Publish a further version of an action and return the action. Opens its own transactions.
 
-    It is unchanged where the definition equals the latest version, whose lock stays, unless there is another one.
+    It is unchanged where the definition equals the latest version, wherever that is from. Its lock stays, unless there
+    is another one.
 
     Raises:
         NotFound: it is not there, or not for this actor.
@@ -134,7 +148,7 @@ async def add_version(
     if dependency_locks.needs_lock(definition, context.settings):
         async with context.database.begin() as db:
             latest = (await _changeable(db, actor, action_id)).latest.definition
-        if latest.lock is not None and definition == latest.model_copy(update={"lock": None}):
+        if latest.lock is not None and is_same(definition, latest.model_copy(update={"lock": None})):
             definition = latest
         else:
             definition = await dependency_locks.lock(definition, context.settings)
@@ -149,7 +163,7 @@ async def _add_next_version(
     if name_key(definition.name) != name_key(old.name):
         message = f"is {definition.name!r}, but this action is called {old.name!r}; publish it as another action"
         raise InvalidRequest(problems=[FieldProblem(field="definition.name", message=message)])
-    if definition == old.latest.definition:
+    if is_same(definition, old.latest.definition):
         return old
     require_match(if_match, old.etag, resource_type="action", name=old.name)
     await _add_version(db, actor, action_id, old.latest.number + 1, definition)
@@ -157,6 +171,11 @@ async def _add_next_version(
     await _judge_again(db, action_id)
     await audit(db, actor, _event("action.publish", made))
     return made
+
+
+def is_same(one: ActionDefinition, other: ActionDefinition) -> bool:
+    """Return whether two definitions run the same, whether or not they are from the library."""
+    return one.model_copy(update={"library": None}) == other.model_copy(update={"library": None})
 
 
 async def _judge_again(db: Connection, action_id: uuid.UUID) -> None:
@@ -251,7 +270,7 @@ async def find_unpublished(
 ) -> UnpublishedVersion | None:
     """Return the version of a definition that was run before; with `is_to_lock` only if the server locked it."""
     columns = action_version.c.id, action_version.c.definition, action_version.c.image_digest
-    sha256 = _sha256(requested, is_to_lock=is_to_lock)
+    sha256 = definition_sha256(requested, is_to_lock=is_to_lock)
     same = (action_version.c.definition_sha256 == sha256) & action_version.c.action_id.is_(None)
     row = (await db.execute(select(*columns).where(same))).one_or_none()
     if row is None:
@@ -267,7 +286,7 @@ async def store_unpublished(
     Then the lock does not make it another definition: the script runs with the first one until it is changed.
     """
     requested = definition.model_copy(update={"lock": None}) if is_locked_here else definition
-    sha256 = _sha256(requested, is_to_lock=is_locked_here)
+    sha256 = definition_sha256(requested, is_to_lock=is_locked_here)
     values = {"definition": definition.model_dump(mode="json"), "definition_sha256": sha256}
     stmt = upsert(action_version).values(id=uuid.uuid4(), created_by_id=actor.person_id, **values)
     await db.execute(stmt.on_conflict_do_nothing())
@@ -382,12 +401,17 @@ async def _add_version(
 
 
 def _stored(definition: ActionDefinition) -> dict[str, Any]:
-    sha256 = _sha256(definition, is_to_lock=False)
+    sha256 = definition_sha256(definition, is_to_lock=False)
     return {"definition": definition.model_dump(mode="json"), "definition_sha256": sha256}
 
 
-def _sha256(definition: ActionDefinition, *, is_to_lock: bool) -> bytes:
-    document = definition.model_dump(mode="json") | ({"lock": "the server's"} if is_to_lock else {})
+def definition_sha256(definition: ActionDefinition, *, is_to_lock: bool) -> bytes:
+    """Return the hash by which a definition that is not published is found. `is_to_lock`: the server makes its lock."""
+    document = definition.model_dump(mode="json", exclude={"library"})
+    if is_to_lock:
+        document["lock"] = "the server's"
+    # A definition that does not use them has the hash that it had before these fields existed.
+    document["inputs"] = {name: value for name, value in document["inputs"].items() if value or name not in _ADDED}
     written = json.dumps(document, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(written.encode()).digest()
 

@@ -1,6 +1,7 @@
 """The checks of a mission that the result of an action amounts to. Pure."""
 
-from collections.abc import Iterator
+import uuid
+from collections.abc import Iterator, Set
 from typing import Any
 
 from kleinkram.contract.checks import Check, CheckSource, CheckStatus, MissionCheck, Verdict
@@ -12,8 +13,12 @@ _MISSING, _FAILED = "results.missing", "results.failed"
 _VERDICTS = {Verdict.warnings: CheckStatus.warning, Verdict.bad: CheckStatus.error}
 
 
-def checks_of_result(result: ActionResult, is_complete: bool) -> Iterator[MissionCheck]:
+def checks_of_result(
+    result: ActionResult, *, is_complete: bool, reporting: Set[uuid.UUID] = frozenset()
+) -> Iterator[MissionCheck]:
     """Yield the checks that an action reported, its warnings and errors as checks named by their codes, and its end.
+
+    Checks of the runs in `reporting` are left out: they sent them as a report of the project's checks, which counts.
 
     `results.missing`: it has not run, which counts as a warning once the mission is complete, or if it could not start.
     `results.failed`: it could not judge the mission. `results.verdict`: it ended well, with what it concludes beyond
@@ -37,7 +42,7 @@ def checks_of_result(result: ActionResult, is_complete: bool) -> Iterator[Missio
         end = CheckStatus.ok if is_reported else status
         conclusion = "" if end is CheckStatus.ok or result.verdict is None else f", and says: {result.verdict.value}"
         yield _check(result, "results.verdict", end, f"{name} ended{conclusion}")
-        for check in result.checks:
+        for check in result.checks if result.source_run_id not in reporting else ():
             yield _of_run(result, check)
         for finding in result.findings:
             fields = {"topic": finding.topic, "file": finding.file, "time_ns": finding.time_ns}

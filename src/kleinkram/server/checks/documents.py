@@ -21,6 +21,7 @@ from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection
 from kleinkram.server.jobs.queue import Job, Priority, enqueue
 from kleinkram.server.pagination import Order, PageRequest, read_page
+from kleinkram.server.runs.automatic import enqueue_automatic_runs
 from kleinkram.server.tables import person, project, project_checks
 
 _VERSION_ORDER = Order([project_checks.c.number], descending=True)
@@ -38,7 +39,8 @@ async def set_project_checks(
 ) -> ProjectChecksRead:
     """Make a text the `checks.yaml` of a project, and have all its missions judged by it; an empty text removes it.
 
-    Where the text is the present one, nothing changes, and the ETag is not checked.
+    Actions of the project that read the file start on the missions that are due. Where the text is the present one,
+    nothing changes, and the ETag is not checked.
 
     Raises:
         NotFound: the project does not exist, or is not visible.
@@ -66,6 +68,7 @@ async def set_project_checks(
     applied = number if text else 0
     await db.execute(update(project).where(project.c.id == project_id).values(checks_number=applied))
     await enqueue(db, Job.judge_project, ids=[str(project_id)], priority=Priority.high)
+    await enqueue_automatic_runs(db, project_id=project_id)
     before: Metadata = {"checks": old.number if old.text else None}
     after: Metadata = {"checks": number if text else None}
     await audit(db, actor, Event("project.set_checks", "project", project_id, name, project_id, before, after))

@@ -10,9 +10,9 @@ import math
 import time
 import uuid
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import TypeAdapter
 from sqlalchemy import ColumnElement, case, delete, func, or_, select, update
@@ -36,7 +36,7 @@ from kleinkram.server.checks.combine import (
 )
 from kleinkram.server.checks.documents import document_of
 from kleinkram.server.checks.facts import JudgedMission, read_missions
-from kleinkram.server.checks.queries import AppliedRules, counting_reports
+from kleinkram.server.checks.queries import AppliedRules, counting_reports, reporting_runs
 from kleinkram.server.db import Connection, among
 from kleinkram.server.jobs.rejudge import lock_what_projects_name
 from kleinkram.server.missions import service as missions
@@ -71,7 +71,14 @@ class _Judgement:
     combined: CombinedChecks
 
 
-_Inputs = tuple[JudgedMission, _Rules | None, Sequence[UploaderReport], Sequence[Acceptance], Sequence[ActionResult]]
+class _Reports(NamedTuple):
+    """Reports that count, latest first, and the runs among whose results they are."""
+
+    counting: Sequence[UploaderReport] = ()
+    run_ids: Set[uuid.UUID] = frozenset()
+
+
+_Inputs = tuple[JudgedMission, _Rules | None, _Reports, Sequence[Acceptance], Sequence[ActionResult]]
 
 
 async def judge_missions(
@@ -99,7 +106,7 @@ async def judge_missions(
         inputs = []
         for one in some:
             own_rules = rules[one.project_id, one.checks_number]
-            reports = await _reports(db, one, own_rules) if one.id in with_reports else ()
+            reports = await _reports(db, one, own_rules) if one.id in with_reports else _Reports()
             inputs.append((one, own_rules, reports, acceptances[one.id], results.get(one.id, ())))
         judgements = await asyncio.to_thread(_judge_until, deadline, inputs)
         await _store(db, judgements)
@@ -146,7 +153,7 @@ def _judge_until(deadline: float, inputs: Sequence[_Inputs]) -> list[_Judgement]
 def _judge(
     judged: JudgedMission,
     rules: _Rules | None,
-    reports: Sequence[UploaderReport],
+    reports: _Reports,
     acceptances: Sequence[Acceptance],
     action_results: Sequence[ActionResult],
 ) -> _Judgement:
@@ -160,8 +167,12 @@ def _judge(
             index = results.checks
     sources = Sources(
         index=index,
-        reports=reports,
-        actions=[check for result in action_results for check in checks_of_result(result, judged.is_complete)]
+        reports=reports.counting,
+        actions=[
+            check
+            for result in action_results
+            for check in checks_of_result(result, is_complete=judged.is_complete, reporting=reports.run_ids)
+        ]
         if judged.all_files
         else [],
         acceptances=acceptances,
@@ -209,10 +220,12 @@ async def _with_reports(db: Connection, judged: Sequence[JudgedMission]) -> set[
     return {*(await db.execute(select(own).where(among(own, [one.id for one in judged])).distinct())).scalars()}
 
 
-async def _reports(db: Connection, judged: JudgedMission, rules: _Rules | None) -> list[UploaderReport]:
-    """Return the reports that count, latest first: one mission may have many, of ten thousand checks each."""
-    rows = await db.execute(counting_reports(judged, None if rules is None else rules.applied_to(judged)))
-    return [
+async def _reports(db: Connection, judged: JudgedMission, rules: _Rules | None) -> _Reports:
+    """Return the reports that count: one mission may have many, of ten thousand checks each."""
+    applied = None if rules is None else rules.applied_to(judged)
+    run_ids = (await db.execute(reporting_runs(judged, applied))).scalars()
+    rows = await db.execute(counting_reports(judged, applied))
+    counting = [
         UploaderReport(
             person_id=row.created_by_id,
             checks=_CHECKS.validate_python(row.checks or ()),
@@ -221,6 +234,7 @@ async def _reports(db: Connection, judged: JudgedMission, rules: _Rules | None) 
         )
         for row in rows
     ]
+    return _Reports(counting, {*run_ids})
 
 
 async def _store(db: Connection, judgements: Sequence[_Judgement]) -> None:

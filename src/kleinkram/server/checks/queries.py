@@ -21,7 +21,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import JSONB
 
-from kleinkram.contract.checks import MissionCheckFilter
+from kleinkram.contract.checks import CheckDepth, MissionCheckFilter
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_missions
 from kleinkram.server.checks.facts import JudgedMission
@@ -103,7 +103,7 @@ def notes_of(mission_id: uuid.UUID) -> Select[Any]:
 
 def reports_of(mission_id: uuid.UUID) -> Select[Any]:
     """Return the reports of a mission, latest first, without their checks and files."""
-    names = ("id", "document_sha256", "depth", "verdict", "created_at", "created_by_id")
+    names = ("id", "document_sha256", "depth", "verdict", "created_at", "created_by_id", "run_id")
     columns: list[ColumnElement[Any]] = [check_report.c[name] for name in names]
     keys = func.jsonb_object_keys(check_report.c.files).table_valued("path")
     columns += [
@@ -142,3 +142,11 @@ def counting_reports(judged: JudgedMission, present_rules: AppliedRules | None) 
     stmt = select(*columns).where(own.mission_id == judged.id, is_of_files(judged))
     latest = stmt.distinct(*columns[:3]).order_by(*columns[:3], own.created_at.desc(), own.id).subquery()
     return select(latest).order_by(latest.c.created_at.desc(), latest.c.id)
+
+
+def reporting_runs(judged: JudgedMission, present_rules: AppliedRules | None) -> Select[tuple[uuid.UUID]]:
+    """Return the runs that reported the content of the present files, by the present rules (any, if there are none)."""
+    own = check_report.c
+    stmt = select(own.run_id).where(own.mission_id == judged.id, own.run_id.is_not(None), is_of_files(judged))
+    stmt = stmt.where(own.depth == CheckDepth.content.value)
+    return stmt if present_rules is None else stmt.where(is_by_rules(present_rules))

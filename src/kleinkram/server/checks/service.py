@@ -183,9 +183,9 @@ async def delete_note(db: Connection, actor: Actor, *, mission_id: uuid.UUID, no
 async def create_report(
     db: Connection, actor: Actor, *, mission_id: uuid.UUID, report: CheckReportCreate
 ) -> CheckReportRead:
-    """Store the checks that an uploader made, in place of an earlier report of the same files by the same person.
+    """Store the checks that an uploader or a run made, in place of an earlier report of the same files for this person.
 
-    The latest reports of each person stay.
+    Of each person, the latest reports stay: those by themselves, and those of runs that acted for them.
 
     Raises:
         NotFound: the mission does not exist, or is not visible.
@@ -193,7 +193,9 @@ async def create_report(
     """
     ref, judged = await _lock(db, actor, "create_check_report", mission_id)
     document, report_id = bytes.fromhex(report.document_sha256), uuid.uuid4()
-    own = (check_report.c.mission_id == mission_id, check_report.c.created_by_id == actor.person_id)
+    # A run whose report counts is known by it, so that an uploader replaces none.
+    is_alike = check_report.c.run_id.is_(None) if actor.run_id is None else check_report.c.run_id.is_not(None)
+    own = (check_report.c.mission_id == mission_id, check_report.c.created_by_id == actor.person_id, is_alike)
     profiles = sorted(report.profiles_applied)
     rules = (check_report.c.document_sha256 == document, check_report.c.profiles == profiles)
     alike = (*rules, check_report.c.depth == report.depth.value, check_report.c.files == report.files)
@@ -209,10 +211,12 @@ async def create_report(
         "files": report.files,
         "checks": [check.model_dump(mode="json", exclude_none=True) for check in report.checks],
         "created_by_id": actor.person_id,
+        "run_id": actor.run_id,
     }
     await db.execute(insert(check_report).values(**values))
-    of_person = queries.reports_of(mission_id).where(check_report.c.created_by_id == actor.person_id)
-    obsolete = of_person.with_only_columns(check_report.c.id).offset(_MAX_REPORTS_OF_PERSON)
+    obsolete = (
+        queries.reports_of(mission_id).where(*own).with_only_columns(check_report.c.id).offset(_MAX_REPORTS_OF_PERSON)
+    )
     await db.execute(delete(check_report).where(check_report.c.id.in_(obsolete)))
     await judge_again(db, [mission_id])
     after: Metadata = {"verdict": verdict.value, "depth": report.depth.value, "checks": len(report.checks)}
@@ -335,4 +339,5 @@ def _to_report(row: Row[Any], current_ids: Set[uuid.UUID]) -> CheckReportRead:
         is_current=row.id in current_ids,
         created_at=row.created_at,
         created_by=PersonRef(id=row.created_by_id, name=row.created_by_name),
+        run_id=row.run_id,
     )

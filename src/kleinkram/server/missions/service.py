@@ -33,7 +33,7 @@ from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, prepare_statement
-from kleinkram.server.jobs.decide_runs import decide_again
+from kleinkram.server.jobs.decide_runs import decide_again, decide_again_by_metadata
 from kleinkram.server.jobs.rejudge import judge_again
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.metadata import (
@@ -190,6 +190,8 @@ async def update_mission(
     if values.keys() & _JUDGED:
         await judge_again(db, [mission_id])
     new = await get_mission(db, actor, mission_id)
+    if changed := {name for name in old.metadata | new.metadata if old.metadata.get(name) != new.metadata.get(name)}:
+        await decide_again_by_metadata(db, mission_id, changed, by_run_id=actor.run_id)
     await audit(db, actor, *_change_events(old, new))
     return new
 

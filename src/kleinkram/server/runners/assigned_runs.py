@@ -50,6 +50,7 @@ from kleinkram.server.db import Connection, among
 from kleinkram.server.files import queries as files
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings import queries as recordings
+from kleinkram.server.runs.declared_inputs import checks_at_launch, mission_at_launch
 from kleinkram.server.runs.lifecycle import EndedRun, RunArtifact, create_mission_files, end_run
 from kleinkram.server.s3.storage import PartTarget
 from kleinkram.server.tables import (
@@ -92,6 +93,8 @@ class AssignedRun(NamedTuple):
     retry_of_id: uuid.UUID | None
     parameters: ParameterValues
     image_digest: str | None
+    input_metadata: Metadata | None
+    checks_sha256: bytes | None
     progress: dict[str, Any] | None
     usage: dict[str, Any] | None
     samples: list[dict[str, Any]]
@@ -111,7 +114,7 @@ async def lock_run(db: Connection, condition: ColumnElement[bool], *, is_queued:
     With `is_queued`, the oldest queued run that no other transaction has locked.
     """
     columns = (
-        *(run.c[name] for name in AssignedRun._fields[:14]),
+        *(run.c[name] for name in AssignedRun._fields[:16]),
         action_version.c.definition,
         action_version.c.image_digest.label("pinned_digest"),
         action_version.c.number,
@@ -257,10 +260,11 @@ async def get_context(db: Connection, actor: Actor, *, run_id: uuid.UUID, attemp
         action=ActionRef(id=row.action_id, name=row.definition.name, version=row.version_number),
         parameters=row.parameters,
         cause=Cause(person=starter.ref, retry_of_id=row.retry_of_id),
-        mission=visible_mission,
+        mission=mission_at_launch(row.definition.inputs, row.input_metadata, visible_mission),
         files=files.to_files((await db.execute(files.file_rows(seen))).all()),
         topics=files.to_topics(topics.all()),
         recordings=[recordings.to_recording(entry) for entry in await db.execute(named)],
+        checks=await checks_at_launch(db, row.project_id, row.checks_sha256),
     )
 
 

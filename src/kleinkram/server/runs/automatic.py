@@ -1,4 +1,4 @@
-"""Starts the actions that a project names on the missions that are due: each version once on the same input bytes.
+"""Starts the actions that a project names on the missions that are due: each version once on the same inputs.
 
 The decision, its run, and the row that makes it happen once are one transaction: it may be repeated at any time, and by
 several workers. Files that runs made are no part of what it depends on: what a run put back starts nothing.
@@ -49,12 +49,16 @@ class _Decision(NamedTuple):
     is_final: bool = True
 
 
-async def enqueue_automatic_runs(db: Connection, *, mission_id: uuid.UUID | None = None) -> None:
-    """Enqueue a job for each mission on which an action is due: of all missions, or of one."""
+async def enqueue_automatic_runs(
+    db: Connection, *, mission_id: uuid.UUID | None = None, project_id: uuid.UUID | None = None
+) -> None:
+    """Enqueue a job for each mission on which an action is due: of all missions, of one, or of a project."""
     stmt = _due_actions().with_only_columns(cast(mission.c.id, Text)).distinct().limit(_BATCH)
     stmt = stmt.where(~has_job(Job.start_automatic_runs, mission.c.id))
     if mission_id is not None:
         stmt = stmt.where(mission.c.id == mission_id)
+    if project_id is not None:
+        stmt = stmt.where(mission.c.project_id == project_id)
     ids = (await db.execute(stmt)).scalars().all()
     await enqueue(db, Job.start_automatic_runs, ids=ids, priority=Priority.normal)
 
@@ -69,6 +73,7 @@ async def start_due_runs(db: Connection, mission_id: uuid.UUID) -> None:
         retry_at = None if decision.is_final else func.now() + _RETRY_AFTER
         values = {
             "files_revision": row.files_revision,
+            "checks_number": row.checks_number,
             "problem": decision.problem,
             "retry_at": retry_at,
             "decided_at": func.now(),
@@ -113,7 +118,7 @@ async def _start_once(db: Connection, actor: Actor, row: Row[Any]) -> None:
     key = {
         "mission_id": row.mission_id,
         "version_id": version.id,
-        "inputs_sha256": launch.inputs_fingerprint(version.id, parameters, recorded),
+        "inputs_sha256": launch.inputs_fingerprint(version.id, parameters, recorded, planned.declared),
     }
     started = upsert(automatic_run).values(**key).on_conflict_do_nothing().returning(automatic_run.c.mission_id)
     if (await db.execute(started)).first() is None:
@@ -157,6 +162,7 @@ def _due_actions() -> Select[Any]:
             person.c.name.label("added_by_name"),
             mission.c.id.label("mission_id"),
             mission.c.files_revision,
+            project.c.checks_number,
             decided.c.problem,
         )
         .join_from(project_action, mission, mission.c.project_id == project_action.c.project_id)
@@ -170,6 +176,7 @@ def _due_actions() -> Select[Any]:
     is_undecided = or_(
         decided.c.mission_id.is_(None),
         decided.c.files_revision != mission.c.files_revision,
+        and_(decided.c.checks_number.is_distinct_from(project.c.checks_number), _reads_checks()),
         decided.c.retry_at <= func.now(),
     )
     is_due = case(
@@ -178,6 +185,13 @@ def _due_actions() -> Select[Any]:
     )
     is_live = and_(mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None), action.c.archived_at.is_(None))
     return stmt.where(is_live, is_undecided, _is_read(), is_due)
+
+
+def _reads_checks() -> ColumnElement[bool]:
+    """Whether the latest version of an action reads the `checks.yaml` of the project."""
+    versions = select(action_version.c.definition["inputs"]["checks"].as_boolean())
+    versions = versions.where(action_version.c.action_id == action.c.id).order_by(action_version.c.number.desc())
+    return versions.limit(1).correlate(action).scalar_subquery()
 
 
 def _is_read() -> ColumnElement[bool]:

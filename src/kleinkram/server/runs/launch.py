@@ -43,6 +43,7 @@ from kleinkram.server.db import Connection, among
 from kleinkram.server.filters.files import filter_files
 from kleinkram.server.jobs.rejudge import judge_again_for_run
 from kleinkram.server.runs import service
+from kleinkram.server.runs.declared_inputs import DeclaredInputs, read_declared_inputs
 from kleinkram.server.runs.eligibility import ENVIRONMENTS_LABEL, KnownRunners, Needs, known_runners
 from kleinkram.server.tables import DERIVED_ORIGIN, action, action_version, blob, file, mission, project, run, run_input
 
@@ -93,6 +94,7 @@ class PlannedRun(NamedTuple):
 
     target: TargetMission
     inputs: list[Input]
+    declared: DeclaredInputs
 
 
 async def launch(context: AppContext, actor: Actor, *, requested: RunsCreate) -> RunsCreated:
@@ -163,7 +165,9 @@ async def create_run(
 async def plan_run(db: Connection, actor: Actor, task: PreparedAction, mission_id: uuid.UUID) -> PlannedRun:
     """Return what a run would read, its mission locked against deletion. Raises as `create_run`, except NoRunner."""
     target = await _find_target(db, actor, task, mission_id)
-    return PlannedRun(target, await _find_inputs(db, actor, task.definition, target))
+    inputs = await _find_inputs(db, actor, task.definition, target)
+    declared = await read_declared_inputs(db, task.definition.inputs, [target.id])
+    return PlannedRun(target, inputs, declared[target.id])
 
 
 async def start_run(
@@ -180,9 +184,9 @@ async def start_run(
     Raises:
         NoRunner: no runner can ever execute it.
     """
-    target, inputs = planned
+    target, inputs, declared = planned
     mission_id = target.id
-    fingerprint = inputs_fingerprint(task.version_id, task.parameters, inputs)
+    fingerprint = inputs_fingerprint(task.version_id, task.parameters, inputs, declared)
     reused = None if force else await _reusable_results(db, task, mission_id, fingerprint)
     needs = _needs(task.definition, target.project_id)
     if reused is None and (reason := task.runners.reason_never_starts(needs)) is not None:
@@ -194,6 +198,8 @@ async def start_run(
         "input_count": len(inputs),
         "input_bytes": sum(entry.size_bytes for entry in inputs),
         "inputs_fingerprint": fingerprint,
+        "input_metadata": declared.metadata,
+        "checks_sha256": declared.checks_sha256,
         "mission_id": mission_id,
         "started_by_id": actor.person_id,
         "retry_of_id": retry_of_id,
@@ -312,7 +318,7 @@ async def _find_inputs(
         stmt = stmt.where(file.c.origin != DERIVED_ORIGIN)
     inputs = [Input._make(row) for row in await db.execute(stmt.order_by(file.c.path))]
     if not inputs:
-        chosen = requested.model_dump(exclude={"derived"})
+        chosen = requested.model_dump(include={"paths", "topics", "message_types"})
         parts = [f"{name} {', '.join(globs)}" for name, globs in chosen.items() if globs]
         details = " and ".join(parts).replace("_", " ") or "any file"
         if not requested.derived:
@@ -339,9 +345,13 @@ class HashedFile(Protocol):
         """SHA-256 of the bytes."""
 
 
-def inputs_fingerprint(version_id: uuid.UUID, parameters: ParameterValues, inputs: Iterable[HashedFile]) -> bytes:
+def inputs_fingerprint(
+    version_id: uuid.UUID, parameters: ParameterValues, inputs: Iterable[HashedFile], declared: DeclaredInputs
+) -> bytes:
     """Return the hash of everything that determines the results, except the image; inputs are in order of paths."""
-    parts = [str(version_id), parameters, [[entry.path, entry.sha256.hex()] for entry in inputs]]
+    parts: list[object] = [str(version_id), parameters, [[entry.path, entry.sha256.hex()] for entry in inputs]]
+    if declared.metadata is not None:  # results of actions that declare nothing stay valid
+        parts.append([declared.metadata, declared.checks_sha256.hex() if declared.checks_sha256 else None])
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).digest()
 
 

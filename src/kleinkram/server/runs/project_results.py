@@ -1,7 +1,7 @@
 """What the actions that a project names say of its missions: of each, the result that counts.
 
-That is the latest run that has ended, of the latest version, with the parameters of the project, on the present input
-bytes. Older results are history.
+That is the latest run that has ended, of the latest version, with the parameters of the project, on the present inputs:
+bytes of files, and the metadata and checks that the action declares. Older results are history.
 """
 
 import enum
@@ -22,6 +22,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files
 from kleinkram.server.db import Connection, among
 from kleinkram.server.filters.files import filter_files
+from kleinkram.server.runs.declared_inputs import DeclaredInputs, read_declared_inputs
 from kleinkram.server.runs.launch import inputs_fingerprint
 from kleinkram.server.tables import (
     DERIVED_ORIGIN,
@@ -46,8 +47,8 @@ _ENDED = frozenset((RunState.done.value, RunState.failed.value))
 class ResultState(str, enum.Enum):
     """State of the result of an action on a mission.
 
-    failed: every run on the present input bytes failed. outdated: there are only results of an earlier version, or of
-    other input bytes. missing: there are none at all. without_input: no file of the mission is an input of the action.
+    failed: every run on the present inputs failed. outdated: there are only results of an earlier version, or of other
+    inputs. missing: there are none at all. without_input: no file of the mission is an input of the action.
     """
 
     done = "done"
@@ -65,6 +66,7 @@ class ActionResult:
     Attributes:
         version: the latest one of the action.
         run_id: the run with this state; None for `missing` and `without_input`.
+        source_run_id: the run that reported the results: `run_id`, or the run that it reuses. Only if it is `done`.
         is_running: a run that would count has not ended. An earlier one that has ended counts until then.
         message: how the run ended; of a missing one, the problem for which it did not start.
         findings: warnings and errors.
@@ -76,6 +78,7 @@ class ActionResult:
     version: int
     state: ResultState
     run_id: uuid.UUID | None = None
+    source_run_id: uuid.UUID | None = None
     is_running: bool = False
     message: str = ""
     verdict: Verdict | None = None
@@ -111,10 +114,12 @@ async def project_results(
     for named in await _named_actions(db, {*projects.values()}):
         own = [mission_id for mission_id, project_id in projects.items() if project_id == named.project_id]
         inputs = await _present_inputs(db, named.definition, own)
+        declared = await read_declared_inputs(db, named.definition.inputs, [*inputs])
         runs = await _runs(db, named.action_id, [*inputs])
         problems = await _problems(db, named, [*inputs])
         for mission_id in own:
-            result = _result(named, mission_id, inputs.get(mission_id, ()), runs.get(mission_id, ()))
+            present = inputs.get(mission_id, ()), declared.get(mission_id, DeclaredInputs())
+            result = _result(named, mission_id, *present, runs.get(mission_id, ()))
             if result.state is ResultState.missing:
                 result = replace(result, message=problems.get(mission_id, ""))
             results[mission_id].append(result)
@@ -123,7 +128,11 @@ async def project_results(
 
 
 def _result(
-    named: _Named, mission_id: uuid.UUID, inputs: Sequence[_InputFile], runs: Sequence[Row[Any]]
+    named: _Named,
+    mission_id: uuid.UUID,
+    inputs: Sequence[_InputFile],
+    declared: DeclaredInputs,
+    runs: Sequence[Row[Any]],
 ) -> ActionResult:
     """Return the result of the runs of an action on a mission, latest first."""
     missing = ActionResult(mission_id, named.action_id, named.name, named.number, ResultState.missing)
@@ -133,7 +142,7 @@ def _result(
         return replace(missing, state=ResultState.failed, message=str(error))
     if not inputs:
         return replace(missing, state=ResultState.without_input)
-    fingerprint = inputs_fingerprint(named.version_id, parameters, inputs)
+    fingerprint = inputs_fingerprint(named.version_id, parameters, inputs, declared)
     current = [row for row in runs if row.inputs_fingerprint == fingerprint]
     running = next((row for row in current if row.state in ACTIVE), None)
     done = next((row for row in current if row.state == RunState.done.value), None)
@@ -232,4 +241,5 @@ async def _add_reports(db: Connection, results: dict[uuid.UUID, list[ActionResul
         for number, result in enumerate(listed):
             if result.state is ResultState.done and result.run_id is not None:
                 source = reporting[result.run_id]
-                listed[number] = replace(result, checks=checks[source], findings=findings[source])
+                reported = {"source_run_id": source, "checks": checks[source], "findings": findings[source]}
+                listed[number] = replace(result, **reported)

@@ -67,6 +67,8 @@ check_report = sa.Table(
     sa.Column("checks", JSONB, nullable=False),
     # Sorted names.
     sa.Column("profiles", ARRAY(sa.Text), nullable=False, server_default="{}"),
+    # The run that made it, for the person; null for an uploader.
+    sa.Column("run_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
     created_at_column(),
     sa.Column("created_by_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False),
     one_of("depth", CheckDepth),

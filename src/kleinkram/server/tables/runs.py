@@ -102,6 +102,9 @@ run = sa.Table(
     sa.Column("image_digest", sa.Text),
     # SHA-256 of everything that determines its results, except the image.
     sa.Column("inputs_fingerprint", sa.LargeBinary, nullable=False),
+    # What its action declares to read beside files, as it was at the launch: metadata by name, and the `checks.yaml`.
+    sa.Column("input_metadata", JSONB(none_as_null=True)),
+    sa.Column("checks_sha256", sa.LargeBinary),
     sa.Column("reuses_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
     sa.Column("retry_of_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
     sa.Column("started_by_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False, index=True),
@@ -248,13 +251,15 @@ project_action = sa.Table(
     sa.CheckConstraint("(trigger = 'idle') = (idle_s IS NOT NULL)", name="idle"),
 )
 
-# What was decided for a mission, as of its `files_revision`: a run, none, or a problem.
+# What was decided for a mission, as of its `files_revision` and the `checks_number` of its project: a run, none, or a
+# problem.
 project_action_mission = sa.Table(
     "project_action_mission",
     metadata,
     sa.Column("project_action_id", sa.Uuid, sa.ForeignKey("project_action.id", ondelete="CASCADE"), nullable=False),
     sa.Column("mission_id", sa.Uuid, sa.ForeignKey("mission.id", ondelete="CASCADE"), nullable=False, index=True),
     sa.Column("files_revision", sa.BigInteger, nullable=False),
+    sa.Column("checks_number", sa.Integer),
     sa.Column("problem", sa.Text),
     sa.Column("retry_at", sa.DateTime(timezone=True)),
     sa.Column("decided_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.text("now()")),
@@ -269,7 +274,7 @@ automatic_run = sa.Table(
     sa.Column(
         "version_id", sa.Uuid, sa.ForeignKey("action_version.id", ondelete="CASCADE"), nullable=False, index=True
     ),
-    # Of the parameters, and of the paths and bytes of the recorded inputs.
+    # Of the parameters, the paths and bytes of the recorded inputs, and the metadata and checks that it declares.
     sa.Column("inputs_sha256", sa.LargeBinary, nullable=False),
     sa.Column("run_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
     created_at_column(),

@@ -1,10 +1,14 @@
 // Queries of actions, and texts of their definitions.
-import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
+import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
+import { computed } from "vue";
 import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client";
 import { keys, useList } from "@/api/queries";
+import type { components } from "@/api/schema";
 import type { Definition, Parameter } from "@/api/types";
 import { formatDuration, formatSize, globOf } from "@/components/format";
 import { texts as all } from "@/texts/actions";
+
+export type LibraryAction = components["schemas"]["LibraryActionRead"];
 
 const MAX_CHOICES = 500;
 
@@ -49,6 +53,32 @@ export function useArchiving(actionId: string) {
   });
 }
 
+/** The shipped actions, and which of them a project has; without one, the whole lab. */
+export function useLibrary(projectId: () => string | undefined) {
+  const query = computed(() => ({ project_id: projectId() }));
+  return useQuery({
+    // It starts like the key of actions, because their changes change it.
+    queryKey: computed(() => ["actions", "library", query.value]),
+    queryFn: ({ signal }) => call(api.GET("/api/v1/library", { params: { query: query.value }, signal })),
+    placeholderData: keepPreviousData,
+  });
+}
+
+export function useAddingFromLibrary() {
+  const queries = useQueryClient();
+  return useMutation({
+    mutationFn: ({ name, projectId }: { readonly name: string; readonly projectId: string | null }) =>
+      call(api.POST("/api/v1/library/{name}", { params: { path: { name: name.replace(/^kleinkram\//, "") } }, body: { project_id: projectId } })),
+    onSettled: () => queries.invalidateQueries({ queryKey: ["actions"] }),
+    meta: { showsItself: true },
+  });
+}
+
+/** The action of the library that a version is from, without the version of Kleinkram; empty for others. */
+export function originOf({ library }: Definition): string {
+  return (library ?? "").replace(/@.*$/, "");
+}
+
 const texts = all.definition;
 const NS_PER_S = 1_000_000_000;
 
@@ -58,18 +88,22 @@ export function lockedOf(packages: readonly string[]): string {
   return names.size > 0 ? texts.locked(names.size) : "";
 }
 
-/** The input files as text. */
+/** The input files, metadata and checks as text. */
 export function inputsOf({ inputs }: Definition): string {
   const parts = [
     inputs.paths.length > 0 ? texts.paths(inputs.paths.join(", ")) : "",
     inputs.topics.length > 0 ? texts.topics(inputs.topics.join(", ")) : "",
     inputs.message_types.length > 0 ? texts.types(inputs.message_types.join(", ")) : "",
   ].filter((item) => item !== "");
-  return parts.length === 0 ? texts.all : parts.join(", ");
+  const others = [
+    inputs.metadata.length > 0 ? texts.metadata(inputs.metadata.join(", ")) : "",
+    inputs.checks ? texts.checks : "",
+  ].filter((item) => item !== "");
+  return [parts.length === 0 ? texts.all : parts.join(", "), ...others].join("; ");
 }
 
 /** The resource limits as text. */
-export function resourcesOf({ resources }: Definition): string {
+export function resourcesOf({ resources }: Pick<Definition, "resources">): string {
   return [
     texts.cores(resources.cores),
     texts.memory(formatSize(resources.memory_bytes)),
