@@ -15,6 +15,7 @@ from benchmarks.checks import check_rows
 from benchmarks.claims import claims_row
 from benchmarks.instance import DATA, GB, STAGE, endpoint_info, instance, klein, mission_with, settle
 from benchmarks.packages import package_rows
+from benchmarks.previews import preview_rows
 from benchmarks.recordings import recording_rows
 from benchmarks.rights import rights_row
 from benchmarks.runs import run_rows
@@ -32,6 +33,7 @@ ROWS = {
     "recordings",
     "checks",
     "packages",
+    "previews",
     "starts",
     "people",
     "rights",
@@ -64,7 +66,7 @@ def main() -> None:
 
 def measured(selected: set[str]) -> Iterator[Row]:
     """Yield the selected rows when they are measured."""
-    if selected - {"recordings", "checks", "packages"}:
+    if selected - {"recordings", "checks", "packages", "previews"}:
         with instance():
             klein("project", "create", "bench")
     if "memory" in selected:
@@ -81,6 +83,8 @@ def measured(selected: set[str]) -> Iterator[Row]:
         yield from check_rows(STAGE / "checks")
     if "packages" in selected:
         yield from package_rows(STAGE / "packages")
+    if "previews" in selected:
+        yield from preview_rows(STAGE / "previews")
     if "starts" in selected:
         yield from start_rows()
     if "rights" in selected:  # it leaves much behind

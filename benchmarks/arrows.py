@@ -5,7 +5,7 @@ from pathlib import Path
 
 from benchmarks.measure import Run, take_turns
 from kleinkram.recordings import Recording
-from kleinkram.recordings.sample.writers import McapWriter
+from kleinkram.recordings.writing.mcap_writer import McapWriter
 
 _SIDES = "benchmarks.arrow_sides"
 _OTHERS = {"arrow_small_mcap": "small-mcap with mcap-ros2-support-fast", "arrow_mcap": "mcap with mcap-ros2-support"}

@@ -19,7 +19,7 @@ from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.sample import messages as definitions
 from kleinkram.recordings.sample.messages import Encoding
-from kleinkram.recordings.sample.writers import McapWriter
+from kleinkram.recordings.writing.mcap_writer import McapWriter
 
 RULES = """
 version: 1

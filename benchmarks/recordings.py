@@ -10,6 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.arrows import arrow_row
+from benchmarks.conversions import convert_bag_row, recompress_row
 from benchmarks.measure import take_turns
 from benchmarks.readings import raw_row, remote_row
 from benchmarks.scans import scan_bag_row, scan_mcap_row, synthetic_row
@@ -64,6 +65,8 @@ ROWS: tuple[Callable[[Path], Row], ...] = (
     arrow_row,
     raw_row,
     remote_row,
+    convert_bag_row,
+    recompress_row,
 )
 
 

@@ -11,6 +11,7 @@ import lz4.frame
 import zstandard
 
 from kleinkram.recordings.sample import writers
+from kleinkram.recordings.writing import mcap_writer
 
 
 class Compression(str, Enum):
@@ -41,7 +42,7 @@ _BAG: dict[BagCompression, Callable[[bytes], bytes]] = {
 }
 
 
-class McapWriter(writers.McapWriter):
+class McapWriter(mcap_writer.McapWriter):
     def __init__(
         self,
         file: BinaryIO,

@@ -1,5 +1,7 @@
 """Reads recordings (MCAP, ROS 1 bag, rosbag2, ULog): summaries (`summarise`, `scan`) and messages (`Recording`).
 
+`Recording` also writes them as MCAP and Parquet.
+
 Independent of the rest of Kleinkram: it reads bytes from a source, in bounded memory, without a database. Files are
 untrusted: any bytes give a summary. A server reads them in a child process (`isolation`).
 
@@ -15,6 +17,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from kleinkram.recordings.combine_summaries import combine
     from kleinkram.recordings.errors import (
+        CannotWrite,
         FailureKind,
         NoSuchTopic,
         NotARecording,
@@ -40,17 +43,23 @@ if TYPE_CHECKING:
     from kleinkram.recordings.recording_groups import RecordingGroup, RecordingGroupKind, group, is_recording_name
     from kleinkram.recordings.sources import FileSource, Source
     from kleinkram.recordings.summary import scan, summarise
+    from kleinkram.recordings.writing.losses import LostPlace, MemberLoss
+    from kleinkram.recordings.writing.mcap import ChunkCompression, McapOptions, McapResult, is_whole_mcap
+    from kleinkram.recordings.writing.parquet import ParquetFile, ParquetResult
 
 _HOMES = {
     "combine_summaries": "combine",
-    "errors": "FailureKind NoSuchTopic NotARecording RecordingError SeveralRecordings SourceError SummaryFailed "
-    "TooCostly TooDisordered",
+    "errors": "CannotWrite FailureKind NoSuchTopic NotARecording RecordingError SeveralRecordings SourceError "
+    "SummaryFailed TooCostly TooDisordered",
     "messages": "Channel Message RawMessage Schema Topic",
     "model": "Content Depth Fact Lost Problem RecordingFormat RecordingSummary TopicSummary",
     "recording": "Recording",
     "recording_groups": "RecordingGroup RecordingGroupKind group is_recording_name",
     "sources": "FileSource Source",
     "summary": "scan summarise",
+    "writing.losses": "MemberLoss LostPlace",
+    "writing.mcap": "ChunkCompression McapOptions McapResult is_whole_mcap",
+    "writing.parquet": "ParquetFile ParquetResult",
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
 __all__ = sorted(_HOME_OF)

@@ -23,7 +23,7 @@ from kleinkram.recordings.chunk_table import ANY_CHANNEL, ChunkHead, ChunkTable,
 from kleinkram.recordings.compression import Buffer, decompress, decompress_beginning, unreadable_chunk
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.formats.base import MemberContents, Segment
+from kleinkram.recordings.formats.base import MemberContents, OtherRecord, Segment
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_READ
 from kleinkram.recordings.merge_messages import OVERHEAD_BYTES, MessagePiece, MessageRun, merge
 from kleinkram.recordings.messages import Block, Channel, Selection
@@ -52,15 +52,18 @@ class ChunkFormat:
     """Layout of chunks and messages of one format. The defaults are those of a format without chunks.
 
     `parse_messages` returns the messages of some channels in a chunk's content, in file order; `salvage` finds messages
-    in parts of a file, such as a damaged chunk.
+    in parts of a file, such as a damaged chunk. `find_other_records` yields the attachments and metadata records of a
+    file that are whole, and a sentence about each that is not.
     """
 
     parse_messages: Callable[[Buffer, Mapping[int, Channel], Selection], Block]
     open_chunk: Callable[[ByteStream], ChunkHead] = _refuse_chunk
     salvage: Salvage = lambda source, _gaps, _channels: SalvagedMessages(JoinedGaps(source, b"", ()), ChunkTable())
     read_message_index: ReadMessageIndex = lambda _source, _row: None
+    find_other_records: FindOtherRecords = lambda _source, _table: iter(())
 
 
+FindOtherRecords = Callable[[Source, ChunkTable], Iterator[OtherRecord | Malformed]]
 Loaded = Buffer | Malformed  # the content of a chunk, or why it cannot be read
 
 

@@ -323,7 +323,7 @@ def open_by_scan(
     builder.close()
     counts = {number: count for number, count in builder.counts.items() if number in channels}
     span = builder.table.span() if counts else (None, None)
-    contents = MemberContents(channels, counts, sum(counts.values()), *span)
+    contents = MemberContents(channels, counts, sum(counts.values()), *span, summary.profile)
     return ChunkedMember(source, chunk_format, builder.table, contents, builder.problem_log, summary=summary)
 
 

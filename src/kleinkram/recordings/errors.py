@@ -106,6 +106,15 @@ class TooDisordered(RecordingError):
     """Too many parts of the recording overlap in time to be merged in bounded memory."""
 
 
+class CannotWrite(RecordingError):
+    """An output cannot be written: its `name`, and why."""
+
+    def __init__(self, name: str, reason: str) -> None:
+        super().__init__(f"{name}: {reason}")
+        self.name = name
+        self.reason = reason
+
+
 class TrajectoryRefused(RecordingError):
     """A trajectory cannot be used: the `name` of its file, topic or transforms, and why."""
 

@@ -24,6 +24,9 @@ class Schema:
     data: bytes
 
 
+Properties = tuple[tuple[str, str], ...]
+
+
 @dataclass(frozen=True)
 class Channel:
     """A topic as one publisher wrote it.
@@ -31,12 +34,15 @@ class Channel:
     Attributes:
         message_encoding: how messages are written: "ros1", "cdr", "json", "protobuf".
         message_compression: "zstd" where rosbag2 compressed each message separately; messages are read decompressed.
+        properties: name and value of others, as the metadata of an MCAP channel: "offered_qos_profiles" and
+            "topic_type_hash" of rosbag2; "callerid", "latching" and "md5sum" of ROS 1.
     """
 
     topic: str
     message_encoding: str
     schema: Schema
     message_compression: str = ""
+    properties: Properties = ()
 
 
 class RawMessage(NamedTuple):

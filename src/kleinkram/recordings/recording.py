@@ -7,7 +7,7 @@ independent. Do not share it between threads.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from html import escape
 from os import PathLike
@@ -19,8 +19,9 @@ from kleinkram.recordings.chunk_reader import MAX_MESSAGE
 from kleinkram.recordings.compression import unpack_message
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable
+from kleinkram.recordings.decoding.types import BATCH_BYTES
 from kleinkram.recordings.errors import Malformed, NoSuchTopic, SourceError
-from kleinkram.recordings.formats.base import MemberContents, Segment
+from kleinkram.recordings.formats.base import MemberContents, OpenedFile, Segment
 from kleinkram.recordings.formats.ulog import as_ros1_definition
 from kleinkram.recordings.merge_messages import merge
 from kleinkram.recordings.messages import (
@@ -35,13 +36,17 @@ from kleinkram.recordings.messages import (
     Topic,
     to_ns,
 )
-from kleinkram.recordings.model import Problem
+from kleinkram.recordings.model import Problem, RecordingSummary
 from kleinkram.recordings.recording_files import Openable, open_members
 
 if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
+    from kleinkram.recordings.writing.mcap import McapOptions, McapResult
+    from kleinkram.recordings.writing.parquet import ParquetResult
+
+OnProgress = Callable[[float], None]
 Topics = str | Sequence[str]  # names of topics, or globs of them (`*`, `?`)
 
 
@@ -61,7 +66,7 @@ class Recording:
         self.name, self.files = opened.name, opened.files
         self._members = opened.members
         self._stack = opened.stack
-        self._summarise = opened.summarise
+        self._summarise, self._scan_files = opened.summarise, opened.scan_files
         self._summary_problems: tuple[Problem, ...] | None = None
         self._is_closed = False
         self._opened_from = Path(what).absolute() if isinstance(what, str | PathLike) else what, max_bytes
@@ -130,6 +135,19 @@ class Recording:
                 if not self._is_closed:
                     raise
         return self._problem_log.all(self._summary_problems or ())
+
+    @property
+    def members(self) -> tuple[OpenedFile, ...]:
+        """The opened data files, in the order of `files`; for modules of `kleinkram.recordings`."""
+        return self._members
+
+    def scan_files(self) -> tuple[RecordingSummary, ...]:
+        """Return what is in each of `files` by reading all of it, with every checksum, as `klein inspect --deep`.
+
+        Raises:
+            SourceError: the bytes cannot be read.
+        """
+        return self._scan_files()
 
     @property
     def damage(self) -> tuple[Problem, ...]:
@@ -239,10 +257,76 @@ class Recording:
         *,
         start: Time | None = None,
         end: Time | None = None,
+        batch_bytes: int = BATCH_BYTES,
     ) -> Iterator[pa.RecordBatch]:
-        """Yield the rows of `to_arrow` in batches, for topics that are larger than the memory."""
+        """Yield the rows of `to_arrow` in batches, for topics that are larger than the memory.
+
+        `batch_bytes`: of the messages of one batch, at most; a larger message is a batch of its own.
+        """
         decoder, messages, notice = self._of_topic(topic, start, end)
-        return decoding.arrow_batches(decoder, messages, fields=fields, notice=notice)
+        return decoding.arrow_batches(decoder, messages, fields=fields, notice=notice, batch_bytes=batch_bytes)
+
+    def to_mcap(
+        self,
+        path: str | PathLike[str],
+        topics: Topics | None = None,
+        *,
+        options: McapOptions | None = None,
+        sha256: Mapping[str, str] | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> McapResult:
+        """Write the recording as one whole MCAP: chunked, indexed, with every CRC, messages in the order of log time.
+
+        Topics, types, encodings, times and bytes of messages stay as they are; ROS 1 stays ROS 1. Channels without
+        messages, attachments and metadata records are kept. Of a damaged recording, what can be read is written. A
+        metadata record `kleinkram:made_from` says what the file was made from, and what was lost. The same recording
+        gives the same bytes, whatever else is on the machine. Memory stays below about 200 MB.
+
+        Args:
+            path: a file that does not exist yet. It appears when it is complete.
+            topics: names or globs; None: all.
+            options: compression and chunks.
+            sha256: of the files, by their names, for the metadata record.
+            on_progress: called with the share that is done, from 0 to 1, every few MB.
+
+        Raises:
+            CannotWrite: the file exists, its folder cannot be written to or is full, or the recording is a ULog.
+            NoSuchTopic: a name that is no glob is not among the topics.
+            TooDisordered: too many parts overlap in time to be put in order in bounded memory.
+            SourceError: the bytes cannot be read.
+        """
+        from kleinkram.recordings.writing.mcap import McapOptions, write_mcap
+
+        return write_mcap(self, Path(path), topics, options or McapOptions(), sha256 or {}, on_progress)
+
+    def to_parquet(
+        self, folder: str | PathLike[str], topics: Topics | None = None, *, on_progress: OnProgress | None = None
+    ) -> ParquetResult:
+        """Write each topic as a Parquet file with the columns of `to_arrow`, in row groups of about 4 MB of messages.
+
+        The file of `/camera/front` is `camera.front.parquet`. Its metadata are `topic`, `message_type`,
+        `message_encoding`, `recording`, and `frame_id` where all messages have the same. Topics that cannot be decoded
+        are left out, and named in the result.
+
+        Args:
+            folder: is made if it does not exist; files in it are not replaced. A file appears when it is complete.
+            topics: names or globs; None: all.
+            on_progress: called with the share of topics that is done.
+
+        Raises:
+            CannotWrite: a file exists, or the folder cannot be written to or is full.
+            NoSuchTopic: a name that is no glob is not among the topics.
+            ReadingExtraMissing: the extra `reading` is not installed.
+            SourceError: the bytes cannot be read.
+        """
+        from kleinkram.recordings.writing.parquet import write_parquet
+
+        return write_parquet(self, Path(folder), self.select_topics(topics), on_progress)
+
+    def select_topics(self, topics: Topics | None = None) -> tuple[Topic, ...]:
+        """Return the topics of these names or globs, by name; `NoSuchTopic` for a name that is not among them."""
+        selected = self._select(topics, None, None).topics
+        return tuple(topic for topic in self.topics if selected is None or topic.name in selected)
 
     def topic(self, name: str) -> Topic:
         """Return the topic of this name; `NoSuchTopic` if there is none."""
@@ -274,7 +358,7 @@ class Recording:
             self._problem_log.add("message-undecodable", name, message)
 
         messages = _timed(blocks, topic.schema, topic.message_encoding, self._problem_log)
-        return _decoder_of(topic.message_encoding, topic.schema), messages, notice
+        return decoder_of(topic.message_encoding, topic.schema), messages, notice
 
     def _select(self, topics: Topics | None, start: Time | None, end: Time | None) -> Selection:
         if topics is None:
@@ -313,7 +397,7 @@ class Recording:
             return None
 
 
-_DAMAGED = frozenset(("damaged", "damaged-message"))
+_DAMAGED = frozenset(("damaged", "damaged-message", "too-damaged", "too-late"))
 
 
 def _span(start: Time | None, end: Time | None) -> tuple[int, int]:
@@ -328,7 +412,7 @@ def _decode_blocks(blocks: Iterable[Block], problem_log: ProblemLog) -> Iterator
         for topic, log_ns, publish_ns, sequence, data, channel in block:
             known = decoders.get(id(channel))
             if known is None:
-                decoder = _decoder_of(channel.message_encoding, channel.schema)
+                decoder = decoder_of(channel.message_encoding, channel.schema)
                 known = decoders[id(channel)] = (channel, decoder if isinstance(decoder, Decoder) else None)
             value: object = data
             if known[1] is not None:
@@ -345,13 +429,14 @@ def decode(message: RawMessage) -> object:
     Raises:
         DecodeError: it cannot be decoded.
     """
-    decoder = _decoder_of(message.channel.message_encoding, message.channel.schema)
+    decoder = decoder_of(message.channel.message_encoding, message.channel.schema)
     if isinstance(decoder, Undecodable):
         raise DecodeError(decoder.type_name, decoder.reason)
     return decoder.decode(message.data)
 
 
-def _decoder_of(message_encoding: str, schema: Schema) -> Decoder | Undecodable:
+def decoder_of(message_encoding: str, schema: Schema) -> Decoder | Undecodable:
+    """Return the decoder of the messages of a schema, or why there is none."""
     if (message_encoding, schema.encoding) == ("ulog", "ulog"):
         return decoding.decoder_for("ros1", schema.name, "ros1msg", as_ros1_definition(schema.name, schema.data))
     return decoding.decoder_for(message_encoding, schema.name, schema.encoding, schema.data)
@@ -381,7 +466,7 @@ def _have_one_layout(one: Schema, other: Schema, one_encoding: str, other_encodi
         return False
     if one == other:
         return True
-    decoders = [_decoder_of(one_encoding, schema) for schema in (one, other)]
+    decoders = [decoder_of(one_encoding, schema) for schema in (one, other)]
     layouts = [decoder.layout for decoder in decoders if isinstance(decoder, Decoder)]
     return len(layouts) == 2 and layouts[0] == layouts[1]
 
@@ -399,7 +484,7 @@ def _list_topics(contents: Iterable[MemberContents]) -> tuple[Topic, ...]:
             counts[topic] = None if so_far is None or here is None else so_far + here
     topics = []
     for name, channel in sorted(first.items()):
-        decoder = _decoder_of(channel.message_encoding, channel.schema)
+        decoder = decoder_of(channel.message_encoding, channel.schema)
         undecodable = decoder.reason if isinstance(decoder, Undecodable) else None
         schema = channel.schema
         topics.append(Topic(name, schema.name, schema, channel.message_encoding, counts[name], undecodable))

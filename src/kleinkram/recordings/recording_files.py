@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -19,6 +19,7 @@ from kleinkram.recordings.formats.rosbag2.database import LOG_SUFFIXES
 from kleinkram.recordings.formats.rosbag2.db3 import ROSBAG2_DB3
 from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME, Rosbag2Metadata
 from kleinkram.recordings.formats.text_files import UNKNOWN
+from kleinkram.recordings.formats.zstd_file import FILE_ZSTD
 from kleinkram.recordings.model import RecordingSummary
 from kleinkram.recordings.recording_groups import read_folder, recording_of_metadata
 from kleinkram.recordings.sources import FileSource, Source, SourceReader
@@ -44,12 +45,16 @@ Openable = str | os.PathLike[str] | Source | HasSources | Sequence[Source]
 
 @dataclass(frozen=True)
 class Opened:
-    """The opened files of a recording, in the order of recording. `summarise`: as `klein inspect`."""
+    """The opened files of a recording, in the order of recording.
+
+    `summarise`: as `klein inspect`. `scan_files`: as `klein inspect --deep`, file by file.
+    """
 
     name: str
     files: tuple[str, ...]
     members: tuple[OpenedFile, ...]
     summarise: Callable[[], RecordingSummary]
+    scan_files: Callable[[], tuple[RecordingSummary, ...]]
     stack: ExitStack
 
 
@@ -75,7 +80,10 @@ def open_members(what: Openable, problem_log: ProblemLog, *, max_bytes: int | No
         summaries = [_summary_of(file, member) for file, member in zip(data, members, strict=True)]
         return combine(summaries, names) if metadata is None else combine_folder(metadata, names, summaries)
 
-    return Opened(name, names, members, summarise_all, stack)
+    def scan_files() -> tuple[RecordingSummary, ...]:
+        return tuple(member.summary or _scan(file) for file, member in zip(data, members, strict=True))
+
+    return Opened(name, names, members, summarise_all, scan_files, stack)
 
 
 def _summary_of(file: RecordingFile, member: OpenedFile) -> RecordingSummary:
@@ -99,6 +107,18 @@ def _summarise(file: RecordingFile) -> RecordingSummary:
     with FileSource(path) as source:
         source.name = file.base_name
         return summarise(source, max_bytes=None if file.database else MAX_SCANNED_FOR_PROBLEMS)
+
+
+def _scan(file: RecordingFile) -> RecordingSummary:
+    """Scan a file, without fetching copies again."""
+    if file.unpacked is not None:
+        summary = scan(SourceReader(file.unpacked.source))
+        return replace(summary, compression=(*summary.compression, FILE_ZSTD))
+    if file.database is None:
+        return scan(SourceReader(file.source))
+    with FileSource(file.database) as source:
+        source.name = file.base_name
+        return scan(SourceReader(source))
 
 
 def _open_file(file: RecordingFile, context: OpenContext) -> OpenedFile:

@@ -7,7 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from functools import cached_property
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from kleinkram.checks.document import Rule
 from kleinkram.checks.outcomes import Measured, failed, make_check
@@ -73,6 +73,19 @@ def measured(value: float | None, limit: float | None, unit: str | None) -> Meas
 def number(value: float) -> str:
     """Return a number as text, with at most four digits."""
     return f"{value:.4g}"
+
+
+class SampleSink(Protocol):
+    """Takes the samples of one topic."""
+
+    def add(self, sample: SampledMessage) -> None:
+        """Take a message."""
+
+    def note_unread(self, reason: str) -> None:
+        """Note why messages could not be read; the first reason counts."""
+
+    def note_damage(self, reason: str) -> None:
+        """Note why a part of the messages that were asked for could not be read; the first reason counts."""
 
 
 class FollowUp(NamedTuple):

@@ -14,16 +14,17 @@ from kleinkram.checks.content.imu import ImuProbe
 from kleinkram.checks.content.odometry import OdometryProbe
 from kleinkram.checks.content.point_clouds import PointCloudProbe
 from kleinkram.checks.content.positions import PositionProbe
-from kleinkram.checks.content.probe import FollowUp, RecordedTopic
-from kleinkram.checks.content.sample_reader import AnyProbe, SampleReader
+from kleinkram.checks.content.probe import FollowUp, Probe, RecordedTopic
+from kleinkram.checks.content.sample_reader import SampleReader
 from kleinkram.checks.content.segment_plan import READ_WHOLE_MESSAGES, default_budget
 from kleinkram.checks.content.transforms import TransformProbe
 from kleinkram.checks.content.values import ValueProbe
-from kleinkram.checks.document import ImageRule
+from kleinkram.checks.document import ImageRule, Rule
 from kleinkram.checks.outcomes import ShowProgress
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.recordings.recording import Recording
 
+AnyProbe = Probe[Rule]
 _RECORDER_OFFSET = "clock.recorder_offset"
 _PROBES: Mapping[str, Callable[..., AnyProbe]] = {
     "images": ImageProbe,

@@ -9,15 +9,13 @@ from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from kleinkram.checks.content.probe import Probe, RecordedTopic, SampledMessage
+from kleinkram.checks.content.probe import RecordedTopic, SampledMessage, SampleSink
 from kleinkram.checks.content.segment_plan import SegmentVisit, nearest, plan_visits, plan_whole
-from kleinkram.checks.document import Rule
 from kleinkram.recordings import RecordingError
 from kleinkram.recordings.formats.base import Segment
 from kleinkram.recordings.messages import RawMessage
 from kleinkram.recordings.recording import Recording
 
-AnyProbe = Probe[Rule]
 _NOT_AMONG_SAMPLES = "none of its messages is in the parts that were read"
 _UNKNOWN_END_NS = 2**63 - 1
 _PAGE_BYTES, _MAX_SEARCH_BYTES = 4096, 2**30
@@ -59,7 +57,7 @@ class SampleReader:
             return sum(count or 0 for count in counts)
         return self._recording.message_count or self.size_bytes // _SMALL_MESSAGE_BYTES
 
-    def read(self, probes: Mapping[str, Sequence[AnyProbe]], budget_bytes: int | None) -> None:
+    def read(self, probes: Mapping[str, Sequence[SampleSink]], budget_bytes: int | None) -> None:
         """Read samples and pass them to the probes of their topics. `budget_bytes`: None to read all messages."""
         self._is_whole = budget_bytes is None
         if budget_bytes is None:
@@ -79,7 +77,7 @@ class SampleReader:
                 for probe in probes[topic]:
                     probe.note_unread(reason or "it has no messages")
 
-    def read_near(self, topic: str, times_ns: Iterable[int], probe: AnyProbe) -> None:
+    def read_near(self, topic: str, times_ns: Iterable[int], probe: SampleSink) -> None:
         """Read the segments of a topic that are nearest to some log times, for one probe."""
         numbers = [n for n, part in enumerate(self._segments) if part.topics is None or topic in part.topics]
         visits: dict[int, SegmentVisit] = {}
@@ -90,11 +88,11 @@ class SampleReader:
             self._read_visit(visit, [topic], {topic: [probe]})
         self._note_damage(topic, [probe])
 
-    def _note_damage(self, topic: str, probes: Sequence[AnyProbe]) -> None:
+    def _note_damage(self, topic: str, probes: Sequence[SampleSink]) -> None:
         for probe in probes if topic in self._damaged else ():
             probe.note_damage(self._damaged[topic])
 
-    def _read_visit(self, visit: SegmentVisit, topics: list[str], probes: Mapping[str, Sequence[AnyProbe]]) -> None:
+    def _read_visit(self, visit: SegmentVisit, topics: list[str], probes: Mapping[str, Sequence[SampleSink]]) -> None:
         picker = _Picker(visit)
         for block, is_last in self._blocks(visit.segment, topics):
             picks, around = picker.pick(block, is_last=is_last)
@@ -127,7 +125,7 @@ class SampleReader:
         if waiting is not None:
             yield waiting, True
 
-    def _search(self, topics: list[str], probes: Mapping[str, Sequence[AnyProbe]]) -> None:
+    def _search(self, topics: list[str], probes: Mapping[str, Sequence[SampleSink]]) -> None:
         """Look for topics of which no sample has a message, in a format whose index does not say where they are.
 
         The rows of the other topics are passed over, which reads a page of each.

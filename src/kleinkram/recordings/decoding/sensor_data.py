@@ -46,7 +46,7 @@ _DEPTH_HEADER = struct.Struct("<iff")
 _BROKEN = (OSError, SyntaxError, ValueError, TypeError, IndexError, EOFError, OverflowError, struct.error)
 
 
-def decode_image(data: Any, name: str) -> NDArray[Any]:
+def decode_image(data: Any, name: str, max_pixels: int) -> NDArray[Any]:
     """Return a compressed image as [H, W, C]: uint8, or uint16 [H, W, 1] for 16 bits of grey."""
     import numpy as np
     from PIL import Image
@@ -54,8 +54,8 @@ def decode_image(data: Any, name: str) -> NDArray[Any]:
     try:
         with Image.open(io.BytesIO(data), formats=_FORMATS) as opened:
             picture: Image.Image = opened
-            if picture.width * picture.height > MAX_IMAGE_PIXELS:
-                raise DecodeError(name, f"{picture.width} x {picture.height} pixels are more than {MAX_IMAGE_PIXELS}")
+            if picture.width * picture.height > max_pixels:
+                raise DecodeError(name, f"{picture.width} x {picture.height} pixels are more than {max_pixels}")
             if picture.mode == "1":
                 picture = picture.convert("L")
             elif picture.mode not in ("L", "RGB", "RGBA") and not picture.mode.startswith("I"):
@@ -63,7 +63,7 @@ def decode_image(data: Any, name: str) -> NDArray[Any]:
                 picture = picture.convert("RGBA" if has_alpha else "RGB")
             array = np.asarray(picture)
     except (Image.DecompressionBombError, Image.DecompressionBombWarning):
-        raise DecodeError(name, f"an image of more than {MAX_IMAGE_PIXELS} pixels") from None
+        raise DecodeError(name, f"an image of more than {max_pixels} pixels") from None
     except _BROKEN as error:
         raise DecodeError(name, f"its image cannot be read: {str(error)[:100]}") from None
     if array.dtype.kind in "ui" and array.dtype.itemsize > 1:
@@ -71,7 +71,7 @@ def decode_image(data: Any, name: str) -> NDArray[Any]:
     return array[..., np.newaxis] if array.ndim == 2 else array
 
 
-def uncompressed_depth(data: Any, form: str, name: str) -> NDArray[Any]:
+def uncompressed_depth(data: Any, form: str, name: str, max_pixels: int) -> NDArray[Any]:
     """Return a `compressedDepth` image: uint16 [H, W, 1] as stored, or float32 [H, W, 1], metres, NaN for unknown."""
     import numpy as np
 
@@ -80,7 +80,7 @@ def uncompressed_depth(data: Any, form: str, name: str) -> NDArray[Any]:
     if len(data) < _DEPTH_HEADER.size:
         raise DecodeError(name, "its compressed depth has no header")
     _, quantum, offset = _DEPTH_HEADER.unpack_from(data)
-    depth = decode_image(data[_DEPTH_HEADER.size :], name)
+    depth = decode_image(data[_DEPTH_HEADER.size :], name, max_pixels)
     if not form.startswith("32fc1"):
         return depth
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -98,23 +98,23 @@ _PACKED_YUV = {"yuv422": "uyvy", "uyvy": "uyvy", "yuv422_yuy2": "yuyv", "yuyv": 
 _PLANAR_YUV = {"nv12": 0, "nv21": 1}
 
 
-def image(value: object) -> NDArray[Any]:
+def image(value: object, *, max_pixels: int = MAX_IMAGE_PIXELS) -> NDArray[Any]:
     """Return the image of a decoded message (see the module).
 
     Raises:
-        DecodeError: it has none, its sizes are inconsistent, or its encoding is unknown.
+        DecodeError: it has none, its sizes are inconsistent, it has too many pixels, or its encoding is unknown.
         ReadingExtraMissing: numpy or pillow is not installed.
     """
     _require("numpy")
     if part(value, "encoding") is not None and part(value, "height") is not None:
-        return _raw(value)
+        return _raw(value, max_pixels)
     if part(value, "format") is None or part(value, "data") is None:
         raise DecodeError(type_name(value), "it has no image")
     _require("PIL", "pillow")
     form, data = str(part(value, "format")).lower(), payload(value)
     if "compresseddepth" in form:
-        return uncompressed_depth(data, form, type_name(value))
-    return decode_image(data, type_name(value))
+        return uncompressed_depth(data, form, type_name(value), max_pixels)
+    return decode_image(data, type_name(value), max_pixels)
 
 
 def _require(module: str, library: str = "") -> None:
@@ -124,10 +124,10 @@ def _require(module: str, library: str = "") -> None:
         raise ReadingExtraMissing(library or module) from None
 
 
-def _raw(value: object) -> NDArray[Any]:
+def _raw(value: object, max_pixels: int) -> NDArray[Any]:
     height, width, step = (whole_number(value, name) for name in ("height", "width", "step"))
-    if height * width > MAX_IMAGE_PIXELS:
-        raise DecodeError(type_name(value), f"{width} x {height} pixels are more than {MAX_IMAGE_PIXELS}")
+    if height * width > max_pixels:
+        raise DecodeError(type_name(value), f"{width} x {height} pixels are more than {max_pixels}")
     encoding = str(part(value, "encoding"))
     name = encoding.lower()
     if name in _PACKED_YUV:

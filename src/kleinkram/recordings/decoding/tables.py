@@ -164,7 +164,7 @@ def to_arrow(
         NoSuchField: a name that fits no column.
         ReadingExtraMissing: numpy or pyarrow is not installed.
     """
-    pa = _arrow()
+    pa = load_pyarrow()
     tables = [
         pa.Table.from_batches([batch]) for batch in arrow_batches(decoder, messages, fields=fields, notice=notice)
     ]
@@ -202,8 +202,9 @@ def arrow_batches(
     *,
     fields: Sequence[str] | None = None,
     notice: Notice | None = None,
+    batch_bytes: int = types.BATCH_BYTES,
 ) -> Iterator[pa.RecordBatch]:
-    """Yield the rows of `to_arrow` in bounded batches; at least one, which may be empty.
+    """Yield the rows of `to_arrow` in batches of messages of at most so many bytes; at least one, which may be empty.
 
     Batches of ROS messages all have one Arrow schema; those of JSON and protobuf each have the columns that they need.
 
@@ -211,7 +212,7 @@ def arrow_batches(
         NoSuchField: a name that fits no column.
         ReadingExtraMissing: numpy or pyarrow is not installed.
     """
-    _arrow()
+    load_pyarrow()
     rows: Callable[[list[int], list[int], list[bytes]], Any]
     if isinstance(decoder, Undecodable):
         rows = _raw_rows
@@ -224,8 +225,11 @@ def arrow_batches(
 
         rows = TypedRows(decoder, decoder.struct, columns_of(decoder.struct, fields), notice or _ignore)
     is_first = True
-    for log_ns, publish_ns, data in _batches(messages):
-        yield rows(log_ns, publish_ns, data)
+    for log_ns, publish_ns, data in _batches(messages, batch_bytes):
+        batch = rows(log_ns, publish_ns, data)
+        del log_ns, publish_ns, data  # one batch at a time is in memory
+        yield batch
+        del batch
         is_first = False
     if is_first:
         yield rows([], [], [])
@@ -237,7 +241,8 @@ def _raw_rows(log_ns: list[int], publish_ns: list[int], data: list[bytes]) -> An
     return timed_batch(log_ns, publish_ns, ["data"], [pa.array([bytes(raw) for raw in data], pa.binary())])
 
 
-def _arrow() -> Any:
+def load_pyarrow() -> Any:
+    """Return pyarrow; `ReadingExtraMissing` if it or numpy is not installed."""
     try:
         import numpy  # noqa: F401  # only to name it where it is missing
         import pyarrow as pa
@@ -246,13 +251,13 @@ def _arrow() -> Any:
     return pa
 
 
-def _batches(messages: Iterable[TimedMessage]) -> Iterator[tuple[list[int], list[int], list[bytes]]]:
+def _batches(messages: Iterable[TimedMessage], batch_bytes: int) -> Iterator[tuple[list[int], list[int], list[bytes]]]:
     log_ns: list[int] = []
     publish_ns: list[int] = []
     data: list[bytes] = []
     size = 0
     for log, publish, raw in messages:
-        if data and (size + len(raw) > types.BATCH_BYTES or len(data) >= types.BATCH_MESSAGES):
+        if data and (size + len(raw) > batch_bytes or len(data) >= types.BATCH_MESSAGES):
             yield log_ns, publish_ns, data
             log_ns, publish_ns, data, size = [], [], [], 0
         log_ns.append(log)

@@ -107,13 +107,17 @@ class Format:
 
 @dataclass(frozen=True)
 class MemberContents:
-    """The content of a file by its index: channels by number, messages by channel, inclusive times; None: unknown."""
+    """The content of a file by its index: channels by number, messages by channel, inclusive times; None: unknown.
+
+    `profile`: of an MCAP, such as "ros2".
+    """
 
     channels: Mapping[int, Channel]
     counts: Mapping[int, int] | None
     message_count: int | None
     start_ns: int | None
     end_ns: int | None
+    profile: str = ""
 
     def select(self, selection: Selection) -> dict[int, Channel]:
         """Return the channels of the selected topics."""
@@ -122,6 +126,15 @@ class MemberContents:
             for number, channel in self.channels.items()
             if selection.topics is None or channel.topic in selection.topics
         }
+
+
+class OtherRecord(NamedTuple):
+    """An attachment or metadata record of an MCAP. `length`: with its head; `index_fields`: what its index repeats."""
+
+    opcode: int
+    start: int
+    length: int
+    index_fields: bytes
 
 
 class Segment(NamedTuple):

@@ -1,9 +1,8 @@
-"""Writers of sample recordings: MCAP, ROS 1 bag, and rosbag2 with SQLite storage.
+"""Writers of sample recordings: ROS 1 bag, and rosbag2 with SQLite storage.
 
-They hold one chunk and the index in memory. Only samples, tests and benchmarks write recordings.
+They hold one chunk and the index in memory. Only samples, tests and benchmarks use them.
 
-Source: MCAP format specification, version 0 (mcap.dev/spec); wiki.ros.org/Bags/Format/2.0; rosbag2_storage_sqlite3,
-schema version 3, with metadata version 5 (ROS 2 Humble).
+Source: wiki.ros.org/Bags/Format/2.0; rosbag2_storage_sqlite3, schema version 3, with metadata version 5 (ROS 2 Humble).
 """
 
 from __future__ import annotations
@@ -11,196 +10,21 @@ from __future__ import annotations
 import json
 import sqlite3
 import struct
-import zlib
-from array import array
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
 import lz4.frame
-import zstandard
 
-from kleinkram.recordings.formats.mcap import records as mcap
-from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.rosbag1 import records as rosbag1
 from kleinkram.recordings.formats.rosbag1.records import Op
+from kleinkram.recordings.writing.mcap_writer import ChunkedWriter, counted_bytes
 
-_MESSAGE = struct.Struct("<BQHIQQ")
 _BAG_HEADER_BYTES = 4096
 _LZ4_BLOCK_1MB = 6
 
 
-class _ChunkedWriter:
-    """The chunk being filled, and the records of the index so far."""
-
-    def __init__(self, file: BinaryIO, compress: Callable[[bytes], bytes], chunk_bytes: int, index_code: str) -> None:
-        self._file, self._compress, self._chunk_bytes, self._index_code = file, compress, chunk_bytes, index_code
-        self._position = self._raw_bytes = self._stored_bytes = 0
-        self._definitions: list[bytes] = []
-        self._chunk_indexes: list[bytes] = []
-        self._begin_chunk()
-
-    @property
-    def bytes_written(self) -> int:
-        """Size of the file so far; of the chunk being filled, what it will be if it compresses like those before."""
-        if not self._raw_bytes:
-            return self._position + self._size
-        return self._position + self._size * self._stored_bytes // self._raw_bytes
-
-    def _begin_chunk(self) -> None:
-        self._pieces: list[bytes] = []
-        self._size = 0
-        self._first_ns, self._last_ns = 2**64 - 1, 0
-        self._index: dict[int, array[int]] = {}
-
-    def _define(self, record: bytes) -> None:
-        self._definitions.append(record)
-        self._pieces.append(record)
-        self._size += len(record)
-
-    def _add(self, channel: int, index_entry: tuple[int, ...], log_time_ns: int, head: bytes, payload: bytes) -> None:
-        index = self._index.get(channel)
-        if index is None:
-            index = self._index[channel] = array(self._index_code)
-        index.extend(index_entry)
-        self._pieces += (head, payload)
-        self._size += len(head) + len(payload)
-        self._first_ns, self._last_ns = min(self._first_ns, log_time_ns), max(self._last_ns, log_time_ns)
-        if self._size >= self._chunk_bytes:
-            self._flush()
-
-    def _flush(self) -> None:
-        raise NotImplementedError
-
-    def _compressed(self) -> tuple[bytes, bytes]:
-        raw = b"".join(self._pieces)
-        stored = self._compress(raw)
-        self._raw_bytes += len(raw)
-        self._stored_bytes += len(stored)
-        return raw, stored
-
-    def _put(self, data: bytes) -> None:
-        self._file.write(data)
-        self._position += len(data)
-
-
-class McapWriter(_ChunkedWriter):
-    """Writes an MCAP with every CRC; call `finish` at the end, or the file has no index.
-
-    `compression`: the name of what `compress` does, which is zstd by default.
-    """
-
-    def __init__(
-        self,
-        file: BinaryIO,
-        *,
-        profile: str = "",
-        library: str = "kleinkram",
-        compression: str = "zstd",
-        compress: Callable[[bytes], bytes] | None = None,
-        chunk_bytes: int = 2**20,
-    ) -> None:
-        super().__init__(file, compress or zstandard.ZstdCompressor(level=1).compress, chunk_bytes, "Q")
-        self._compression = _text(compression)
-        self._crc = 0
-        self._counts: dict[int, int] = {}
-        self._schemas: dict[tuple[str, str, bytes], int] = {}
-        self._span = (2**64 - 1, 0)
-        self._put(mcap.MAGIC)
-        self._put(_mcap_record(Opcode.HEADER, _text(profile) + _text(library)))
-
-    def add_schema(self, name: str, encoding: str, text: bytes) -> int:
-        """Define a message type; returns its id, to be used for channels."""
-        schema = name, encoding, text
-        if schema not in self._schemas:
-            self._schemas[schema] = len(self._schemas) + 1
-            body = struct.pack("<H", self._schemas[schema]) + _text(name) + _text(encoding) + _counted(text)
-            self._define(_mcap_record(Opcode.SCHEMA, body))
-        return self._schemas[schema]
-
-    def add_channel(self, topic: str, schema_id: int, message_encoding: str) -> int:
-        """Define a topic; returns its id, to be used for messages."""
-        channel_id = len(self._counts)
-        body = struct.pack("<HH", channel_id, schema_id) + _text(topic) + _text(message_encoding) + _counted(b"")
-        self._define(_mcap_record(Opcode.CHANNEL, body))
-        self._counts[channel_id] = 0
-        return channel_id
-
-    def add_message(
-        self, channel_id: int, log_time_ns: int, payload: bytes, *, publish_time_ns: int | None = None
-    ) -> None:
-        """Add a message; messages are in the file in the order in which they are added. Published at the log time."""
-        sequence = self._counts[channel_id]
-        self._counts[channel_id] = sequence + 1
-        length = _MESSAGE.size - mcap.RECORD_HEAD.size + len(payload)
-        times = log_time_ns, log_time_ns if publish_time_ns is None else publish_time_ns
-        head = _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, sequence & 0xFFFFFFFF, *times)
-        self._add(channel_id, (log_time_ns, self._size), log_time_ns, head, payload)
-
-    def finish(self) -> None:
-        """Write what is left, the summary and the footer. The file is not closed."""
-        self._flush()
-        self._put(_mcap_record(Opcode.DATA_END, struct.pack("<I", self._crc)))
-        summary_start, self._crc = self._position, 0
-        counts = b"".join(struct.pack("<HQ", *item) for item in self._counts.items())
-        total = sum(self._counts.values())
-        statistics = mcap.STATISTICS_BODY.pack(
-            total,
-            len(self._schemas),
-            len(self._counts),
-            0,
-            0,
-            len(self._chunk_indexes),
-            *(self._span if total else (0, 0)),
-        )
-        records = *self._definitions, _mcap_record(Opcode.STATISTICS, statistics + _counted(counts))
-        for record in (*records, *self._chunk_indexes):
-            self._put(record)
-        footer = mcap.RECORD_HEAD.pack(Opcode.FOOTER, mcap.FOOTER_BODY.size) + struct.pack("<QQ", summary_start, 0)
-        self._put(footer + struct.pack("<I", zlib.crc32(footer, self._crc)) + mcap.MAGIC)
-
-    def _flush(self) -> None:
-        if not self._size:
-            return
-        if self._index:
-            self._span = min(self._span[0], self._first_ns), max(self._span[1], self._last_ns)
-        else:
-            self._first_ns = 0
-        raw, stored = self._compressed()
-        start = self._position
-        head = struct.pack("<QQQI", self._first_ns, self._last_ns, len(raw), zlib.crc32(raw))
-        head += self._compression + struct.pack("<Q", len(stored))
-        self._put(mcap.RECORD_HEAD.pack(Opcode.CHUNK, len(head) + len(stored)) + head)
-        self._put(stored)
-        index_start = self._position
-        offsets = b""
-        for channel_id, index in self._index.items():
-            offsets += struct.pack("<HQ", channel_id, self._position)
-            entries = struct.pack(f"<{len(index)}Q", *index)
-            self._put(_mcap_record(Opcode.MESSAGE_INDEX, struct.pack("<H", channel_id) + _counted(entries)))
-        body = struct.pack("<QQQQ", self._first_ns, self._last_ns, start, index_start - start) + _counted(offsets)
-        body += struct.pack("<Q", self._position - index_start) + self._compression
-        self._chunk_indexes.append(_mcap_record(Opcode.CHUNK_INDEX, body + struct.pack("<QQ", len(stored), len(raw))))
-        self._begin_chunk()
-
-    def _put(self, data: bytes) -> None:
-        super()._put(data)
-        self._crc = zlib.crc32(data, self._crc)
-
-
-def _mcap_record(opcode: int, body: bytes) -> bytes:
-    return mcap.RECORD_HEAD.pack(opcode, len(body)) + body
-
-
-def _counted(data: bytes) -> bytes:
-    return struct.pack("<I", len(data)) + data
-
-
-def _text(text: str) -> bytes:
-    return _counted(text.encode())
-
-
-class BagWriter(_ChunkedWriter):
+class BagWriter(ChunkedWriter):
     """Writes a ROS 1 bag to a seekable file, compressed by lz4 by default; `finish` writes its index."""
 
     def __init__(
@@ -229,7 +53,7 @@ class BagWriter(_ChunkedWriter):
         seconds, nanoseconds = divmod(log_time_ns, 1_000_000_000)
         time = struct.pack("<II", seconds, nanoseconds)
         head = _fields(op=bytes([Op.MESSAGE_DATA]), conn=_u32(connection), time=time)
-        front = _counted(head) + _u32(len(payload))
+        front = counted_bytes(head) + _u32(len(payload))
         self._add(connection, (seconds, nanoseconds, self._size), log_time_ns, front, payload)
 
     def finish(self) -> None:
@@ -248,7 +72,7 @@ class BagWriter(_ChunkedWriter):
         raw, stored = self._compressed()
         start = self._position
         head = _fields(op=bytes([Op.CHUNK]), compression=self._compression, size=_u32(len(raw)))
-        self._put(_counted(head) + _u32(len(stored)))
+        self._put(counted_bytes(head) + _u32(len(stored)))
         self._put(stored)
         counts = b""
         for connection, index in self._index.items():
@@ -277,11 +101,11 @@ def ros_lz4(raw: bytes) -> bytes:
 
 
 def _bag_record(opcode: int, data: bytes, **fields: bytes) -> bytes:
-    return _counted(_fields(op=bytes([opcode]), **fields)) + _counted(data)
+    return counted_bytes(_fields(op=bytes([opcode]), **fields)) + counted_bytes(data)
 
 
 def _fields(**values: bytes) -> bytes:
-    return b"".join(_counted(name.encode() + b"=" + value) for name, value in values.items())
+    return b"".join(counted_bytes(name.encode() + b"=" + value) for name, value in values.items())
 
 
 def _u32(number: int) -> bytes:

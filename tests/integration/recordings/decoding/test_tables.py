@@ -172,8 +172,8 @@ def test_batches_are_bounded_and_at_least_one(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("kleinkram.recordings.decoding.types.BATCH_MESSAGES", 30)
     batches = list(arrow_batches(IMU, ((n, n, imu(n)) for n in range(100))))
     assert [batch.num_rows for batch in batches] == [30, 30, 30, 10]
-    monkeypatch.setattr("kleinkram.recordings.decoding.types.BATCH_BYTES", 1000)
-    assert all(batch.num_rows == 3 for batch in arrow_batches(IMU, ((n, n, imu(n)) for n in range(99))))
+    small = arrow_batches(IMU, ((n, n, imu(n)) for n in range(99)), batch_bytes=1000)
+    assert all(batch.num_rows == 3 for batch in small)
     empty = to_arrow(IMU, [])
     assert empty.num_rows == 0
     assert "linear_acceleration.x" in empty.column_names

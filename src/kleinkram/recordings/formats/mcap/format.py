@@ -27,6 +27,7 @@ from kleinkram.recordings.file_summary import TopicType
 from kleinkram.recordings.formats.base import Format, MemberContents, OpenContext, RecordingFile
 from kleinkram.recordings.formats.mcap import chunks, records
 from kleinkram.recordings.formats.mcap.chunks import open_chunk
+from kleinkram.recordings.formats.mcap.other_records import find_other_records
 from kleinkram.recordings.formats.mcap.records import MAGIC, ChannelRecord, McapFacts, Opcode
 from kleinkram.recordings.formats.mcap.scan import McapScan, scan_records
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_TAKE, TAIL, WINDOW
@@ -370,12 +371,13 @@ def open_mcap(file: RecordingFile, context: OpenContext) -> ChunkedMember:
     statistics = facts.statistics
     if statistics is None or facts.unknown_compression:
         # The statistics also count messages that cannot be read.
-        contents = MemberContents(channels, None, None, *facts.table.span(without=facts.unknown_compression.keys()))
+        start_ns, end_ns = facts.table.span(without=facts.unknown_compression.keys())
+        contents = MemberContents(channels, None, None, start_ns, end_ns, facts.profile)
         return ChunkedMember(source, MCAP_CHUNKS, facts.table, contents, problem_log, with_index_check=True)
     by_channel = dict(statistics.counts)
     counts = by_channel if sum(by_channel.values()) == statistics.messages else None
     span = (statistics.start_ns, statistics.end_ns) if statistics.messages else (None, None)
-    contents = MemberContents(channels, counts, statistics.messages, *span)
+    contents = MemberContents(channels, counts, statistics.messages, span[0], span[1], facts.profile)
     return ChunkedMember(
         source, MCAP_CHUNKS, facts.table, contents, problem_log, with_index_check=True, claimed_span=span
     )
@@ -386,7 +388,9 @@ def _salvage(source: Source, gaps: Iterable[FileGap], channels: Mapping[int, Cha
     return salvage_by_scan(source, gaps, MAGIC, lambda reader, builder: scan_records(reader, builder, known))
 
 
-MCAP_CHUNKS = ChunkFormat(chunks.parse_messages, chunks.open_chunk, _salvage, chunks.read_message_index)
+MCAP_CHUNKS = ChunkFormat(
+    chunks.parse_messages, chunks.open_chunk, _salvage, chunks.read_message_index, find_other_records
+)
 MCAP = Format(
     RecordingFormat.mcap,
     lambda head: head.data.startswith(MAGIC),

@@ -18,7 +18,7 @@ from kleinkram.recordings.chunk_table import ANY_CHANNEL, Row
 from kleinkram.recordings.compression import is_known_compression
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_DAMAGE, MAX_DEFINITIONS, MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
-from kleinkram.recordings.messages import Channel, Schema
+from kleinkram.recordings.messages import Channel, Properties, Schema
 from kleinkram.recordings.model import Fact
 from kleinkram.recordings.scanned_messages import LocationKind
 from kleinkram.recordings.streams import ByteStream
@@ -58,12 +58,17 @@ class Opcode(IntEnum):
 
 
 class ChannelRecord(NamedTuple):
-    """A channel. `publisher`: its ROS 1 node, from the metadata that a conversion leaves; may be empty."""
+    """A channel. `properties`: its metadata."""
 
     schema_id: int
     topic: str
     message_encoding: str
-    publisher: str = ""
+    properties: Properties = ()
+
+    @property
+    def publisher(self) -> str:
+        """Its ROS 1 node, from the metadata that a conversion leaves; may be empty."""
+        return dict(self.properties).get("callerid", "")
 
 
 class Statistics(NamedTuple):
@@ -99,6 +104,7 @@ class McapFacts(ChunkedFacts[ChannelRecord]):
     listed: list[Fact] = field(default_factory=list)
     outside_chunks: list[tuple[int, int]] = field(default_factory=list)
     header_damage: Malformed | None = None
+    properties_bytes: int = 0
 
     def schema_of(self, channel: ChannelRecord) -> Schema:
         """Return the schema of a channel; an empty one where the file lacks it."""
@@ -107,7 +113,7 @@ class McapFacts(ChunkedFacts[ChannelRecord]):
     def resolve_channels(self, message_compression: str = "") -> dict[int, Channel]:
         """Return the channels with their schemas."""
         return {
-            number: Channel(one.topic, one.message_encoding, self.schema_of(one), message_compression)
+            number: Channel(one.topic, one.message_encoding, self.schema_of(one), message_compression, one.properties)
             for number, one in self.channels.items()
         }
 
@@ -131,6 +137,11 @@ class BodyReader:
         if length > MAX_NAME:
             raise Malformed(self._where, f"a name of {length} bytes; at most {MAX_NAME} are read", certain=False)
         return self.blob(length).decode("utf-8", "replace")
+
+    def raw_text(self) -> bytes:
+        """Read a string; return its bytes behind their length."""
+        text = self.counted()
+        return _U32.pack(len(text)) + text
 
     def blob(self, length: int) -> bytes:
         """Read `length` bytes."""
@@ -187,18 +198,26 @@ def read_channel(facts: McapFacts, body: bytes, where: str) -> None:
     topic, message_encoding = reader.text(), reader.text()
     if channel_id in facts.channels:
         return
-    publisher = ""
-    try:
-        metadata = BodyReader(reader.counted(), "")
-        while metadata.left and not publisher:
-            key, value = metadata.text(), metadata.text()
-            publisher = value if key == "callerid" else ""
-    except Malformed:
-        pass  # cut, or damaged: nothing else depends on it
     if len(facts.channels) >= MAX_TOPICS:
         raise Malformed(where, f"more than {MAX_TOPICS} channels", certain=False)
-    _count_names(facts, where, topic, message_encoding, publisher)
-    facts.channels[channel_id] = ChannelRecord(schema_id, topic, message_encoding, publisher)
+    _count_names(facts, where, topic, message_encoding)
+    properties = _read_properties(facts, reader)
+    facts.channels[channel_id] = ChannelRecord(schema_id, topic, message_encoding, properties)
+
+
+def _read_properties(facts: McapFacts, reader: BodyReader) -> Properties:
+    """Return the metadata of a channel, as far as it can be read; none beyond `MAX_NAMES` bytes of them in a file."""
+    properties: list[tuple[str, str]] = []
+    try:
+        body = reader.counted()
+        facts.properties_bytes += len(body)
+        entries = BodyReader(body, "")
+        while entries.left and facts.properties_bytes <= MAX_NAMES:
+            name, value = entries.text(), entries.counted().decode("utf-8", "replace")
+            properties.append((name, value))
+    except Malformed:
+        pass  # cut, or damaged: nothing else depends on it
+    return tuple(properties)
 
 
 def _count_names(facts: McapFacts, where: str, *names: str) -> None:

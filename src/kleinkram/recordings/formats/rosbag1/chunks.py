@@ -122,7 +122,9 @@ class BagFacts(ChunkedFacts[Connection]):
     def resolve_channels(self) -> dict[int, Channel]:
         """Return the connections as channels."""
         return {
-            number: Channel(one.topic, "ros1", Schema(one.message_type, "ros1msg", one.definition))
+            number: Channel(
+                one.topic, "ros1", Schema(one.message_type, "ros1msg", one.definition), properties=one.properties
+            )
             for number, one in self.channels.items()
         }
 

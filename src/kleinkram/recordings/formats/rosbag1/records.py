@@ -14,6 +14,7 @@ from typing import NamedTuple
 from kleinkram.recordings.chunk_table import ChunkHead
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_HEADER, MAX_NAME
+from kleinkram.recordings.messages import Properties
 from kleinkram.recordings.streams import ByteStream
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -102,17 +103,23 @@ class Fields:
         return number
 
 
+_PROPERTIES = ("callerid", "latching", "md5sum")
 _MD5_OF_NOTHING = "d41d8cd98f00b204e9800998ecf8427e"
 """The md5sum of a type without fields: its empty definition is no missing one."""
 
 
 class Connection(NamedTuple):
-    """A topic as one publisher writes it. `definition`: the text of its message type."""
+    """A topic as one publisher writes it. `definition`: the text of its message type. `properties`: other fields."""
 
     topic: str
     message_type: str
-    publisher: str = ""
     definition: bytes = b""
+    properties: Properties = ()
+
+    @property
+    def publisher(self) -> str:
+        """Its node; may be empty."""
+        return dict(self.properties).get("callerid", "")
 
 
 class ChunkInfo(NamedTuple):
@@ -142,7 +149,8 @@ def read_connection(fields: Fields, data: bytes, where: str) -> tuple[int, Conne
     definition = inner.blob("message_definition")
     if not definition.strip() and inner.text("md5sum", "") == _MD5_OF_NOTHING:
         definition = b"# no fields\n"
-    return fields.u32("conn"), Connection(topic, inner.text("type"), inner.text("callerid", ""), definition)
+    properties = tuple((name, inner.text(name)) for name in _PROPERTIES if inner.blob(name))
+    return fields.u32("conn"), Connection(topic, inner.text("type"), definition, properties)
 
 
 def read_chunk_info(fields: Fields, data: bytes, where: str) -> ChunkInfo:

@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.limits import MAX_NAME, MAX_NAMES, MAX_TOPICS
+from kleinkram.recordings.messages import Properties
 from kleinkram.recordings.model import Problem, counted
 from kleinkram.recordings.sources import FileSource, SourceReader
 from kleinkram.recordings.temporary_files import TooLarge, temporary_database
@@ -45,17 +46,23 @@ _PREPARE = (
     f"PRAGMA cache_size=-{CACHE_KIB}",
 )
 _TEXT_COLUMNS = ("name", "type", "serialization_format")
+_PROPERTY_COLUMNS = {"offered_qos_profiles": "offered_qos_profiles", "type_description_hash": "topic_type_hash"}
+_MAX_PROPERTY = 64 * 2**10
 _MAX_FAULTS = 10
 _MAX_METADATA = 4 * 2**20
 
 
 class TopicRow(NamedTuple):
-    """A row of the table `topics`; `serialization_format` is empty in the oldest databases."""
+    """A row of the table `topics`; `serialization_format` is empty in the oldest databases.
+
+    `properties`: QoS profiles and type hash, by the names that rosbag2 gives them in an MCAP.
+    """
 
     topic_id: int
     name: str
     message_type: str
     serialization_format: str
+    properties: Properties = ()
 
 
 class Origin(NamedTuple):
@@ -140,16 +147,25 @@ def columns(database: sqlite3.Connection, table: str) -> set[str]:
 def read_topics(database: sqlite3.Connection) -> list[TopicRow]:
     """Return the topics, in the order of their ids."""
     present = columns(database, "topics")
-    columns_sql = ", ".join(f"substr({name}, 1, {MAX_NAME})" if name in present else "''" for name in _TEXT_COLUMNS)
+    bounds = {**dict.fromkeys(_TEXT_COLUMNS, MAX_NAME), **dict.fromkeys(_PROPERTY_COLUMNS, _MAX_PROPERTY + 1)}
+    columns_sql = ", ".join(f"substr({name}, 1, {most})" if name in present else "''" for name, most in bounds.items())
     topics: list[TopicRow] = []
-    names_bytes = 0
-    for topic_id, *texts in database.execute(f"SELECT rowid, {columns_sql} FROM topics ORDER BY rowid"):  # noqa: S608  # names of ours
-        row = TopicRow(topic_id, *(text if isinstance(text, str) else "" for text in texts))
-        names_bytes += sum(map(len, row[1:]))
+    names_bytes = properties_bytes = 0
+    for topic_id, *values in database.execute(f"SELECT rowid, {columns_sql} FROM topics ORDER BY rowid"):  # noqa: S608  # names of ours
+        name, kind, encoding, *properties = (value if isinstance(value, str) else "" for value in values)
+        names_bytes += len(name) + len(kind) + len(encoding)
+        properties_bytes += sum(map(len, properties))
         if len(topics) >= MAX_TOPICS or names_bytes > MAX_NAMES:
             raise Malformed("table topics", f"more than {MAX_TOPICS} topics, or very long names", certain=False)
-        topics.append(row)
+        is_within = properties_bytes <= MAX_NAMES
+        topics.append(TopicRow(topic_id, name, kind, encoding, read_properties(properties) if is_within else ()))
     return topics
+
+
+def read_properties(values: Sequence[str]) -> Properties:
+    """Return the properties of a topic by its last columns, without empty and very long ones."""
+    named = zip(_PROPERTY_COLUMNS.values(), values, strict=False)
+    return tuple((name, value) for name, value in named if 0 < len(value) <= _MAX_PROPERTY)
 
 
 def read_origin(database: sqlite3.Connection) -> Origin:

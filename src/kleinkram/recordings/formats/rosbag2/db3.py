@@ -373,6 +373,7 @@ def _read_channels(database: sqlite3.Connection, message_compression: str) -> di
             topic.serialization_format or "cdr",
             Schema(topic.message_type, *definitions.get(topic.message_type, ("", b""))),
             message_compression,
+            topic.properties,
         )
         for topic in db.read_topics(database)
     }

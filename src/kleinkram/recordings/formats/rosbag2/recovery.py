@@ -24,7 +24,7 @@ from kleinkram.recordings.formats.mcap.chunks import MESSAGE_FIXED, MESSAGE_HEAD
 from kleinkram.recordings.formats.mcap.format import MCAP_CHUNKS
 from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.rosbag2 import pages
-from kleinkram.recordings.formats.rosbag2.database import MessageRow, TopicRow
+from kleinkram.recordings.formats.rosbag2.database import MessageRow, TopicRow, read_properties
 from kleinkram.recordings.formats.rosbag2.pages import Cell, Column, PageFile
 from kleinkram.recordings.limits import MAX_NAME, MAX_TOPICS
 from kleinkram.recordings.messages import Channel, Schema
@@ -144,13 +144,15 @@ class Recovery:
             self._note(number, error.message)
 
     def _read_row(self, page: bytes, cell: Cell, columns: list[Column]) -> None:
-        texts = [self._text(page, cell, column) if pages.is_text(column) else "" for column in columns[:4]]
+        texts = [self._text(page, cell, column) if pages.is_text(column) else "" for column in columns]
         if len(columns) == _SCHEMA_COLUMNS and texts[0] == "table" and pages.is_integer(columns[3]):
             self._roots.setdefault(texts[1], pages.read_integer(columns[3], page, cell.at))
         elif len(columns) >= _MIN_TOPIC_COLUMNS and columns[0].serial == 0 and texts[1] and "/" in texts[2]:
             encoding = texts[3] if len(texts) > _MIN_TOPIC_COLUMNS else ""
             if len(self._topics) < MAX_TOPICS:
-                self._topics.setdefault(cell.row_id, TopicRow(cell.row_id, texts[1], texts[2], encoding))
+                whole = [text if column.length <= MAX_NAME else "" for text, column in zip(texts, columns, strict=True)]
+                row = TopicRow(cell.row_id, texts[1], texts[2], encoding, read_properties(whole[4:]))
+                self._topics.setdefault(cell.row_id, row)
 
     def _text(self, page: bytes, cell: Cell, column: Column) -> str:
         """Return a text as far as it is in the leaf page."""
@@ -261,7 +263,7 @@ def open_recovered(
             result = recovery.result
             for number, topic in enumerate(result.topics):
                 schema, encoding = Schema(topic.message_type, "", b""), topic.serialization_format or "cdr"
-                channels[number] = Channel(topic.name, encoding, schema, message_compression)
+                channels[number] = Channel(topic.name, encoding, schema, message_compression, topic.properties)
             pieces = _records(recovery, channels, builder)
             copy = stack.enter_context(temporary_copy(lambda _most: next(pieces, b"")))
             lost = counted(result.lost_messages, "message is", "messages are")

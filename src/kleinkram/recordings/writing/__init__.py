@@ -1,0 +1,1 @@
+"""Writes recordings and tables: MCAP and Parquet."""

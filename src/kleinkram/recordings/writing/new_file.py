@@ -1,0 +1,65 @@
+"""A new file that appears under its name only when it is complete."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from kleinkram.recordings.errors import CannotWrite
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[BinaryIO]:
+    """Yield a stream whose content becomes the file `path` when the block ends without an error.
+
+    Until then it is in `.NAME.part` beside it, which is removed after an error. One that a killed process left is
+    written over. Once the name appears, content and name are on the disk.
+
+    Raises:
+        CannotWrite: the name exists, another process writes it, the folder cannot be written to, or the disk is full.
+    """
+    part = path.with_name(f".{path.name}.part")
+    try:
+        _refuse_existing(path)
+        with _open_locked(path, part) as stream:
+            try:
+                yield stream
+                stream.flush()
+                os.fsync(stream.fileno())
+                _refuse_existing(path)
+                part.rename(path)
+            except BaseException:
+                part.unlink(missing_ok=True)
+                raise
+        _sync_folder(path.parent)
+    except OSError as error:
+        raise CannotWrite(str(path), f"cannot be written: {error.strerror or error}") from error
+
+
+def _refuse_existing(path: Path) -> None:
+    if path.exists() or path.is_symlink():
+        raise CannotWrite(str(path), "there is such a file or folder, and it is not replaced: choose another name")
+
+
+def _open_locked(path: Path, part: Path) -> BinaryIO:
+    descriptor = os.open(part, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        os.ftruncate(descriptor, 0)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise CannotWrite(str(path), "another process is writing it") from None
+    return os.fdopen(descriptor, "wb")
+
+
+def _sync_folder(folder: Path) -> None:
+    with suppress(OSError):  # not every file system can
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

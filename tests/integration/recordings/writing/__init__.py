@@ -1,0 +1,1 @@
+"""Recordings written as MCAP and Parquet."""

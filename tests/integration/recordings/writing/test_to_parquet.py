@@ -1,0 +1,140 @@
+"""`Recording.to_parquet`: what pyarrow reads back is what `Recording.to_arrow` gives."""
+
+from __future__ import annotations
+
+import json
+from io import BytesIO
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from kleinkram.recordings import CannotWrite, NoSuchTopic, Recording, Schema, Topic
+from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mcap
+from kleinkram.recordings.writing.parquet import _names_of
+from tests.recording_files.builders import T0
+from tests.recording_files.corpus import Entry, params
+from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.ros_messages import SECOND, TimedMessage, ros2_mcap
+from tests.recording_files.writers import McapWriter
+
+FORMATS = "MCAP", "ROS1 bag 2.0", "ROS2 sqlite3 db3", "file-zstd of MCAP", "PX4 ULog"
+
+
+def json_mcap(values: list[object]) -> MemorySource:
+    out = BytesIO()
+    writer = McapWriter(out)
+    channel = writer.add_channel("/state", writer.add_schema("State", "jsonschema", b"{}"), "json")
+    for number, value in enumerate(values):
+        writer.add_message(channel, T0 + number, json.dumps(value).encode())
+    writer.finish()
+    return MemorySource(out.getvalue())
+
+
+def _plain(table: pa.Table) -> str:
+    """Return a text in which NaN equals NaN, as it does not in Arrow."""
+    return repr(table.to_pylist())
+
+
+@pytest.mark.parametrize("entry", params(*FORMATS))
+def test_every_topic_of_every_recording(entry: Entry, recordings_dir: Path, tmp_path: Path) -> None:
+    with Recording.open(recordings_dir / entry.name) as recording:
+        result = recording.to_parquet(tmp_path / "out")
+        undecodable = {topic.name: topic.undecodable for topic in recording.topics if topic.undecodable}
+        assert {topic: result.left_out.get(topic) for topic in undecodable} == undecodable
+        assert {file.topic for file in result.files} | result.left_out.keys() == {t.name for t in recording.topics}
+        for topic in result.left_out.keys() - undecodable.keys():
+            assert "its columns do not fit into Parquet" in result.left_out[topic]
+        for file in result.files:
+            expected, actual = recording.to_arrow(file.topic), pq.read_table(file.path)
+            assert actual.schema.equals(expected.schema)
+            assert actual.equals(expected) or _plain(actual) == _plain(expected)
+            assert file.row_count == actual.num_rows
+            assert file.size_bytes == file.path.stat().st_size
+    assert sorted((tmp_path / "out").rglob("*")) == sorted(file.path for file in result.files)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag", "db3"])
+def test_metadata_of_the_sample(kind: str, tmp_path: Path) -> None:
+    make = {"mcap": generate_mcap, "bag": generate_bag, "db3": generate_db3}[kind]
+    make(tmp_path / "drive", size_bytes=3_000_000)
+    with Recording.open(tmp_path / "drive") as recording:
+        result = recording.to_parquet(tmp_path / "out", "/imu/data")
+    (file,) = result.files
+    assert file.path == tmp_path / "out" / "imu.data.parquet"
+    metadata = pq.read_metadata(file.path).metadata
+    message_type = "sensor_msgs/Imu" if kind == "bag" else "sensor_msgs/msg/Imu"
+    expected = {
+        b"recording": b"drive",
+        b"topic": b"/imu/data",
+        b"message_type": message_type.encode(),
+        b"message_encoding": b"ros1" if kind == "bag" else b"cdr",
+        b"frame_id": b"imu",
+    }
+    assert {key: value for key, value in metadata.items() if key in expected} == expected
+
+
+def test_a_frame_that_changes_is_not_named(tmp_path: Path) -> None:
+    imu = [
+        TimedMessage("/imu", "sensor_msgs/Imu", T0 + n, {"header": {"frame_id": f"f{n}"}}, T0 + n * SECOND)
+        for n in range(2)
+    ]
+    with Recording.open(ros2_mcap(imu)) as recording:
+        (file,) = recording.to_parquet(tmp_path).files
+    assert b"frame_id" not in pq.read_metadata(file.path).metadata
+
+
+def test_a_topic_is_written_in_row_groups(tmp_path: Path) -> None:
+    generate_mcap(tmp_path / "drive", size_bytes=60_000_000)
+    with Recording.open(tmp_path / "drive") as recording:
+        (file,) = recording.to_parquet(tmp_path / "out", "/lidar/points").files
+        assert pq.read_metadata(file.path).num_row_groups > 1
+        assert pq.read_table(file.path).equals(recording.to_arrow("/lidar/points"))
+
+
+def test_json_of_many_shapes(tmp_path: Path) -> None:
+    """More messages than fit into one batch, the last of which has another column."""
+    values: list[object] = [{"x": number, "name": "a"} for number in range(70_000)]
+    with Recording.open(json_mcap([*values, {"x": 1.5, "late": True}])) as recording:
+        (file,) = recording.to_parquet(tmp_path).files
+        table = pq.read_table(file.path)
+        assert table.equals(recording.to_arrow("/state"))
+    assert {"x", "name", "late"} <= set(table.column_names)
+
+
+@pytest.mark.parametrize("last", [{"y": "text"}, "text", True, None, [1]])
+def test_json_whose_columns_change_their_kind(tmp_path: Path, last: object) -> None:
+    """As in `to_arrow`, what a column cannot hold is null, and is reported."""
+    values: list[object] = [{"x": number} for number in range(70_000)]
+    with Recording.open(json_mcap([*values, {"x": last}])) as recording:
+        (file,) = recording.to_parquet(tmp_path).files
+        assert pq.read_table(file.path).equals(recording.to_arrow("/state"))
+        reported = [problem.code for problem in recording.problems]
+    assert reported == ([] if last is None else ["message-undecodable"])
+
+
+def test_files_are_not_replaced(tmp_path: Path) -> None:
+    generate_mcap(tmp_path / "drive", size_bytes=500_000)
+    with Recording.open(tmp_path / "drive") as recording:
+        recording.to_parquet(tmp_path / "out", "/odom")
+        before = (tmp_path / "out" / "odom.parquet").read_bytes()
+        with pytest.raises(CannotWrite, match=r"odom\.parquet: there is such a file"):
+            recording.to_parquet(tmp_path / "out", "/odom")
+        with pytest.raises(CannotWrite, match="the folder cannot be made: Not a directory"):
+            recording.to_parquet(tmp_path / "drive" / "out")
+        with pytest.raises(NoSuchTopic):
+            recording.to_parquet(tmp_path / "out", "/nothing")
+    assert (tmp_path / "out" / "odom.parquet").read_bytes() == before
+
+
+def test_names_of_files_differ() -> None:
+    names = ["/a/b", "/a.b", "/A/b", "/", "/ü/..", "/" + "x" * 300, "/" + "x" * 301]
+    topics = tuple(Topic(name, "", Schema("", "", b""), "cdr", 0, None) for name in names)
+    made = _names_of(topics)
+    assert made["/a/b"] == "a.b.parquet"
+    assert made["/a.b"] == "a.b-2.parquet"
+    assert made["/A/b"] == "A.b-3.parquet"
+    assert made["/"] == "topic.parquet"
+    assert len({name.lower() for name in made.values()}) == len(names)
+    assert not any("/" in name or name.startswith(".") or len(name) > 255 for name in made.values())
