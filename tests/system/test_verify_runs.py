@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from kleinkram.cli.errors import ExitCode
 from kleinkram.library import lidar_odometry
 from kleinkram.recordings.sample import Defect, Faults, SampleFormat, generate_mission
 from tests.acceptance.conftest import wait_until
@@ -65,6 +66,10 @@ def test_missions_become_good_or_bad_without_a_person(cluster: Cluster) -> None:
     assert [(check["name"], check["source"]) for check in checks if check["status"] == "error"] == [
         ("image.black", "report")
     ]
+
+    local = ("action", "run-local", _VERIFY, "-m", "black", "-p", "p", "--package-index", "off")
+    ran = klein.run(*local, "--out", cluster.home / "out", code=ExitCode.verdict_bad)
+    assert "Nothing was sent: this run has no access to the server." in ran.err
 
     rules.write_text(_STRICT_RULES)
     klein.run("checks", "set", rules, "-p", "p")
