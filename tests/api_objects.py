@@ -118,6 +118,7 @@ def run_detail(state: RunState, **more: object) -> RunDetail:
         "created_at": NOW,
         "may_cancel": False,
         "definition": ActionDefinition(name="look", script="print(1)"),
+        "packages": [],
         "problems": [],
         "metadata": {},
         "previews": [],

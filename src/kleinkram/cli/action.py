@@ -300,7 +300,7 @@ def info(
     """Show an action in its latest version, or in another: its definition, inputs and parameters."""
     name, number = split_version(action)
     target = client.actions.get(name, project=project)
-    version = client.actions.version(target, number)
+    version = client.actions.version(target, number or target.latest.number)
     return Output({"action": target, "version": version}, lambda: _show(target, version))
 
 
@@ -357,6 +357,7 @@ def _show_actions(actions: Iterable[ActionRead]) -> None:
 
 def _show(action: ActionRead, version: ActionVersionRead) -> None:
     definition, resources = version.definition, version.definition.resources
+    locked = len({text.partition("==")[0] for text in version.packages})
     details(
         [
             ("action", f"{action.name}@{version.number}"),
@@ -369,7 +370,7 @@ def _show(action: ActionRead, version: ActionVersionRead) -> None:
             ("command", definition.command),
             ("needs", definition.dependencies),
             ("python", definition.requires_python),
-            ("locked", None if definition.lock is None else f"{len(_packages_of(definition.lock))} packages"),
+            ("locked", f"{locked} packages" if locked else None),
             ("inputs", _inputs(definition.inputs)),
             (
                 "resources",

@@ -25,6 +25,7 @@ from kleinkram.contract.runs import (
     MetricRead,
     ReportFilter,
 )
+from kleinkram.contract.text_tables import csv_text
 
 ReadT = TypeVar("ReadT", bound=CheckRead | FindingRead | MetricRead)
 FilterT = TypeVar("FilterT", bound=ReportFilter)
@@ -147,7 +148,10 @@ def _write_csv(rows: Sequence[CheckRead | FindingRead | MetricRead]) -> None:
     writer = csv.DictWriter(sys.stdout, columns, restval="", lineterminator="\n")
     if columns:
         writer.writeheader()
-    writer.writerows(records)
+    writer.writerows(
+        {name: csv_text(value) if isinstance(value, str) else value for name, value in record.items()}
+        for record in records
+    )
 
 
 def _record(row: CheckRead | FindingRead | MetricRead) -> dict[str, object]:

@@ -20,7 +20,7 @@ from kleinkram.contract.metrics import TextFormat
 from kleinkram.contract.query import render
 from kleinkram.contract.runs import LineageFile, LineageRead
 from kleinkram.contract.search import StatsRead, StatsRow
-from kleinkram.contract.text_tables import NO_GROUP, TableValue, TextTable, write_table
+from kleinkram.contract.text_tables import NO_GROUP, TableValue, TextTable, csv_text, write_table
 
 _GROUPS = frozenset(("project", "mission", "topic", "type", "month", "format"))
 _NS_PER_HOUR = 3600 * 1_000_000_000
@@ -117,7 +117,7 @@ def stats(
         writer.writerow([read.by, "missions", "files", "recordings", "duration_ns", "size_bytes", "messages"])
         for row in read.rows:
             counts = [row.missions, row.files, row.recordings, row.duration_ns, row.size_bytes, row.messages]
-            writer.writerow([row.group or "", *counts])
+            writer.writerow([csv_text(row.group or ""), *counts])
     elif as_markdown or as_latex:
         written = _stats_table(by, read)
         sys.stdout.write(write_table(written, TextFormat.markdown if as_markdown else TextFormat.latex))

@@ -27,7 +27,6 @@ from kleinkram.contract.actions import (
     ParameterValues,
     VersionCreate,
 )
-from kleinkram.contract.errors import NotFound
 from kleinkram.contract.library import LIBRARY_PREFIX, LibraryActionRead, LibraryAdd, LibraryFilter, LibraryRead
 from kleinkram.contract.problems import first_problem
 from kleinkram.contract.project_actions import ProjectActionAdd, ProjectActionRead, RunTrigger
@@ -47,7 +46,7 @@ class Actions(NamedResource[ActionRead]):
     def list(
         self, *, name: str | None = None, project: Ref | None = None, archived: bool = False, limit: int | None = None
     ) -> Listing[ActionRead]:
-        """Yield actions by name, which may be a glob; with a project, its own and the whole lab's.
+        """Yield actions by name, which may be a glob; with a project, its own and the whole lab's; without their locks.
 
         Archived actions are listed alone.
         """
@@ -106,17 +105,18 @@ class Actions(NamedResource[ActionRead]):
         return self._api.send("POST", f"/library/{quote(name.removeprefix(LIBRARY_PREFIX), safe='')}", ActionRead, body)
 
     def versions(self, action_id: Ref) -> Listing[ActionVersionRead]:
-        """Yield the versions of an action, latest first."""
+        """Yield the versions of an action, latest first, without their locks, which `version` returns."""
         return pages(self._api, f"/actions/{self.id_of(action_id)}/versions", ActionVersionRead, [])
 
     def version(self, action: ActionRead, number: int | None = None) -> ActionVersionRead:
-        """Return a version of an action by its number; without one, the latest."""
-        if number is None or number == action.latest.number:
+        """Return a version of an action by its number, with its lock; without a number, the latest as in `action`.
+
+        Raises:
+            NotFound: there is none of that number.
+        """
+        if number is None:
             return action.latest
-        for version in self.versions(action.id):
-            if version.number == number:
-                return version
-        raise NotFound(resource_type="version", ref=f"{action.name}@{number}")
+        return self._api.get(f"/actions/{action.id}/versions/{number}", ActionVersionRead)
 
     def archive(self, action_id: Ref, *, archived: bool = True, if_match: str | None = None) -> ActionRead:
         """Archive an action, which removes it from lists, or with `archived=False` restore it; its runs stay."""

@@ -132,7 +132,7 @@ class Metrics(ApiResource):
             "The table",
             metric=metric,
             rows=row_group(rows),
-            columns=columns.split(",") if isinstance(columns, str) else [*columns],
+            columns=[name.strip() for name in columns.split(",")] if isinstance(columns, str) else [*columns],
             aggregate=aggregate,
             better=better,
             compare=[*compare],

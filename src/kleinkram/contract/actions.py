@@ -321,12 +321,14 @@ class ActionVersionRead(Response):
     """One version of an action, which never changes.
 
     `image_digest` is what the image's name was first resolved to (`sha256:…`), from then on used by every run; null
-    before, and for a script on the default image.
+    before, and for a script on the default image. `packages` are the versions in its lock, such as
+    `evo==1.38.1`; lists leave the lock itself out, since it is large.
     """
 
     id: uuid.UUID
     number: Annotated[int, Field(ge=1)]
     definition: ActionDefinition
+    packages: list[str] = []
     image_digest: str | None
     created_at: datetime.datetime
     created_by: PersonRef

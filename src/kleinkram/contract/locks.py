@@ -8,16 +8,20 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-from packaging.markers import Marker
+from packaging.markers import Marker, UndefinedComparison
 from packaging.requirements import InvalidRequirement, Requirement
 from packaging.specifiers import InvalidSpecifier, SpecifierSet
 from packaging.utils import canonicalize_name
+from packaging.version import InvalidVersion
 
 MAX_LOCKED_PACKAGES = 1000
 # Provided by the machine or image where a script runs, in the version of its runner.
 OWN_DISTRIBUTION = "open-kleinkram"
 
+_PINNED = re.compile(r"^\s*([A-Za-z0-9][A-Za-z0-9._-]*)\s*==\s*([^\s;\\]+)", re.MULTILINE)
 _HASH = re.compile(r"--hash=sha256:[0-9a-f]{64}")
+# A line break in a marker would begin a line of its own in a file of requirements.
+_CONTROL = re.compile("[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028\u2029]")
 
 
 class LockedPackage(NamedTuple):
@@ -29,7 +33,10 @@ class LockedPackage(NamedTuple):
 
     def is_needed(self, environment: Mapping[str, str]) -> bool:
         """Whether it is needed in this environment of markers."""
-        return self.marker is None or self.marker.evaluate(dict(environment))
+        try:
+            return self.marker is None or self.marker.evaluate(dict(environment))
+        except (UndefinedComparison, InvalidVersion):
+            return True  # the installation says what is wrong with the marker
 
 
 def parse_requirement(text: str) -> Requirement:
@@ -40,7 +47,10 @@ def parse_requirement(text: str) -> Requirement:
     """
     try:
         requirement = Requirement(text)
-    except InvalidRequirement as error:
+        # As it is written to a file of requirements; a marker may have escaped characters.
+        if _CONTROL.search(str(requirement)):
+            raise ValueError("it contains a line break or another control character")
+    except (InvalidRequirement, ValueError) as error:
         raise ValueError(f"{text!r} is not a requirement: {' '.join(str(error).split())}") from None
     if requirement.url is not None:
         raise ValueError(f"{text!r} names a URL; packages come from the package index")
@@ -73,6 +83,11 @@ def parse_lock(text: str) -> list[LockedPackage]:
     if len(packages) > MAX_LOCKED_PACKAGES:
         raise ValueError(f"contains {len(packages)} packages; {MAX_LOCKED_PACKAGES} are allowed")
     return packages
+
+
+def pinned_versions(lock: str | None) -> list[str]:
+    """Return the versions in a lock that was checked before, such as `evo==1.38.1`, without reading all of it."""
+    return [*dict.fromkeys(f"{canonicalize_name(name)}=={version}" for name, version in _PINNED.findall(lock or ""))]
 
 
 def check_lock(packages: Sequence[LockedPackage], requirements: Iterable[Requirement]) -> None:

@@ -18,6 +18,8 @@ MAX_FINDINGS = 10_000
 MAX_METRICS = 10_000
 MAX_PREVIEWS = 100
 MAX_METRIC_LABELS = 20
+MAX_METRIC = 1e150
+"""Of the size of a metric, so that sums of their squares, which PostgreSQL's mean needs, are finite, too."""
 MAX_REPORT_BYTES = 16 * 2**20
 """Of `report.json`."""
 MAX_REPORT_BODY_BYTES = 2 * MAX_REPORT_BYTES
@@ -64,7 +66,7 @@ class Metric(Request):
     """
 
     name: Code
-    value: FiniteFloat
+    value: Annotated[FiniteFloat, Field(ge=-MAX_METRIC, le=MAX_METRIC)]
     unit: Annotated[str, Field(max_length=32)] | None = None
     file: FilePath | None = None
     topic: TopicName | None = None

@@ -189,10 +189,12 @@ class RunRead(Response):
 class RunDetail(RunRead):
     """A run with its details. `problems` name the results that could not be stored.
 
-    `metadata` is what the run proposes for the mission. There are at most 720 `samples`.
+    `metadata` is what the run proposes for the mission. There are at most 720 `samples`. `packages` are the versions in
+    the lock of its definition, such as `evo==1.38.1`; the lock itself is left out, since it is large.
     """
 
     definition: ActionDefinition
+    packages: list[str] = []
     problems: list[str]
     metadata: Metadata
     previews: list[Preview]

@@ -45,8 +45,10 @@ _LATEX = {
     "*": "{*}",
     "-": "{-}",
 }
-# Source: CommonMark 0.31, section 2.4: characters that mean something within a line.
-_MARKDOWN = re.compile(r"([\\`*_{}\[\]<>|#~&])")
+# Source: CommonMark 0.31, section 2.4: characters that mean something within a line; `$` is GitHub's mathematics.
+_MARKDOWN = re.compile(r"([\\`*_{}\[\]<>|#~&$])")
+# Source: OWASP, "CSV Injection".
+_FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ def write_table(table: TextTable, text_format: TextFormat, digits: int = DEFAULT
 def significant(value: float, digits: int = DEFAULT_DIGITS) -> str:
     """Return a number with so many significant digits, trailing zeros included; without exponent where it can be."""
     if isinstance(value, int) or value == 0:
-        return f"{value:.0f}"
+        return str(int(value))
     exponent = int(f"{value:.{digits - 1}e}".rpartition("e")[2])
     if _MIN_EXPONENT <= exponent < _MAX_EXPONENT:
         return f"{value:.{max(0, digits - 1 - exponent)}f}"
@@ -149,10 +151,16 @@ def comparison_text(table: MetricTableRead) -> str:
 def _csv(table: TextTable) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table.headers)
+    writer.writerow(map(csv_text, table.headers))
     for first, *others in [*table.rows, *table.totals]:
-        writer.writerow([first, *("" if isinstance(value, str) else value for value in others)])
+        label = csv_text(first) if isinstance(first, str) else first
+        writer.writerow([label, *("" if isinstance(value, str) else value for value in others)])
     return text.getvalue()
+
+
+def csv_text(text: str) -> str:
+    """Return a text for a cell of CSV: what a spreadsheet would take for a formula is marked as text."""
+    return f"'{text}" if text.startswith(_FORMULA_STARTS) else text
 
 
 def _markdown(table: TextTable, digits: int) -> str:

@@ -1,4 +1,4 @@
-"""The cache of environments: one folder for each lock, version of Python and platform, used by runs, and read-only.
+"""The cache of environments: one folder for each lock, Python and image, used by runs, and read-only.
 
     <key>/packages/         the packages, which runs see as `/env`
     <key>/complete.json     the number and size of its files, written last; its time is that of the last use
@@ -19,6 +19,7 @@ import shutil
 import stat
 import subprocess
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -34,6 +35,7 @@ from kleinkram.environments.uv import PackageIndex, UvFailed, Wait, run_uv
 _PACKAGES, _COMPLETE, _LOCK, _NEW = "packages", "complete.json", ".lock", ".new-"
 _BUILD_TIMEOUT_S = 1800.0
 _RETRY_S = 0.1
+_MEASURE_EVERY_S = 2.0
 # Left free on the disk for others.
 _SPARE_BYTES = 256 * 2**20
 # What `uv` keeps for itself in a target folder.
@@ -49,16 +51,21 @@ class CannotInstall(Exception):
 
 @dataclass(frozen=True)
 class EnvironmentRequest:
-    """An environment: the lock of a script, the Python that it accepts, and the Python that it runs with."""
+    """An environment: the lock of a script, the Python that it accepts, and the Python that it runs with.
+
+    `image`: the id of the image whose Python that is. An image writes to the environment while it compiles it, so that
+    environments are not shared between images.
+    """
 
     lock: str
     python: Python
     requires_python: str | None = None
+    image: str | None = None
 
     @property
     def key(self) -> str:
         """The name of its folder in a cache."""
-        parts = [self.lock, self.python.short_version, self.python.platform]
+        parts = [self.lock, self.python.short_version, self.python.platform, *([self.image] if self.image else [])]
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
@@ -150,18 +157,18 @@ class EnvironmentCache:
                 *("--requirements", str(new / "lock.txt")),
             ]
 
+            guard = _SizeGuard(new, self._limit_bytes, wait)
+
             def wait_and_show(seconds: float) -> None:
-                wait(seconds)
-                if shutil.disk_usage(self._folder).free < _SPARE_BYTES:
-                    raise CannotInstall("The disk is full.")
+                guard.wait(seconds)
                 show(_fraction(new / "uv.log"))
 
             run_uv(arguments, self._index, folder=new, timeout_s=_BUILD_TIMEOUT_S, wait=wait_and_show, pass_fds=[lock])
             (target / _OF_UV).unlink(missing_ok=True)
             for name in ("scratch", "uv.log"):
                 remove_read_only(new / name)
-            wait(0)
-            compile_in(target, wait)
+            guard.wait(0)
+            compile_in(target, guard.wait)
             _make_read_only(target)
             (new / _COMPLETE).write_text(json.dumps(_inventory(target)))
             new.chmod(0o711)
@@ -193,7 +200,7 @@ class EnvironmentCache:
                         (path.stat().st_mtime, json.loads(path.read_text())["size_bytes"], path.parent.name)
                     )
         if needed_bytes > self._limit_bytes:
-            raise CannotInstall(f"They need {needed_bytes / 1e9:.1f} GB; {self._limit_bytes / 1e9:.1f} GB are allowed.")
+            raise _too_large(needed_bytes, self._limit_bytes)
         excess_bytes = sum(size_bytes for _, size_bytes, _ in complete) + needed_bytes - self._limit_bytes
         for _, size_bytes, key in sorted(complete):
             if excess_bytes <= 0:
@@ -250,6 +257,37 @@ class EnvironmentCache:
         except (FileNotFoundError, ValueError):
             return False
         return bool(_inventory(self._folder / key / _PACKAGES) == expected)
+
+
+class _SizeGuard:
+    """Ends a build that fills the disk, or becomes larger than the cache: wheels are archives, and grow by any factor.
+
+    Downloaded wheels are beside the unpacked ones for a while, so that it allows twice the limit.
+    """
+
+    def __init__(self, folder: Path, limit_bytes: int, wait: Wait) -> None:
+        self._folder, self._limit_bytes, self._wait = folder, limit_bytes, wait
+        self._measured_s = time.monotonic()
+
+    def wait(self, seconds: float) -> None:
+        """Wait (seconds). Raises CannotInstall."""
+        self._wait(seconds)
+        if shutil.disk_usage(self._folder).free < _SPARE_BYTES:
+            raise CannotInstall("The disk is full.")
+        if time.monotonic() < self._measured_s + _MEASURE_EVERY_S:
+            return
+        size_bytes = 0
+        for parent, _, names in os.walk(self._folder):
+            for name in names:
+                with contextlib.suppress(OSError):  # removed meanwhile
+                    size_bytes += (Path(parent) / name).lstat().st_size
+        self._measured_s = time.monotonic()
+        if size_bytes > 2 * self._limit_bytes:
+            raise _too_large(size_bytes, self._limit_bytes)
+
+
+def _too_large(size_bytes: int, limit_bytes: int) -> CannotInstall:
+    return CannotInstall(f"They need {size_bytes / 1e9:.1f} GB; {limit_bytes / 1e9:.1f} GB are allowed.")
 
 
 def _check_python(request: EnvironmentRequest) -> None:

@@ -17,6 +17,7 @@ from kleinkram.environments.uv import PackageIndex, UvFailed, Wait, run_uv
 LOCK_TIMEOUT_S = 40.0
 _OLDEST_PYTHON = (3, 10)
 _NEWEST_MINOR = 30
+_PATCH_RELEASES = 100
 
 
 class CannotLock(ValueError):
@@ -127,7 +128,7 @@ def oldest_python(requires_python: str | None) -> str:
     """
     accepted = SpecifierSet(requires_python or "")
     for minor in range(_OLDEST_PYTHON[1], _NEWEST_MINOR):
-        # The last patch release: `>=3.11.2` accepts 3.11.
-        if accepted.contains(f"3.{minor}.99") or accepted.contains(f"3.{minor}.0"):
+        # Any patch release: `>=3.11.2` and `==3.11.4` accept 3.11.
+        if any(accepted.contains(f"3.{minor}.{patch}") for patch in range(_PATCH_RELEASES)):
             return f"3.{minor}"
     raise CannotLock(f"No version of Python fulfils requires-python = {requires_python!r} (3.10 is the oldest here).")

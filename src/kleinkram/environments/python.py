@@ -1,9 +1,9 @@
 """The Python that scripts run with: which wheels it takes."""
 
-import json
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from packaging.markers import default_environment
+from pydantic import BaseModel, Field, ValidationError
 
 # Run by that Python, which need not have this library: prints what `parse_python` reads.
 PROBE = """\
@@ -21,6 +21,18 @@ print(json.dumps({
 # The versions of glibc that uv knows as platforms, in ascending order.
 _GLIBC_MINORS = (17, 28, 31, 32, 33, 34, 35, 36, 37, 38, 39, 40)
 _MACHINES = {"x86_64", "aarch64"}
+
+
+class _Facts(BaseModel):
+    """What `PROBE` prints. An image can print anything in its place."""
+
+    implementation: Annotated[str, Field(pattern=r"^[a-z0-9_]{1,32}$")]
+    version: Annotated[str, Field(pattern=r"^3\.[0-9]{1,3}\.[0-9]{1,3}$")]
+    machine: Annotated[str, Field(pattern=r"^[A-Za-z0-9_]{1,32}$")]
+    system: Annotated[str, Field(max_length=32)]
+    libc: Annotated[str, Field(max_length=32)]
+    libc_version: Annotated[str, Field(pattern=r"^[0-9A-Za-z.-]{0,32}$")]
+    free_threaded: bool
 
 
 class PythonUnknown(Exception):
@@ -54,16 +66,16 @@ def parse_python(output: str) -> Python:
         PythonUnknown: there are no wheels for it.
     """
     try:
-        facts = json.loads(output.strip().splitlines()[-1])
-        version, machine, minor = facts["version"], facts["machine"], facts["libc_version"].partition(".")[2]
-        libc, is_usual = facts["libc"], facts["implementation"] == "cpython" and not facts["free_threaded"]
-    except (IndexError, ValueError, KeyError, TypeError, AttributeError):
+        facts = _Facts.model_validate_json(output.strip().splitlines()[-1])
+    except (IndexError, ValidationError):
         raise PythonUnknown("It has no python3.") from None
-    if not is_usual or facts["system"] != "linux" or machine not in _MACHINES:
-        raise PythonUnknown(f"Packages cannot be installed for {facts['implementation']} on {machine}.")
-    if libc != "glibc":
-        return Python(version, f"{machine}-unknown-linux-musl")
+    is_usual = facts.implementation == "cpython" and facts.system == "linux" and not facts.free_threaded
+    if not is_usual or facts.machine not in _MACHINES:
+        raise PythonUnknown(f"Packages cannot be installed for {facts.implementation} on {facts.machine}.")
+    if facts.libc != "glibc":
+        return Python(facts.version, f"{facts.machine}-unknown-linux-musl")
+    minor = facts.libc_version.partition(".")[2]
     known = [number for number in _GLIBC_MINORS if minor.isdigit() and number <= int(minor)]
     if not known:
-        raise PythonUnknown(f"Its C library (glibc {facts['libc_version']}) is older than 2.17.")
-    return Python(version, f"{machine}-manylinux_2_{known[-1]}")
+        raise PythonUnknown(f"Its C library (glibc {facts.libc_version}) is older than 2.17.")
+    return Python(facts.version, f"{facts.machine}-manylinux_2_{known[-1]}")

@@ -134,7 +134,8 @@ _FOLDER = re.compile(r"`--find-links` directory: (\S+)")
 _STATUS = re.compile(r"HTTP status (?:client|server) error \((\d+)")
 _FORBIDDEN = re.compile(r"authentication credentials \((\d+)|returned a (40[13]) ")
 _AWAY = re.compile(r"Request failed|[Ee]rror sending request|Failed to fetch|dns error|tcp connect|timed out")
-_USERINFO = re.compile(r"//[^/\s@]+@")
+# Up to the last @: a password may contain some.
+_USERINFO = re.compile(r"//[^/\s]+@")
 
 
 def explain(output: str) -> str:

@@ -28,7 +28,7 @@ from kleinkram.recordings.trajectories import (
 )
 
 _TRANSFORM_TYPES = ("TFMessage", "tfMessage")
-_WITH_RECORDING = re.compile(r"(?P<recording>[^:].*?):(?P<rest>(/|tf:).+)", re.DOTALL)
+WITH_RECORDING = re.compile(r"(?!tf:)(?P<recording>[^:].*?):(?P<rest>(/|tf:).+)", re.DOTALL)
 _SHOWN = 10
 
 
@@ -91,7 +91,8 @@ def read_trajectories(source: str, recordings: Sequence[InputRecording]) -> list
     Raises:
         TrajectoryRefused: there is none, or several recordings have the topic.
     """
-    paths = [path for path in _input_paths() if fnmatchcase(path, source)]
+    paths = [path for path in _input_paths() if path == source]
+    paths = paths or [path for path in _input_paths() if fnmatchcase(path, source)]
     if paths:
         results = [_read_file(path) for path in paths]
         if len(results) == 1 and isinstance(results[0], TrajectoryRefused):
@@ -127,9 +128,9 @@ def _input_paths() -> list[str]:
 
 
 def _from_recording(source: str, recordings: Sequence[InputRecording]) -> InputTrajectory:
-    match = _WITH_RECORDING.fullmatch(source)
+    match = WITH_RECORDING.fullmatch(source)
     name, rest = (match["recording"], match["rest"]) if match else ("*", source)
-    selected = [recording for recording in recordings if fnmatchcase(recording.name, name)]
+    selected = [recording for recording in recordings if recording.name == name or fnmatchcase(recording.name, name)]
     if match and not selected:
         raise TrajectoryRefused(
             source, f"no recording is called {name}; there are {_shown([r.name for r in recordings])}"

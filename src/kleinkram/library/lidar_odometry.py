@@ -116,6 +116,9 @@ def run() -> None:
     recordings = input_recordings()
     recording, topic = cloud_topic(recordings, str(parameters()["topic"]))
     mount_source = str(parameters()["mount"]).strip()
+    values = parameters()
+    if float(values["min_range"]) >= float(values["max_range"]):
+        raise TrajectoryRefused("min_range", "must be below max_range")
     mount = read_trajectory(mount_source, recordings).trajectory if mount_source else None
     if mount is not None and mount.stamps_ns is not None:
         raise TrajectoryRefused(mount_source, "moves: the mount of a lidar is a static transform")
@@ -164,6 +167,7 @@ def _is_cloud(topic: Topic) -> bool:
 def scans(recording: InputRecording, topic: Topic) -> Iterator[Scan]:
     """Yield the scans of a topic. Those without points are left out, and a finding counts them."""
     empty = number = 0
+    last_ns = -1
     shown = time.monotonic()
     with recording.open() as reader:
         for number, message in enumerate(reader.messages(topic.name), 1):
@@ -176,6 +180,11 @@ def scans(recording: InputRecording, topic: Topic) -> Iterator[Scan]:
             stamp_ns = message.stamp_ns
             if stamp_ns is None:
                 raise TrajectoryRefused(topic.name, f"{place} has no stamp")
+            if stamp_ns <= last_ns:  # now, not after hours
+                before = f"{seconds_text(last_ns)} s of the scan before it"
+                reason = f"{place}: its stamp {seconds_text(stamp_ns)} s is not later than {before}; stamps must ascend"
+                raise TrajectoryRefused(topic.name, reason)
+            last_ns = stamp_ns
             is_usable = np.isfinite(xyz).all(axis=1) & xyz.any(axis=1)
             field = next((name for name in TIME_FIELDS if name in (cloud.dtype.names or ())), None)
             times = np.empty(0) if field is None else cloud[field][is_usable].astype(np.float64)

@@ -167,15 +167,16 @@ def evaluate_all() -> None:
     recordings = input_recordings()
     reference = read_reference(recordings)
     candidates = read_trajectories(str(parameters()["estimate"]).strip(), recordings)
-    if len(candidates) > 1:
-        candidates = [candidate for candidate in candidates if name_of(candidate) != reference.name]
+    candidates = [candidate for candidate in candidates if not is_same(candidate, reference)]
+    if not candidates:
+        raise TrajectoryRefused(name_of(reference), "is the reference itself; name another estimate")
     results: list[Result] = []
     for number, candidate in enumerate(candidates):
         progress(0.1 + 0.8 * number / len(candidates), name_of(candidate)[:200])
         try:
             if isinstance(candidate, TrajectoryRefused):
                 raise candidate
-            results.append(evaluate(candidate.trajectory, reference, options))
+            results.append(evaluate(candidate.trajectory, reference.trajectory, options))
         except TrajectoryRefused as refusal:
             if len(candidates) == 1:
                 raise
@@ -204,7 +205,7 @@ def read_options() -> EvaluationOptions:
     return EvaluationOptions(str(values["alignment"]), float(values["tolerance"]), tuple(deltas))
 
 
-def read_reference(recordings: Sequence[InputRecording]) -> Trajectory:
+def read_reference(recordings: Sequence[InputRecording]) -> InputTrajectory:
     """Return the reference that the parameter or else the mission names. Raises TrajectoryRefused."""
     source = parameters()["reference"] or context().mission.metadata.get("reference")
     if not isinstance(source, str) or not source.strip():
@@ -214,7 +215,7 @@ def read_reference(recordings: Sequence[InputRecording]) -> Trajectory:
             "to a file, a topic such as /odom, or transforms such as tf:map->base_link",
         )
     try:
-        return read_trajectory(source.strip(), recordings).trajectory
+        return read_trajectory(source.strip(), recordings)
     except TrajectoryRefused as refusal:
         raise TrajectoryRefused(f"reference {refusal.name}", refusal.reason) from None
 
@@ -222,6 +223,11 @@ def read_reference(recordings: Sequence[InputRecording]) -> Trajectory:
 def name_of(candidate: InputTrajectory | TrajectoryRefused) -> str:
     """Return the name of an estimate, whether it can be used or not."""
     return candidate.name if isinstance(candidate, TrajectoryRefused) else candidate.trajectory.name
+
+
+def is_same(candidate: InputTrajectory | TrajectoryRefused, reference: InputTrajectory) -> bool:
+    """Return whether an estimate is the reference: its error would be 0."""
+    return name_of(candidate) == name_of(reference) and getattr(candidate, "paths", ()) == reference.paths
 
 
 def check_comparable(estimate: Trajectory, reference: Trajectory) -> None:

@@ -58,6 +58,7 @@ RUN_OPERATIONS: dict[str, tuple[Caller, ...]] = {
     "get_action": (Caller(get("/actions/{action}"), Target.project),),
     "update_action": (Caller(patch("/actions/{action}", lambda _: {"archived": False}), Target.project),),
     "list_action_versions": (Caller(get("/actions/{action}/versions"), Target.project),),
+    "get_action_version": (Caller(get("/actions/{action}/versions/1"), Target.project),),
     "publish_action_version": (
         Caller(post("/actions/{action}/versions", lambda _: {"definition": ACTION}), Target.project),
     ),

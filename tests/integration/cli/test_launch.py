@@ -111,7 +111,7 @@ def test_metrics_as_csv_have_columns_of_parameters_and_labels() -> None:
 def test_a_version_of_an_action_can_be_run() -> None:
     action, older = action_read("look", number=4), action_read("look", number=3).latest
     refusal = RunRefused(mission_id=MISSION.id, problem=to_problem(NotFound(resource_type="mission", ref="day"), "r"))
-    with scripted(page(MISSION), page(action), page(action.latest, older), RunsCreated(items=[refusal])) as script:
+    with scripted(page(MISSION), page(action), older, RunsCreated(items=[refusal])) as script:
         ran = klein(script, "action", "run", "look@3", "-m", "day")
     assert ran.exit_code == ExitCode.not_found
     assert "alps/day: There is no mission 'day'" in ran.stderr

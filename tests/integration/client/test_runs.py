@@ -16,7 +16,7 @@ from kleinkram.client.errors import InvalidInput, TimedOut, VerifyFailed
 from kleinkram.client.transfer import Outcome
 from kleinkram.contract.actions import ActionDefinition, ActionRead
 from kleinkram.contract.base import Page
-from kleinkram.contract.errors import AmbiguousName, NotFound
+from kleinkram.contract.errors import AmbiguousName
 from kleinkram.contract.runs import (
     MAX_LAUNCHED,
     ArtifactRead,
@@ -104,12 +104,15 @@ def test_ambiguous_names_of_actions_are_refused() -> None:
     with scripted(nothing, Page(items=[of_lab], next=None)) as script, client_of(script) as client:
         assert client.actions.get("look").id == of_lab.id
     assert "archived=true" in script.requests[1].path
-    with (
-        scripted(Page(items=[of_lab.latest], next=None)) as script,
-        client_of(script) as client,
-        pytest.raises(NotFound, match="look@7"),
-    ):
-        client.actions.version(of_lab, 7)
+
+
+def test_a_version_of_an_action_is_read_with_its_lock() -> None:
+    action = action_read("look")
+    with scripted(action.latest) as script, client_of(script) as client:
+        assert client.actions.version(action) == action.latest
+        assert script.requests == [], "the latest is part of the action"
+        assert client.actions.version(action, 7) == action.latest
+    assert script.requests[0].path.endswith(f"/actions/{action.id}/versions/7")
 
 
 def artifact(path: str, content: bytes) -> ArtifactRead:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from kleinkram.environments import cache as cache_module
 from kleinkram.environments.cache import (
     CannotInstall,
     Environment,
@@ -22,7 +23,7 @@ from kleinkram.environments.cache import (
 )
 from kleinkram.environments.lock import lock_dependencies
 from kleinkram.environments.python import PROBE, Python, parse_python
-from kleinkram.environments.uv import parse_index
+from kleinkram.environments.uv import Wait, parse_index
 from tests.package_index import PackageIndex
 
 GB = 10**9
@@ -216,3 +217,60 @@ def test_a_python_is_described_by_its_own_words() -> None:
     python = parse_python("a warning\n" + json.dumps(facts | {"free_threaded": False}))
     assert python == Python("3.12.4", "aarch64-manylinux_2_40")
     assert python.markers()["platform_machine"] == "aarch64"
+
+
+def test_an_image_writes_to_no_environment_but_its_own(index: PackageIndex, tmp_path: Path) -> None:
+    """An image compiles the packages, so it could change them: for its own runs only."""
+    lock, cache = lock_of(index, "arm"), a_cache(tmp_path, index)
+
+    def compile_in(folder: Path, _: Wait) -> None:
+        (folder / "arm.py").chmod(0o644)
+        (folder / "arm.py").write_text("VERSION = 'changed'\n")
+
+    def get_for(image: str | None) -> Environment:
+        request = EnvironmentRequest(lock, this_python(), image=image)
+        compile_it = compile_in if image == "sha256:evil" else lambda *_: None
+        return cache.get(request, wait=time.sleep, show=lambda *_: None, compile_in=compile_it)
+
+    assert imported(get_for("sha256:evil"), "import arm; print(arm.VERSION)") == "changed"
+    for image in (None, "sha256:good"):
+        assert imported(get_for(image), "import arm; print(arm.VERSION)") == "2.0"
+    assert get_for("sha256:good").packages == get_for("sha256:good").packages
+
+
+def test_a_build_that_grows_without_end_is_stopped(
+    index: PackageIndex, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cache_module, "_MEASURE_EVERY_S", 0.0)
+    written = 0
+
+    def compile_in(folder: Path, wait: Wait) -> None:
+        nonlocal written
+        while written < 100:
+            (folder / f"{written}.pyc").write_bytes(bytes(100_000))
+            written += 1
+            wait(0)
+
+    cache = a_cache(tmp_path, index, limit_bytes=1_000_000)
+    request = EnvironmentRequest(lock_of(index, "arm"), this_python())
+    with pytest.raises(CannotInstall, match="GB are allowed"):
+        cache.get(request, wait=time.sleep, show=lambda *_: None, compile_in=compile_in)
+    assert written < 30
+    assert not list((tmp_path / "environments").glob("*.new-*"))
+
+
+@pytest.mark.parametrize(
+    "name", ["../../../../stray", "stray-1.0.data/data/../../../stray", "stray-1.0.data/scripts/../../../stray"]
+)
+def test_no_file_of_a_wheel_is_placed_elsewhere(index: PackageIndex, tmp_path: Path, name: str) -> None:
+    index.add("stray", "1.0", {"stray.py": "", name: "here\n"})
+    get(a_cache(tmp_path / "one" / "two" / "three", index), lock_of(index, "stray"))
+    assert not [path for path in tmp_path.rglob("stray") if path.is_file()]
+
+
+def test_no_command_of_a_wheel_is_placed_elsewhere(index: PackageIndex, tmp_path: Path) -> None:
+    points = {"stray-1.0.dist-info/entry_points.txt": "[console_scripts]\n../../../../stray = stray:main\n"}
+    index.add("stray", "1.0", {"stray.py": "", **points})
+    with pytest.raises(CannotInstall, match="uv failed"):
+        get(a_cache(tmp_path / "one" / "two" / "three", index), lock_of(index, "stray"))
+    assert not list(tmp_path.rglob("stray"))

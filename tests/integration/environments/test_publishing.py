@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import uuid
 from collections.abc import Iterator
@@ -9,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from kleinkram import connect
 from kleinkram.contract.access import Scope, TokenKind
 from kleinkram.contract.locks import parse_lock
 from tests.integration import people
@@ -81,6 +83,8 @@ def test_a_published_script_is_locked(lab: Api) -> None:
         ("gripper", "There is no package gripper in the package index."),
         ("arm>=3", "There is no release arm>=3 in the package index."),
         ("arm @ https://example.org/arm.whl", "packages come from the package index"),
+        ("arm\n-r /etc/hostname", "is not a requirement"),
+        (r"""arm; platform_version == 'x"\n-r /etc/hostname\narm; platform_version == "x'""", "is not a requirement"),
     ],
 )
 def test_what_cannot_be_locked_is_refused_and_not_stored(lab: Api, dependency: str, message: str) -> None:
@@ -190,3 +194,36 @@ def test_the_python_that_a_script_requires_counts(lab: Api, shared_index: Packag
 def test_without_an_index_dependencies_are_the_image_s(start_api: StartApi) -> None:
     off = start_api(package_index="off")
     assert publish(off, "no-such-package")["latest"]["definition"]["lock"] is None
+
+
+def test_lists_name_the_locked_versions_but_leave_out_the_lock(lab: Api, mission: Any, runner: FakeRunner) -> None:
+    """A lock is large: that of evo has 100 kB."""
+    lock = "".join(f"arm{number}==1.0 \\\n    --hash=sha256:{'a' * 64}\n" for number in range(1000))
+    dependencies = [f"arm{number}" for number in range(3)]
+    requested = definition(*dependencies, lock=lock) | {"resources": {"labels": runner.labels}}
+    project_id = mission["project"]["id"]
+    made = lab.post("/actions", {"project_id": project_id, "definition": requested}).ok(201)
+    for number in range(2, 7):
+        changed = {"definition": requested | {"description": f"version {number}"}}
+        lab.post(f"/actions/{made['id']}/versions", changed).ok(201)
+    launched = lab.post("/runs", {"mission_ids": [mission["id"]], "action_id": made["id"], "version": 2}).ok()
+    run_id = launched["items"][0]["run"]["id"]
+
+    versions = lab.get(f"/actions/{made['id']}/versions").ok()
+    (listed,) = lab.get("/actions", {"project_id": project_id, "name": requested["name"]}).ok()["items"]
+    detail = lab.get(f"/runs/{run_id}").ok()
+    for row in (*versions["items"], listed["latest"], detail):
+        assert (row["definition"]["lock"], len(row["packages"]), row["packages"][0]) == (None, 1000, "arm0==1.0")
+        assert row["definition"]["script"] == requested["script"]
+    assert max(len(json.dumps(row)) for row in (*versions["items"], listed, detail)) < len(lock) / 4
+
+    one = lab.get(f"/actions/{made['id']}/versions/2").ok()
+    assert (one["number"], one["definition"]["lock"], one["packages"]) == (2, lock, detail["packages"])
+    assert lab.get(f"/actions/{made['id']}").ok()["latest"]["definition"]["lock"] == lock
+    lab.get(f"/actions/{made['id']}/versions/99").refused(404, "not_found")
+    assert lab.post(f"/runs/{run_id}/retry").ok(201)["action"]["version"] == 2
+    with connect(lab.url, token=lab.token) as client:
+        action = client.actions.get(requested["name"], project=project_id)
+        assert client.actions.version(action, 6).definition.lock == lock
+        same = client.actions.add_version(action.id, client.actions.version(action, 6).definition)
+        assert same.latest.number == 6

@@ -11,8 +11,11 @@ import pytest
 from kleinkram.action.testing import TryOutResult, try_out
 from kleinkram.client.actions import read_manifest
 from kleinkram.contract.access import Right
+from kleinkram.library import lidar_odometry
+from kleinkram.library.inputs import InputRecording
+from kleinkram.recordings import Recording
 from kleinkram.recordings.sample import generate_mcap, generate_rig
-from kleinkram.recordings.trajectories import read_file
+from kleinkram.recordings.trajectories import TrajectoryRefused, read_file
 from tests.integration.library.packages import LIDAR_ODOMETRY, SLAM_EVALUATE, slow_with_packages, with_packages
 from tests.recording_files.ros_messages import SECOND, T0, TimedMessage, ros2_mcap
 
@@ -61,11 +64,12 @@ TF = TimedMessage(
         ([[cloud("/a")]], {"topic": "/b"}, "/b: no recording has this topic; topics of point clouds: /a"),
         ([[cloud("/a")], [cloud("/a")]], {}, "/a: 2 recordings have it: 0.mcap, 1.mcap; name one, such as"),
         ([[cloud("/a")]], {"mount": "tf:base->lidar"}, "tf:base->lidar: the inputs have no such file or topic"),
+        ([[cloud("/a")]], {"min_range": 100.0}, "min_range: must be below max_range"),
         ([[cloud("/a"), TF]], {"mount": "tf:base->lidar"}, "tf:base->lidar: moves: the mount of a lidar is a static"),
     ],
 )
 def test_a_mission_without_one_lidar_fails_with_a_sentence(
-    tmp_path: Path, recordings: list[list[TimedMessage]], parameters: dict[str, str], sentence: str
+    tmp_path: Path, recordings: list[list[TimedMessage]], parameters: dict[str, str | float], sentence: str
 ) -> None:
     files = {f"{number}.mcap": mcap(*messages) for number, messages in enumerate(recordings)}
     ran = track(tmp_path, files, **parameters)
@@ -74,6 +78,17 @@ def test_a_mission_without_one_lidar_fails_with_a_sentence(
     assert finding.message.startswith(sentence)
     assert ran.log.strip() == finding.message
     assert not ran.report.mission_files
+
+
+def test_doubled_scans_are_refused_before_the_others_are_tracked(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    path.write_bytes(mcap(cloud("/a"), cloud("/a", T0 + 1), cloud("/a", T0 + 1), cloud("/a", T0 + 2)))
+    with Recording.open(path) as recording:
+        topic = recording.topic("/a")
+    scans = lidar_odometry.scans(InputRecording("drive.mcap", (path,), (topic,)), topic)
+    assert [next(scans).stamp_ns, next(scans).stamp_ns] == [T0, T0 + 1]
+    with pytest.raises(TrajectoryRefused, match=r"its stamp 1700000000\.000000001 s is not later than"):
+        next(scans)
 
 
 def test_the_script_describes_itself() -> None:

@@ -84,6 +84,12 @@ def test_an_unusable_estimate_fails_with_a_sentence(tmp_path: Path, estimate: st
     assert sentence in refusal
 
 
+@pytest.mark.parametrize("estimate", [REFERENCE, "*.tum"])
+def test_the_reference_is_not_compared_with_itself(tmp_path: Path, estimate: str) -> None:
+    refusal = refusal_of(evaluate(tmp_path, {REFERENCE: GOOD}, estimate=estimate))
+    assert refusal == f"{REFERENCE}: is the reference itself; name another estimate"
+
+
 def test_a_mission_without_a_reference_fails_and_says_how_to_name_one(tmp_path: Path) -> None:
     refusal = refusal_of(evaluate(tmp_path, {ESTIMATE: GOOD}, reference=None))
     assert refusal.startswith("reference: the mission mission names none: set its metadata field reference, or the")

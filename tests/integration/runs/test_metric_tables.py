@@ -355,3 +355,84 @@ def test_a_table_takes_a_constant_number_of_statements(work: Lab) -> None:
         counts.append(len(statements))
     assert len(set(counts[1:])) == 1
     assert counts[-1] <= 12
+
+
+def test_a_value_without_a_unit_has_that_of_its_own_version(work: Lab) -> None:
+    """A second version in other units must not make the first one's values look a hundred times larger."""
+    work.mission("a")
+    work.run("a", 12)
+    work.publish(metrics=[ATE | {"unit": "cm"}])
+    work.run("a", 1200)
+    assert "the units cm and m" in work.refused()
+    assert [work.table(version=number)["unit"] for number in (1, 2)] == ["m", "cm"]
+    assert work.api.get("/metrics", {"project_id": work.project["id"]}).ok()["items"][0]["unit"] == "cm"
+    work.publish(metrics=[])
+    work.run("a", {"name": "ate", "value": 1})
+    assert work.table(version=3)["unit"] is None, "nothing says what it is"
+
+
+def test_names_of_metrics_have_all_units_that_were_reported(work: Lab) -> None:
+    work.mission("a")
+    work.run("a", 1)
+    work.run("a", {"name": "ate", "value": 1, "unit": "mm"})
+    (item,) = work.api.get("/metrics", {"project_id": work.project["id"]}).ok()["items"]
+    assert (item["unit"], item["run_count"]) == ("m, mm", 2)
+
+
+def test_true_and_one_are_two_values_of_a_parameter(work: Lab) -> None:
+    work.mission("a")
+    for number, kind in ((1, "boolean"), (2, "integer"), (3, "number")):
+        work.publish(parameters=[{"name": "deskew", "type": kind}])
+        work.run("a", number, deskew=True if kind == "boolean" else 1)
+    table = work.table(columns=["param.deskew"])
+    assert _labels(table) == ["deskew=1", "deskew=true"]
+    assert _values(table) == {"a": [3, 1]}, "1 and 1.0 are the same number, and its latest result counts"
+    assert _values(work.table(where=["param.deskew=true"])) == {"a": [1]}
+
+
+def test_parameters_and_comparisons_of_any_size_make_a_table(work: Lab) -> None:
+    work.mission("a")
+    work.publish(parameters=[{"name": "n", "type": "integer"}, {"name": "x", "type": "number", "default": 0.1 + 0.2}])
+    work.run("a", 1, n=10**400)
+    work.run("a", 2, n=-(10**400))
+    work.run("a", 3, n=5, x=0.3)
+    assert _values(work.table(columns=["param.n"])) == {"a": [2, 3, 1]}
+    assert _labels(work.table(columns=["param.x"])) == ["x=0.3", "x=0.30000000000000004"]
+    assert work.table(where=["param.n=1e999"])["rows"] == []
+    assert work.table(where=['param.n="5"'])["rows"] == [], "in quotes, it is a text"
+    assert _values(work.table(where=["param.n=5"])) == {"a": [3]}
+
+
+def test_columns_that_differ_in_case_are_compared_as_they_are_named(work: Lab) -> None:
+    work.mission("a")
+    work.run("a", 1, method="ICP")
+    work.run("a", 5, method="icp")
+    table = work.table(columns=["param.method"], compare=["method=ICP", "method=icp"])
+    compared = [table["columns"][table["comparison"][place]]["label"] for place in ("first", "second")]
+    assert (compared, table["comparison"]["differences"]) == (["method=ICP", "method=icp"], [4])
+    assert "several columns" in work.refused(columns=["param.method"], compare=["method=ICP", "METHOD=ICP"])
+    same = work.refused(columns=["param.method"], compare=["method=ICP", "method=ICP"])
+    assert "both names are of the column method=ICP" in same
+
+
+def test_rows_without_runs_are_those_of_the_filter(work: Lab) -> None:
+    for name in ("a", "b", "c"):
+        work.mission(name)
+    work.run("a", 1)
+    for name in ("a", "b"):
+        table = work.table(all_rows="true", mission_id=work.missions[name])
+        assert [row["label"] for row in table["rows"]] == [name]
+    assert [row["label"] for row in work.table(all_rows="true")["rows"]] == ["a", "b", "c"]
+
+
+def test_metrics_of_any_accepted_size_can_be_aggregated_and_compared(work: Lab) -> None:
+    for name, value in (("a", 1e150), ("b", -1e150)):
+        work.mission(name)
+        work.run(name, value)
+        work.run(name, -value, method="other")
+    table = work.table(columns=["param.method"], compare=["method=kiss", "method=other"])
+    assert table["comparison"]["differences"] == [-2e150, 2e150]
+    assert _values(work.table(rows="project", aggregate="mean")) == {work.project["name"]: [0]}
+    work.launch("a", method="large")
+    too_large = {"metrics": [{"name": "ate", "value": 1e151}]}
+    work.runner.finish(work.runner.claim(), report=too_large).refused(422, "invalid_request")

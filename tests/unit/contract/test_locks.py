@@ -4,7 +4,7 @@ import pytest
 from pydantic import ValidationError
 
 from kleinkram.contract.actions import ActionDefinition
-from kleinkram.contract.locks import check_lock, parse_lock, parse_requirement
+from kleinkram.contract.locks import check_lock, parse_lock, parse_requirement, pinned_versions
 
 HASH = f"--hash=sha256:{'0' * 64}"
 LOCK = f"""\
@@ -64,3 +64,29 @@ def test_a_definition_is_refused_with_a_lock_of_other_dependencies() -> None:
         ActionDefinition.model_validate({**fields, "lock": LOCK})
     with pytest.raises(ValidationError, match="is not a condition on the version of Python"):
         ActionDefinition.model_validate({**fields, "requires_python": "3.11"})
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "arm\n-r /etc/passwd",
+        r"""arm; platform_version == 'x"\n-r /etc/passwd\narm; platform_version == "x'""",
+        r"""arm; platform_version == "x'\n-r /etc/passwd\narm; platform_version == 'x\x22" """,
+    ],
+    ids=["plain", "escaped", "both-quotes"],
+)
+def test_a_dependency_is_one_line_of_a_file_of_requirements(text: str) -> None:
+    with pytest.raises(ValueError, match="is not a requirement"):
+        parse_requirement(text.strip())
+
+
+def test_a_marker_that_cannot_be_evaluated_is_left_to_the_installation() -> None:
+    (package,) = parse_lock(f"arm==1.0 ; os_name ~= 'x' {HASH}\n")
+    assert package.is_needed({"os_name": "posix"})
+
+
+def test_the_versions_of_a_lock_are_listed_once() -> None:
+    forked = LOCK + f"arm==0.9 ; python_full_version < '3.9' \\\n    {HASH}\narm==1.0 ; os_name == 'nt' {HASH}\n"
+    assert pinned_versions(forked) == ["arm==1.0", "robot-arm==2.1", "arm==0.9"]
+    assert pinned_versions(forked.replace("\n", "\r\n")) == pinned_versions(forked)
+    assert pinned_versions(None) == []

@@ -98,7 +98,7 @@ def test_markdown_is_escaped() -> None:
     assert lines[2:4] == ["| mission | a\\_b@1 |", "| --- | ---: |"]
     cells = re.split(r"(?<!\\)\|", lines[4])
     assert len(cells) == 4, "a bar in a name does not end a cell"
-    assert cells[1].strip() == '\\\\ \\& % $ \\# \\_ \\{ \\} \\~ ^ \\< \\> \\| \\` " \\[x\\] \\* a--b é'
+    assert cells[1].strip() == '\\\\ \\& % \\$ \\# \\_ \\{ \\} \\~ ^ \\< \\> \\| \\` " \\[x\\] \\* a--b é'
     assert cells[2].strip() == "**0.5000**"
 
 
@@ -183,3 +183,12 @@ def test_a_comparison_is_a_column_and_a_sentence() -> None:
 def test_invalid_tables_are_refused(query: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=next(iter(query))):
         MetricTableQuery.model_validate({"metric": "ate"} | query)
+
+
+def test_csv_has_no_formulas() -> None:
+    rows = [["=HYPERLINK(1)", -1.5], ["+1", 1.0], ["-a", 1.0], ["@a", 1.0], ["a=b", 1.0]]
+    text = write_table(_table(headers=["mission", "=1"], rows=rows), TextFormat.csv)
+    first, *others = [*csv.reader(io.StringIO(text))]
+    assert first == ["mission", "'=1"]
+    assert [row[0] for row in others] == ["'=HYPERLINK(1)", "'+1", "'-a", "'@a", "a=b"]
+    assert others[0][1] == "-1.5", "numbers stay numbers"

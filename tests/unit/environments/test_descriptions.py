@@ -35,6 +35,7 @@ FACTS = {
         ),
         ("error: No space left on device (os error 28)", "The disk is full."),
         ("error: odd: https://me:secret@lab.example/simple", "uv failed: odd: https://lab.example/simple"),
+        ("error: odd: https://me:s@cr@t@lab.example/simple", "uv failed: odd: https://lab.example/simple"),
     ],
 )
 def test_failures_become_sentences(output: str, sentence: str) -> None:
@@ -76,6 +77,10 @@ def test_a_python_has_a_platform_of_wheels(changes: dict[str, object], platform:
     [
         ("", "has no python3"),
         ("{}", "has no python3"),
+        (json.dumps(FACTS | {"version": 3.12}), "has no python3"),
+        (json.dumps(FACTS | {"version": "3.12.4; --index-url"}), "has no python3"),
+        (json.dumps(FACTS | {"machine": ["x86_64"]}), "has no python3"),
+        (json.dumps({name: value for name, value in FACTS.items() if name != "system"}), "has no python3"),
         (json.dumps(FACTS | {"implementation": "pypy"}), "cannot be installed for pypy"),
         (json.dumps(FACTS | {"free_threaded": True}), "cannot be installed"),
         (json.dumps(FACTS | {"machine": "armv7l"}), "on armv7l"),
@@ -88,7 +93,14 @@ def test_a_python_without_wheels_is_refused(output: str, reason: str) -> None:
 
 
 def test_the_oldest_python_is_what_the_script_accepts() -> None:
-    accepted = {None: "3.10", ">=3.8": "3.10", ">=3.11.2": "3.11", "~=3.12": "3.12", ">3.10,<4": "3.10"}
+    accepted = {
+        None: "3.10",
+        ">=3.8": "3.10",
+        ">=3.11.2": "3.11",
+        "~=3.12": "3.12",
+        ">3.10,<4": "3.10",
+        "==3.11.4": "3.11",
+    }
     assert {text: oldest_python(text) for text in accepted} == accepted
     with pytest.raises(CannotLock, match="No version of Python"):
         oldest_python("<3.10")

@@ -2,7 +2,8 @@
 
 import pytest
 
-from kleinkram.library.inputs import InputRecording, only_recording
+from kleinkram.library import inputs
+from kleinkram.library.inputs import WITH_RECORDING, InputRecording, only_recording
 from kleinkram.recordings import Schema, Topic
 from kleinkram.recordings.trajectories import TrajectoryRefused
 
@@ -28,3 +29,26 @@ def test_of_two_originals_one_must_be_named() -> None:
         TrajectoryRefused, match=r"^/odom: 2 recordings have it: a.bag, b.bag; name one, such as a.bag:/odom"
     ):
         only_recording("/odom", [recording("a.bag"), recording("b.bag")], is_odometry)
+
+
+@pytest.mark.parametrize(
+    ("source", "name", "rest"),
+    [
+        ("tf:/map->/base_link", None, None),
+        ("tf:map->base_link", None, None),
+        ("nuc/nuc.mcap:tf:/map->/base", "nuc/nuc.mcap", "tf:/map->/base"),
+        ("nuc.mcap:/odom", "nuc.mcap", "/odom"),
+    ],
+)
+def test_a_frame_with_a_slash_is_no_recording(source: str, name: str | None, rest: str | None) -> None:
+    match = WITH_RECORDING.fullmatch(source)
+    assert (match and match["recording"], match and match["rest"]) == (name, rest)
+
+
+def test_a_path_with_the_letters_of_a_glob_is_that_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inputs, "_input_paths", lambda: ["run1.tum", "run[1].tum"])
+    monkeypatch.setattr(inputs, "_read_file", lambda path: TrajectoryRefused(path, "was read"))
+    for source, read in (("run[1].tum", "run[1].tum"), ("run[0-9].tum", "run1.tum")):
+        with pytest.raises(TrajectoryRefused) as caught:
+            inputs.read_trajectories(source, [])
+        assert str(caught.value) == f"{read}: was read"

@@ -107,6 +107,7 @@ def test_names_of_columns_decide_on_the_order_of_the_quaternion(tmp_path: Path) 
         ("1 2 3\n", "line 1 has 3 values; a pose of TUM has 8 values, one of KITTI 12"),
         ("1 0 0 7 0 1 0 8 0 0 2 9\n", "line 1: its matrix is no rotation"),
         ("1 0 0 7 0 1 0 8 0 0 nan 9\n", "line 1: its matrix is no rotation"),
+        ("1.5,0,0,0,0,0,0,1\n", "line 1 has no names of columns above it, and its stamp is not EuRoC's"),
         ("stamp,b,c\n1,2,3\n", "line 2 is a row of a table whose columns are no poses"),
         (f"{T0},0,0,0,1,0,0,0\n{T0},0,0,0,1,0,0,0\n", f"line 2: its stamp {T0 // SECOND}.000000000 s is that of"),
     ],
@@ -396,3 +397,40 @@ def test_poses_between_stamps_turn_the_shorter_way() -> None:
     assert between.orientations[1] == pytest.approx(np.array(eighth))
     with pytest.raises(ValueError, match="outside"):
         trajectory.at(np.array([101], dtype=np.int64))
+
+
+def test_a_byte_order_mark_does_not_matter(tmp_path: Path) -> None:
+    for text in (TUM, TUM.partition("\n")[2], "time,x,y,z,qx,qy,qz,qw\r\n1.5,1,2,3,0,0,0,1\r\n"):
+        assert from_text(tmp_path, f"\ufeff{text}").positions[0].tolist() == [1, 2, 3]
+
+
+def test_a_transform_is_interpolated_as_it_was_published() -> None:
+    """The inverse of a turning frame moves on an arc: 100 m away, a straight line between two samples is wrong."""
+    far = transform_of(100.0)
+    timed = [tf(T0, "map", "odom", far), tf(T0 + 2 * SECOND, "map", "odom", transform_of(100.0, QUARTER_TURN))]
+    timed += [tf(T0 + number * SECOND, "odom", "base", transform_of(0.0)) for number in range(3)]
+    with Recording.open(ros2_mcap(sorted(timed, key=lambda message: message.log_ns))) as recording:
+        there, back = read_transforms(recording, "map", "base"), read_transforms(recording, "base", "map")
+    assert np.linalg.norm(back.positions, axis=1) == pytest.approx([100.0] * 3)
+    assert there.inverse().positions == pytest.approx(back.positions)
+
+
+def test_transforms_that_cannot_be_decoded_are_refused() -> None:
+    import json
+    from io import BytesIO
+
+    from tests.recording_files.writers import McapWriter
+
+    out = BytesIO()
+    writer = McapWriter(out, profile="")
+    channel = writer.add_channel("/tf", writer.add_schema("tf2_msgs/msg/TFMessage", "jsonschema", b"{}"), "json")
+    header = {"stamp": {"sec": 5, "nanosec": 0}, "frame_id": "odom"}
+    transform = {"header": header, "child_frame_id": "base", "transform": transform_of(1.0)}
+    writer.add_message(channel, T0, json.dumps({"transforms": [transform]}).encode())
+    writer.add_message(channel, T0 + SECOND, b"{broken")
+    writer.finish()
+    with (
+        Recording.open(MemorySource(out.getvalue(), "tf.mcap")) as recording,
+        pytest.raises(TrajectoryRefused, match=r"/tf at 1700000001\.000000000 s cannot be decoded"),
+    ):
+        read_transforms(recording, "odom", "base")

@@ -73,6 +73,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/actions/{action_id}/versions/{number}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Action Version
+         * @description Get a version of an action, with its lock.
+         */
+        get: operations["get_action_version"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/admin/health": {
         parameters: {
             query?: never;
@@ -3081,7 +3101,8 @@ export interface components {
          * @description One version of an action, which never changes.
          *
          *     `image_digest` is what the image's name was first resolved to (`sha256:…`), from then on used by every run; null
-         *     before, and for a script on the default image.
+         *     before, and for a script on the default image. `packages` are the versions in its lock, such as
+         *     `evo==1.38.1`; lists leave the lock itself out, since it is large.
          */
         ActionVersionRead: {
             /**
@@ -3100,6 +3121,11 @@ export interface components {
             image_digest: string | null;
             /** Number */
             number: number;
+            /**
+             * Packages
+             * @default []
+             */
+            packages: string[];
         };
         /**
          * AddressRead
@@ -6868,7 +6894,8 @@ export interface components {
          * RunDetail
          * @description A run with its details. `problems` name the results that could not be stored.
          *
-         *     `metadata` is what the run proposes for the mission. There are at most 720 `samples`.
+         *     `metadata` is what the run proposes for the mission. There are at most 720 `samples`. `packages` are the versions in
+         *     the lock of its definition, such as `evo==1.38.1`; the lock itself is left out, since it is large.
          */
         RunDetail: {
             action: components["schemas"]["ActionRef"];
@@ -6930,6 +6957,11 @@ export interface components {
             metrics: components["schemas"]["Metric"][];
             mission: components["schemas"]["MissionRef"];
             network: components["schemas"]["Network"];
+            /**
+             * Packages
+             * @default []
+             */
+            packages: string[];
             /** Parameters */
             parameters: {
                 [key: string]: boolean | number | string;
@@ -8398,6 +8430,38 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["ActionRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_action_version: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                action_id: string;
+                number: number;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ActionVersionRead"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */

@@ -128,6 +128,7 @@ const reads: Readonly<Record<string, string>> = {
   get_stats: "the statistics of everything",
   get_upload: "an upload",
   list_action_versions: "the versions of an action",
+  get_action_version: "a version of an action",
   list_actions: "the actions of every project",
   list_artifacts: "the artifacts of a run",
   list_audit_events: "the audit log",

@@ -33,6 +33,12 @@ if TYPE_CHECKING:
 
 _TUM_VALUES, _KITTI_VALUES = 8, 12
 _FORMATS = "a pose of TUM has 8 values, one of KITTI 12, and one of EuRoC at least 8 with commas between them"
+_NO_NAMES = (
+    "no names of columns above it, and its stamp is not EuRoC's, in nanoseconds: whether the quaternion begins with w "
+    "is not known; begin the file with a line such as time,x,y,z,qx,qy,qz,qw"
+)
+# In ns; greater than any number of seconds, milliseconds or microseconds that is a time.
+_EARLIEST_EUROC = 1e17
 _ROTATION_TOLERANCE = 0.01
 _SHOWN = 40
 
@@ -107,7 +113,8 @@ class _Lines:
     def _texts(self) -> Iterator[str]:
         for number, line in self._lines:
             self.number = number
-            if text := line.decode("utf-8", "replace").strip():
+            # Some programs put a byte order mark before the first line.
+            if text := line.decode("utf-8-sig" if number == 1 else "utf-8", "replace").strip():
                 yield text
 
     def refusal(self, reason: str) -> TrajectoryRefused:
@@ -192,17 +199,16 @@ def _read_table(lines: _Lines, first: str) -> Trajectory:
         names, cells = cells, []
         lines.skip()
     columns = len(names) or len(cells)
-    is_checked = False
     poses, stamps = PoseList(lines.name, _place), _Stamps(lines, stamp_unit_in(names))
     order = _quaternion_order(names)
     for text in lines:
         cells = text.split(",")
-        if not is_checked:
-            if not are_poses(names, columns, [cell.encode() for cell in cells[:_TUM_VALUES]]):
-                raise lines.refusal("is a row of a table whose columns are no poses; EuRoC's are time, p_x … q_z")
-            is_checked = True
+        if not len(poses) and not are_poses(names, columns, [cell.encode() for cell in cells[:_TUM_VALUES]]):
+            raise lines.refusal("is a row of a table whose columns are no poses; EuRoC's are time, p_x … q_z")
         cells = [cell.strip() for cell in cells[:_TUM_VALUES]]
         numbers = lines.numbers(cells, _TUM_VALUES)
+        if not names and columns == _TUM_VALUES and numbers[0] < _EARLIEST_EUROC:
+            raise lines.refusal(f"has {_NO_NAMES}")
         poses.add(lines.number, stamps.read(cells[0], numbers[0]), (*numbers[1:4], *(numbers[at] for at in order)))
     return poses.trajectory()
 

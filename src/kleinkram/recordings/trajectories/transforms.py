@@ -69,16 +69,18 @@ def read_transforms(recording: Recording, parent: str, child: str) -> Trajectory
     series = _Series(name, way)
     for sample in _samples(recording, topics, name):
         series.add(sample)
-    steps = [
-        series.trajectory(edge) if edge[0] == start else series.trajectory(edge).inverse()
-        for start, edge in zip(_starts(way, parent), way, strict=True)
-    ]
-    return _chained(name, steps)
+    starts = [*_starts(way, parent)]
+    poses = _at_common_times(name, [series.trajectory(edge) for edge in way])
+    steps = [step if edge[0] == start else step.inverse() for step, edge, start in zip(poses, way, starts, strict=True)]
+    return replace(reduce(Trajectory.followed_by, steps), name=name)
 
 
 def _samples(recording: Recording, topics: list[str], name: str) -> Iterator[_Sample]:
     for message in recording.messages(topics):
         is_static = message.topic.rpartition("/")[2] == _STATIC
+        if isinstance(message.value, bytes):
+            place = f"{message.topic} at {seconds_text(message.log_time_ns)} s"
+            raise TrajectoryRefused(name, f"{place} cannot be decoded")
         for transform in part(message.value, "transforms") or ():
             edge = frame_of(transform), str(part(transform, "child_frame_id") or "").lstrip("/")
             try:
@@ -159,14 +161,13 @@ def _starts(way: list[Edge], parent: str) -> Iterator[str]:
         frame = edge[1] if edge[0] == frame else edge[0]
 
 
-def _chained(name: str, steps: list[Trajectory]) -> Trajectory:
-    moving = [step for step in steps if step.stamps_ns is not None]
-    if moving:
-        stamps_ns = max(moving, key=len).stamps_ns
-        begin = max(int(step.stamps_ns[0]) for step in moving if step.stamps_ns is not None)
-        end = min(int(step.stamps_ns[-1]) for step in moving if step.stamps_ns is not None)
-        common = stamps_ns[(stamps_ns >= begin) & (stamps_ns <= end)] if stamps_ns is not None else None
-        if common is None or not len(common):
-            raise TrajectoryRefused(name, "its transforms have no time in common")
-        steps = [step if step.stamps_ns is None else step.at(common) for step in steps]
-    return replace(reduce(Trajectory.followed_by, steps), name=name)
+def _at_common_times(name: str, steps: list[Trajectory]) -> list[Trajectory]:
+    """Return transforms as published, since the inverse of a turning one does not move in a straight line."""
+    stamps = [step.stamps_ns for step in steps if step.stamps_ns is not None]
+    if not stamps:
+        return steps
+    longest = max(stamps, key=len)
+    common = longest[(longest >= max(own[0] for own in stamps)) & (longest <= min(own[-1] for own in stamps))]
+    if not len(common):
+        raise TrajectoryRefused(name, "its transforms have no time in common")
+    return [step if step.stamps_ns is None else step.at(common) for step in steps]

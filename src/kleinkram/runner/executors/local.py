@@ -124,7 +124,7 @@ class LocalExecutor(Executor):
             raise cannot_start("Its runner installs no packages: it has no package index, or no uv.")
         image = script.image
         try:
-            request = EnvironmentRequest(script.lock, self._find_python(image), script.requires_python)
+            request = EnvironmentRequest(script.lock, self._find_python(image), script.requires_python, image)
             return cache.get(
                 request,
                 wait=wait,

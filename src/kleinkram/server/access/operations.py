@@ -124,6 +124,7 @@ OPERATIONS: dict[str, Permission] = {
     "get_action": Permission(ResourceKind.project, Right.read, _READ),
     "update_action": Permission(ResourceKind.project, Right.write, _WRITE),
     "list_action_versions": Permission(ResourceKind.project, Right.read, _READ),
+    "get_action_version": Permission(ResourceKind.project, Right.read, _READ),
     "publish_action_version": Permission(ResourceKind.project, Right.write, _WRITE),
     # The actions that are shipped with the server, of which a project or the whole lab has some
     "list_library": Permission(ResourceKind.project, Right.read, _READ),

@@ -16,7 +16,7 @@ from kleinkram.contract.actions import (
 from kleinkram.contract.base import Page
 from kleinkram.contract.library import LibraryAdd, LibraryFilter, LibraryRead
 from kleinkram.server.actions import library, service
-from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
+from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction, VersionNumber
 from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.pagination import PageQuery
 
@@ -63,6 +63,14 @@ async def list_action_versions(
 ) -> Page[ActionVersionRead]:
     """List the versions of an action, latest first."""
     return await service.list_versions(db, actor, action_id=action_id, page=query.page)
+
+
+@router.get("/{action_id}/versions/{number}", operation_id="get_action_version")
+async def get_action_version(
+    action_id: uuid.UUID, number: VersionNumber, db: Reading, actor: CurrentActor
+) -> ActionVersionRead:
+    """Get a version of an action, with its lock."""
+    return await service.get_version(db, actor, action_id=action_id, number=number)
 
 
 @router.post("/{action_id}/versions", operation_id="publish_action_version", status_code=201)

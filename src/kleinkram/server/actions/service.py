@@ -3,6 +3,7 @@
 import hashlib
 import json
 import uuid
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, RowMapping, Select, false, func, insert, literal, or_, select, update
@@ -18,6 +19,7 @@ from kleinkram.contract.actions import (
 )
 from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FieldProblem, Forbidden, InvalidRequest, NameTaken, NotFound
+from kleinkram.contract.locks import pinned_versions
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
 from kleinkram.contract.people import PersonRef
@@ -54,7 +56,7 @@ async def list_actions(db: Connection, actor: Actor, *, matching: ActionFilter, 
         stmt = stmt.where(or_(action.c.project_id.is_(None), action.c.project_id == matching.project_id))
     if matching.archived is not None:
         stmt = stmt.where(action.c.archived_at.is_not(None) if matching.archived else action.c.archived_at.is_(None))
-    return await read_page(db, stmt, _ACTION_ORDER, page, lambda row: _to_action(row._mapping))
+    return await read_page(db, stmt, _ACTION_ORDER, page, lambda row: _to_action(_without_lock(row._mapping)))
 
 
 async def get_action(db: Connection, actor: Actor, action_id: uuid.UUID) -> ActionRead:
@@ -218,10 +220,27 @@ async def list_versions(
         InvalidCursor: the cursor is not of this list.
     """
     await _row(db, actor, action_id)
-    return await read_page(db, _versions_of(action_id), _VERSION_ORDER, page, lambda row: _to_version(row._mapping))
+    rows = _versions_of(action_id)
+    return await read_page(db, rows, _VERSION_ORDER, page, lambda row: _to_version(_without_lock(row._mapping)))
 
 
-async def get_version(db: Connection, actor: Actor, *, action_id: uuid.UUID, number: int | None) -> ActionVersionRead:
+async def get_version(db: Connection, actor: Actor, *, action_id: uuid.UUID, number: int) -> ActionVersionRead:
+    """Return a version of an action, also of an archived one.
+
+    Raises:
+        NotFound: the action, or that version, is not there, or not for this actor.
+    """
+    row = await _row(db, actor, action_id)
+    stmt = _versions_of(action_id).where(action_version.c.number == number)
+    version = (await db.execute(stmt)).mappings().one_or_none()
+    if version is None:
+        raise NotFound(resource_type="version", ref=f"{row['name']}@{number}")
+    return _to_version(version)
+
+
+async def get_version_to_run(
+    db: Connection, actor: Actor, *, action_id: uuid.UUID, number: int | None
+) -> ActionVersionRead:
     """Return a version of an action that may be run; by default the latest.
 
     Raises:
@@ -235,11 +254,7 @@ async def get_version(db: Connection, actor: Actor, *, action_id: uuid.UUID, num
         raise InvalidRequest(problems=[problem])
     if number is None:
         return _to_version(row)
-    stmt = _versions_of(action_id).where(action_version.c.number == number)
-    version = (await db.execute(stmt)).mappings().one_or_none()
-    if version is None:
-        raise NotFound(resource_type="version", ref=f"{name}@{number}")
-    return _to_version(version)
+    return await get_version(db, actor, action_id=action_id, number=number)
 
 
 class UnpublishedVersion(NamedTuple):
@@ -343,18 +358,26 @@ def _version_columns() -> list[ColumnElement[Any]]:
     ]
 
 
-def _to_version(row: RowMapping) -> ActionVersionRead:
+def _without_lock(row: Mapping[Any, Any]) -> dict[str, Any]:
+    """Return a row of a list: of the lock, only the versions are in it."""
+    definition = row["definition"]
+    packages = pinned_versions(definition.get("lock"))
+    return {**row, "definition": definition | {"lock": None}, "packages": packages}
+
+
+def _to_version(row: Mapping[Any, Any]) -> ActionVersionRead:
     return ActionVersionRead(
         id=row["version_id"],
         number=row["number"],
         definition=ActionDefinition.model_validate(row["definition"]),
+        packages=row.get("packages") or pinned_versions(row["definition"].get("lock")),
         image_digest=row["image_digest"],
         created_at=row["version_created_at"],
         created_by=PersonRef(id=row["version_created_by_id"], name=row["version_created_by_name"]),
     )
 
 
-def _to_action(row: RowMapping) -> ActionRead:
+def _to_action(row: Mapping[Any, Any]) -> ActionRead:
     latest = _to_version(row)
     has_project = row["project_id"] is not None
     return ActionRead(

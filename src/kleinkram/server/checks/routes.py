@@ -3,7 +3,7 @@
 import uuid
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Query
 from pydantic import Field
 
 from kleinkram.contract.base import Page
@@ -24,7 +24,7 @@ from kleinkram.contract.checks import (
     TrendStep,
 )
 from kleinkram.server.checks import documents, overview, service
-from kleinkram.server.http.dependencies import CurrentActor, Reading, Transaction
+from kleinkram.server.http.dependencies import CurrentActor, Reading, Transaction, VersionNumber
 from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.pagination import CountedPageQuery, PageQuery
 
@@ -35,9 +35,6 @@ class MissionChecksQuery(MissionCheckFilter, PageQuery):
     """The query of the checks of a mission."""
 
     with_history: bool = Field(False, alias="all")
-
-
-VersionNumber = Annotated[int, Path(ge=1, lt=2**31)]
 
 
 @router.get("/projects/{project_id}/checks", operation_id="get_project_checks")

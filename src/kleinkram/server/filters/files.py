@@ -322,15 +322,23 @@ def _contains(path: Sequence[str], value: _Scalar | list[_Scalar]) -> ColumnElem
 
 
 def _interpretations(value: str) -> list[_Scalar | list[_Scalar]]:
-    """Return the possible meanings of a value: text, and a number or boolean where it reads as one."""
-    text = _unquoted(value)
-    scalars: list[_Scalar] = [value if text is None else text]
-    if text is None:
-        canonical = iso_text(value)
-        scalars += [canonical] if canonical else []
-        scalars += [_number(value)] if _NUMBER.fullmatch(value) else []
-        scalars += [value.lower() == "true"] if value.lower() in {"true", "false"} else []
+    """Return the possible meanings of a value, alone and as an item of a list."""
+    scalars = scalars_of(value)
     return [*scalars, *([scalar] for scalar in scalars)]
+
+
+def scalars_of(value: str) -> list[_Scalar]:
+    """Return what a value may mean: a text, and a number or boolean where it reads as one; in quotes only a text."""
+    text = _unquoted(value)
+    if text is not None:
+        return [text]
+    canonical = iso_text(value)
+    return [
+        value,
+        *([canonical] if canonical else []),
+        *([_number(value)] if _NUMBER.fullmatch(value) else []),
+        *([value.lower() == "true"] if value.lower() in {"true", "false"} else []),
+    ]
 
 
 def _unquoted(value: str) -> str | None:

@@ -3,7 +3,7 @@
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Annotated
 
-from fastapi import Depends, Request
+from fastapi import Depends, Path, Request
 from fastapi.routing import APIRoute
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
@@ -157,6 +157,8 @@ async def _reading(database: CurrentDatabase, _actor: CurrentActor) -> AsyncIter
         yield connection
 
 
+# In a path: of an action, or of a project's checks.
+VersionNumber = Annotated[int, Path(ge=1, lt=2**31)]
 CurrentContext = Annotated[AppContext, Depends(_context)]
 # scope="function": committed before the response is sent, so that clients read their own writes.
 Transaction = Annotated[Connection, Depends(_transaction, scope="function")]

@@ -113,7 +113,7 @@ async def _decide(db: Connection, row: Row[Any]) -> _Decision:
 
 
 async def _start_once(db: Connection, actor: Actor, row: Row[Any]) -> None:
-    version = await actions.get_version(db, actor, action_id=row.action_id, number=None)
+    version = await actions.get_version_to_run(db, actor, action_id=row.action_id, number=None)
     parameters = version.definition.fill_in(row.parameters)
     of_project = select(action.c.project_id).where(action.c.id == row.action_id)
     project_id: uuid.UUID | None = (await db.execute(of_project)).scalar_one()

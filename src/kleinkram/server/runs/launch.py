@@ -248,7 +248,7 @@ async def retry_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, force: b
 async def _task(db: Connection, actor: Actor, requested: RunsCreate, *, is_locked_here: bool) -> PreparedAction:
     project_id = None
     if requested.action_id is not None:
-        version = await actions.get_version(db, actor, action_id=requested.action_id, number=requested.version)
+        version = await actions.get_version_to_run(db, actor, action_id=requested.action_id, number=requested.version)
         definition, version_id, digest = version.definition, version.id, version.image_digest
         of_action = select(action.c.project_id).where(action.c.id == requested.action_id)
         project_id = (await db.execute(of_action)).scalar_one()

@@ -5,7 +5,8 @@ of the metric, has them all.
 """
 
 import re
-from collections.abc import Sequence
+import uuid
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sqlalchemy import (
@@ -38,8 +39,8 @@ from kleinkram.contract.query import parse
 from kleinkram.contract.runs import RunState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_missions
-from kleinkram.server.db import among, matches
-from kleinkram.server.filters.files import metadata_condition, metadata_text, refuse_metadata
+from kleinkram.server.db import among, matches, unnest_rows
+from kleinkram.server.filters.files import metadata_condition, metadata_text, refuse_metadata, scalars_of
 from kleinkram.server.filters.missions import filter_missions_by_files
 from kleinkram.server.runs.queries import ACTION_NAME, of_actions, of_missions, visible_runs
 from kleinkram.server.tables import action, action_version, mission, project, run, run_metric
@@ -49,8 +50,9 @@ from kleinkram.server.tables.runs import ACTIVE
 _RUN_WHERE = re.compile(
     r"(?P<kind>param|label)\.(?P<name>[a-z][a-z0-9_.-]*)\s*(?P<operator>!=|=|<|>|~)\s*(?P<value>.*)"
 )
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _ACTION_KEY = func.coalesce(cast(action.c.id, Text), ACTION_NAME)
+# Units that are named where the values of one metric have several.
+_MAX_UNITS = 5
 # Dimensions that belong to values of a metric, not to runs.
 _OF_VALUES = ("topic", "label")
 
@@ -78,10 +80,10 @@ def metric_runs(actor: Actor, matching: MetricTableQuery) -> Select[Any]:
         cast(project.c.id, Text).label("project_id"),
         project.c.name.label("project_name"),
         mission.c.name.label("mission_name"),
+        run.c.version_id,
         _ACTION_KEY.label("action_key"),
         func.coalesce(action.c.name, ACTION_NAME).label("action_name"),
         action_version.c.number,
-        action_version.c.definition["metrics"].label("declared"),
     )
     stmt = visible_runs(actor).with_only_columns(*columns, maintain_column_froms=True)
     conditions = [*_mission_conditions(actor, matching), *of_actions(matching)]
@@ -104,11 +106,18 @@ def rows_without_runs(actor: Actor, matching: MetricTableQuery) -> Select[Any]:
     return select(missions.c.row_key, *_names(missions)).group_by(missions.c.row_key)
 
 
-def declarations(runs: Select[Any], metric: str) -> Select[Any]:
-    """Return what the latest version of each action declares of its metrics, where `metric` is among them."""
-    inner = runs.where(action_version.c.definition["metrics"].contains([{"name": metric}])).subquery()
-    stmt = select(inner.c.action_key, inner.c.declared).distinct(inner.c.action_key)
-    return stmt.order_by(inner.c.action_key, inner.c.number.desc().nulls_last(), inner.c.created_at.desc())
+def declarations(runs: Select[Any]) -> Select[Any]:
+    """Return what the versions of these runs declare of metrics, by action, in the order in which they were published.
+
+    A definition may be large: it is read once for each version, not for each run.
+    """
+    versions = select(runs.subquery().c.version_id)
+    declared = action_version.c.definition["metrics"]
+    has_some = func.jsonb_array_length(func.coalesce(declared, cast("[]", JSONB))) > 0
+    columns = (action_version.c.id, _ACTION_KEY.label("action_key"), declared.label("declared"))
+    stmt = select(*columns).outerjoin_from(action_version, action, action.c.id == action_version.c.action_id)
+    stmt = stmt.where(action_version.c.id.in_(versions), has_some)
+    return stmt.order_by(action_version.c.created_at, action_version.c.id)
 
 
 def reporting_actions(runs: Select[Any], metric: str) -> Select[Any]:
@@ -143,8 +152,11 @@ def run_states(relevant: CTE, dimensions: Sequence[str]) -> Select[Any]:
     ).group_by(relevant.c.row_key, *keys)
 
 
-def results(relevant: CTE, matching: MetricTableQuery) -> CTE:
-    """Return the values of the metric that count, with all dimensions."""
+def results(relevant: CTE, matching: MetricTableQuery, units: Mapping[uuid.UUID, str]) -> CTE:
+    """Return the values of the metric that count, with all dimensions.
+
+    `units` are those that versions declare, for the values that were reported without one.
+    """
     of = [relevant.c.mission_id, relevant.c.action_key, relevant.c.parameters]
     if "version" in matching.columns:
         of.append(relevant.c.number)
@@ -157,16 +169,20 @@ def results(relevant: CTE, matching: MetricTableQuery) -> CTE:
     values = [
         _value_of(run_metric, name).label(f"d{at}") for at, name in enumerate(matching.columns) if not of_runs(name)
     ]
+    rows = [{"version_id": version_id, "unit": unit} for version_id, unit in units.items()]
+    declared = unnest_rows([column("version_id", Uuid), column("unit", Text)], rows)
     stmt = select(
         latest,
         *values,
         run_metric.c.id.label("metric_id"),
         run_metric.c.value,
-        run_metric.c.unit,
+        func.coalesce(run_metric.c.unit, declared.c.unit).label("unit"),
         run_metric.c.topic,
         run_metric.c.labels,
     )
-    return stmt.join(run_metric, run_metric.c.run_id == latest.c.result_id).where(*conditions).cte("results")
+    stmt = stmt.join_from(latest, run_metric, run_metric.c.run_id == latest.c.result_id)
+    stmt = stmt.outerjoin_from(latest, declared, declared.c.version_id == latest.c.version_id)
+    return stmt.where(*conditions).cte("results")
 
 
 def cells(source: CTE, matching: MetricTableQuery) -> Select[Any]:
@@ -183,7 +199,6 @@ def cells(source: CTE, matching: MetricTableQuery) -> Select[Any]:
         runs[1:MAX_CELL_RUNS].label("run_ids"),
         func.min(source.c.unit).label("first_unit"),
         func.max(source.c.unit).label("last_unit"),
-        func.bool_or(source.c.unit.is_(None)).label("lacks_unit"),
     ).group_by(source.c.row_key, *keys)
 
 
@@ -213,19 +228,15 @@ def varying_counts(source: CTE, matching: MetricTableQuery, dimensions: Sequence
 
 
 def metric_names(actor: Actor, matching: MetricNameFilter) -> tuple[Select[Any], Select[Any]]:
-    """Return the names of the metrics of visible runs with their numbers of runs, and what is declared of metrics."""
+    """Return the names of the metrics of visible runs with their numbers of runs and units, and `declarations`."""
     stmt = visible_runs(actor).where(*of_missions(matching), *of_actions(matching))
     if matching.version is not None:
         stmt = stmt.where(action_version.c.number == matching.version)
     joined = stmt.join(run_metric, run_metric.c.run_id == run.c.id)
-    counts = (func.count(distinct(run.c.id)).label("run_count"), func.max(run_metric.c.unit).label("unit"))
+    units: ColumnElement[Any] = func.array_agg(distinct(run_metric.c.unit), type_=ARRAY(Text))
+    counts = (func.count(distinct(run.c.id)).label("run_count"), units[1:_MAX_UNITS].label("units"))
     names = joined.with_only_columns(run_metric.c.name, *counts, maintain_column_froms=True)
-    versions = stmt.with_only_columns(run.c.version_id, maintain_column_froms=True)
-    declared = action_version.c.definition["metrics"]
-    of_versions = select(declared).where(action_version.c.id.in_(versions.correlate(None)))
-    has_some = func.jsonb_array_length(func.coalesce(declared, cast("[]", JSONB))) > 0
-    ordered = of_versions.where(has_some).order_by(action_version.c.created_at, action_version.c.id)
-    return names.group_by(run_metric.c.name).order_by(run_metric.c.name), ordered
+    return names.group_by(run_metric.c.name).order_by(run_metric.c.name), declarations(stmt)
 
 
 def _row_key(actor: Actor, rows: str) -> ColumnElement[Any]:
@@ -244,7 +255,7 @@ def _names(source: Any) -> list[ColumnElement[Any]]:
 def _mission_conditions(actor: Actor, matching: MetricTableQuery) -> list[ColumnElement[bool]]:
     of_metadata = [text for text in matching.where if _RUN_WHERE.fullmatch(text.strip()) is None]
     refuse_metadata(actor, of_metadata)
-    conditions = [*of_missions(matching), *(metadata_condition(text) for text in of_metadata)]
+    conditions = [*of_missions(matching, mission.c.id), *(metadata_condition(text) for text in of_metadata)]
     if matching.query:
         matched = filter_missions_by_files(actor, visible_missions(actor), parse(matching.query))
         ids = matched.with_only_columns(mission.c.id, maintain_column_froms=True).correlate(None)
@@ -263,13 +274,7 @@ def _run_wheres(matching: MetricTableQuery, kind: str) -> list[re.Match[str]]:
 
 def _equals(match: re.Match[str], stored: ColumnElement[Any]) -> ColumnElement[bool]:
     """Return the condition that a JSON value is what a comparison says: a text, number or boolean."""
-    value = match["value"].strip()
-    candidates: list[object] = [value]
-    if _NUMBER.fullmatch(value):
-        candidates.append(int(value) if value.lstrip("+-").isdigit() else float(value))
-    if value.lower() in {"true", "false"}:
-        candidates.append(value.lower() == "true")
-    equal = or_(*(stored == bindparam(None, candidate, JSONB) for candidate in candidates))
+    equal = or_(*(stored == bindparam(None, scalar, JSONB) for scalar in scalars_of(match["value"].strip())))
     return equal if match["operator"] == "=" else and_(stored.is_not(None), ~equal)
 
 

@@ -1,8 +1,9 @@
 """Reads tables of metrics: cells, why cells are missing, which value of a row is best, and a comparison of columns."""
 
+import math
 import statistics
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -44,13 +45,23 @@ _MISSING = {
     RunState.failed.value: Missing.failed,
     RunState.cancelled.value: Missing.cancelled,
 }
-# Of a column: its values by dimension, as the database returns them.
-_Key = tuple[ParameterValue | None, ...]
+
+
+class _KeyPart(NamedTuple):
+    """The value of one dimension of a column. In Python, true and 1 are equal, which are two values in JSON."""
+
+    value: ParameterValue | None
+    is_boolean: bool
+
+
+# Of a column: its values by dimension.
+_Key = tuple[_KeyPart, ...]
+_NOTHING = _KeyPart(None, False)
 
 
 @dataclass(frozen=True)
 class _Declared:
-    """What actions declare of a metric. `better` is none where they disagree."""
+    """What actions declare of a metric. `unit` is None, and `better` none, where they disagree."""
 
     unit: str | None = None
     better: Better = Better.none
@@ -89,16 +100,16 @@ async def get_metric_table(db: Connection, actor: Actor, *, matching: MetricTabl
             names no column, or several.
     """
     runs = queries.metric_runs(actor, matching)
-    declared = await _declared(db, runs, matching.metric)
+    declarations = await _declarations(db, runs, matching.metric)
     keys = {*(row.action_key for row in await db.execute(queries.reporting_actions(runs, matching.metric)))}
-    relevant = queries.relevant_runs(runs, sorted(keys | declared.keys()), matching.columns)
-    content = await _read_content(db, actor, matching, relevant)
-    results = queries.results(relevant, matching)
+    relevant = queries.relevant_runs(runs, sorted(keys | declarations.by_action.keys()), matching.columns)
+    results = queries.results(relevant, matching, declarations.units)
+    content = await _read_content(db, actor, matching, relevant, results)
     dimensions = await _dimensions(db, results)
     columns = _columns(matching.columns, content)
     row_keys = _row_keys(matching.rows, content)
     _check_size(matching, len(row_keys), len(columns))
-    summary = _agreed(declared.values())
+    summary = _agreed(declarations.by_action.values())
     better = Better.none if matching.aggregate is Aggregate.count else matching.better or summary.better
     rows = [_row(matching, content, key, columns, better) for key in row_keys]
     table = MetricTableRead(
@@ -125,33 +136,46 @@ async def get_metric_table(db: Connection, actor: Actor, *, matching: MetricTabl
 async def list_metric_names(db: Connection, actor: Actor, *, matching: MetricNameFilter) -> MetricNames:
     """Return the metrics that visible runs reported, by name."""
     names, declarations = queries.metric_names(actor, matching)
-    declared: dict[str, _Declared] = {}
-    for (entries,) in await db.execute(declarations):
-        declared |= {entry["name"]: _to_declared(entry) for entry in entries}
+    by_action: dict[str, dict[str, _Declared]] = {}
+    for row in await db.execute(declarations):
+        for entry in row.declared:
+            by_action.setdefault(entry["name"], {})[row.action_key] = _to_declared(entry)
+    declared = {name: _agreed(entries.values()) for name, entries in by_action.items()}
     rows = (await db.execute(names.limit(MAX_METRIC_NAMES + 1))).all()
     items = []
     for row in rows[:MAX_METRIC_NAMES]:
         known = declared.get(row.name, _Declared())
-        unit, described = row.unit or known.unit, known.description
-        items.append(
-            MetricName(name=row.name, unit=unit, better=known.better, description=described, run_count=row.run_count)
-        )
+        # Those without a unit have the declared one.
+        units = dict.fromkeys(unit or known.unit for unit in row.units)
+        unit = ", ".join(sorted(unit for unit in units if unit)) or None
+        described = {"unit": unit, "better": known.better, "description": known.description}
+        items.append(MetricName(name=row.name, run_count=row.run_count, **described))
     return MetricNames(items=items, truncated=len(rows) > MAX_METRIC_NAMES)
 
 
-async def _declared(db: Connection, runs: Any, metric: str) -> dict[str, _Declared]:
-    """Return what each action declares of a metric, by its key."""
-    declared: dict[str, _Declared] = {}
-    for row in await db.execute(queries.declarations(runs, metric)):
-        declared[row.action_key] = next(_to_declared(entry) for entry in row.declared if entry["name"] == metric)
-    return declared
+class _Declarations(NamedTuple):
+    """What is declared of a metric: by the latest version of each action that declares it, and units by version."""
+
+    by_action: dict[str, _Declared]
+    units: dict[uuid.UUID, str]
+
+
+async def _declarations(db: Connection, runs: Any, metric: str) -> _Declarations:
+    declarations = _Declarations({}, {})
+    for row in await db.execute(queries.declarations(runs)):
+        for entry in row.declared:
+            if entry["name"] == metric:
+                declared = declarations.by_action[row.action_key] = _to_declared(entry)
+                if declared.unit:
+                    declarations.units[row.id] = declared.unit
+    return declarations
 
 
 def _to_declared(entry: Mapping[str, Any]) -> _Declared:
     return _Declared(entry["unit"], Better(entry["better"]), entry["description"])
 
 
-def _agreed(declared: Any) -> _Declared:
+def _agreed(declared: Iterable[_Declared]) -> _Declared:
     several = [*declared]
     if not several:
         return _Declared()
@@ -164,7 +188,9 @@ def _agreed(declared: Any) -> _Declared:
     )
 
 
-async def _read_content(db: Connection, actor: Actor, matching: MetricTableQuery, relevant: Any) -> _Content:
+async def _read_content(
+    db: Connection, actor: Actor, matching: MetricTableQuery, relevant: Any, results: Any
+) -> _Content:
     dimensions = matching.columns
     of_runs = [at for at, name in enumerate(dimensions) if queries.of_runs(name)]
     names: dict[str | None, tuple[str, str, str]] = {}
@@ -173,26 +199,29 @@ async def _read_content(db: Connection, actor: Actor, matching: MetricTableQuery
     limit = MAX_ROWS * MAX_COLUMNS + 1
     for row in (await db.execute(queries.run_states(relevant, dimensions).limit(limit))).mappings():
         names[row["row_key"]] = (row["project_id"], row["project_name"], row["mission_name"])
-        key = tuple(row[f"d{at}"] for at in of_runs)
+        key = _key_of(row, of_runs)
         states[row["row_key"], key] = _State(row["state"], row["run_id"])
         _note_action(actions, dimensions, row)
     if len(states) == limit:
         _check_size(matching, len(names), len({key for _, key in states}))
     cells: dict[tuple[str | None, _Key], MetricCell] = {}
     units: set[str | None] = set()
-    source = queries.results(relevant, matching)
-    for row in (await db.execute(queries.cells(source, matching).limit(limit))).mappings():
-        key = tuple(row[f"d{at}"] for at in range(len(dimensions)))
+    for row in (await db.execute(queries.cells(results, matching).limit(limit))).mappings():
+        key = _key_of(row, range(len(dimensions)))
         numbers = {name: row[name] for name in ("value", "count", "run_count", "run_ids")}
         cells[row["row_key"], key] = MetricCell(**numbers)
-        units |= {unit for unit in (row["first_unit"], row["last_unit"]) if unit}
-        units |= {None} if row["lacks_unit"] else set()
+        units |= {row["first_unit"], row["last_unit"]}
         _note_action(actions, dimensions, row)
     if matching.all_rows:
         stmt = queries.rows_without_runs(actor, matching).limit(MAX_ROWS + 1)
         for row in (await db.execute(stmt)).mappings():
             names.setdefault(row["row_key"], (row["project_id"], row["project_name"], row["mission_name"]))
     return _Content(names, cells, states, actions, frozenset(units))
+
+
+def _key_of(row: RowMapping, places: Iterable[int]) -> _Key:
+    values = (row[f"d{at}"] for at in places)
+    return tuple(_KeyPart(value, isinstance(value, bool)) for value in values)
 
 
 def _note_action(actions: dict[str, str], dimensions: Sequence[str], row: RowMapping) -> None:
@@ -224,13 +253,15 @@ def _columns(dimensions: Sequence[str], content: _Content) -> list[_Key]:
     for _, part in content.states:
         if part not in known:
             values = dict(zip(of_runs, part, strict=True))
-            with_values.add(tuple(values.get(at) for at in range(len(dimensions))))
+            with_values.add(tuple(values.get(at, _NOTHING) for at in range(len(dimensions))))
 
     def order(key: _Key) -> list[tuple[int, float, str, str]]:
+        values = [part.value for part in key]
         names = [
-            content.actions.get(str(value), "") if dimensions[at] == "action" else value for at, value in enumerate(key)
+            content.actions.get(str(value), "") if dimensions[at] == "action" else value
+            for at, value in enumerate(values)
         ]
-        return [_sort_key(name) for name in names] + [_sort_key(value) for value in key]
+        return [_sort_key(name) for name in [*names, *values]]
 
     return sorted(with_values, key=order)
 
@@ -241,7 +272,10 @@ def _sort_key(value: ParameterValue | None) -> tuple[int, float, str, str]:
         return 2, 0, "", ""
     if isinstance(value, str):
         return 1, 0, name_key(value), value
-    return 0, float(value), "", ""
+    try:
+        return 0, float(value), "", str(value)
+    except OverflowError:  # an integer of hundreds of digits
+        return 0, math.inf if value > 0 else -math.inf, "", str(value)
 
 
 def _row_keys(group: str, content: _Content) -> list[str | None]:
@@ -277,15 +311,15 @@ def _check_size(matching: MetricTableQuery, rows: int, columns: int) -> None:
 
 
 def _unit(matching: MetricTableQuery, reported: frozenset[str | None], declared: _Declared) -> str | None:
-    """Return the unit of all values; those that were reported without one have that of the declaration."""
+    """Return the unit of all values, or what is declared where there are no values."""
     if matching.aggregate is Aggregate.count:
         return None
-    units = {unit or declared.unit for unit in reported} - {None}
+    units = sorted(unit for unit in reported if unit)
     if len(units) > 1:
-        named = " and ".join(sorted(unit for unit in units if unit)[:5])
+        named = " and ".join(units[:5])
         reason = f"its values have the units {named}; narrow the filter by action, version, topic or label"
         raise InvalidQuery(expression=matching.metric, reason=reason)
-    return next(iter(units), declared.unit)
+    return next(iter(units), None) if reported else declared.unit
 
 
 def _row(
@@ -329,7 +363,7 @@ def _described(dimensions: Sequence[str], columns: Sequence[_Key], actions: Mapp
     names = [*actions.values()]
     described = []
     for key in columns:
-        values = dict(zip(dimensions, key, strict=True))
+        values = {name: part.value for name, part in zip(dimensions, key, strict=True)}
         action_key, action_id = values.get("action"), None
         parts = []
         if isinstance(action_key, str):
@@ -355,13 +389,18 @@ def _part(dimension: str, value: ParameterValue | None) -> str:
         text = "-"
     elif isinstance(value, bool):
         text = str(value).lower()
+    elif isinstance(value, float):
+        short = f"{value:.15g}"
+        text = short if float(short) == value else repr(value)
     else:
-        text = f"{value:.15g}" if isinstance(value, float) else str(value)
+        text = str(value)
     return text if dimension == "topic" and value is not None else f"{dimension.rpartition('.')[2]}={text}"
 
 
 def _compare(table: MetricTableRead, names: Sequence[str]) -> MetricComparison:
     first, second = (_find_column(table, name) for name in names)
+    if first == second:
+        raise InvalidQuery(expression=names[1], reason=f"both names are of the column {table.columns[first].label}")
     differences: list[float | None] = []
     for row in table.rows:
         before, after = row.cells[first].value, row.cells[second].value
@@ -382,14 +421,21 @@ def _compare(table: MetricTableRead, names: Sequence[str]) -> MetricComparison:
 
 
 def _find_column(table: MetricTableRead, name: str) -> int:
-    """Return the column of this label, or the only one whose label has all these parts. Raises InvalidQuery."""
-    labels = [name_key(column.label) for column in table.columns]
-    if (key := name_key(name.strip())) in labels:
-        return labels.index(key)
+    """Return the column of this label, in any case if that is one, or the only one whose label has all these parts.
+
+    Raises:
+        InvalidQuery: there is none, or several.
+    """
+    labels, name = [column.label for column in table.columns], name.strip()
+    keys, key = [name_key(label) for label in labels], name_key(name)
     parts = {part.strip() for part in key.split(",")}
-    matching = [at for at, label in enumerate(labels) if parts <= {*label.split(", ")}]
-    if len(matching) == 1:
-        return matching[0]
+    for matching in (
+        [at for at, label in enumerate(labels) if label == name],
+        [at for at, label in enumerate(keys) if label == key],
+        [at for at, label in enumerate(keys) if parts <= {*label.split(", ")}],
+    ):
+        if len(matching) == 1:
+            return matching[0]
     shown = "; ".join(column.label for column in table.columns) or "none"
     reason = f"{'several columns have' if matching else 'no column has'} this label; the columns are {shown}"
     raise InvalidQuery(expression=name, reason=reason)

@@ -49,7 +49,7 @@ async def add_project_action(
         InvalidRequest: the action is archived or of another project, or its parameters are invalid.
     """
     await require_project(db, actor, "add_project_action", project_id)
-    version = await actions.get_version(db, actor, action_id=requested.action_id, number=None)
+    version = await actions.get_version_to_run(db, actor, action_id=requested.action_id, number=None)
     name, of_project = version.definition.name, await _project_of(db, requested.action_id)
     if of_project not in {None, project_id}:
         message = f"{name} is an action of another project; publish it in this one, or for the whole lab"

@@ -54,6 +54,7 @@ _MISSION = (
     project.c.name.label("project_name"),
 )
 ACTION_NAME = action_version.c.definition["name"].astext
+_unpublished = action_version.alias("unpublished")
 _OF_RUN = (run.c.mission_id, run.c.parameters, run.c.ended_at)
 _ACTION = (
     action.c.id.label("action_id"),
@@ -223,14 +224,19 @@ def of_actions(matching: RunFilter | ReportFilter | MetricNameFilter) -> list[Co
         conditions.append(action_version.c.action_id == matching.action_id)
     if matching.action is not None:
         published = matches_key(action.c.name_key, matching.action)
-        conditions.append(published | matches(ACTION_NAME, matching.action))
+        # Once for each version, not for each run: its name is in the definition, which may be large.
+        named = matches(_unpublished.c.definition["name"].astext, matching.action)
+        unpublished = select(_unpublished.c.id).where(_unpublished.c.action_id.is_(None), named)
+        conditions.append(published | run.c.version_id.in_(unpublished))
     return conditions
 
 
-def of_missions(matching: RunFilter | ReportFilter | MetricNameFilter) -> list[ColumnElement[bool]]:
-    """Return the conditions of a filter on missions and projects."""
+def of_missions(
+    matching: RunFilter | ReportFilter | MetricNameFilter, mission_id: ColumnElement[uuid.UUID] = run.c.mission_id
+) -> list[ColumnElement[bool]]:
+    """Return the conditions of a filter on missions and projects. `mission_id`: the column with the mission."""
     values = (
-        (run.c.mission_id, matching.mission_id, matching.mission_ids),
+        (mission_id, matching.mission_id, matching.mission_ids),
         (mission.c.project_id, matching.project_id, matching.project_ids),
     )
     conditions = [column == one for column, one, _ in values if one is not None]

@@ -14,6 +14,7 @@ from kleinkram.contract.base import Page
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.contract.errors import FileUnavailable, NotFound
 from kleinkram.contract.files import BlobState, FetchPurpose
+from kleinkram.contract.locks import pinned_versions
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.people import PersonRef
@@ -96,9 +97,11 @@ async def get_detail(db: Connection, actor: Actor, run_id: uuid.UUID) -> runs.Ru
     """
     row = await _find_row(db, actor, run_id)
     (complete,) = await _complete(db, actor, [_to_run(actor, row)])
+    definition = row["definition"]
     return runs.RunDetail(
         **dict(complete),
-        definition=ActionDefinition.model_validate(row["definition"]),
+        definition=ActionDefinition.model_validate(definition | {"lock": None}),
+        packages=pinned_versions(definition.get("lock")),
         problems=row["problems"],
         metadata=row["proposed"],
         previews=row["previews"],

@@ -82,9 +82,9 @@ export function originOf({ library }: Definition): string {
 const texts = all.definition;
 const NS_PER_S = 1_000_000_000;
 
-// The number of locked packages, each with a line `name==version`; empty without a lock.
-export function lockedOf({ lock }: Definition): string {
-  const names = new Set([...(lock ?? "").matchAll(/^([\w.-]+)==/gm)].map((match) => match[1]));
+/** The number of locked packages, each a text `name==version`; empty without a lock. */
+export function lockedOf(packages: readonly string[]): string {
+  const names = new Set(packages.map((text) => text.split("==")[0]));
   return names.size > 0 ? texts.locked(names.size) : "";
 }
 

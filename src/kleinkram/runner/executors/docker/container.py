@@ -116,16 +116,24 @@ def describe(
             **_isolation(job),
             "Mounts": _mounts(job, volumes),
             # More than is kept of a log. Docker's `local` stores the exact bytes; Podman has its own format.
-            "LogConfig": {
-                "Type": "json-file" if is_podman else "local",
-                "Config": {"max-size": "128m", "max-file": "2"},
-            },
+            "LogConfig": _log_config("128m", is_podman=is_podman),
         },
     }
 
 
+def _log_config(max_size: str, *, is_podman: bool) -> dict[str, Any]:
+    kind = "json-file" if is_podman else "local"
+    return {"Type": kind, "Config": {"max-size": max_size, "max-file": "2"}}
+
+
 def describe_tool(
-    image: str, command: Sequence[str], *, user: str, labels: Mapping[str, str], folder: Path | None
+    image: str,
+    command: Sequence[str],
+    *,
+    user: str,
+    labels: Mapping[str, str],
+    folder: Path | None,
+    is_podman: bool = False,
 ) -> dict[str, Any]:
     """Return the description of a container without network for a command of the runner's own.
 
@@ -145,6 +153,7 @@ def describe_tool(
             "Memory": _TOOL_MEMORY_BYTES,
             "PidsLimit": _PROCESSES,
             "Mounts": [_bind(folder, PACKAGES)] if folder is not None else [],
+            "LogConfig": _log_config("1m", is_podman=is_podman),
         },
     }
 

@@ -200,7 +200,9 @@ class DockerExecutor(LocalExecutor):
         user = f"{os.getuid()}:{os.getgid()}"
         until_s = time.monotonic() + _TOOL_TIMEOUT_S
         try:
-            description = containers.describe_tool(image, command, user=user, labels=labels, folder=folder)
+            description = containers.describe_tool(
+                image, command, user=user, labels=labels, folder=folder, is_podman=self._engine.is_podman
+            )
             self._client.create(name, description)
             try:
                 self._client.start(name)
