@@ -100,7 +100,7 @@ def test_lineage_shows_creator_and_readers() -> None:
 
 def test_an_action_shows_its_parameters() -> None:
     action = action_read("look", project="alps")
-    with scripted(Page(items=[action], next=None)) as script:
+    with scripted(Page(items=[action], next=None), action.latest) as script:
         text = shown(script, "action", "info", "look")
     assert "look@1" in text
     assert "a script" in text
@@ -112,6 +112,6 @@ def test_an_action_shows_the_inputs_that_it_declares_beside_files() -> None:
     inputs = Inputs(paths=["*.mcap"], metadata=["reference", "robot"], checks=True)
     definition = action.latest.definition.model_copy(update={"inputs": inputs})
     declaring = action.model_copy(update={"latest": action.latest.model_copy(update={"definition": definition})})
-    with scripted(Page(items=[declaring], next=None)) as script:
+    with scripted(Page(items=[declaring], next=None), declaring.latest) as script:
         text = shown(script, "action", "info", "verify")
     assert "files *.mcap; metadata reference, robot; checks.yaml of the project, with all metadata" in text
