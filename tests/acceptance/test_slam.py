@@ -12,6 +12,7 @@ import pytest
 from tests.acceptance.conftest import Terminal, _terminal, running_instance, wait_until
 from tests.acceptance.test_action_images import add_stock
 from tests.integration.runner.conftest import docker
+from tests.integration.runner.engines import Dockerd
 from tests.requirements import missing
 
 __all__ = ["docker"]
@@ -24,21 +25,17 @@ TRAJECTORY = "derived/lidar-odometry.tum"
 MAX_ATE_M = 0.05
 
 
-@pytest.fixture(params=["process", "docker"])
-def lab(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Terminal]:
-    """A terminal of an instance that installs packages, and runs actions as processes or in containers."""
+@pytest.fixture
+def lab(docker: Dockerd, tmp_path: Path) -> Iterator[Terminal]:
+    """A terminal of an instance that installs packages, and runs actions in containers; `make story` has processes."""
     settings = {"KLEINKRAM_PACKAGE_INDEX": os.environ.get("KLEINKRAM_PACKAGE_INDEX", "pypi")}
-    engine = tmp_path / "nothing"
-    if request.param == "docker":
-        made = request.getfixturevalue("docker")
-        add_stock(made, tmp_path / "base")
-        engine = made.socket
+    add_stock(docker, tmp_path / "base")
     (tmp_path / "up").mkdir()
-    with running_instance(tmp_path / "up", **settings, DOCKER_HOST=f"unix://{engine}") as instance:
+    with running_instance(tmp_path / "up", **settings, DOCKER_HOST=f"unix://{docker.socket}") as instance:
         terminal = _terminal(instance, tmp_path / "terminal")
         yield terminal
         (runner,) = terminal.run("runner", "list", "--json").json()["items"]
-        assert runner["abilities"]["executor"] == request.param
+        assert runner["abilities"]["executor"] == "docker"
 
 
 def add(lab: Terminal, name: str) -> None:
