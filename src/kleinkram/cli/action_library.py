@@ -86,7 +86,7 @@ def _resolve(name: str, known: Iterable[str]) -> str:
         return f"{LIBRARY_PREFIX}{short_name}"
     match = closest(short_name, short_names)
     listed = ", ".join(f"{LIBRARY_PREFIX}{known_name}" for known_name in short_names)
-    hint = f"did you mean {LIBRARY_PREFIX}{match}?" if match else f"it has {listed}"
+    hint = f"the closest is {LIBRARY_PREFIX}{match}" if match else f"it has {listed}"
     raise InvalidInput(what=f"The action {name!r}", reason=f"the library has none of this name; {hint}")
 
 

@@ -299,21 +299,21 @@ def _metric_grid(canvas: Canvas, scale: MapScale) -> None:
     canvas.box(box, outline=BORDER)
 
 
-class DrawnTrack(NamedTuple):
-    """A track to be drawn: metres [N, 2], in the order of time."""
+class PlanarTrack(NamedTuple):
+    """A track in the plane: x and y in metres [N, 2], in the order of time."""
 
     name: str
     xy: NDArray[np.float64]
 
 
-def track_bounds(tracks: Sequence[DrawnTrack]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def track_bounds(tracks: Sequence[PlanarTrack]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the least and the greatest x and y of all tracks."""
     points = np.concatenate([track.xy for track in tracks])
     return points.min(axis=0), points.max(axis=0)
 
 
 def track_map(
-    tracks: Sequence[DrawnTrack], title: str, axes: tuple[str, str], size: tuple[float, float] = (760, 680)
+    tracks: Sequence[PlanarTrack], title: str, axes: tuple[str, str], size: tuple[float, float] = (760, 680)
 ) -> Canvas:
     """Return tracks over a metric grid, with a legend; a circle is the start, a square the end."""
     canvas = Canvas(*size)

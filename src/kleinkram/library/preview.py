@@ -79,7 +79,7 @@ from kleinkram.library.frames import (
     read_frame,
     read_scan,
 )
-from kleinkram.library.pictures import CameraFrames, DrawnTrack
+from kleinkram.library.pictures import CameraFrames, PlanarTrack
 from kleinkram.recordings import Recording, RecordingError, Topic, TopicSummary
 from kleinkram.recordings.model import Content, counted
 
@@ -427,7 +427,7 @@ class Pages:
             canvas = pictures.top_views(topic, self._details(topic), scans, self._span)
             self._publish(canvas, f"lidar-{number}{file_name_part(topic)}.png", f"{topic} from above, in metres")
 
-    def _tracks(self, *, is_gnss: bool) -> list[DrawnTrack]:
+    def _tracks(self, *, is_gnss: bool) -> list[PlanarTrack]:
         """Return tracks in metres: GNSS east and north of the first position, others in their own frames."""
         tracks = [
             (topic, numbers.track)
@@ -439,7 +439,7 @@ class Pages:
             origin = tracks[0][1].rows[0]
             xy = track.metres((float(origin[1]), float(origin[2])))
             is_far = not is_gnss and float(np.abs(xy[0]).max()) > FAR_M
-            drawn.append(DrawnTrack(f"{topic} (from its start)" if is_far else topic, xy - xy[0] if is_far else xy))
+            drawn.append(PlanarTrack(f"{topic} (from its start)" if is_far else topic, xy - xy[0] if is_far else xy))
         return drawn
 
     def _draw_tracks(self) -> None:
@@ -463,7 +463,7 @@ def spread(count: int, limit: int) -> list[int]:
     return [round(number * (count - 1) / (limit - 1)) for number in range(limit)]
 
 
-def extent_m(tracks: Sequence[DrawnTrack]) -> float:
+def extent_m(tracks: Sequence[PlanarTrack]) -> float:
     """Return how large an area the tracks cover, along x or y."""
     low, high = pictures.track_bounds(tracks)
     return float((high - low).max())

@@ -78,7 +78,7 @@ def test_without_a_project_it_is_added_for_the_whole_lab(klein: Klein, project: 
 @pytest.mark.parametrize(
     ("name", "hint"),
     [
-        ("kleinkram/slam-evalute", "did you mean kleinkram/slam-evaluate?"),
+        ("kleinkram/slam-evalute", "the closest is kleinkram/slam-evaluate."),
         ("kleinkram/cook", "it has kleinkram/"),
     ],
 )

@@ -12,7 +12,7 @@ from PIL import Image
 from kleinkram.library.canvas import Canvas, clock_text, printable, tick_texts, ticks, time_unit
 from kleinkram.library.curves import TimeSpan
 from kleinkram.library.frames import Frame, ScanPoints, read_frame, read_scan, value_range
-from kleinkram.library.pictures import CameraFrames, DrawnTrack, map_scale, track_bounds, view_distance
+from kleinkram.library.pictures import CameraFrames, PlanarTrack, map_scale, track_bounds, view_distance
 from kleinkram.library.preview import file_name_part, present_times, spread, view_rank
 from kleinkram.recordings.decoding import DecodeError
 from kleinkram.recordings.model import MessageDensity, TopicSummary
@@ -47,7 +47,7 @@ def test_times_have_the_unit_that_is_read_best() -> None:
 
 
 def test_both_axes_of_a_map_have_one_scale() -> None:
-    low, high = track_bounds([DrawnTrack("a", np.array([[0.0, 0.0], [100.0, 10.0]]))])
+    low, high = track_bounds([PlanarTrack("a", np.array([[0.0, 0.0], [100.0, 10.0]]))])
     scale = map_scale(low.tolist(), high.tolist(), (50, 0, 450, 400))
     corners = scale.place(np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 10.0]]))
     assert corners[1, 0] - corners[0, 0] == pytest.approx(100 * scale.pixels_per_m)
