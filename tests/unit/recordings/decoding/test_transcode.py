@@ -77,7 +77,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, dict):
         parts = value
     elif is_dataclass(value):
-        parts = {field.name: getattr(value, field.name) for field in fields(value)}
+        parts = {one.name: getattr(value, one.name) for one in fields(value) if not hasattr(type(value), one.name)}
     else:
         return value
     names = {"secs": "sec", "nsecs": "nanosec", "structure_needs_at_least_one_member": None, "seq": None}
