@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
+    from kleinkram.recordings.writing.bag import BagOptions, BagResult
     from kleinkram.recordings.writing.mcap import McapOptions, McapResult
     from kleinkram.recordings.writing.parquet import ParquetResult
 
@@ -277,7 +278,8 @@ class Recording:
     ) -> McapResult:
         """Write the recording as one whole MCAP: chunked, indexed, with every CRC, messages in the order of log time.
 
-        Topics, types, encodings, times and bytes of messages stay as they are; ROS 1 stays ROS 1. Channels without
+        Topics, types, encodings, times and bytes of messages stay as they are; ROS 1 stays ROS 1, unless `options` ask
+        for ROS 2 (CDR). Messages that cannot be re-encoded are left out, and named in the result. Channels without
         messages, attachments and metadata records are kept. Of a damaged recording, what can be read is written. A
         metadata record `kleinkram:made_from` says what the file was made from, and what was lost. The same recording
         gives the same bytes, whatever else is on the machine. Memory stays below about 200 MB.
@@ -298,6 +300,39 @@ class Recording:
         from kleinkram.recordings.writing.mcap import McapOptions, write_mcap
 
         return write_mcap(self, Path(path), topics, options or McapOptions(), sha256 or {}, on_progress)
+
+    def to_bag(
+        self,
+        path: str | PathLike[str],
+        topics: Topics | None = None,
+        *,
+        options: BagOptions | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> BagResult:
+        """Write the ROS messages of a recording as one ROS 1 bag: chunked, indexed, in the order of log time.
+
+        ROS 1 messages stay as they are; those of ROS 2 are re-encoded, with the sequence number 0 in headers. Types
+        that both have get the definition and md5 sum of ROS 1 (Noetic). What a bag cannot hold is left out, and named
+        in the result: other encodings, wide texts. Attachments, metadata, publish times and sequence numbers have no
+        place in a bag. Of a damaged recording, what can be read is written. The same recording gives the same bytes.
+        Memory stays below about 200 MB.
+
+        Args:
+            path: a file that does not exist yet. It appears when it is complete.
+            topics: names or globs; None: all.
+            options: compression and chunks.
+            on_progress: called with the share that is done, from 0 to 1, every few MB.
+
+        Raises:
+            CannotWrite: the file exists, its folder cannot be written to or is full, or a bag can hold none of the
+                messages.
+            NoSuchTopic: a name that is no glob is not among the topics.
+            TooDisordered: too many parts overlap in time to be put in order in bounded memory.
+            SourceError: the bytes cannot be read.
+        """
+        from kleinkram.recordings.writing.bag import BagOptions, write_bag
+
+        return write_bag(self, Path(path), topics, options or BagOptions(), on_progress)
 
     def to_parquet(
         self, folder: str | PathLike[str], topics: Topics | None = None, *, on_progress: OnProgress | None = None

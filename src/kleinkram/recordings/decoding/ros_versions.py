@@ -118,10 +118,12 @@ def to_ros1(name: str, schema_encoding: str, definition: bytes) -> ReEncoding:
         SchemaError: they cannot, with the reason.
     """
     text = _text_of(definition)
+    lines: dict[str, list[Line]] = {}
     if schema_encoding in ("ros2idl", "omgidl"):
-        source, lines = parse_idl(name, text), {}
+        source = parse_idl(name, text)
     elif schema_encoding == "ros2msg":
-        source, lines = parse_msg(name, text, Ros.two), _lines_by_type(name, text)
+        source = parse_msg(name, text, Ros.two)
+        lines = {kind: [*map(_without_quotes, part)] for kind, part in _lines_by_type(name, text).items()}
     else:
         raise SchemaError("the recording has no definition of it, and it is not one of the common types")
     if short_name(source.name) in _ROS1_TIMES:
@@ -131,6 +133,23 @@ def to_ros1(name: str, schema_encoding: str, definition: bytes) -> ReEncoding:
     made = full_definition(root, types.texts)
     transcode = transcoder(source, parse_msg(root, made, Ros.one), CDR_LE, ROS1)
     return ReEncoding(root, made, md5sum_of(root, types.texts), transcode)
+
+
+def ros1_md5sum(name: str, definition: bytes) -> str:
+    """Return the md5 sum of a ROS 1 type by its definition.
+
+    Raises:
+        SchemaError: the definition cannot be read.
+    """
+    text = _text_of(definition)
+    types = _Ros1Types(_lines_by_type(name, text))
+    return md5sum_of(types.add(parse_msg(name, text, Ros.one)), types.texts)
+
+
+def _without_quotes(line: Line) -> Line:
+    """Return a line with a text as ROS 1 writes it."""
+    is_text = line.value is not None and line.type_name == "string"
+    return line._replace(value=str(constant_value("string", line.value or ""))) if is_text else line
 
 
 def _text_of(definition: bytes) -> str:
@@ -254,8 +273,8 @@ class _Ros1Types(_Types):
 
     def _add(self, struct: Struct) -> str:
         name = short_name(struct.name)
-        if name in _ROS1_TIMES:
-            return _ROS1_TIMES[name]
+        if name in _ROS1_TIMES or name in _ROS2_TIMES:
+            return _ROS1_TIMES.get(name, name)
         if "/" not in name:
             raise SchemaError(f"'{name[:100]}' is not a name that a type of ROS 1 can have")
         fields = [*self._fields(struct)]
@@ -276,12 +295,9 @@ class _Ros1Types(_Types):
 
 
 def _ros1_value(line: Line) -> str:
-    """Return the value of a constant as ROS 1 writes it: texts without quotation marks, and no comments."""
-    return (
-        str(constant_value(line.type_name, line.value or ""))
-        if line.type_name == "string"
-        else ((line.value or "").partition("#")[0].strip())
-    )
+    """Return the value of a constant; only texts may have a number sign in them, others have a comment behind it."""
+    value = line.value or ""
+    return value if line.type_name == "string" else value.partition("#")[0].strip()
 
 
 def full_definition(root: str, texts: Mapping[str, str]) -> str:

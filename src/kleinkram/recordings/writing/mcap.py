@@ -6,7 +6,9 @@ Memory: the messages that are being merged, and what `McapWriter` holds.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from enum import Enum
 from pathlib import Path
@@ -17,15 +19,23 @@ import zstandard
 
 from kleinkram import __version__
 from kleinkram.recordings.chunk_reader import ChunkedMember
-from kleinkram.recordings.decoding import DecodeError, Decoder, decoder_for
-from kleinkram.recordings.decoding.msg_definitions import well_known_definitions
 from kleinkram.recordings.errors import CannotWrite, Malformed
 from kleinkram.recordings.limits import WINDOW
-from kleinkram.recordings.messages import Channel, Properties, Schema
+from kleinkram.recordings.messages import Channel, Properties, RawMessage, Schema
 from kleinkram.recordings.model import Content, RecordingFormat
 from kleinkram.recordings.streams import open_range
+from kleinkram.recordings.writing.chunked_writer import COMPRESSION_THREADS
 from kleinkram.recordings.writing.losses import LostPlace, MemberLoss, find_losses
 from kleinkram.recordings.writing.mcap_writer import McapWriter
+from kleinkram.recordings.writing.message_copy import (
+    LeftOut,
+    MessageCopy,
+    Route,
+    channels_of,
+    re_encoding_of,
+    share_reporter,
+    with_definition,
+)
 from kleinkram.recordings.writing.new_file import new_file
 
 if TYPE_CHECKING:
@@ -34,9 +44,13 @@ if TYPE_CHECKING:
 MADE_FROM = "kleinkram:made_from"
 """Name of the metadata record that says what a file was made from."""
 
-_PROGRESS_MESSAGES = 1000
 _PROFILES = {"ros1": "ros1", "cdr": "ros2"}
-_SEPARATOR = "=" * 80
+_FOREVER = "sec: 9223372036\n    nsec: 854775807\n"
+_LATCHED_QOS = (
+    "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n"
+    f"  deadline:\n    {_FOREVER}  lifespan:\n    {_FOREVER}  liveliness: 1\n"
+    f"  liveliness_lease_duration:\n    {_FOREVER}  avoid_ros_namespace_conventions: false"
+)
 
 
 class ChunkCompression(str, Enum):
@@ -45,6 +59,13 @@ class ChunkCompression(str, Enum):
     zstd = "zstd"
     lz4 = "lz4"
     none = "none"
+
+
+class Ros1Messages(str, Enum):
+    """What becomes of ROS 1 messages: they stay as they are, or become those of ROS 2 (CDR)."""
+
+    keep = "keep"
+    reencode = "reencode"
 
 
 LEVELS = {ChunkCompression.zstd: range(1, 23), ChunkCompression.lz4: range(17), ChunkCompression.none: range(1)}
@@ -59,11 +80,13 @@ class McapOptions:
         compression: of chunks.
         level: 1 to 22 for zstd (default 3), 0 to 16 for lz4 (default 0); higher is smaller and slower.
         chunk_bytes: uncompressed bytes of messages after which a chunk ends.
+        ros1: what becomes of ROS 1 messages.
     """
 
     compression: ChunkCompression = ChunkCompression.zstd
     level: int | None = None
     chunk_bytes: int = 2**20
+    ros1: Ros1Messages = Ros1Messages.keep
 
     def __post_init__(self) -> None:
         levels = LEVELS[self.compression]
@@ -75,12 +98,18 @@ class McapOptions:
 
 @dataclass(frozen=True)
 class McapResult:
-    """A written MCAP. `losses`: what of the recording could not be read; empty if nothing was lost."""
+    """A written MCAP.
+
+    Attributes:
+        losses: what of the recording could not be read; empty if nothing was lost.
+        left_out: ROS 1 messages that could not be re-encoded.
+    """
 
     path: Path
     message_count: int
     size_bytes: int
     losses: tuple[MemberLoss, ...]
+    left_out: tuple[LeftOut, ...] = ()
 
 
 def is_whole_mcap(recording: Recording, compression: ChunkCompression) -> bool:
@@ -107,109 +136,105 @@ def write_mcap(
 ) -> McapResult:
     """Write a recording as `Recording.to_mcap` describes."""
     selected = frozenset(topic.name for topic in recording.select_topics(topics))
-    channels = [channel for channel in _channels_of(recording) if channel.topic in selected]
+    channels = channels_of(recording, selected)
     if any(channel.message_encoding == "ulog" for channel in channels):
         raise CannotWrite(recording.name, "it is a ULog, whose messages have no encoding that MCAP knows")
     with new_file(path) as stream:
         writer = McapWriter(
             stream,
-            profile=_profile_of(recording, channels),
+            profile=_profile_of(recording, channels, options.ros1),
             library=f"kleinkram {__version__}",
             compression="" if options.compression is ChunkCompression.none else options.compression.value,
             compress=_compressor(options),
             chunk_bytes=options.chunk_bytes,
+            workers=COMPRESSION_THREADS,
         )
-        message_count = _copy_messages(recording, topics, _Channels(writer, channels), on_progress)
-        losses = find_losses(recording, _copy_other_records(recording, writer))
-        writer.add_metadata(
-            MADE_FROM, _made_from(recording, None if topics is None else selected, sha256, losses).items()
-        )
-        writer.finish()
+        with closing(writer):
+            copy = MessageCopy(_Channels(writer, options.ros1).define, _adder(writer))
+            copy.copy(recording.raw_messages(topics), share_reporter(recording, on_progress))
+            copy.define_silent(channels)
+            losses = find_losses(recording, _copy_other_records(recording, writer))
+            made_from = _made_from(recording, None if topics is None else selected, sha256, losses, copy.left_out)
+            writer.add_metadata(MADE_FROM, made_from.items())
+            writer.finish()
         size_bytes = stream.tell()
-    return McapResult(path, message_count, size_bytes, losses)
+    return McapResult(path, copy.message_count, size_bytes, losses, copy.left_out)
+
+
+def _adder(writer: McapWriter) -> Callable[[int, RawMessage, bytes], None]:
+    add_message = writer.add_message
+
+    def add(number: int, message: RawMessage, data: bytes) -> None:
+        _topic, log_ns, publish_ns, sequence, _data, _channel = message
+        add_message(number, log_ns, data, publish_time_ns=publish_ns, sequence=sequence)
+
+    return add
 
 
 def _compressor(options: McapOptions) -> Callable[[bytes], bytes]:
+    """Return what compresses chunks, in several threads at once."""
     level = _DEFAULT_LEVELS[options.compression] if options.level is None else options.level
     if options.compression is ChunkCompression.zstd:
-        return zstandard.ZstdCompressor(level=level).compress
+        return _ThreadsZstd(level).compress
     if options.compression is ChunkCompression.lz4:
         return lambda raw: bytes(lz4.frame.compress(raw, compression_level=level))
     return bytes
 
 
-def _channels_of(recording: Recording) -> Iterator[Channel]:
-    for member in recording.members:
-        yield from member.contents.channels.values()
+class _ThreadsZstd(threading.local):
+    """A zstd compressor for each thread: one cannot be used by two at once."""
+
+    def __init__(self, level: int) -> None:
+        self._compressor = zstandard.ZstdCompressor(level=level)
+
+    def compress(self, raw: bytes) -> bytes:
+        return self._compressor.compress(raw)
 
 
-def _profile_of(recording: Recording, channels: list[Channel]) -> str:
-    """Return the profile of the source; where it has none, that of its messages."""
+def _profile_of(recording: Recording, channels: list[Channel], ros1: Ros1Messages) -> str:
+    """Return the profile of the source; where it has none, or messages are re-encoded, that of the messages."""
+    encodings = {channel.message_encoding for channel in channels}
+    if ros1 is Ros1Messages.reencode and "ros1" in encodings:
+        return "ros2" if encodings <= {"ros1", "cdr"} else ""
     profiles = {member.contents.profile for member in recording.members}
     if profiles == {""}:
-        profiles = {_PROFILES.get(channel.message_encoding, "") for channel in channels}
+        profiles = {_PROFILES.get(encoding, "") for encoding in encodings}
     return profiles.pop() if len(profiles) == 1 else ""
 
 
 class _Channels:
     """The channels of the output. Equal channels of several files become one."""
 
-    def __init__(self, writer: McapWriter, channels: list[Channel]) -> None:
-        self.writer = writer
-        self._channels = channels
-        self._numbers: dict[tuple[str, str, Schema, Properties], int] = {}
+    def __init__(self, writer: McapWriter, ros1: Ros1Messages) -> None:
+        self._writer, self._ros1 = writer, ros1
+        self._routes: dict[tuple[str, str, Schema, Properties], Route] = {}
 
-    def number_of(self, channel: Channel, data: bytes) -> int:
-        """Return the number of a channel; `data`: its first message."""
+    def define(self, channel: Channel, data: bytes) -> Route:
+        """Return the channel of the output; `data`: the first message."""
         key = channel.topic, channel.message_encoding, channel.schema, channel.properties
-        if key not in self._numbers:
-            schema = _with_definition(channel.schema, channel.message_encoding, data)
-            is_empty = schema == Schema("", "", b"")
-            schema_id = 0 if is_empty else self.writer.add_schema(schema.name, schema.encoding, schema.data)
-            self._numbers[key] = self.writer.add_channel(
-                channel.topic, schema_id, channel.message_encoding, channel.properties
-            )
-        return self._numbers[key]
+        if key not in self._routes:
+            self._routes[key] = self._new(channel, data)
+        return self._routes[key]
 
-    def define_silent(self) -> None:
-        """Define the channels without messages."""
-        for channel in self._channels:
-            self.number_of(channel, b"")
+    def _new(self, channel: Channel, data: bytes) -> Route:
+        if channel.message_encoding == "ros1" and self._ros1 is Ros1Messages.reencode:
+            made = re_encoding_of(channel, channel.schema)
+            schema = Schema(made.name, "ros2msg", made.definition.encode())
+            properties = _ros2_properties(channel.properties)
+            return Route(self._add(channel.topic, "cdr", schema, properties), made.transcode)
+        schema = with_definition(channel.schema, channel.message_encoding, data)
+        return Route(self._add(channel.topic, channel.message_encoding, schema, channel.properties))
 
-
-def _with_definition(schema: Schema, message_encoding: str, data: bytes) -> Schema:
-    """Return the schema with the definition of its type, where the recording has none and the type is well known."""
-    if schema.encoding or schema.data.strip() or message_encoding != "cdr":
-        return schema
-    texts = [text.replace("===\n", f"{_SEPARATOR}\n") for text in well_known_definitions(schema.name)]
-    fitting = [text for text in texts if data and _is_readable(schema.name, text, data)]
-    return Schema(schema.name, "ros2msg", (fitting or texts)[0].encode()) if texts else schema
+    def _add(self, topic: str, message_encoding: str, schema: Schema, properties: Properties) -> int:
+        is_empty = schema == Schema("", "", b"")
+        schema_id = 0 if is_empty else self._writer.add_schema(schema.name, schema.encoding, schema.data)
+        return self._writer.add_channel(topic, schema_id, message_encoding, properties)
 
 
-def _is_readable(type_name: str, definition: str, data: bytes) -> bool:
-    decoder = decoder_for("cdr", type_name, "ros2msg", definition.encode())
-    try:
-        return isinstance(decoder, Decoder) and decoder.decode(data) is not None
-    except DecodeError:
-        return False
-
-
-def _copy_messages(
-    recording: Recording, topics: Topics | None, channels: _Channels, on_progress: OnProgress | None
-) -> int:
-    add, numbers = channels.writer.add_message, dict[int, int]()
-    start_ns = recording.start_ns or 0
-    span_ns = max(1, (recording.end_ns or 0) - start_ns)
-    count = 0
-    for count, (_topic, log_ns, publish_ns, sequence, data, channel) in enumerate(recording.raw_messages(topics), 1):
-        number = numbers.get(id(channel))
-        if number is None:
-            number = numbers[id(channel)] = channels.number_of(channel, data)
-        add(number, log_ns, data, publish_time_ns=publish_ns, sequence=sequence)
-        if on_progress is not None and count % _PROGRESS_MESSAGES == 0:
-            on_progress(min(1.0, max(0.0, (log_ns - start_ns) / span_ns)))
-    channels.define_silent()
-    return count
+def _ros2_properties(properties: Properties) -> Properties:
+    """Return the properties of a ROS 1 channel as ROS 2 has them: a latched topic is transient local."""
+    kept = tuple((name, value) for name, value in properties if name not in ("latching", "md5sum"))
+    return (*kept, ("offered_qos_profiles", _LATCHED_QOS)) if dict(properties).get("latching") == "1" else kept
 
 
 def _copy_other_records(recording: Recording, writer: McapWriter) -> list[LostPlace]:
@@ -228,7 +253,11 @@ def _copy_other_records(recording: Recording, writer: McapWriter) -> list[LostPl
 
 
 def _made_from(
-    recording: Recording, topics: frozenset[str] | None, sha256: Mapping[str, str], losses: tuple[MemberLoss, ...]
+    recording: Recording,
+    topics: frozenset[str] | None,
+    sha256: Mapping[str, str],
+    losses: tuple[MemberLoss, ...],
+    left_out: tuple[LeftOut, ...],
 ) -> dict[str, str]:
     files = [{"name": name, "sha256": sha256[name]} if name in sha256 else {"name": name} for name in recording.files]
     entries = {"version": __version__, "files": json.dumps(files)}
@@ -236,4 +265,6 @@ def _made_from(
         entries["topics"] = json.dumps(sorted(topics))
     if losses:
         entries["losses"] = json.dumps([asdict(loss) for loss in losses])
+    if left_out:
+        entries["left_out"] = json.dumps([asdict(part) for part in left_out])
     return entries
