@@ -290,7 +290,7 @@ class Recording:
         sha256: Mapping[str, str] | None = None,
         on_progress: OnProgress | None = None,
     ) -> McapResult:
-        """Write the recording, or a slice of it, as one whole MCAP: chunked, indexed, with every CRC, in log time order.
+        """Write the recording, or a slice of it, as one whole MCAP: chunked, indexed, with every CRC, by log time.
 
         Topics, types, encodings, times and bytes of messages stay as they are; ROS 1 stays ROS 1. Channels without
         messages, attachments and metadata records are kept. Of a damaged recording, what can be read is written. A

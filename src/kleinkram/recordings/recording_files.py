@@ -47,7 +47,8 @@ Openable = str | os.PathLike[str] | Source | HasSources | Sequence[Source]
 class Opened:
     """The opened files of a recording, in the order of recording.
 
-    `sources`: of all files, a metadata.yaml and logs of databases among them. `summarise`: as `klein inspect`. `scan_files`: as `klein inspect --deep`, file by file.
+    `sources`: of all files, a metadata.yaml and logs of databases among them. `summarise`: as `klein inspect`.
+    `scan_files`: as `klein inspect --deep`, file by file.
     """
 
     name: str

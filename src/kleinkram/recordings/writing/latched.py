@@ -128,9 +128,7 @@ def _child_frames(message: RawMessage) -> Iterator[str]:
         yield ""
 
 
-def _read_backwards(
-    recording: Recording, segments: Sequence[Segment], kept: dict[str, _Kept], start_ns: int
-) -> None:
+def _read_backwards(recording: Recording, segments: Sequence[Segment], kept: dict[str, _Kept], start_ns: int) -> None:
     """Read the segments in which the last messages may be, the latest first."""
     latest_first = sorted(segments, key=lambda segment: segment.last_ns, reverse=True)
     to_read = {topic: _orders(latest_first, topic) for topic in kept}

@@ -17,7 +17,7 @@ import lz4.frame
 import zstandard
 
 from kleinkram import __version__
-from kleinkram.recordings.chunk_reader import ChunkedMember
+from kleinkram.recordings.chunk_reader import MAX_AHEAD, ChunkedMember
 from kleinkram.recordings.decoding import DecodeError, Decoder, decoder_for
 from kleinkram.recordings.decoding.msg_definitions import well_known_definitions
 from kleinkram.recordings.errors import CannotWrite, EmptyRange, Malformed, OutsideRecording
@@ -158,7 +158,9 @@ def _time_range(recordings: Sequence[Recording], start: Time | None, end: Time |
         raise EmptyRange(message, start_ns=start_ns, end_ns=end_ns)
     selection = Selection(None, start_ns, end_ns)
     if selection.has_range and not any(_overlaps(recording, selection) for recording in recordings):
-        raise OutsideRecording(_why_outside(recordings, selection, first_ns, last_ns), first_ns=first_ns, last_ns=last_ns)
+        raise OutsideRecording(
+            _why_outside(recordings, selection, first_ns, last_ns), first_ns=first_ns, last_ns=last_ns
+        )
     return start_ns, end_ns
 
 
@@ -233,7 +235,7 @@ def _share_read_ahead(recordings: Sequence[Recording]) -> None:
         for recording in recordings:
             for member in recording.members:
                 if isinstance(member, ChunkedMember):
-                    member.max_ahead //= at_once
+                    member.max_ahead = min(member.max_ahead, MAX_AHEAD // at_once)
 
 
 def _most_at_once(recordings: Sequence[Recording]) -> int:
