@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from html import escape
 from os import PathLike
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from kleinkram.recordings import decoding
@@ -140,6 +140,12 @@ class Recording:
     def members(self) -> tuple[OpenedFile, ...]:
         """The opened data files, in the order of `files`; for modules of `kleinkram.recordings`."""
         return self._members
+
+    @property
+    def sha256(self) -> dict[str, str]:
+        """SHA-256 of the files by name, where their sources know it: of files on a server, not of local ones."""
+        known = ((PurePosixPath(source.name).name, getattr(source, "sha256", None)) for source in self._sources)
+        return {name: sha256 for name, sha256 in known if sha256}
 
     @property
     def is_damaged(self) -> bool:
@@ -306,7 +312,7 @@ class Recording:
             start: earliest log time, inclusive, as in `raw_messages`.
             end: latest log time, exclusive.
             options: compression and chunks, and what is copied beside messages.
-            sha256: of the files, by their names, for the metadata record.
+            sha256: of the files, by their names, for the metadata record; by default what their sources know.
             on_progress: called with the share that is done, from 0 to 1, every few MB.
 
         Raises:
@@ -320,9 +326,9 @@ class Recording:
         """
         from kleinkram.recordings.writing.mcap import merge_to_mcap
 
-        hashes = [sha256 or {}]
+        known = None if sha256 is None else [sha256]
         return merge_to_mcap(
-            [self], path, topics, start=start, end=end, options=options, sha256=hashes, on_progress=on_progress
+            [self], path, topics, start=start, end=end, options=options, sha256=known, on_progress=on_progress
         )
 
     def to_parquet(

@@ -12,6 +12,7 @@ from enum import Enum
 from itertools import chain
 from os import PathLike
 from pathlib import Path
+from typing import BinaryIO
 
 import lz4.frame
 import zstandard
@@ -82,19 +83,25 @@ class McapOptions:
 
 
 @dataclass(frozen=True)
-class McapResult:
-    """A written MCAP.
+class WrittenMcap:
+    """What was written.
 
     Attributes:
         losses: what of the recordings could not be read; empty if nothing was lost.
         latched_count: messages of latched topics from before the start of a slice, among `message_count`.
     """
 
-    path: Path
     message_count: int
     size_bytes: int
     losses: tuple[MemberLoss, ...]
-    latched_count: int = 0
+    latched_count: int
+
+
+@dataclass(frozen=True)
+class McapResult(WrittenMcap):
+    """A written MCAP, and its path."""
+
+    path: Path
 
 
 def is_whole_mcap(recording: Recording, compression: ChunkCompression) -> bool:
@@ -119,28 +126,34 @@ def merge_to_mcap(
     start: Time | None = None,
     end: Time | None = None,
     options: McapOptions | None = None,
-    sha256: Sequence[Mapping[str, str]] = (),
+    sha256: Sequence[Mapping[str, str]] | None = None,
     on_progress: OnProgress | None = None,
 ) -> McapResult:
     """Write several recordings, or a slice of them, as one MCAP in log time order, as `Recording.to_mcap` does one.
 
     They may overlap in time. Messages of equal log times have the order of the recordings. Channels with the same
     topic, encodings, schema and properties become one; others stay apart, also those of one topic. Recordings
-    without messages in the time range are left out. `sha256`: one mapping for each recording, or none.
+    without messages in the time range are left out. `sha256`: one mapping for each recording.
 
     Times such as `10:00` and `+20s` refer to the earliest start of the recordings. Errors are those of
     `Recording.to_mcap`; a topic must be in at least one of them.
     """
     options = options or McapOptions()
+    selection = select_slice(recordings, topics, start, end)
+    hashes = [recording.sha256 for recording in recordings] if sha256 is None else sha256
+    sources = [SliceSource(*pair) for pair in zip(recordings, hashes, strict=True)]
+    path = Path(path)
+    with new_file(path) as stream:
+        written = write_slice(stream, sources, selection, options, on_progress)
+    return McapResult(**vars(written), path=path)
+
+
+def select_slice(
+    recordings: Sequence[Recording], topics: Topics | None, start: Time | None, end: Time | None
+) -> Selection:
+    """Return the topics and log times of a slice of recordings; errors are those of `merge_to_mcap`."""
     names = sorted({topic.name for recording in recordings for topic in recording.topics})
-    selection = Selection(select_names(topics, names), *_time_range(recordings, start, end))
-    hashes = [*sha256] or [{} for _ in recordings]
-    sources = [
-        _SliceSource(recording, known)
-        for recording, known in zip(recordings, hashes, strict=True)
-        if _overlaps(recording, selection)
-    ]
-    return _write_slice(sources, selection, Path(path), options, on_progress)
+    return Selection(select_names(topics, names), *_time_range(recordings, start, end))
 
 
 def _time_range(recordings: Sequence[Recording], start: Time | None, end: Time | None) -> tuple[int, int]:
@@ -186,46 +199,46 @@ def _overlaps(recording: Recording, selection: Selection) -> bool:
 
 
 @dataclass(frozen=True)
-class _SliceSource:
+class SliceSource:
     """A recording, and the SHA-256 of its files by name, as far as they are known."""
 
     recording: Recording
     sha256: Mapping[str, str]
 
 
-def _write_slice(
-    sources: Sequence[_SliceSource],
+def write_slice(
+    stream: BinaryIO,
+    sources: Sequence[SliceSource],
     selection: Selection,
-    path: Path,
     options: McapOptions,
-    on_progress: OnProgress | None,
-) -> McapResult:
+    on_progress: OnProgress | None = None,
+) -> WrittenMcap:
+    """Write a slice of recordings to a stream, which need not be seekable, as `merge_to_mcap` does to a file."""
+    sources = [source for source in sources if _overlaps(source.recording, selection)]
     recordings = [source.recording for source in sources]
     channels = [channel for channel in _channels_of(recordings) if selection.has_topic(channel.topic)]
     for recording in recordings:
         if any(channel.message_encoding == "ulog" for channel in _channels_of([recording])):
             raise CannotWrite(recording.name, "it is a ULog, whose messages have no encoding that MCAP knows")
     _share_read_ahead(recordings)
-    with new_file(path) as stream:
-        writer = McapWriter(
-            stream,
-            profile=_profile_of(recordings, channels),
-            library=f"kleinkram {__version__}",
-            compression="" if options.compression is ChunkCompression.none else options.compression.value,
-            compress=_compressor(options),
-            chunk_bytes=options.chunk_bytes,
-        )
-        latched = _latched(recordings, selection) if options.latched else []
-        message_count = _copy_messages(recordings, selection, latched, _Channels(writer, channels), on_progress)
-        find = losses_met if selection.has_range else find_losses
-        copied = [(recording, _copy_other_records(recording, writer, options)) for recording in recordings]
-        losses = tuple(loss for recording, damaged in copied for loss in find(recording, damaged))
-        writer.add_metadata(MADE_FROM, _made_from(sources, selection, latched, losses).items())
-        writer.finish()
-        size_bytes = stream.tell()
-        for recording in recordings:
-            recording.check_unchanged()
-    return McapResult(path, message_count, size_bytes, losses, len(latched))
+    writer = McapWriter(
+        stream,
+        profile=_profile_of(recordings, channels),
+        library=f"kleinkram {__version__}",
+        compression="" if options.compression is ChunkCompression.none else options.compression.value,
+        compress=_compressor(options),
+        chunk_bytes=options.chunk_bytes,
+    )
+    latched = _latched(recordings, selection) if options.latched else []
+    message_count = _copy_messages(recordings, selection, latched, _Channels(writer, channels), on_progress)
+    find = losses_met if selection.has_range else find_losses
+    copied = [(recording, _copy_other_records(recording, writer, options)) for recording in recordings]
+    losses = tuple(loss for recording, damaged in copied for loss in find(recording, damaged))
+    writer.add_metadata(MADE_FROM, _made_from(sources, selection, latched, losses).items())
+    writer.finish()
+    for recording in recordings:
+        recording.check_unchanged()
+    return WrittenMcap(message_count, writer.bytes_written, losses, len(latched))
 
 
 def _share_read_ahead(recordings: Sequence[Recording]) -> None:
@@ -364,7 +377,7 @@ def _copy_other_records(recording: Recording, writer: McapWriter, options: McapO
 
 
 def _made_from(
-    sources: Sequence[_SliceSource],
+    sources: Sequence[SliceSource],
     selection: Selection,
     latched: Iterable[RawMessage],
     losses: tuple[MemberLoss, ...],
@@ -383,7 +396,7 @@ def _made_from(
     return entries
 
 
-def _files_of(sources: Sequence[_SliceSource]) -> Iterator[dict[str, str]]:
+def _files_of(sources: Sequence[SliceSource]) -> Iterator[dict[str, str]]:
     """Yield name and SHA-256 of each file; among several recordings, also the number of its recording, from 0."""
     for number, source in enumerate(sources):
         recording = {"recording": str(number)} if len(sources) > 1 else {}
