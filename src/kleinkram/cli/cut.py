@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +17,7 @@ from kleinkram.cli.errors import Interrupted
 from kleinkram.cli.render import Output, details, note
 from kleinkram.cli.units import count, instant, size, span
 from kleinkram.client import Client, connect
-from kleinkram.client.errors import ClientError, FileUnreadable, InvalidInput, NothingToDo
+from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.contract.errors import FileUnavailable, NotFound
 from kleinkram.recordings import (
     ChunkCompression,
@@ -69,7 +70,7 @@ def cut(
         elif project is not None or not sources:
             raise InvalidInput(what="The command", reason="specify files or folders, or a mission with -m")
         else:
-            recordings = _open_local(stack, sources)
+            recordings = _open_all(stack, (opener for path in sources for opener in _openers(Path(path))))
         selection = _select(recordings, options.topic_names(topics), start, end)
         if dry_run or output is None:
             return _estimate(recordings, selection)
@@ -91,31 +92,37 @@ def _select(
     recordings: Sequence[Recording], topics: Sequence[str] | None, start: str | None, end: str | None
 ) -> Selection:
     try:
-        return select_slice(recordings, topics, start, end)
+        selection = select_slice(recordings, topics, start, end)
     except (ValueError, EmptyRange) as error:
         raise InvalidInput(what="The time range", reason=str(error)) from None
+    if selection.topics is not None and not selection.topics:
+        raise NothingToDo(reason=f"No topic matches {', '.join(topics or [])}")
+    return selection
 
 
-def _open_local(stack: ExitStack, paths: Sequence[str]) -> list[Recording]:
-    """Open the recordings of files and folders; note those that cannot be read, if there are others."""
-    recordings: list[Recording] = []
-    unreadable: list[NotARecording] = []
-    for opener in (opener for path in paths for opener in _openers(Path(path))):
-        try:
-            recordings.append(stack.enter_context(opener()))
-        except NotARecording as error:
-            unreadable.append(error)
-    if not recordings and unreadable:
-        raise unreadable[0]
-    for error in unreadable:
-        note(f"Left out: {error}")
+def _open_all(stack: ExitStack, openers: Iterable[Callable[[], Recording]]) -> list[Recording]:
+    """Open recordings; note those that cannot be read, if there are others."""
+    results = [_open_readable(opener) for opener in openers]
+    recordings = [stack.enter_context(result) for result in results if isinstance(result, Recording)]
+    failures = [result for result in results if not isinstance(result, Recording)]
+    if not recordings:
+        raise failures[0] if failures else NothingToDo(reason="There is no recording")
+    for failure in failures:
+        note(f"Left out: {failure}")
     return recordings
+
+
+def _open_readable(opener: Callable[[], Recording]) -> Recording | NotARecording | FileUnavailable:
+    try:
+        return opener()
+    except (NotARecording, FileUnavailable) as error:
+        return error
 
 
 def _openers(path: Path) -> Iterator[Callable[[], Recording]]:
     """Yield a function that opens a recording, for each in a path."""
     if not path.is_dir():
-        yield lambda: Recording.open(path)
+        yield partial(Recording.open, path)
         return
     groups = read_folder(path).groups
     if not groups:
@@ -125,11 +132,10 @@ def _openers(path: Path) -> Iterator[Callable[[], Recording]]:
 
 def _opener(folder: Path, group: RecordingGroup) -> Callable[[], Recording]:
     if group.kind is RecordingGroupKind.rosbag2 and group.metadata_path is not None:
-        metadata_path = folder / group.metadata_path
-        return lambda: Recording.open(metadata_path)
+        return partial(Recording.open, folder / group.metadata_path)
     if len(group.members) == 1:
-        return lambda: Recording.open(folder / group.members[0])
-    return lambda: Recording.open(_LocalFiles([folder / name for name in group.members]))
+        return partial(Recording.open, folder / group.members[0])
+    return partial(Recording.open, _LocalFiles([folder / name for name in group.members]))
 
 
 class _LocalFiles:
@@ -161,20 +167,7 @@ def _open_remote(
         for name in names:
             if not any(_is_named(name, [row.name, *row.paths]) for row in rows):
                 raise NotFound(resource_type="recording", ref=name)
-    recordings: list[Recording] = []
-    unreadable: list[ClientError | FileUnavailable] = []
-    for row in selected:
-        try:
-            recordings.append(stack.enter_context(client.recordings.open(row)))
-        except NotARecording as error:
-            unreadable.append(FileUnreadable(path=row.name, reason=str(error)))
-        except FileUnavailable as error:
-            unreadable.append(error)
-    if not recordings:
-        raise unreadable[0] if unreadable else NothingToDo(reason="The mission has no recording")
-    for failure in unreadable:
-        note(f"Left out: {failure}")
-    return recordings
+    return _open_all(stack, (partial(client.recordings.open, row) for row in selected))
 
 
 def _is_named(name: str, names: Iterable[str]) -> bool:
