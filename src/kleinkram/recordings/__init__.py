@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from kleinkram.recordings.combine_summaries import combine
     from kleinkram.recordings.errors import (
         CannotWrite,
+        EmptyRange,
         FailureKind,
         NoSuchTopic,
         NotARecording,
+        OutsideRecording,
         RecordingError,
         SeveralRecordings,
         SourceError,
@@ -45,14 +47,21 @@ if TYPE_CHECKING:
     from kleinkram.recordings.summary import scan, summarise
     from kleinkram.recordings.writing.bag import BagCompression, BagOptions, BagResult
     from kleinkram.recordings.writing.losses import LostPlace, MemberLoss
-    from kleinkram.recordings.writing.mcap import ChunkCompression, McapOptions, McapResult, Ros1Messages, is_whole_mcap
+    from kleinkram.recordings.writing.mcap import (
+        ChunkCompression,
+        McapOptions,
+        McapResult,
+        Ros1Messages,
+        is_whole_mcap,
+        merge_to_mcap,
+    )
     from kleinkram.recordings.writing.message_copy import LeftOut
     from kleinkram.recordings.writing.parquet import ParquetFile, ParquetResult
 
 _HOMES = {
     "combine_summaries": "combine",
-    "errors": "CannotWrite FailureKind NoSuchTopic NotARecording RecordingError SeveralRecordings SourceError "
-    "SummaryFailed TooCostly TooDisordered",
+    "errors": "CannotWrite EmptyRange FailureKind NoSuchTopic NotARecording OutsideRecording RecordingError "
+    "SeveralRecordings SourceError SummaryFailed TooCostly TooDisordered",
     "messages": "Channel Message RawMessage Schema Topic",
     "model": "Content Depth Fact Lost Problem RecordingFormat RecordingSummary TopicSummary",
     "recording": "Recording",
@@ -61,7 +70,7 @@ _HOMES = {
     "summary": "scan summarise",
     "writing.bag": "BagCompression BagOptions BagResult",
     "writing.losses": "MemberLoss LostPlace",
-    "writing.mcap": "ChunkCompression McapOptions McapResult Ros1Messages is_whole_mcap",
+    "writing.mcap": "ChunkCompression McapOptions McapResult Ros1Messages is_whole_mcap merge_to_mcap",
     "writing.message_copy": "LeftOut",
     "writing.parquet": "ParquetFile ParquetResult",
 }

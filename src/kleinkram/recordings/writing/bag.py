@@ -97,14 +97,15 @@ def write_bag(
         )
         with closing(writer):
             copy = MessageCopy(_Connections(writer).define, _adder(writer))
-            copy.copy(recording.raw_messages(topics), share_reporter(recording, on_progress))
+            report = share_reporter(recording.start_ns or 0, recording.end_ns or 0, on_progress)
+            copy.copy(recording.raw_messages(topics), report)
             copy.define_silent(channels_of(recording, selected))
             if copy.left_out and not copy.message_count:
                 raise CannotWrite(recording.name, f"no message of it can be in a bag: {copy.left_out[0].reason}")
             writer.finish()
-        size_bytes = stream.tell()
         losses = find_losses(recording)
-    return BagResult(path, copy.message_count, size_bytes, losses, copy.left_out)
+        recording.check_unchanged()
+    return BagResult(path, copy.message_count, writer.bytes_written, losses, copy.left_out)
 
 
 def _adder(writer: BagWriter) -> Callable[[int, RawMessage, bytes], None]:

@@ -61,8 +61,8 @@ class MessageCopy:
         """What is left out, by topic."""
         return tuple(LeftOut(topic, *item) for topic, item in sorted(self._left_out.items()))
 
-    def copy(self, messages: Iterable[RawMessage], on_message: Callable[[int, int], None]) -> None:
-        """Copy all messages; `on_message` gets the number of messages so far and the log time."""
+    def copy(self, messages: Iterable[RawMessage], on_log_time: Callable[[int], None]) -> None:
+        """Copy all messages; `on_log_time` gets the log time of some."""
         routes, add, count = self._routes, self._add, 0
         for number, message in enumerate(messages, 1):
             channel, data = message.channel, message.data
@@ -76,7 +76,7 @@ class MessageCopy:
                 except DecodeError as error:
                     self._leave_out(channel.topic, 1, str(error))
             if number % _PROGRESS_MESSAGES == 0:
-                on_message(number, message.log_time_ns)
+                on_log_time(message.log_time_ns)
         self.message_count += count
 
     def define_silent(self, channels: Iterable[Channel]) -> None:
@@ -105,12 +105,11 @@ def channels_of(recording: Recording, topics: frozenset[str]) -> list[Channel]:
     return [channel for channel in channels if channel.topic in topics]
 
 
-def share_reporter(recording: Recording, on_progress: OnProgress | None) -> Callable[[int, int], None]:
-    """Return what reports progress by the log time of a message."""
-    start_ns = recording.start_ns or 0
-    span_ns = max(1, (recording.end_ns or 0) - start_ns)
+def share_reporter(start_ns: int, end_ns: int, on_progress: OnProgress | None) -> Callable[[int], None]:
+    """Return what reports the share of a time range that is done, by the log time of a message."""
+    span_ns = max(1, end_ns - start_ns)
 
-    def report(_number: int, log_ns: int) -> None:
+    def report(log_ns: int) -> None:
         if on_progress is not None:
             on_progress(min(1.0, max(0.0, (log_ns - start_ns) / span_ns)))
 
