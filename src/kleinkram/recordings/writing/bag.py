@@ -20,6 +20,7 @@ from kleinkram.recordings.errors import CannotWrite
 from kleinkram.recordings.messages import Channel, RawMessage
 from kleinkram.recordings.writing.bag_writer import BagWriter, ros_lz4
 from kleinkram.recordings.writing.chunked_writer import COMPRESSION_THREADS
+from kleinkram.recordings.writing.latched import publisher_count
 from kleinkram.recordings.writing.losses import MemberLoss, find_losses
 from kleinkram.recordings.writing.message_copy import (
     LeftOut,
@@ -132,20 +133,14 @@ class _Connections:
 
     def _new(self, channel: Channel, data: bytes) -> Route:
         schema, add = channel.schema, self._writer.add_connection
-        properties = dict(channel.properties)
         if channel.message_encoding == "ros1":
-            md5sum = properties.get("md5sum") or ros1_md5sum(schema.name, schema.data)
+            md5sum = dict(channel.properties).get("md5sum") or ros1_md5sum(schema.name, schema.data)
             text = schema.data.decode("utf-8", "replace")
             return Route(add(channel.topic, schema.name, md5sum=md5sum, definition=text, properties=channel.properties))
         if channel.message_encoding != "cdr":
             raise SchemaError(f"messages in '{channel.message_encoding}' are none of ROS")
         made = re_encoding_of(channel, with_definition(schema, "cdr", data))
-        latching = (("latching", "1"),) if _is_latched(properties.get("offered_qos_profiles", "")) else ()
+        latching = (("latching", "1"),) if publisher_count(channel) else ()
         number = add(channel.topic, made.name, md5sum=made.md5sum, definition=made.definition, properties=latching)
         return Route(number, made.transcode)
 
-
-def _is_latched(qos_profiles: str) -> bool:
-    """Return whether publishers offer messages to late subscribers: the durability of their QoS is transient local."""
-    lines = [line.strip(" -") for line in qos_profiles.splitlines()]
-    return "durability: 1" in lines or "durability: transient_local" in lines
