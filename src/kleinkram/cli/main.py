@@ -51,6 +51,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "audit": ("admin", "audit", "Show who did what, when."),
     "admin": ("admin", "app", "Show and repair the whole server; for admins."),
     "inspect": ("recordings", "inspect", "Show what is in local recordings, without a server."),
+    "convert": ("convert", "convert", "Convert, recompress or repair local recordings: to MCAP, or to ROS 1 bags."),
     "check": ("check", "check", "Check local recordings by the rules of checks.yaml, without a server."),
     "checks": ("check", "app", "Make checks.yaml, the rules that recordings must pass, and manage that of a project."),
     "sample": ("recordings", "sample", "Create a sample mission of realistic recordings."),

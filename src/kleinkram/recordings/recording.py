@@ -159,6 +159,19 @@ class Recording:
             if isinstance(source, FileSource):
                 source.check_unchanged()
 
+    @property
+    def size_bytes(self) -> int:
+        """Size of all its files."""
+        return sum(source.size_bytes for source in self._sources)
+
+    def summarise(self) -> RecordingSummary:
+        """Return what is in the recording, as `klein inspect`; see `problems` for what this reads.
+
+        Raises:
+            SourceError: the bytes cannot be read.
+        """
+        return self._summarise()
+
     def scan_files(self) -> tuple[RecordingSummary, ...]:
         """Return what is in each of `files` by reading all of it, with every checksum, as `klein inspect --deep`.
 

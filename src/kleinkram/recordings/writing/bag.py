@@ -88,11 +88,10 @@ def write_bag(
     """Write a recording as `Recording.to_bag` describes."""
     selected = frozenset(topic.name for topic in recording.select_topics(topics))
     with new_file(path) as stream:
-        compress = _COMPRESS[options.compression]
         writer = BagWriter(
             stream,
             compression=options.compression.value,
-            compress=compress,
+            compress=bag_compressor(options),
             chunk_bytes=options.chunk_bytes,
             workers=COMPRESSION_THREADS,
         )
@@ -107,6 +106,11 @@ def write_bag(
         losses = find_losses(recording)
         recording.check_unchanged()
     return BagResult(path, copy.message_count, writer.bytes_written, losses, copy.left_out)
+
+
+def bag_compressor(options: BagOptions) -> Callable[[bytes], bytes]:
+    """Return what compresses chunks, in several threads at once."""
+    return _COMPRESS[options.compression]
 
 
 def _adder(writer: BagWriter) -> Callable[[int, RawMessage, bytes], None]:
@@ -143,4 +147,3 @@ class _Connections:
         latching = (("latching", "1"),) if publisher_count(channel) else ()
         number = add(channel.topic, made.name, md5sum=made.md5sum, definition=made.definition, properties=latching)
         return Route(number, made.transcode)
-

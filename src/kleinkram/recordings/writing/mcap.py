@@ -134,12 +134,21 @@ def is_whole_mcap(recording: Recording, compression: ChunkCompression) -> bool:
     Raises:
         SourceError: the bytes cannot be read.
     """
+    return is_whole(recording, RecordingFormat.mcap, compression.value)
+
+
+def is_whole(recording: Recording, file_format: RecordingFormat, compression: str) -> bool:
+    """Return whether a recording is one file of this format, indexed, undamaged, and compressed so. Reads all of it.
+
+    Raises:
+        SourceError: the bytes cannot be read.
+    """
     if len(recording.members) != 1 or recording.members[0].summary is not None:
         return False  # it was scanned to be opened, so its index is not usable
     (summary,) = recording.scan_files()
     has_good_index = not any(problem.code in ("index-damaged", "counts-disagree") for problem in summary.problems)
-    is_whole = (summary.format, summary.content) == (RecordingFormat.mcap, Content.indexed) and summary.lost is None
-    return is_whole and has_good_index and set(summary.compression) <= {compression.value}
+    is_whole = (summary.format, summary.content) == (file_format, Content.indexed) and summary.lost is None
+    return is_whole and has_good_index and set(summary.compression) <= {compression}
 
 
 def merge_to_mcap(
@@ -250,7 +259,7 @@ def write_slice(
         profile=_profile_of(recordings, channels, options.ros1),
         library=f"kleinkram {__version__}",
         compression="" if options.compression is ChunkCompression.none else options.compression.value,
-        compress=_compressor(options),
+        compress=mcap_compressor(options),
         chunk_bytes=options.chunk_bytes,
         workers=COMPRESSION_THREADS,
     )
@@ -305,7 +314,7 @@ def _adder(writer: McapWriter) -> Callable[[int, RawMessage, bytes], None]:
     return add
 
 
-def _compressor(options: McapOptions) -> Callable[[bytes], bytes]:
+def mcap_compressor(options: McapOptions) -> Callable[[bytes], bytes]:
     """Return what compresses chunks, in several threads at once."""
     level = _DEFAULT_LEVELS[options.compression] if options.level is None else options.level
     if options.compression is ChunkCompression.zstd:
