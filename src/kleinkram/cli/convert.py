@@ -106,7 +106,7 @@ def _options(to: str, compression: str | None, level: int | None, keep_ros1: boo
         reason = str(error)
         if "is not a valid" in reason:
             names = BagCompression if to == "bag" else ChunkCompression
-            reason = f"--compression is {', '.join(names)}, not {compression!r}".replace("Compression.", "")
+            reason = f"--compression is {', '.join(names)}, not {compression!r}"
         raise InvalidInput(what="The command", reason=reason) from None
 
 

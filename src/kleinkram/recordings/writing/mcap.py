@@ -30,7 +30,7 @@ from kleinkram.recordings.recording import OnProgress, Recording, Topics, merged
 from kleinkram.recordings.streams import open_range
 from kleinkram.recordings.time_range import resolve_range, utc_text
 from kleinkram.recordings.writing.chunked_writer import COMPRESSION_THREADS
-from kleinkram.recordings.writing.latched import latched_before
+from kleinkram.recordings.writing.latched import latched_before, publisher_count
 from kleinkram.recordings.writing.losses import LostPlace, MemberLoss, find_losses, losses_met
 from kleinkram.recordings.writing.mcap_writer import McapWriter
 from kleinkram.recordings.writing.message_copy import (
@@ -268,6 +268,8 @@ def write_slice(
         copy = MessageCopy(_Channels(writer, options.ros1).define, _adder(writer))
         copy.copy(_messages(recordings, selection, latched), _progress_of(recordings, selection, on_progress))
         copy.define_silent(channels)
+        if copy.left_out and not copy.message_count:
+            raise CannotWrite(recordings[0].name, f"no message can be re-encoded: {copy.left_out[0].reason}")
         find = losses_met if selection.has_range else find_losses
         copied = [(recording, _copy_other_records(recording, writer, options)) for recording in recordings]
         losses = tuple(loss for recording, damaged in copied for loss in find(recording, damaged))
@@ -369,7 +371,7 @@ class _Channels:
         if channel.message_encoding == "ros1" and self._ros1 is Ros1Messages.reencode:
             made = re_encoding_of(channel, channel.schema)
             schema = Schema(made.name, "ros2msg", made.definition.encode())
-            properties = _ros2_properties(channel.properties)
+            properties = _ros2_properties(channel)
             return Route(self._add(channel.topic, "cdr", schema, properties), made.transcode)
         schema = with_definition(channel.schema, channel.message_encoding, data)
         return Route(self._add(channel.topic, channel.message_encoding, schema, channel.properties))
@@ -380,10 +382,10 @@ class _Channels:
         return self._writer.add_channel(topic, schema_id, message_encoding, properties)
 
 
-def _ros2_properties(properties: Properties) -> Properties:
+def _ros2_properties(channel: Channel) -> Properties:
     """Return the properties of a ROS 1 channel as ROS 2 has them: a latched topic is transient local."""
-    kept = tuple((name, value) for name, value in properties if name not in ("latching", "md5sum"))
-    return (*kept, ("offered_qos_profiles", _LATCHED_QOS)) if dict(properties).get("latching") == "1" else kept
+    kept = tuple((name, value) for name, value in channel.properties if name not in ("latching", "md5sum"))
+    return (*kept, ("offered_qos_profiles", _LATCHED_QOS)) if publisher_count(channel) else kept
 
 
 def _messages(

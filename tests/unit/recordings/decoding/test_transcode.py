@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import random
 import struct
-from dataclasses import fields, is_dataclass
 from typing import Any
 
-import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from kleinkram.recordings.decoding import DecodeError, Decoder, decoder_for, to_plain
 from kleinkram.recordings.decoding.msg_definitions import Ros, known_definitions, parse_msg, well_known_definitions
 from kleinkram.recordings.decoding.ros_versions import to_ros1, to_ros2
-from kleinkram.recordings.decoding.transcode import legal_name
 from kleinkram.recordings.decoding.types import Array, SchemaError, Struct, Type
+from tests.recording_files.plain_values import plain, rosbags_decoder
 
 RULE = "=" * 80
 NOETIC = get_typestore(Stores.ROS1_NOETIC)
@@ -66,25 +64,6 @@ def random_ros1(kind: Type, chance: random.Random, *, longest: int = 4) -> bytes
     return chance.randbytes(kind.size)
 
 
-def plain(value: Any) -> Any:
-    """Return a value of any library as dicts by legal names, lists, and numbers; without sequence numbers."""
-    if isinstance(value, (list, tuple)):
-        return [plain(part) for part in value]
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, bytes):
-        return list(value)
-    if isinstance(value, dict):
-        parts = value
-    elif is_dataclass(value):
-        parts = {one.name: getattr(value, one.name) for one in fields(value) if not hasattr(type(value), one.name)}
-    else:
-        return value
-    names = {"secs": "sec", "nsecs": "nanosec", "structure_needs_at_least_one_member": None, "seq": None}
-    named = {names.get(name, legal_name(name)): plain(part) for name, part in parts.items()}
-    return {name: part for name, part in named.items() if name}
-
-
 def decoded(encoding: str, name: str, schema_encoding: str, definition: str, data: bytes) -> Any:
     decoder = decoder_for(encoding, name, schema_encoding, definition.encode())
     assert isinstance(decoder, Decoder), decoder
@@ -97,11 +76,9 @@ def assert_same_values(name: str, text: str, store: Any, seed: int) -> None:
     raw = random_ros1(source, random.Random(seed))
     there = to_ros2(name, text.encode())
     cdr = there.transcode(raw)
-    ros2 = get_typestore(Stores.EMPTY)
-    ros2.register(get_types_from_msg(there.definition.replace("# no fields\n", ""), there.name))
     full_name = name.replace("/", "/msg/")
     expected = plain(store.deserialize_ros1(raw, full_name))
-    assert plain(ros2.deserialize_cdr(cdr, there.name)) == expected
+    assert rosbags_decoder("cdr", there.name, there.definition)(cdr) == expected
     assert decoded("cdr", there.name, "ros2msg", there.definition, cdr) == expected
     back = to_ros1(there.name, "ros2msg", there.definition.encode())
     assert back.transcode(cdr) == raw
