@@ -20,11 +20,10 @@ from kleinkram.recordings.writing.conversion import (
     ConversionOptions,
     ConversionPlan,
     ConversionResult,
+    convert_recording,
+    is_as_wanted,
     plan_conversion,
     target_names,
-)
-from kleinkram.recordings.writing.conversion import (
-    convert as convert_recording,
 )
 from kleinkram.recordings.writing.mcap import ChunkCompression, McapOptions, Ros1Messages
 from kleinkram.recordings.writing.message_copy import sentences
@@ -140,8 +139,10 @@ def _plan(job: _Job, how: ConversionOptions) -> _Outcome:
 def _convert(job: _Job, how: ConversionOptions, watch: _Watch) -> _Outcome:
     try:
         with job.recording.open() as recording:
+            if is_as_wanted(recording, how):
+                return _Outcome(job, recording.size_bytes)
             job.path.parent.mkdir(parents=True, exist_ok=True)
-            result = convert_recording(recording, job.path, how, watch(job.recording.name))
+            result = convert_recording(recording, job.path, how, on_progress=watch(job.recording.name))
             return _Outcome(job, recording.size_bytes, result=result)
     except OSError as error:
         return _Outcome(job, error=f"{job.path.parent}: {error.strerror or error}")

@@ -5,7 +5,7 @@ A recording that already is what it would become stays as it is; to be sure, all
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 from kleinkram.recordings.errors import CannotWrite
 from kleinkram.recordings.formats.base import Segment
 from kleinkram.recordings.model import Content, RecordingFormat, RecordingSummary, counted
-from kleinkram.recordings.writing.bag import BagOptions, BagResult, bag_compressor, write_bag
+from kleinkram.recordings.writing.bag import BagOptions, BagResult, bag_compressor
 from kleinkram.recordings.writing.mcap import McapOptions, McapResult, Ros1Messages, is_whole, mcap_compressor
 
 if TYPE_CHECKING:
-    from kleinkram.recordings.recording import OnProgress, Recording
+    from kleinkram.recordings.recording import OnProgress, Recording, Topics
 
 EXTENSIONS = (".active", ".zst", ".zstd", ".bag", ".mcap", ".db3", ".ulg")
 _INDEX_PROBLEMS = frozenset(("index-damaged", "counts-disagree"))
@@ -54,23 +54,35 @@ def plan_conversion(recording: Recording, options: ConversionOptions) -> Convers
     return ConversionPlan(reasons, recording.size_bytes, estimated_bytes)
 
 
-def convert(
-    recording: Recording, path: Path, options: ConversionOptions, on_progress: OnProgress | None = None
-) -> ConversionResult | None:
-    """Write a recording as one MCAP or bag; return None, and write nothing, if it is already as wanted.
+def is_as_wanted(recording: Recording, options: ConversionOptions) -> bool:
+    """Return whether a conversion would change nothing. Reads all of the recording, unless the index says no.
 
-    Errors are those of `Recording.to_mcap` and `Recording.to_bag`.
+    Raises:
+        SourceError: the bytes cannot be read.
+    """
+    has_reasons = any(True for _ in _reasons(recording, options))
+    return not has_reasons and is_whole(recording, _format_of(options), options.compression.value)
+
+
+def convert_recording(
+    recording: Recording,
+    path: Path,
+    options: ConversionOptions,
+    topics: Topics | None = None,
+    *,
+    sha256: Mapping[str, str] | None = None,
+    on_progress: OnProgress | None = None,
+) -> ConversionResult:
+    """Write a recording as one MCAP or bag. Errors are those of `Recording.to_mcap` and `Recording.to_bag`.
 
     Raises:
         CannotWrite: nothing of the recording can be read, or the file cannot be written.
     """
-    if not [*_reasons(recording, options)] and is_whole(recording, _format_of(options), options.compression.value):
-        return None
     result: ConversionResult
     if isinstance(options, McapOptions):
-        result = recording.to_mcap(path, options=options, on_progress=on_progress)
+        result = recording.to_mcap(path, topics, options=options, sha256=sha256, on_progress=on_progress)
     else:
-        result = write_bag(recording, path, None, options, on_progress)
+        result = recording.to_bag(path, topics, options=options, on_progress=on_progress)
     if result.losses and not result.message_count:
         path.unlink()
         raise CannotWrite(recording.name, f"nothing of it can be read: {result.losses[0].reason}")
