@@ -1,7 +1,8 @@
 """Base class of the writers of chunked files: the chunk being filled, those being compressed, and the index so far.
 
-With `workers`, threads compress; the order of chunks and their bytes are the same as without. Memory: the chunk being
-filled, at most `workers` and one more that wait (one, if they have more than 32 MiB), and the records of the index.
+With `workers`, threads compress, and one more writes; the order of chunks and their bytes are the same as without.
+Memory: the chunk being filled, at most `workers` and two more that wait (one, if they have more than 32 MiB), and the
+records of the index.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ class ChunkedWriter:
         self._position = self._raw_bytes = self._stored_bytes = 0
         self._definitions: list[bytes] = []
         self._chunk_indexes: list[bytes] = []
-        self._most_waiting = workers + 1
-        self._pool = ThreadPoolExecutor(workers, "compression") if workers else None
-        self._waiting: deque[tuple[Chunk, Future[PackedChunk]]] = deque()
+        self._most_waiting = workers + 2
+        self._pools = (ThreadPoolExecutor(workers, "compress"), ThreadPoolExecutor(1, "write")) if workers else None
+        self._waiting: deque[tuple[int, Future[None]]] = deque()
         self._begin_chunk()
 
     @property
@@ -65,8 +66,8 @@ class ChunkedWriter:
 
     def close(self) -> None:
         """End the threads. The file is not closed; without `finish` before, it is not complete."""
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+        for pool in self._pools or ():
+            pool.shutdown(cancel_futures=True)
 
     def _begin_chunk(self) -> None:
         self._pieces: list[bytes] = []
@@ -96,28 +97,26 @@ class ChunkedWriter:
             return
         chunk = Chunk(self._pieces, self._size, self._first_ns, self._last_ns, self._index)
         self._begin_chunk()
-        if self._pool is None:
+        if self._pools is None:
             self._store(chunk, self._pack(chunk))
             return
-        self._waiting.append((chunk, self._pool.submit(self._pack, chunk)))
+        compressing, writing = self._pools
+        packed = compressing.submit(self._pack, chunk)
+        self._waiting.append((chunk.size, writing.submit(lambda: self._store(chunk, packed.result()))))
         while self._waiting and (self._waiting[0][1].done() or self._has_too_many_waiting()):
-            self._store_first()
+            self._waiting.popleft()[1].result()
 
     def _has_too_many_waiting(self) -> bool:
         waiting = len(self._waiting)
         return waiting > self._most_waiting or (
-            waiting > 1 and sum(chunk.size for chunk, _ in self._waiting) > _MAX_WAITING_BYTES
+            waiting > 1 and sum(size for size, _ in self._waiting) > _MAX_WAITING_BYTES
         )
 
-    def _store_first(self) -> None:
-        chunk, packed = self._waiting.popleft()
-        self._store(chunk, packed.result())
-
     def _flush(self) -> None:
-        """Write all chunks, that being filled included."""
+        """Write all chunks, that being filled included. Until then, what is written belongs to the other threads."""
         self._end_chunk()
         while self._waiting:
-            self._store_first()
+            self._waiting.popleft()[1].result()
 
     def _pack(self, chunk: Chunk) -> PackedChunk:
         """Compress a chunk, in any thread."""
