@@ -65,8 +65,9 @@ def bag_rosbags(source: str, target: str) -> Facts:
     store = get_typestore(Stores.ROS2_HUMBLE)
     bag = Path(f"{target}.bag")  # the writer insists on the extension
     bag.unlink(missing_ok=True)
-    with Path(source).open("rb") as file, BagWriter(bag) as writer:
-        writer.set_compression(BagWriter.CompressionFormat.LZ4)
+    writer = BagWriter(bag)
+    writer.set_compression(BagWriter.CompressionFormat.LZ4)
+    with Path(source).open("rb") as file, writer:
         connections = {}
         for schema, channel, message in make_reader(file).iter_messages():
             if schema is None:

@@ -195,7 +195,9 @@ def _show_plan(outcomes: Sequence[_Outcome]) -> None:
         if plan is None:
             rows.append((one.job.recording.name, None, None, None, f"cannot be read: {one.error}"))
         elif not plan.reasons:
-            rows.append((one.job.recording.name, None, size(one.bytes_in), None, "nothing to do"))
+            rows.append(
+                (one.job.recording.name, None, size(one.bytes_in), None, "nothing to do, unless a checksum is wrong")
+            )
         else:
             why = "; ".join((*(["the file exists"] if one.job.path.exists() else []), *plan.reasons))
             sizes = size(one.bytes_in), f"about {size(plan.estimated_bytes)}"

@@ -128,7 +128,7 @@ def to_ros1(name: str, schema_encoding: str, definition: bytes) -> ReEncoding:
         raise SchemaError("the recording has no definition of it, and it is not one of the common types")
     if short_name(source.name) in _ROS1_TIMES:
         raise SchemaError(f"ROS 1 has no message {short_name(source.name)}")
-    types = _Ros1Types(lines)
+    types = _Ros1Types(lines, ROS1_TEXTS)
     root = types.add(source)
     made = full_definition(root, types.texts)
     transcode = transcoder(source, parse_msg(root, made, Ros.one), CDR_LE, ROS1)
@@ -142,7 +142,7 @@ def ros1_md5sum(name: str, definition: bytes) -> str:
         SchemaError: the definition cannot be read.
     """
     text = _text_of(definition)
-    types = _Ros1Types(_lines_by_type(name, text))
+    types = _Ros1Types(_lines_by_type(name, text), {})
     return md5sum_of(types.add(parse_msg(name, text, Ros.one)), types.texts)
 
 
@@ -269,7 +269,11 @@ def _ros2_constant(line: Line) -> tuple[str, str] | None:
 
 
 class _Ros1Types(_Types):
-    """Types of ROS 1 by those of ROS 2."""
+    """Types of ROS 1 by those of ROS 2, or by themselves. `known`: definitions that ROS 1 has, by name."""
+
+    def __init__(self, lines: Mapping[str, list[Line]], known: Mapping[str, str]) -> None:
+        super().__init__(lines)
+        self._known = known
 
     def _add(self, struct: Struct) -> str:
         name = short_name(struct.name)
@@ -278,7 +282,7 @@ class _Ros1Types(_Types):
         if "/" not in name:
             raise SchemaError(f"'{name[:100]}' is not a name that a type of ROS 1 can have")
         fields = [*self._fields(struct)]
-        own = ROS1_TEXTS.get(name)
+        own = self._known.get(name)
         names = [legal_name(line.name) for line in read_lines(name, own or "") if line.value is None]
         if own is not None and names[-len(fields) :] == [legal_name(field) for _, field in fields]:
             self._set(name, own)

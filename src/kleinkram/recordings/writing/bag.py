@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 from kleinkram.recordings.decoding import DecodeError
 from kleinkram.recordings.decoding.ros_versions import ros1_md5sum
 from kleinkram.recordings.decoding.types import SchemaError
-from kleinkram.recordings.errors import CannotWrite
 from kleinkram.recordings.messages import Channel, RawMessage
 from kleinkram.recordings.writing.bag_writer import BagWriter, ros_lz4
 from kleinkram.recordings.writing.chunked_writer import COMPRESSION_THREADS
@@ -100,8 +99,7 @@ def write_bag(
             report = share_reporter(recording.start_ns or 0, recording.end_ns or 0, on_progress)
             copy.copy(recording.raw_messages(topics), report)
             copy.define_silent(channels_of(recording, selected))
-            if copy.left_out and not copy.message_count:
-                raise CannotWrite(recording.name, f"no message of it can be in a bag: {copy.left_out[0].reason}")
+            copy.check_any(recording.name, "no message of it can be in a bag")
             writer.finish()
         losses = find_losses(recording)
         recording.check_unchanged()
@@ -115,7 +113,7 @@ def bag_compressor(options: BagOptions) -> Callable[[bytes], bytes]:
 
 def _adder(writer: BagWriter) -> Callable[[int, RawMessage, bytes], None]:
     def add(number: int, message: RawMessage, data: bytes) -> None:
-        if message.log_time_ns >= _END_OF_TIME_NS:
+        if not 0 <= message.log_time_ns < _END_OF_TIME_NS:
             raise DecodeError(message.schema.name, f"the log time {message.log_time_ns} ns is beyond those of a bag")
         writer.add_message(number, message.log_time_ns, data)
 

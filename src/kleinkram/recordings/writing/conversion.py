@@ -5,6 +5,7 @@ A recording that already is what it would become stays as it is; to be sure, all
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 EXTENSIONS = (".active", ".zst", ".zstd", ".bag", ".mcap", ".db3", ".ulg")
 _INDEX_PROBLEMS = frozenset(("index-damaged", "counts-disagree"))
 _SAMPLED_SEGMENTS = 8
+_TIMES = struct.Struct("<qq")
 _NAMES = {RecordingFormat.mcap: "an MCAP", RecordingFormat.rosbag1: "a bag"}
 
 ConversionOptions = McapOptions | BagOptions
@@ -47,8 +49,11 @@ def plan_conversion(recording: Recording, options: ConversionOptions) -> Convers
     """Return what a conversion would do. Reads the index and a few parts of the recording.
 
     Raises:
+        CannotWrite: it is a ULog.
         SourceError: the bytes cannot be read.
     """
+    if any(topic.message_encoding == "ulog" for topic in recording.topics):
+        raise CannotWrite(recording.name, "it is a ULog, whose messages neither MCAPs nor bags can hold")
     reasons = tuple(_reasons(recording, options))
     estimated_bytes = _estimate(recording, options) if reasons else recording.size_bytes
     return ConversionPlan(reasons, recording.size_bytes, estimated_bytes)
@@ -132,15 +137,17 @@ def _reasons(recording: Recording, options: ConversionOptions) -> Iterator[str]:
             yield "ROS 2 messages become ROS 1 messages"
     elif options.ros1 is Ros1Messages.reencode and "ros1" in encodings:
         yield "ROS 1 messages become ROS 2 messages"
-    yield from _repairs(summary)
+    yield from _repairs(recording, summary)
     yield from _recompressions(summary, options, is_same_format=summary.format is target)
 
 
-def _repairs(summary: RecordingSummary) -> Iterator[str]:
+def _repairs(recording: Recording, summary: RecordingSummary) -> Iterator[str]:
     if summary.content is not Content.indexed:
         yield f"it is repaired: {summary.reason or 'it is damaged'}"
     elif any(problem.code in _INDEX_PROBLEMS for problem in summary.problems):
         yield "it gets a new index, because its own is damaged"
+    elif any(member.summary is not None for member in recording.members):
+        yield "it gets an index"  # without one, it was read from end to end to be opened
 
 
 def _recompressions(summary: RecordingSummary, options: ConversionOptions, *, is_same_format: bool) -> Iterator[str]:
@@ -164,5 +171,7 @@ def _estimate(recording: Recording, options: ConversionOptions) -> int:
 
 
 def _compressed_bytes(recording: Recording, segment: Segment, compress: Callable[[bytes], bytes]) -> int:
-    blocks = recording.segment_messages(segment)
-    return len(compress(b"".join(message.data for block in blocks for message in block)))
+    """Return what the messages of a part take, with their times, and their entries in the index."""
+    messages = [message for block in recording.segment_messages(segment) for message in block]
+    raw = b"".join(_TIMES.pack(message.log_time_ns, message.publish_time_ns) + message.data for message in messages)
+    return len(compress(raw)) + _TIMES.size * len(messages)

@@ -268,8 +268,7 @@ def write_slice(
         copy = MessageCopy(_Channels(writer, options.ros1).define, _adder(writer))
         copy.copy(_messages(recordings, selection, latched), _progress_of(recordings, selection, on_progress))
         copy.define_silent(channels)
-        if copy.left_out and not copy.message_count:
-            raise CannotWrite(recordings[0].name, f"no message can be re-encoded: {copy.left_out[0].reason}")
+        copy.check_any(", ".join(recording.name for recording in recordings), "no message can be re-encoded")
         find = losses_met if selection.has_range else find_losses
         copied = [(recording, _copy_other_records(recording, writer, options)) for recording in recordings]
         losses = tuple(loss for recording, damaged in copied for loss in find(recording, damaged))
