@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 EXTENSIONS = (".active", ".zst", ".zstd", ".bag", ".mcap", ".db3", ".ulg")
 _INDEX_PROBLEMS = frozenset(("index-damaged", "counts-disagree"))
 _SAMPLED_SEGMENTS = 8
-_TIMES = struct.Struct("<qq")
+_TIMES = struct.Struct("<QQ")
 _NAMES = {RecordingFormat.mcap: "an MCAP", RecordingFormat.rosbag1: "a bag"}
 
 ConversionOptions = McapOptions | BagOptions
@@ -173,5 +173,7 @@ def _estimate(recording: Recording, options: ConversionOptions) -> int:
 def _compressed_bytes(recording: Recording, segment: Segment, compress: Callable[[bytes], bytes]) -> int:
     """Return what the messages of a part take, with their times, and their entries in the index."""
     messages = [message for block in recording.segment_messages(segment) for message in block]
-    raw = b"".join(_TIMES.pack(message.log_time_ns, message.publish_time_ns) + message.data for message in messages)
+    raw = b"".join(
+        _TIMES.pack(message.log_time_ns % 2**64, message.publish_time_ns % 2**64) + message.data for message in messages
+    )
     return len(compress(raw)) + _TIMES.size * len(messages)
