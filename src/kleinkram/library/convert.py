@@ -98,6 +98,7 @@ from kleinkram.recordings import (
     RecordingError,
     Ros1Messages,
 )
+from kleinkram.recordings.model import counted
 from kleinkram.recordings.writing.conversion import ConversionOptions, convert_recording, is_as_wanted, target_names
 
 LOSSES_OF_TABLES = ("damaged", "damaged-message", "message-undecodable", "too-late", "topic-types-differ")
@@ -288,7 +289,7 @@ def report_losses(recording: InputRecording, losses: Sequence[MemberLoss]) -> No
 def report_left_out(recording: InputRecording, left_out: Sequence[LeftOut]) -> None:
     """Report the messages that the output cannot hold."""
     for part in left_out:
-        reason = f"{part.message_count} messages are left out: {part.reason}"
+        reason = f"{counted(part.message_count, 'message')} left out: {part.reason}"
         report_finding("warning", "convert.topic", reason, recording, part.topic)
 
 

@@ -90,7 +90,7 @@ def convert_recording(
         result = recording.to_bag(path, topics, options=options, on_progress=on_progress)
     if result.losses and not result.message_count:
         path.unlink()
-        raise CannotWrite(recording.name, f"nothing of it can be read: {result.losses[0].reason}")
+        raise CannotWrite(PurePosixPath(recording.name).name, "nothing of it can be read")
     return result
 
 
