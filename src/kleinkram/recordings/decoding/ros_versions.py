@@ -41,6 +41,7 @@ _RENAMED = {"tf/tfMessage": "tf2_msgs/TFMessage", "roslib/Header": "std_msgs/Hea
 _ROS2_TIMES = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
 _ROS1_TIMES = {name: word for word, name in _ROS2_TIMES.items()}
 _ALIASES = frozenset(("byte", "char"))
+_UNSIGNED = {"byte": "uint8"}  # which is signed in ROS 1; types that both versions have keep their md5 sum
 
 ROS1_TEXTS = {
     "std_msgs/Header": "uint32 seq\ntime stamp\nstring frame_id",
@@ -288,6 +289,8 @@ class _Ros1Types(_Types):
             self._set(name, own)
             return name
         lines = self._own_lines(struct)
+        if self._known and name not in known_definitions():
+            lines = [line._replace(type_name=_UNSIGNED.get(line.type_name, line.type_name)) for line in lines]
         aliases = {line.name: line.type_name for line in lines if line.type_name in _ALIASES}
         fields = [
             (aliases[field] + "".join(kind.partition("[")[1:]) if field in aliases else kind, field)
