@@ -124,7 +124,7 @@ def to_ros1(name: str, schema_encoding: str, definition: bytes) -> ReEncoding:
         source = parse_idl(name, text)
     elif schema_encoding == "ros2msg":
         source = parse_msg(name, text, Ros.two)
-        lines = {kind: [*map(_without_quotes, part)] for kind, part in _lines_by_type(name, text).items()}
+        lines = {kind: [*map(_as_ros1_constant, part)] for kind, part in _lines_by_type(name, text).items()}
     else:
         raise SchemaError("the recording has no definition of it, and it is not one of the common types")
     if short_name(source.name) in _ROS1_TIMES:
@@ -147,10 +147,11 @@ def ros1_md5sum(name: str, definition: bytes) -> str:
     return md5sum_of(types.add(parse_msg(name, text, Ros.one)), types.texts)
 
 
-def _without_quotes(line: Line) -> Line:
-    """Return a line with a text as ROS 1 writes it."""
-    is_text = line.value is not None and line.type_name == "string"
-    return line._replace(value=str(constant_value("string", line.value or ""))) if is_text else line
+def _as_ros1_constant(line: Line) -> Line:
+    """Return a constant of ROS 2 as ROS 1 writes it: texts without quotation marks, True and False; others as is."""
+    if line.value is None or line.type_name not in ("string", "bool"):
+        return line
+    return line._replace(value=str(constant_value(line.type_name, line.value)))
 
 
 def _text_of(definition: bytes) -> str:

@@ -184,8 +184,8 @@ def test_what_has_no_type_in_ros_2_has_a_reason(name: str, text: str, reason: st
 
 
 def test_a_byte_stays_unsigned() -> None:
-    made = to_ros1("my_msgs/msg/T", "ros2msg", b"byte A=200\nbyte[<=3] data\nstring name\nstring NOTE='a b'\n")
-    assert made.definition == "uint8 A=200\nstring NOTE=a b\nuint8[] data\nstring name\n"
+    made = to_ros1("my_msgs/msg/T", "ros2msg", b"byte A=200\nbyte[<=3] data\nbool B=true\nstring N='a b'\n")
+    assert made.definition == "uint8 A=200\nbool B=True\nstring N=a b\nuint8[] data\n"
     level = to_ros1("diagnostic_msgs/msg/KeyValue", "ros2msg", b"string key\nstring value\n")
     assert level.md5sum == "cf57fdc6617a881a88c16e768132149c"
 
