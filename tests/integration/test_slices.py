@@ -16,10 +16,15 @@ from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mca
 from kleinkram.recordings.writing.mcap import MADE_FROM
 from tests.integration.api_server import Api
 from tests.integration.jobs import run_jobs
-from tests.integration.test_cli import Klein, klein  # noqa: F401  # a fixture
+from tests.integration.test_cli import Klein, klein_at
 from tests.recording_files.whole_mcap import read_whole_mcap
 
 RANGE = ("--start", "+4s", "--end", "+6s")
+
+
+@pytest.fixture(name="klein", scope="module")
+def _klein(api: Api, tmp_path_factory: pytest.TempPathFactory) -> Klein:
+    return klein_at(api, tmp_path_factory.mktemp("home"))
 
 
 @pytest.fixture(name="drives", scope="module")
@@ -59,7 +64,7 @@ def stamped(path: Path) -> list[tuple[str, int, bytes]]:
     return [(topic, log_ns, data) for topic, log_ns, _, _, data in read_whole_mcap(path).messages]
 
 
-def test_cut_of_a_local_file(klein: Klein, drives: Path, tmp_path: Path) -> None:  # noqa: F811
+def test_cut_of_a_local_file(klein: Klein, drives: Path, tmp_path: Path) -> None:
     target = tmp_path / "out.mcap"
     cut = ("cut", drives / "drive.mcap", "--topics", "/imu/data,/odom", *RANGE, "-o", target)
     document: dict[str, Any] = json.loads(klein(*cut, "--json").stdout)
@@ -71,13 +76,13 @@ def test_cut_of_a_local_file(klein: Klein, drives: Path, tmp_path: Path) -> None
     assert "is not replaced" in klein(*cut, code=8).stderr
 
 
-def test_cut_of_a_folder_merges_its_recordings(klein: Klein, drives: Path, tmp_path: Path) -> None:  # noqa: F811
+def test_cut_of_a_folder_merges_its_recordings(klein: Klein, drives: Path, tmp_path: Path) -> None:
     klein("cut", drives, "--topics", "/imu/data", *RANGE, "-o", tmp_path / "out.mcap")
     both = [*expected(drives / "drive.mcap", "/imu/data"), *expected(drives / "nuc" / "drive2.bag", "/imu/data")]
     assert sorted(stamped(tmp_path / "out.mcap")) == sorted(both)
 
 
-def test_what_is_wrong_with_a_cut_is_named(klein: Klein, drives: Path, tmp_path: Path) -> None:  # noqa: F811
+def test_what_is_wrong_with_a_cut_is_named(klein: Klein, drives: Path, tmp_path: Path) -> None:
     source, out = drives / "drive.mcap", ("-o", tmp_path / "out.mcap")
     for arguments, code, text in (
         ((source, *RANGE), 2, "specify the file to write: -o"),
@@ -94,7 +99,7 @@ def test_what_is_wrong_with_a_cut_is_named(klein: Klein, drives: Path, tmp_path:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_dry_run_tells_how_much_would_be_read(klein: Klein, drives: Path) -> None:  # noqa: F811
+def test_a_dry_run_tells_how_much_would_be_read(klein: Klein, drives: Path) -> None:
     dry = klein("cut", drives, *RANGE, "--dry-run", "--json")
     items = json.loads(dry.stdout)["items"]
     sizes = {Path(item["recording"]).name: item["chunk_bytes"] for item in items}
@@ -107,7 +112,7 @@ def test_cut_on_the_server_gives_the_bytes_of_a_local_one(
     api: Api,
     mission: str,
     drives: Path,
-    tmp_path: Path,  # noqa: F811
+    tmp_path: Path,
 ) -> None:
     """Except for the SHA-256 of the source, which only the server knows."""
     klein("cut", "-m", mission, "drive.mcap", "--topics", "/imu/data", *RANGE, "-o", tmp_path / "far.mcap")
@@ -123,7 +128,7 @@ def test_cut_on_the_server_gives_the_bytes_of_a_local_one(
     assert "There is no recording 'other.bag'" in klein("cut", "-m", mission, "other.bag", "-o", "x", code=3).stderr
 
 
-def test_a_stranger_cannot_cut(klein: Klein, mission: str, tmp_path: Path) -> None:  # noqa: F811
+def test_a_stranger_cannot_cut(klein: Klein, mission: str, tmp_path: Path) -> None:
     """Nor learn that there is such a mission."""
     refused = klein("cut", "-m", mission, "-o", tmp_path / "out.mcap", code=3, KLEINKRAM_TOKEN="")
     assert "There is no mission" in refused.stderr
@@ -134,7 +139,7 @@ def test_download_of_slices_writes_one_file_for_each_recording(
     klein: Klein,
     mission: str,
     drives: Path,
-    tmp_path: Path,  # noqa: F811
+    tmp_path: Path,
 ) -> None:
     words = ("--topics", "/imu/data", "--start-time", "+4s", "--end-time", "+6s", "--dest", tmp_path)
     document = json.loads(klein("download", "-m", mission, *words, "--json").stdout)

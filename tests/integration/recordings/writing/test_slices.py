@@ -51,7 +51,8 @@ def independent_messages(path: Path, tmp_path: Path) -> list[Stamped]:
         with BagReader(path) as reader:
             return [(connection.topic, stamp, bytes(data)) for connection, stamp, data in reader.messages()]
     if path.suffix == ".db3":
-        query = "SELECT name, timestamp, data FROM messages JOIN topics ON topics.id = topic_id ORDER BY timestamp, messages.id"
+        joined = "messages JOIN topics ON topics.id = topic_id"
+        query = f"SELECT name, timestamp, data FROM {joined} ORDER BY timestamp, messages.id"
         with closing(sqlite3.connect(path)) as database:
             return database.execute(query).fetchall()
     topics: dict[int, str] = {}
