@@ -146,7 +146,8 @@ def upload_and_find(story: Story) -> None:
         compare(STAGE / "field-day", STAGE / "back")
     with story.step("Take just two topics of two seconds, as one MCAP"):
         klein(
-            *("cut", "-p", "alpine", "-m", "jungfraujoch-1", "--topics", "/imu/data,/odom"),
+            *("cut", "-p", "alpine", "-m", "jungfraujoch-1", "field-day/drive.mcap"),
+            *("--topics", "/imu/data,/odom"),
             *("--start", "+1s", "--end", "+3s", "-o", "slice.mcap"),
         )
         klein("inspect", "slice.mcap")
