@@ -269,7 +269,7 @@ def write_slice(
         copy.copy(_messages(recordings, selection, latched), _progress_of(recordings, selection, on_progress))
         copy.define_silent(channels)
         copy.check_any(", ".join(recording.name for recording in recordings), "no message can be re-encoded")
-        find = losses_met if selection.has_range else find_losses
+        find = losses_met if _is_partly_read(recordings, selection) else find_losses
         copied = [(recording, _copy_other_records(recording, writer, options)) for recording in recordings]
         losses = tuple(loss for recording, damaged in copied for loss in find(recording, damaged))
         writer.add_metadata(MADE_FROM, _made_from(sources, selection, latched, losses, copy.left_out).items())
@@ -277,6 +277,13 @@ def write_slice(
     for recording in recordings:
         recording.check_unchanged()
     return WrittenMcap(copy.message_count, writer.bytes_written, losses, len(latched), copy.left_out)
+
+
+def _is_partly_read(recordings: Sequence[Recording], selection: Selection) -> bool:
+    """Return whether to measure losses would take far more bytes than the slice."""
+    sources = [member.source for one in recordings for member in one.members if isinstance(member, ChunkedMember)]
+    is_remote = any(getattr(source, "parallel_reads", 1) > 1 for source in sources)
+    return selection.has_range or (selection.topics is not None and is_remote)
 
 
 def _share_read_ahead(recordings: Sequence[Recording]) -> None:
