@@ -104,7 +104,7 @@ def _options(to: str, compression: str | None, level: int | None, keep_ros1: boo
     except ValueError as error:
         reason = str(error)
         if "is not a valid" in reason:
-            names = BagCompression if to == "bag" else ChunkCompression
+            names = [one.value for one in BagCompression] if to == "bag" else [one.value for one in ChunkCompression]
             reason = f"--compression is {', '.join(names)}, not {compression!r}"
         raise InvalidInput(what="The command", reason=reason) from None
 
@@ -189,7 +189,7 @@ def _planned(outcomes: Sequence[_Outcome]) -> Output:
 
 
 def _show_plan(outcomes: Sequence[_Outcome]) -> None:
-    rows = []
+    rows: list[tuple[object, ...]] = []
     for one in outcomes:
         plan = one.plan
         if plan is None:
@@ -209,12 +209,11 @@ def _converted(outcomes: Sequence[_Outcome]) -> Output:
     items = [_item(one) for one in outcomes]
 
     def show() -> None:
-        rows = []
-        for one in outcomes:
-            if one.result is not None:
-                result = one.result
-                sizes = size(one.bytes_in), size(result.size_bytes)
-                rows.append((one.job.recording.name, str(result.path), result.message_count, *sizes))
+        results = [(one, one.result) for one in outcomes if one.result is not None]
+        rows = [
+            (one.job.recording.name, str(made.path), made.message_count, size(one.bytes_in), size(made.size_bytes))
+            for one, made in results
+        ]
         if rows:
             table(["recording", "file", "messages", "from", "to"], rows)
 

@@ -30,7 +30,7 @@ from kleinkram.recordings.decoding.types import (
     Struct,
     Type,
 )
-from kleinkram.recordings.decoding.wire import CDR_LE, ROS1, Wire, is_numbers, min_size
+from kleinkram.recordings.decoding.wire import CDR_LE, Wire, is_numbers, min_size
 
 Transcode = Callable[[bytes], bytes]
 Columns = tuple[tuple[int, int], ...]  # where each byte of an element is, in the source and in the target
@@ -498,7 +498,3 @@ def _plain(kind: Type) -> Primitive | None:
 def _columns(source: _Fixed, target: _Fixed) -> Columns:
     pairs = zip(source.offsets, target.offsets, strict=True)
     return tuple((one + byte, other + byte) for (one, size), (other, _) in pairs for byte in range(size))
-
-
-DIRECTIONS = {"cdr": (ROS1, CDR_LE), "ros1": (CDR_LE, ROS1)}
-"""(wire of the source, wire of the target) by the message encoding of the target."""
