@@ -34,7 +34,18 @@ from tests.recording_files.whole_mcap import WholeMcap, read_whole_mcap
 from tests.recording_files.writers import BagWriter, McapWriter
 
 Values = list[tuple[str, int, str]]
+MANY_MESSAGES = 5000
 REENCODE = McapOptions(ros1=Ros1Messages.reencode)
+
+
+def with_slow(parameters: list[Any]) -> list[Any]:
+    """Mark recordings of many messages, which take seconds, as slow."""
+    return [
+        pytest.param(*one.values, id=one.id, marks=pytest.mark.slow)
+        if one.values[0].expected.get("messages", 0) > MANY_MESSAGES
+        else one
+        for one in parameters
+    ]
 
 
 def bag_values(path: Path) -> Values:
@@ -68,7 +79,7 @@ def our_values(recording: Recording, left_out: set[str]) -> Values:
     ]
 
 
-@pytest.mark.parametrize("entry", params("ROS1 bag 2.0"))
+@pytest.mark.parametrize("entry", with_slow(params("ROS1 bag 2.0")))
 def test_every_bag_has_the_same_values_in_ros_2(entry: Entry, recordings_dir: Path, tmp_path: Path) -> None:
     source = recordings_dir / entry.name
     with Recording.open(source) as recording:
@@ -82,7 +93,7 @@ def test_every_bag_has_the_same_values_in_ros_2(entry: Entry, recordings_dir: Pa
         assert whole.header.profile == "ros2"
 
 
-@pytest.mark.parametrize("entry", params("ROS1 bag 2.0"))
+@pytest.mark.parametrize("entry", with_slow(params("ROS1 bag 2.0")))
 def test_ros_1_to_ros_2_and_back_is_the_same(entry: Entry, recordings_dir: Path, tmp_path: Path) -> None:
     """Except sequence numbers, which a second conversion no longer sees."""
     with Recording.open(recordings_dir / entry.name) as recording:
@@ -114,7 +125,7 @@ def bag_of_recording(recording: Recording, path: Path) -> BagResult | None:
         return None
 
 
-@pytest.mark.parametrize("entry", ROS_2)
+@pytest.mark.parametrize("entry", with_slow(ROS_2))
 def test_every_ros_2_recording_has_the_same_values_in_a_bag(entry: Entry, recordings_dir: Path, tmp_path: Path) -> None:
     with Recording.open(recordings_dir / entry.name) as recording:
         encodings = {topic.message_encoding for topic in recording.topics}
