@@ -78,7 +78,7 @@ def test_a_folder_becomes_mcaps_with_ros_2_messages(drives: Path, tmp_path: Path
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["cut.mcap", "drive.mcap", "nuc", "ros2.mcap"]
 
 
-def test_ros_1_messages_can_be_kept(drives: Path, tmp_path: Path, convert: Convert) -> None:
+def test_ros_1_messages_can_stay(drives: Path, tmp_path: Path, convert: Convert) -> None:
     code, items = convert.json(
         drives / "nuc" / "drive.bag", "--keep-ros1", "--compression", "lz4", "--level", "9", "-o", tmp_path
     )

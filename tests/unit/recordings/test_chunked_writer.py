@@ -59,7 +59,7 @@ def test_threads_make_the_same_bytes(write: Callable[[int, Callable[[bytes], byt
     assert writer_threads() == 0
 
 
-def test_few_chunks_wait() -> None:
+def test_the_number_of_waiting_chunks_is_bounded() -> None:
     """However slowly they are compressed, the writer waits rather than collect them."""
     most, waiting, lock = 0, 0, threading.Lock()
     release = threading.Event()

@@ -390,8 +390,8 @@ class _Channels:
 
 def _ros2_properties(channel: Channel) -> Properties:
     """Return the properties of a ROS 1 channel as ROS 2 has them: a latched topic is transient local."""
-    kept = tuple((name, value) for name, value in channel.properties if name not in ("latching", "md5sum"))
-    return (*kept, ("offered_qos_profiles", _LATCHED_QOS)) if publisher_count(channel) else kept
+    others = tuple((name, value) for name, value in channel.properties if name not in ("latching", "md5sum"))
+    return (*others, ("offered_qos_profiles", _LATCHED_QOS)) if publisher_count(channel) else others
 
 
 def _messages(

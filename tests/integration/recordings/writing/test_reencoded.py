@@ -193,8 +193,8 @@ def test_a_bag_keeps_its_connections(tmp_path: Path) -> None:
         recording.to_bag(tmp_path / "made.bag")
         recording.to_mcap(tmp_path / "made.mcap", options=REENCODE)
     with BagReader(tmp_path / "made.bag") as reader:
-        kept = [(one.ext.callerid, one.ext.latching, one.digest) for one in reader.connections]
-    assert kept == [
+        connections = [(one.ext.callerid, one.ext.latching, one.digest) for one in reader.connections]
+    assert connections == [
         ("/one", 1, "992ce8a1687cec8c8bd883ec73ca41d1"),
         ("/other", None, "992ce8a1687cec8c8bd883ec73ca41d1"),
     ]
@@ -224,8 +224,8 @@ def test_what_cannot_be_re_encoded_is_left_out_and_named(tmp_path: Path) -> None
     unmappable_bag(tmp_path / "a.bag")
     with Recording.open(tmp_path / "a.bag") as recording:
         result = recording.to_mcap(tmp_path / "made.mcap", options=REENCODE)
-        kept = recording.to_mcap(tmp_path / "kept.mcap")
-    assert (result.message_count, kept.message_count, kept.left_out) == (2, 4, ())
+        unchanged = recording.to_mcap(tmp_path / "unchanged.mcap")
+    assert (result.message_count, unchanged.message_count, unchanged.left_out) == (2, 4, ())
     imu, time = result.left_out
     assert (imu.topic, imu.message_count) == ("/imu", 1)
     assert "it is not the sensor_msgs/Imu of ROS 2" in imu.reason
