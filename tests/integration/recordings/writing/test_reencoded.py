@@ -208,6 +208,20 @@ def test_a_bag_keeps_its_connections(tmp_path: Path) -> None:
         assert [one.ext.latching for one in reader.connections] == [1, None]
 
 
+@pytest.mark.parametrize("name", ["sensor_msgs/Imu", "visualization_msgs/Marker", "std_msgs/Empty", "std_msgs/Header"])
+def test_a_bag_gets_md5_sums_where_an_mcap_has_none(name: str, tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    definition, md5sum = store.generate_msgdef(name.replace("/", "/msg/"), ros_version=1)
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = McapWriter(stream, profile="ros1")
+        writer.add_channel("/t", writer.add_schema(name, "ros1msg", definition.encode() or b"\n"), "ros1")
+        writer.finish()
+    with Recording.open(tmp_path / "a.mcap") as recording:
+        recording.to_bag(tmp_path / "made.bag")
+    with BagReader(tmp_path / "made.bag") as reader:
+        assert [connection.digest for connection in reader.connections] == [md5sum]
+
+
 def unmappable_bag(path: Path) -> None:
     """Write a bag with a type that has a well-known name and other fields, and one message with a time beyond 2038."""
     with path.open("wb") as stream:
