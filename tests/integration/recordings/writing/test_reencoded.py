@@ -214,7 +214,8 @@ def test_a_bag_gets_md5_sums_where_an_mcap_has_none(name: str, tmp_path: Path) -
     definition, md5sum = store.generate_msgdef(name.replace("/", "/msg/"), ros_version=1)
     with (tmp_path / "a.mcap").open("wb") as stream:
         writer = McapWriter(stream, profile="ros1")
-        writer.add_channel("/t", writer.add_schema(name, "ros1msg", definition.encode() or b"\n"), "ros1")
+        schema = writer.add_schema(name, "ros1msg", definition.encode() or b"\n")
+        writer.add_message(writer.add_channel("/t", schema, "ros1"), T0, b"not decoded")
         writer.finish()
     with Recording.open(tmp_path / "a.mcap") as recording:
         recording.to_bag(tmp_path / "made.bag")
