@@ -20,6 +20,7 @@ from tests.recording_files.whole_mcap import read_whole_mcap
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a bag, an MCAP, a database and a truncated bag."""
     folder = tmp_path_factory.mktemp("drives")
+    (folder / "nuc").mkdir()
     generate_bag(folder / "nuc" / "drive.bag", size_bytes=1_000_000, duration_s=5)
     generate_mcap(folder / "drive.mcap", size_bytes=1_000_000, duration_s=5)
     generate_db3(folder / "ros2", size_bytes=1_000_000, duration_s=5)

@@ -35,6 +35,7 @@ from kleinkram.recordings.decoding.types import MAX_SCHEMA_BYTES, Array, Primiti
 from kleinkram.recordings.decoding.wire import CDR_LE, ROS1
 
 _RULE = "=" * 80
+_NO_FIELDS = "# no fields"  # an empty definition would pass for a missing one
 _TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*\Z")
 _CONSTANT_NAME = re.compile(r"[A-Z](?:_?[A-Z0-9]+)*\Z")
 _RENAMED = {"tf/tfMessage": "tf2_msgs/TFMessage", "roslib/Header": "std_msgs/Header"}
@@ -315,7 +316,7 @@ def full_definition(root: str, texts: Mapping[str, str]) -> str:
         nested_types = (_nested_type(line, owner) for line in texts[owner].splitlines())
         needed += [nested for nested in dict.fromkeys(nested_types) if nested in texts and nested not in needed]
     definitions = [f"{_RULE}\nMSG: {nested}\n{texts[nested]}\n" for nested in needed[1:]]
-    return "".join([f"{texts[root]}\n", *definitions])
+    return "".join([f"{texts[root] or _NO_FIELDS}\n", *definitions])
 
 
 def md5sum_of(root: str, texts: Mapping[str, str]) -> str:

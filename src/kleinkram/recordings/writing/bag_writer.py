@@ -72,20 +72,20 @@ class BagWriter(ChunkedWriter):
         self._file.seek(0, 2)
 
     def _write_chunk(self, chunk: Chunk, packed: PackedChunk) -> None:
-        if not chunk.index:
+        if not chunk.indexes:
             return  # connections are in the index section, too
         start, stored = self._position, packed.stored
         head = _fields(op=bytes([Op.CHUNK]), compression=self._compression, size=_u32(chunk.size))
         self._put(counted_bytes(head) + _u32(len(stored)))
         self._put(stored)
         counts = b""
-        for connection, index in chunk.index.items():
+        for connection, index in chunk.indexes.items():
             entries, count = struct.pack(f"<{len(index)}I", *index), _u32(len(index) // 3)
             counts += _u32(connection) + count
             self._put(_bag_record(Op.INDEX_DATA, entries, ver=_u32(1), conn=_u32(connection), count=count))
         times = (struct.pack("<II", *divmod(time_ns, 1_000_000_000)) for time_ns in (chunk.first_ns, chunk.last_ns))
         info = dict(zip(("start_time", "end_time"), times, strict=True))
-        fields = {"ver": _u32(1), "chunk_pos": struct.pack("<Q", start), **info, "count": _u32(len(chunk.index))}
+        fields = {"ver": _u32(1), "chunk_pos": struct.pack("<Q", start), **info, "count": _u32(len(chunk.indexes))}
         self._chunk_indexes.append(_bag_record(Op.CHUNK_INFO, counts, **fields))
 
 

@@ -21,13 +21,13 @@ _MAX_WAITING_BYTES = 32 * 2**20
 
 
 class Chunk(NamedTuple):
-    """A complete chunk. `index`: for each channel, the flat entries of its index."""
+    """A complete chunk. `indexes`: for each channel, the flat entries of its index."""
 
     pieces: list[bytes]
     size: int
     first_ns: int
     last_ns: int
-    index: dict[int, array[int]]
+    indexes: dict[int, array[int]]
 
 
 class PackedChunk(NamedTuple):

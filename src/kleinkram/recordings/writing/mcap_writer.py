@@ -135,8 +135,8 @@ class McapWriter(ChunkedWriter):
         return zlib.crc32(raw)
 
     def _write_chunk(self, chunk: Chunk, packed: PackedChunk) -> None:
-        first_ns = chunk.first_ns if chunk.index else 0
-        if chunk.index:
+        first_ns = chunk.first_ns if chunk.indexes else 0
+        if chunk.indexes:
             self._span = min(self._span[0], first_ns), max(self._span[1], chunk.last_ns)
         stored, start = packed.stored, self._position
         head = struct.pack("<QQQI", first_ns, chunk.last_ns, chunk.size, packed.checksum)
@@ -145,7 +145,7 @@ class McapWriter(ChunkedWriter):
         self._put(stored)
         index_start = self._position
         offsets = b""
-        for channel_id, index in chunk.index.items():
+        for channel_id, index in chunk.indexes.items():
             offsets += struct.pack("<HQ", channel_id, self._position)
             entries = struct.pack(f"<{len(index)}Q", *index)
             self._put(_mcap_record(Opcode.MESSAGE_INDEX, struct.pack("<H", channel_id) + counted_bytes(entries)))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rosbags.interfaces import Connection, ConnectionExtRosbag1
 from rosbags.rosbag1 import Reader as BagReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -174,6 +175,12 @@ def test_bags_are_indexed_and_the_same_each_time(compression: BagCompression, ki
     assert [path.name for path in tmp_path.glob(".*")] == []
 
 
+def extension(connection: Connection) -> ConnectionExtRosbag1:
+    """Return what only connections of bags have."""
+    assert isinstance(connection.ext, ConnectionExtRosbag1)
+    return connection.ext
+
+
 def test_a_bag_keeps_its_connections(tmp_path: Path) -> None:
     source = tmp_path / "a.bag"
     with source.open("wb") as stream:
@@ -193,7 +200,7 @@ def test_a_bag_keeps_its_connections(tmp_path: Path) -> None:
         recording.to_bag(tmp_path / "made.bag")
         recording.to_mcap(tmp_path / "made.mcap", options=REENCODE)
     with BagReader(tmp_path / "made.bag") as reader:
-        connections = [(one.ext.callerid, one.ext.latching, one.digest) for one in reader.connections]
+        connections = [(extension(one).callerid, extension(one).latching, one.digest) for one in reader.connections]
     assert connections == [
         ("/one", 1, "992ce8a1687cec8c8bd883ec73ca41d1"),
         ("/other", None, "992ce8a1687cec8c8bd883ec73ca41d1"),
@@ -205,7 +212,7 @@ def test_a_bag_keeps_its_connections(tmp_path: Path) -> None:
     with Recording.open(tmp_path / "made.mcap") as recording:
         recording.to_bag(tmp_path / "back.bag")
     with BagReader(tmp_path / "back.bag") as reader:
-        assert [one.ext.latching for one in reader.connections] == [1, None]
+        assert [extension(one).latching for one in reader.connections] == [1, None]
 
 
 @pytest.mark.parametrize("name", ["sensor_msgs/Imu", "visualization_msgs/Marker", "std_msgs/Empty", "std_msgs/Header"])

@@ -59,6 +59,8 @@ def random_ros1(kind: Type, chance: random.Random, *, longest: int = 4) -> bytes
         return struct.pack("<I", len(text)) + text
     if kind.code == "?":
         return bytes([chance.randrange(2)])
+    if kind.code == "b":
+        return struct.pack("b", chance.randrange(128))  # `byte` is signed in ROS 1 only
     if kind.code in "fd":
         return struct.pack(f"<{kind.code}", chance.uniform(-1e6, 1e6))
     return chance.randbytes(kind.size)
