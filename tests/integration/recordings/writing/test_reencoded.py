@@ -114,8 +114,8 @@ ROS_2 = [
 ]
 
 
-REFUSED = frozenset[str]()
-"""Recordings of which no message can be in a bag."""
+REFUSED = frozenset(("mcap/image_message_zstd_inside_mcap.mcap",))
+"""Recordings of which no message can be in a bag: messages are compressed, and nothing says so."""
 
 
 def bag_of_recording(recording: Recording, path: Path) -> BagResult | None:
@@ -143,7 +143,9 @@ def test_every_ros_2_recording_has_the_same_values_in_a_bag(entry: Entry, record
         assert all(part.reason for part in result.left_out)
         expected = our_values(recording, left_out)
     assert len(expected) == result.message_count
-    assert bag_values(tmp_path / "made.bag") == expected
+    assert sorted(bag_values(tmp_path / "made.bag")) == sorted(expected)  # rosbags has its own order of equal times
+    with Recording.open(tmp_path / "made.bag") as made:
+        assert [(one.topic, one.log_time_ns) for one in made.raw_messages()] == [one[:2] for one in expected]
     assert_true_md5_sums(tmp_path / "made.bag")
 
 
