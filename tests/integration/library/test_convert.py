@@ -14,9 +14,9 @@ from kleinkram.client.actions import read_manifest
 from kleinkram.contract.access import Right
 from kleinkram.contract.actions import Network
 from kleinkram.library import slam_evaluate
-from kleinkram.library.convert import target_names
 from kleinkram.recordings import Recording
 from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mcap
+from kleinkram.recordings.writing.conversion import target_names
 from tests.recording_files.builders import T0, mcap_of
 from tests.recording_files.whole_mcap import read_whole_mcap
 from tests.recording_files.writers import McapWriter
