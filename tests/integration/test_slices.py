@@ -105,7 +105,7 @@ def test_a_dry_run_tells_how_much_would_be_read(klein: Klein, drives: Path) -> N
     items = json.loads(dry.stdout)["items"]
     sizes = {Path(item["recording"]).name: item["chunk_bytes"] for item in items}
     assert sizes.keys() == {"drive.mcap", "drive2.bag"}
-    assert 0 < sizes["drive.mcap"] < (drives / "drive.mcap").stat().st_size / 2
+    assert 0 < sizes["drive.mcap"] < (drives / "drive.mcap").stat().st_size
 
 
 def test_cut_on_the_server_gives_the_bytes_of_a_local_one(
