@@ -100,7 +100,7 @@ def test_what_is_wrong_with_a_cut_is_named(klein: Klein, drives: Path, tmp_path:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_dry_run_tells_how_much_would_be_read(klein: Klein, drives: Path) -> None:
+def test_a_dry_run_shows_how_much_would_be_read(klein: Klein, drives: Path) -> None:
     dry = klein("cut", drives, *RANGE, "--dry-run", "--json")
     items = json.loads(dry.stdout)["items"]
     sizes = {Path(item["recording"]).name: item["chunk_bytes"] for item in items}
