@@ -1,4 +1,4 @@
-"""Sides that convert a recording to MCAP, each run as a process of its own (see `side`): ours and public pairs."""
+"""Sides that convert recordings, each run as a process of its own (see `side`): ours and public pairs."""
 
 import time
 from pathlib import Path
@@ -6,9 +6,12 @@ from pathlib import Path
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.rosbag1 import Reader
+from rosbags.rosbag1 import Writer as BagWriter
+from rosbags.typesys import Stores, get_typestore
+from small_mcap import McapWriter, read_message
 
 from benchmarks.side import Facts, main
-from kleinkram.recordings import Recording
+from kleinkram.recordings import McapOptions, Recording, Ros1Messages
 
 
 def convert_ours(source: str, target: str) -> Facts:
@@ -17,6 +20,66 @@ def convert_ours(source: str, target: str) -> Facts:
     with Recording.open(source) as recording:
         result = recording.to_mcap(target)
     return {"seconds": time.perf_counter() - started, "messages": result.message_count, "bytes": result.size_bytes}
+
+
+def reencode_ours(source: str, target: str) -> Facts:
+    """Write a bag as MCAP, with messages of ROS 2."""
+    started = time.perf_counter()
+    with Recording.open(source) as recording:
+        result = recording.to_mcap(target, options=McapOptions(ros1=Ros1Messages.reencode))
+    return {"seconds": time.perf_counter() - started, "messages": result.message_count, "bytes": result.size_bytes}
+
+
+def bag_ours(source: str, target: str) -> Facts:
+    """Write a recording of any format as a bag."""
+    started = time.perf_counter()
+    with Recording.open(source) as recording:
+        result = recording.to_bag(target)
+    return {"seconds": time.perf_counter() - started, "messages": result.message_count, "bytes": result.size_bytes}
+
+
+def reencode_rosbags(source: str, target: str) -> Facts:
+    """A bag, read and re-encoded with rosbags and written with mcap."""
+    started = time.perf_counter()
+    count = 0
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Reader(source) as reader, Path(target).open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        channels = {}
+        for connection in reader.connections:
+            definition, _ = store.generate_msgdef(connection.msgtype, ros_version=2)
+            schema = writer.register_schema(connection.msgtype, "ros2msg", definition.encode())
+            channels[connection.id] = writer.register_channel(connection.topic, "cdr", schema)
+        for connection, stamp, data in reader.messages():
+            cdr = store.ros1_to_cdr(data, connection.msgtype)
+            writer.add_message(channels[connection.id], stamp, bytes(cdr), stamp)
+            count += 1
+        writer.finish()  # type: ignore[no-untyped-call]
+    return _facts(started, count, target)
+
+
+def bag_rosbags(source: str, target: str) -> Facts:
+    """An MCAP, read with mcap, and re-encoded and written with rosbags."""
+    started = time.perf_counter()
+    count = 0
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    bag = Path(f"{target}.bag")  # the writer insists on the extension
+    bag.unlink(missing_ok=True)
+    writer = BagWriter(bag)
+    writer.set_compression(BagWriter.CompressionFormat.LZ4)
+    with Path(source).open("rb") as file, writer:
+        connections = {}
+        for schema, channel, message in make_reader(file).iter_messages():
+            if schema is None:
+                continue
+            if channel.id not in connections:
+                connections[channel.id] = writer.add_connection(channel.topic, schema.name, typestore=store)
+            raw = store.cdr_to_ros1(message.data, schema.name)
+            writer.write(connections[channel.id], message.log_time, raw)
+            count += 1
+    bag.rename(target)
+    return _facts(started, count, target)
 
 
 def convert_rosbags(source: str, target: str) -> Facts:
@@ -55,6 +118,42 @@ def convert_mcap(source: str, target: str) -> Facts:
     return _facts(started, count, target)
 
 
+def convert_rosbags_small(source: str, target: str) -> Facts:
+    """A bag, read with rosbags and written with small-mcap."""
+    started = time.perf_counter()
+    count = 0
+    with Reader(source) as reader, Path(target).open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start("ros1")
+        for number, connection in enumerate(reader.connections, 1):
+            writer.add_schema(number, connection.msgtype, "ros1msg", connection.msgdef.data.encode())
+            writer.add_channel(connection.id, connection.topic, "ros1", number)
+        for connection, stamp, data in reader.messages():
+            writer.add_message(connection.id, stamp, bytes(data), stamp)
+            count += 1
+        writer.finish()
+    return _facts(started, count, target)
+
+
+def convert_small_mcap(source: str, target: str) -> Facts:
+    """An MCAP, read and written with small-mcap, with every checksum."""
+    started = time.perf_counter()
+    count = 0
+    with Path(source).open("rb") as file, Path(target).open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start("ros2")
+        channels: set[int] = set()
+        for schema, channel, message in read_message(file, validate_crc=True):
+            if channel.id not in channels and schema is not None:
+                channels.add(channel.id)
+                writer.add_schema(schema.id, schema.name, schema.encoding, schema.data)
+                writer.add_channel(channel.id, channel.topic, channel.message_encoding, schema.id)
+            writer.add_message(channel.id, message.log_time, message.data, message.publish_time)
+            count += 1
+        writer.finish()
+    return _facts(started, count, target)
+
+
 def _facts(started: float, messages: int, target: str) -> Facts:
     return {
         "seconds": time.perf_counter() - started,
@@ -64,4 +163,16 @@ def _facts(started: float, messages: int, target: str) -> Facts:
 
 
 if __name__ == "__main__":
-    main((convert_ours, convert_rosbags, convert_mcap))
+    main(
+        (
+            convert_ours,
+            reencode_ours,
+            bag_ours,
+            convert_rosbags,
+            reencode_rosbags,
+            bag_rosbags,
+            convert_rosbags_small,
+            convert_mcap,
+            convert_small_mcap,
+        )
+    )

@@ -10,10 +10,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.arrows import arrow_row
-from benchmarks.conversions import convert_bag_row, recompress_row
+from benchmarks.conversions import bag_of_mcap_row, convert_bag_row, recompress_row, reencode_bag_row
 from benchmarks.measure import take_turns
 from benchmarks.readings import raw_row, remote_row
 from benchmarks.scans import scan_bag_row, scan_mcap_row, synthetic_row
+from benchmarks.slices import cut_local_row, cut_mission_row, cut_remote_row
 from kleinkram.recordings.sample import generate_mcap
 
 Row = dict[str, object]
@@ -66,7 +67,12 @@ ROWS: tuple[Callable[[Path], Row], ...] = (
     raw_row,
     remote_row,
     convert_bag_row,
+    reencode_bag_row,
     recompress_row,
+    bag_of_mcap_row,
+    cut_remote_row,
+    cut_local_row,
+    cut_mission_row,
 )
 
 

@@ -10,8 +10,7 @@ from typing import BinaryIO
 import lz4.frame
 import zstandard
 
-from kleinkram.recordings.sample import writers
-from kleinkram.recordings.writing import mcap_writer
+from kleinkram.recordings.writing import bag_writer, mcap_writer
 
 
 class Compression(str, Enum):
@@ -38,7 +37,7 @@ _MCAP: dict[Compression, Callable[[bytes], bytes]] = {
 _BAG: dict[BagCompression, Callable[[bytes], bytes]] = {
     BagCompression.none: bytes,
     BagCompression.bz2: bz2.compress,
-    BagCompression.lz4: writers.ros_lz4,
+    BagCompression.lz4: bag_writer.ros_lz4,
 }
 
 
@@ -62,7 +61,7 @@ class McapWriter(mcap_writer.McapWriter):
         )
 
 
-class BagWriter(writers.BagWriter):
+class BagWriter(bag_writer.BagWriter):
     def __init__(
         self, file: BinaryIO, *, compression: BagCompression = BagCompression.lz4, chunk_bytes: int = 768 * 1024
     ) -> None:

@@ -4,7 +4,7 @@
 #
 # [tool.kleinkram]
 # name = "convert"
-# description = "Recordings as MCAP: converted, compressed anew, or repaired; or their topics as Parquet."
+# description = "Recordings as MCAP or ROS 1 bag: converted, compressed anew, or repaired; or topics as Parquet."
 # metrics = [
 #   {name = "bytes_in", unit = "B", better = "lower"},
 #   {name = "bytes_out", unit = "B", better = "lower"},
@@ -23,9 +23,16 @@
 # [[tool.kleinkram.parameters]]
 # name = "to"
 # type = "choice"
-# choices = ["mcap", "parquet"]
+# choices = ["mcap", "bag", "parquet"]
 # default = "mcap"
-# description = "One MCAP a recording, or one Parquet file a topic."
+# description = "One MCAP or ROS 1 bag a recording, or one Parquet file a topic."
+#
+# [[tool.kleinkram.parameters]]
+# name = "ros1"
+# type = "choice"
+# choices = ["keep", "reencode"]
+# default = "keep"
+# description = "ROS 1 messages in an MCAP: kept as they are, or re-encoded as ROS 2 messages (CDR)."
 #
 # [[tool.kleinkram.parameters]]
 # name = "recordings"
@@ -42,9 +49,9 @@
 # [[tool.kleinkram.parameters]]
 # name = "compression"
 # type = "choice"
-# choices = ["zstd", "lz4", "none"]
+# choices = ["zstd", "lz4", "bz2", "none"]
 # default = "zstd"
-# description = "Of the chunks of an MCAP."
+# description = "Of the chunks of an MCAP (zstd, lz4, none), or of a bag (lz4, bz2, none; zstd means lz4)."
 #
 # [[tool.kleinkram.parameters]]
 # name = "level"
@@ -68,29 +75,32 @@
 # ///
 """Converts the recordings of a mission.
 
-A recording that is a whole MCAP with the wanted compression is left out. Of a damaged one, what can be read becomes a
-whole file; a finding says what was lost.
+A recording that already is what it would become is left out. Of a damaged one, what can be read becomes a whole file; a
+finding says what was lost.
 """
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from fnmatch import fnmatchcase
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from kleinkram.action import context, out, parameters, progress, report
 from kleinkram.action.run_files import in_dir
 from kleinkram.library.inputs import InputRecording, input_recordings
 from kleinkram.recordings import (
-    CannotWrite,
+    BagCompression,
+    BagOptions,
     ChunkCompression,
+    LeftOut,
     McapOptions,
     MemberLoss,
     RecordingError,
-    is_whole_mcap,
+    Ros1Messages,
 )
+from kleinkram.recordings.model import counted
+from kleinkram.recordings.writing.conversion import ConversionOptions, convert_recording, is_as_wanted, target_names
 
-EXTENSIONS = (".active", ".zst", ".zstd", ".bag", ".mcap", ".db3")
 LOSSES_OF_TABLES = ("damaged", "damaged-message", "message-undecodable", "too-late", "topic-types-differ")
 PROGRESS_EVERY_S = 1.0
 SHOWN = 10
@@ -113,7 +123,7 @@ def main() -> None:
 
 def run() -> list[str]:
     """Convert the selected recordings; return the names of those that could not be converted."""
-    options = mcap_options()
+    options = conversion_options()
     recordings = with_topics(selected_recordings(words("recordings")))
     failed: list[str] = []
     targets = target_names([recording.name for recording in recordings])
@@ -123,7 +133,7 @@ def run() -> list[str]:
             if parameters()["to"] == "parquet":
                 to_parquet(recording, target, show)
             else:
-                to_mcap(recording, f"{target}.mcap", options, show)
+                to_file(recording, target, options, show)
         except (RecordingError, OSError) as error:
             report_finding("error", "convert.failed", str(error), recording)
             print(f"{recording.name}: {error}", flush=True)
@@ -149,11 +159,16 @@ def words(name: str) -> list[str]:
     return str(parameters()[name]).replace(",", " ").split() or ["*"]
 
 
-def mcap_options() -> McapOptions:
-    """Return how MCAPs are written."""
-    level = int(parameters()["level"]) or None
+def conversion_options() -> ConversionOptions:
+    """Return how MCAPs and bags are written."""
+    level, compression = int(parameters()["level"]) or None, str(parameters()["compression"])
+    if parameters()["to"] == "bag":
+        return BagOptions(BagCompression("lz4" if compression == "zstd" else compression))
+    if compression == "bz2" and parameters()["to"] == "mcap":
+        raise CannotConvert("compression: an MCAP has zstd, lz4 or none, and no bz2")
     try:
-        return McapOptions(ChunkCompression(str(parameters()["compression"])), level)
+        kind = ChunkCompression("zstd" if compression == "bz2" else compression)
+        return McapOptions(kind, level, ros1=Ros1Messages(str(parameters()["ros1"])))
     except ValueError as error:
         raise CannotConvert(f"level: {error}") from None
 
@@ -192,43 +207,22 @@ def wanted_topics(recording: InputRecording) -> list[str]:
     return [name for name in names if any(fnmatchcase(name, pattern) for pattern in words("topics"))]
 
 
-def target_names(names: Sequence[str]) -> Iterator[str]:
-    """Yield a path without extension for each recording; one that is taken gets the extension behind a hyphen."""
-    taken: set[str] = set()
-    for name in names:
-        target = stem = without_extensions(name) if name != "." else "recording"
-        if target in taken:
-            target = f"{stem}-{name.removeprefix(stem).strip('.').replace('.', '-')}"
-        taken.add(target)
-        yield target
-
-
-def without_extensions(name: str) -> str:
-    """Return the name of a recording without the extensions of formats and compression."""
-    path = PurePosixPath(name)
-    while path.suffix.lower() in EXTENSIONS and path.stem:
-        path = path.with_suffix("")
-    return str(path)
-
-
-def to_mcap(recording: InputRecording, target: str, options: McapOptions, show: Callable[[float], None]) -> None:
-    """Write one recording as MCAP, and report file, numbers and losses."""
-    path = out / target
+def to_file(recording: InputRecording, target: str, options: ConversionOptions, show: Callable[[float], None]) -> None:
+    """Write one recording as MCAP or bag, and report file, numbers and losses."""
     if any(topic.message_encoding == "ulog" for topic in recording.topics):
-        leave_out(recording, "MCAP has no encoding for a ULog; its topics can be tables (to=parquet)")
+        leave_out(recording, "its messages are those of a ULog; its topics can be tables (to=parquet)")
         return
+    path = out / f"{target}{'.bag' if isinstance(options, BagOptions) else '.mcap'}"
     topics = None if words("topics") == ["*"] else wanted_topics(recording)
     with recording.open() as reader:
-        if topics is None and is_whole_mcap(reader, options.compression):
-            leave_out(recording, f"it is a whole MCAP ({options.compression.value}) already")
+        if topics is None and is_as_wanted(reader, options):
+            leave_out(recording, f"it is a whole {path.suffix[1:]} ({options.compression.value}) already")
             return
         path.parent.mkdir(parents=True, exist_ok=True)
-        result = reader.to_mcap(path, topics, options=options, sha256=known_hashes(recording), on_progress=show)
+        result = convert_recording(reader, path, options, topics, sha256=known_hashes(recording), on_progress=show)
     report_losses(recording, result.losses)
-    if result.losses and not result.message_count:
-        path.unlink()
-        raise CannotWrite(recording.name, "nothing of it can be read")
-    put(recording, path, target)
+    report_left_out(recording, result.left_out)
+    put(recording, path, path.relative_to(out).as_posix())
     report_sizes(recording, result.message_count, result.size_bytes)
 
 
@@ -290,6 +284,13 @@ def report_losses(recording: InputRecording, losses: Sequence[MemberLoss]) -> No
     known = [loss.messages for loss in losses if loss.messages is not None]
     if len(known) == len(losses):
         report.metric("lost_messages", sum(known), file=recording.paths[-1])
+
+
+def report_left_out(recording: InputRecording, left_out: Sequence[LeftOut]) -> None:
+    """Report the messages that the output cannot hold."""
+    for part in left_out:
+        reason = f"{counted(part.message_count, 'message')} left out: {part.reason}"
+        report_finding("warning", "convert.topic", reason, recording, part.topic)
 
 
 def report_finding(severity: str, code: str, message: str, recording: InputRecording, topic: str | None = None) -> None:

@@ -1,6 +1,6 @@
 """Reads recordings (MCAP, ROS 1 bag, rosbag2, ULog): summaries (`summarise`, `scan`) and messages (`Recording`).
 
-`Recording` also writes them as MCAP and Parquet.
+`Recording` also writes them as MCAP, ROS 1 bag and Parquet.
 
 Independent of the rest of Kleinkram: it reads bytes from a source, in bounded memory, without a database. Files are
 untrusted: any bytes give a summary. A server reads them in a child process (`isolation`).
@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from kleinkram.recordings.combine_summaries import combine
     from kleinkram.recordings.errors import (
         CannotWrite,
+        EmptyRange,
         FailureKind,
         NoSuchTopic,
         NotARecording,
+        OutsideRecording,
         RecordingError,
         SeveralRecordings,
         SourceError,
@@ -43,22 +45,33 @@ if TYPE_CHECKING:
     from kleinkram.recordings.recording_groups import RecordingGroup, RecordingGroupKind, group, is_recording_name
     from kleinkram.recordings.sources import FileSource, Source
     from kleinkram.recordings.summary import scan, summarise
+    from kleinkram.recordings.writing.bag import BagCompression, BagOptions, BagResult
     from kleinkram.recordings.writing.losses import LostPlace, MemberLoss
-    from kleinkram.recordings.writing.mcap import ChunkCompression, McapOptions, McapResult, is_whole_mcap
+    from kleinkram.recordings.writing.mcap import (
+        ChunkCompression,
+        McapOptions,
+        McapResult,
+        Ros1Messages,
+        is_whole_mcap,
+        merge_to_mcap,
+    )
+    from kleinkram.recordings.writing.message_copy import LeftOut
     from kleinkram.recordings.writing.parquet import ParquetFile, ParquetResult
 
 _HOMES = {
     "combine_summaries": "combine",
-    "errors": "CannotWrite FailureKind NoSuchTopic NotARecording RecordingError SeveralRecordings SourceError "
-    "SummaryFailed TooCostly TooDisordered",
+    "errors": "CannotWrite EmptyRange FailureKind NoSuchTopic NotARecording OutsideRecording RecordingError "
+    "SeveralRecordings SourceError SummaryFailed TooCostly TooDisordered",
     "messages": "Channel Message RawMessage Schema Topic",
     "model": "Content Depth Fact Lost Problem RecordingFormat RecordingSummary TopicSummary",
     "recording": "Recording",
     "recording_groups": "RecordingGroup RecordingGroupKind group is_recording_name",
     "sources": "FileSource Source",
     "summary": "scan summarise",
+    "writing.bag": "BagCompression BagOptions BagResult",
     "writing.losses": "MemberLoss LostPlace",
-    "writing.mcap": "ChunkCompression McapOptions McapResult is_whole_mcap",
+    "writing.mcap": "ChunkCompression McapOptions McapResult Ros1Messages is_whole_mcap merge_to_mcap",
+    "writing.message_copy": "LeftOut",
     "writing.parquet": "ParquetFile ParquetResult",
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -13,11 +14,12 @@ from kleinkram.client.actions import read_manifest
 from kleinkram.contract.access import Right
 from kleinkram.contract.actions import Network
 from kleinkram.library import slam_evaluate
-from kleinkram.library.convert import target_names
 from kleinkram.recordings import Recording
 from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mcap
+from kleinkram.recordings.writing.conversion import target_names
 from tests.recording_files.builders import T0, mcap_of
 from tests.recording_files.whole_mcap import read_whole_mcap
+from tests.recording_files.writers import McapWriter
 
 CONVERT = Path(slam_evaluate.__file__).parent / "convert.py"
 
@@ -122,6 +124,46 @@ def test_what_cannot_be_read_fails_and_the_rest_is_converted(drives: Path, tmp_p
     assert not (ran.out / "noise.mcap").exists()
 
 
+def test_messages_are_re_encoded_where_asked(drives: Path, tmp_path: Path) -> None:
+    """A bag for ROS 2; a second run over the result has nothing to do."""
+    ran = convert(tmp_path, {"drive.bag": drives / "drive.bag"}, ros1="reencode")
+    assert ran.exit_code == 0, ran.log
+    assert not ran.report.findings
+    whole = read_whole_mcap(ran.out / "drive.mcap")
+    assert {channel.message_encoding for channel in whole.channels} == {"cdr"}
+    assert ran.metric("messages", "drive.bag") == len(whole.messages)
+    (tmp_path / "again" / "run").mkdir(parents=True)
+    ran = convert(tmp_path / "again", {"drive.mcap": ran.out / "drive.mcap"}, ros1="reencode")
+    assert ran.codes() == {"convert.unchanged"}
+
+
+def test_an_mcap_becomes_a_bag(drives: Path, tmp_path: Path) -> None:
+    ran = convert(tmp_path, {"drive.mcap": drives / "drive.mcap"}, to="bag", compression="bz2")
+    assert ran.exit_code == 0, ran.log
+    assert {file.to: file.derived_from for file in ran.report.mission_files} == {"derived/drive.bag": ["drive.mcap"]}
+    with Recording.open(drives / "drive.mcap") as source, Recording.open(ran.out / "drive.bag") as made:
+        assert [(one.topic, one.log_time_ns) for one in made.raw_messages()] == [
+            (one.topic, one.log_time_ns) for one in source.raw_messages()
+        ]
+        assert {topic.message_encoding for topic in made.topics} == {"ros1"}
+
+
+def test_messages_that_a_bag_cannot_hold_are_findings(drives: Path, tmp_path: Path) -> None:
+    out = BytesIO()
+    writer = McapWriter(out, profile="ros2")
+    for topic, definition in (("/a", "int8 data\n"), ("/wide", "wstring data\n")):
+        name = f"my_msgs/msg/{topic[1:].title()}"
+        channel = writer.add_channel(topic, writer.add_schema(name, "ros2msg", definition.encode()), "cdr")
+        writer.add_message(channel, T0, b"\0\1\0\0" + bytes(1 if topic == "/a" else 4))
+    writer.finish()
+    ran = convert(tmp_path, {"a.mcap": out.getvalue()}, to="bag")
+    assert ran.exit_code == 0, ran.log
+    (finding,) = ran.report.findings
+    assert (finding.code, finding.topic, finding.file) == ("convert.topic", "/wide", "a.mcap")
+    assert finding.message.startswith("1 message left out: ")
+    assert ran.metric("messages", "a.mcap") == 1
+
+
 def test_topics_become_tables(drives: Path, tmp_path: Path) -> None:
     ran = convert(
         tmp_path, {"drive.bag": drives / "drive.bag"}, to="parquet", topics="/imu/data /odom", folder="tables"
@@ -146,6 +188,7 @@ def test_topics_become_tables(drives: Path, tmp_path: Path) -> None:
         ({"notes.txt": b"x"}, {}, "the mission has no recording that can be read (MCAP, ROS 1 bag, rosbag2)"),
         (None, {"recordings": "nuc/*"}, "no recording is called nuc/*; there are drive.bag"),
         (None, {"compression": "lz4", "level": 20}, "level: lz4 has levels 0 to 16, not 20"),
+        (None, {"compression": "bz2"}, "compression: an MCAP has zstd, lz4 or none, and no bz2"),
     ],
 )
 def test_nothing_to_convert(

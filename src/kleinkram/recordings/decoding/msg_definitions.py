@@ -15,9 +15,11 @@ Source: wiki.ros.org/msg; "Interface definition" of the ROS 2 documentation; MCA
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from enum import Enum
 from functools import lru_cache
 from importlib.resources import files
+from typing import NamedTuple
 
 from kleinkram.recordings.decoding import types
 from kleinkram.recordings.decoding.types import PRIMITIVES, Definition, FieldText, Primitive, SchemaError
@@ -32,7 +34,7 @@ class Ros(Enum):
 
 _RULE = re.compile(r"={3,}\s*\Z")
 _LINE = re.compile(
-    r"(?P<type>[A-Za-z][A-Za-z0-9_/]*)(?:<=\d{1,18})?(?P<array>\[(?:<=)?(?P<length>\d{0,18})\])?"
+    r"(?P<type>[A-Za-z][A-Za-z0-9_/]*)(?:<=\d{1,18})?(?P<array>\[(?:<=)?\d{0,18}\])?"
     r"[ \t]+(?P<name>[A-Za-z_][A-Za-z0-9_]*)[ \t]*(?P<rest>.*)\Z"
 )
 # The types that a text may use without defining them.
@@ -154,9 +156,17 @@ def _service(root: str, sections: list[str]) -> dict[str, Definition]:
     }
 
 
-def _definition(name: str, text: str) -> Definition:
-    fields: list[FieldText] = []
-    constants: dict[str, types.ConstantValue] = {}
+class Line(NamedTuple):
+    """A field or constant as written. `array`: such as "[3]"; `value`: of a constant, None for a field."""
+
+    type_name: str
+    array: str
+    name: str
+    value: str | None
+
+
+def read_lines(name: str, text: str) -> Iterator[Line]:
+    """Yield the fields and constants of the definition of one type."""
     for line in text.split("\n"):
         stripped = line.strip()
         if not stripped or stripped.startswith("#"):
@@ -164,20 +174,28 @@ def _definition(name: str, text: str) -> Definition:
         match = _LINE.match(stripped)
         if match is None:
             raise SchemaError(f"the line '{stripped[:100]}' of {name} is no field")
-        if match["rest"].startswith("="):
-            value = _constant(match["type"], match["rest"][1:].strip())
+        is_constant = match["rest"].startswith("=")
+        value = match["rest"][1:].strip() if is_constant else None
+        yield Line(match["type"], match["array"] or "", match["name"], value)
+
+
+def _definition(name: str, text: str) -> Definition:
+    fields: list[FieldText] = []
+    constants: dict[str, types.ConstantValue] = {}
+    for line in read_lines(name, text):
+        if line.value is not None:
+            value = constant_value(line.type_name, line.value)
             if value is not None:
-                constants[match["name"]] = value
+                constants[line.name] = value
             continue
-        lengths: tuple[int | None, ...] = ()
-        if match["array"]:
-            is_fixed = match["length"] and "<=" not in match["array"]
-            lengths = (int(match["length"]) if is_fixed else None,)
-        fields.append(FieldText(match["name"], match["type"], lengths))
+        number = line.array.strip("[]")
+        is_fixed = number and not number.startswith("<=")
+        lengths: tuple[int | None, ...] = () if not line.array else (int(number) if is_fixed else None,)
+        fields.append(FieldText(line.name, line.type_name, lengths))
     return Definition(name, tuple(fields), types.constants_of(constants))
 
 
-def _constant(type_name: str, text: str) -> types.ConstantValue | None:
+def constant_value(type_name: str, text: str) -> types.ConstantValue | None:
     """Return a constant's value; None for what is not written as its type."""
     if type_name in ("string", "wstring"):
         quoted = len(text) > 1 and text[0] in "\"'" and text[-1] == text[0]

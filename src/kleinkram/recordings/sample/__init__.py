@@ -20,7 +20,8 @@ from kleinkram.recordings.sample import messages
 from kleinkram.recordings.sample.defects import Defect, Faults, TopicGap
 from kleinkram.recordings.sample.drive import Drive
 from kleinkram.recordings.sample.robots import COMPUTER, Robot, legged, vehicle
-from kleinkram.recordings.sample.writers import BagWriter, Db3Writer
+from kleinkram.recordings.sample.writers import Db3Writer
+from kleinkram.recordings.writing.bag_writer import BagWriter
 from kleinkram.recordings.writing.mcap_writer import McapWriter
 
 __all__ = [

@@ -2,36 +2,33 @@
 
 Strings and array lengths are fixed when a layout is made, so that a message is one `pack`.
 
-Source: genmsg (md5 sums); wiki.ros.org/msg (ROS 1 serialisation); OMG CDR, little endian, as in DDS-XTYPES 1.2 section
+Source: wiki.ros.org/msg (ROS 1 serialisation); OMG CDR, little endian, as in DDS-XTYPES 1.2 section
 7.4.1 (XCDR1).
 """
 
 from __future__ import annotations
 
-import hashlib
 import struct
 from collections.abc import Sequence
 from enum import Enum
 from functools import cache
 
 from kleinkram.recordings.decoding.msg_definitions import known_definitions
-
-_ROS1_HEADER = "uint32 seq\ntime stamp\nstring frame_id"
-_RULE = "=" * 80
+from kleinkram.recordings.decoding.ros_versions import ROS1_TEXTS, full_definition, md5sum_of
 
 
 def ros2_definition(message_type: str) -> str:
     """Return the definition of a type with all that it needs, as an MCAP with schema encoding "ros2msg" has it."""
-    return _with_dependencies(message_type, {name: texts[0] for name, texts in known_definitions().items()})
+    return full_definition(message_type, {name: texts[0] for name, texts in known_definitions().items()})
 
 
 def ros1_definition(message_type: str) -> str:
     """Return the definition of a type with all that it needs, as a bag has it."""
-    return _with_dependencies(message_type, _ros1_texts())
+    return full_definition(message_type, _ros1_texts())
 
 
 def _ros1_texts() -> dict[str, str]:
-    return {name: texts[0] for name, texts in known_definitions().items()} | {"std_msgs/Header": _ROS1_HEADER}
+    return {name: texts[0] for name, texts in known_definitions().items()} | ROS1_TEXTS
 
 
 def ros2_name(message_type: str) -> str:
@@ -41,30 +38,8 @@ def ros2_name(message_type: str) -> str:
 
 @cache
 def ros1_md5(message_type: str) -> str:
-    """Return the md5 sum by which ROS 1 identifies a type: constants first, nested types by their own sums."""
-    texts = _ros1_texts()
-    lines = texts[message_type].splitlines()
-    parts = [line for line in lines if "=" in line]
-    for line in lines:
-        if "=" not in line:
-            nested = _nested_type(line, message_type)
-            parts.append(f"{ros1_md5(nested)} {line.split()[1]}" if nested in texts else line)
-    return hashlib.md5("\n".join(parts).encode(), usedforsecurity=False).hexdigest()
-
-
-def _nested_type(line: str, owner: str) -> str:
-    """Return the full name that the type of a field would have as a type of messages."""
-    name = line.split()[0].partition("[")[0]
-    return name if "/" in name else f"{owner.partition('/')[0]}/{name}"
-
-
-def _with_dependencies(message_type: str, texts: dict[str, str]) -> str:
-    needed = [message_type]
-    for owner in needed:  # which grows
-        nested_types = (_nested_type(line, owner) for line in texts[owner].splitlines())
-        needed += [nested for nested in nested_types if nested in texts and nested not in needed]
-    definitions = [f"{_RULE}\nMSG: {nested}\n{texts[nested]}\n" for nested in needed[1:]]
-    return "".join([f"{texts[message_type]}\n", *definitions])
+    """Return the md5 sum by which ROS 1 identifies a type."""
+    return md5sum_of(message_type, _ros1_texts())
 
 
 CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"

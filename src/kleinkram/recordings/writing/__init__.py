@@ -1,1 +1,1 @@
-"""Writes recordings and tables: MCAP and Parquet."""
+"""Writes recordings and tables: MCAP, ROS 1 bag and Parquet."""

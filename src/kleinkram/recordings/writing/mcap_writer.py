@@ -1,6 +1,6 @@
 """Writer of MCAP: chunked and indexed, with every CRC.
 
-Memory: one chunk, and the records of the summary as bytes: about 100 bytes and 10 for each channel of a chunk.
+Memory: that of `ChunkedWriter`; of the summary, about 100 bytes and 10 for each channel of a chunk.
 
 Source: MCAP format specification, version 0 (mcap.dev/spec).
 """
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from array import array
 from collections.abc import Callable, Iterable
 from itertools import chain
 from typing import BinaryIO
@@ -21,70 +20,17 @@ from kleinkram.recordings.formats.base import OtherRecord
 from kleinkram.recordings.formats.mcap import records as mcap
 from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.messages import Properties
+from kleinkram.recordings.writing.chunked_writer import Chunk, ChunkedWriter, PackedChunk, counted_bytes
 
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MAX_CHANNELS = 2**16
 _INDEX_OF: dict[int, Opcode] = {Opcode.ATTACHMENT: Opcode.ATTACHMENT_INDEX, Opcode.METADATA: Opcode.METADATA_INDEX}
 
 
-class ChunkedWriter:
-    """Base class of writers: the chunk being filled, and the records of the index so far."""
-
-    def __init__(self, file: BinaryIO, compress: Callable[[bytes], bytes], chunk_bytes: int, index_code: str) -> None:
-        self._file, self._compress, self._chunk_bytes, self._index_code = file, compress, chunk_bytes, index_code
-        self._position = self._raw_bytes = self._stored_bytes = 0
-        self._definitions: list[bytes] = []
-        self._chunk_indexes: list[bytes] = []
-        self._begin_chunk()
-
-    @property
-    def bytes_written(self) -> int:
-        """Size of the file so far; of the chunk being filled, what it will be if it compresses like those before."""
-        if not self._raw_bytes:
-            return self._position + self._size
-        return self._position + self._size * self._stored_bytes // self._raw_bytes
-
-    def _begin_chunk(self) -> None:
-        self._pieces: list[bytes] = []
-        self._size = 0
-        self._first_ns, self._last_ns = 2**64 - 1, 0
-        self._index: dict[int, array[int]] = {}
-
-    def _define(self, record: bytes) -> None:
-        self._definitions.append(record)
-        self._pieces.append(record)
-        self._size += len(record)
-
-    def _add(self, channel: int, index_entry: tuple[int, ...], log_time_ns: int, head: bytes, payload: bytes) -> None:
-        index = self._index.get(channel)
-        if index is None:
-            index = self._index[channel] = array(self._index_code)
-        index.extend(index_entry)
-        self._pieces += (head, payload)
-        self._size += len(head) + len(payload)
-        self._first_ns, self._last_ns = min(self._first_ns, log_time_ns), max(self._last_ns, log_time_ns)
-        if self._size >= self._chunk_bytes:
-            self._flush()
-
-    def _flush(self) -> None:
-        raise NotImplementedError
-
-    def _compressed(self) -> tuple[bytes, bytes]:
-        raw = b"".join(self._pieces)
-        stored = self._compress(raw)
-        self._raw_bytes += len(raw)
-        self._stored_bytes += len(stored)
-        return raw, stored
-
-    def _put(self, data: bytes) -> None:
-        self._file.write(data)
-        self._position += len(data)
-
-
 class McapWriter(ChunkedWriter):
     """Writes an MCAP with every CRC; call `finish` at the end, or the file has no index.
 
-    `compression`: the name of what `compress` does, which is zstd by default.
+    `compression`: the name of what `compress` does, which is zstd by default. `workers`: see `ChunkedWriter`.
     """
 
     def __init__(
@@ -96,8 +42,9 @@ class McapWriter(ChunkedWriter):
         compression: str = "zstd",
         compress: Callable[[bytes], bytes] | None = None,
         chunk_bytes: int = 2**20,
+        workers: int = 0,
     ) -> None:
-        super().__init__(file, compress or zstandard.ZstdCompressor(level=1).compress, chunk_bytes, "Q")
+        super().__init__(file, compress or zstandard.ZstdCompressor(level=1).compress, chunk_bytes, "Q", workers)
         self._compression = _text(compression)
         self._crc = 0
         self._counts: dict[int, int] = {}
@@ -184,29 +131,27 @@ class McapWriter(ChunkedWriter):
         footer = mcap.RECORD_HEAD.pack(Opcode.FOOTER, mcap.FOOTER_BODY.size) + struct.pack("<QQ", summary_start, 0)
         self._put(footer + struct.pack("<I", zlib.crc32(footer, self._crc)) + mcap.MAGIC)
 
-    def _flush(self) -> None:
-        if not self._size:
-            return
-        if self._index:
-            self._span = min(self._span[0], self._first_ns), max(self._span[1], self._last_ns)
-        else:
-            self._first_ns = 0
-        raw, stored = self._compressed()
-        start = self._position
-        head = struct.pack("<QQQI", self._first_ns, self._last_ns, len(raw), zlib.crc32(raw))
+    def _checksum(self, raw: bytes) -> int:
+        return zlib.crc32(raw)
+
+    def _write_chunk(self, chunk: Chunk, packed: PackedChunk) -> None:
+        first_ns = chunk.first_ns if chunk.indexes else 0
+        if chunk.indexes:
+            self._span = min(self._span[0], first_ns), max(self._span[1], chunk.last_ns)
+        stored, start = packed.stored, self._position
+        head = struct.pack("<QQQI", first_ns, chunk.last_ns, chunk.size, packed.checksum)
         head += self._compression + struct.pack("<Q", len(stored))
         self._put(mcap.RECORD_HEAD.pack(Opcode.CHUNK, len(head) + len(stored)) + head)
         self._put(stored)
         index_start = self._position
         offsets = b""
-        for channel_id, index in self._index.items():
+        for channel_id, index in chunk.indexes.items():
             offsets += struct.pack("<HQ", channel_id, self._position)
             entries = struct.pack(f"<{len(index)}Q", *index)
             self._put(_mcap_record(Opcode.MESSAGE_INDEX, struct.pack("<H", channel_id) + counted_bytes(entries)))
-        body = struct.pack("<QQQQ", self._first_ns, self._last_ns, start, index_start - start) + counted_bytes(offsets)
+        body = struct.pack("<QQQQ", first_ns, chunk.last_ns, start, index_start - start) + counted_bytes(offsets)
         body += struct.pack("<Q", self._position - index_start) + self._compression
-        self._chunk_indexes.append(_mcap_record(Opcode.CHUNK_INDEX, body + struct.pack("<QQ", len(stored), len(raw))))
-        self._begin_chunk()
+        self._chunk_indexes.append(_mcap_record(Opcode.CHUNK_INDEX, body + struct.pack("<QQ", len(stored), chunk.size)))
 
     def _put(self, data: bytes) -> None:
         super()._put(data)
@@ -215,11 +160,6 @@ class McapWriter(ChunkedWriter):
 
 def _mcap_record(opcode: int, body: bytes) -> bytes:
     return mcap.RECORD_HEAD.pack(opcode, len(body)) + body
-
-
-def counted_bytes(data: bytes) -> bytes:
-    """Return bytes behind their length."""
-    return struct.pack("<I", len(data)) + data
 
 
 def _text(text: str) -> bytes:

@@ -19,7 +19,7 @@ MAX_MB = 200
 _WRITE = r"""
 import re, resource, sys
 from pathlib import Path
-from kleinkram.recordings import Recording
+from kleinkram.recordings import McapOptions, Recording, Ros1Messages
 
 source, target, kind, limit = sys.argv[1:]
 if int(limit):
@@ -33,6 +33,10 @@ def show(share):
 with Recording.open(source) as recording:
     if kind == "parquet":
         recording.to_parquet(target)
+    elif kind == "to_bag":
+        recording.to_bag(target)
+    elif kind == "reencode":
+        recording.to_mcap(target, options=McapOptions(ros1=Ros1Messages.reencode))
     else:
         recording.to_mcap(target, on_progress=show)
 print(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1])
@@ -60,7 +64,7 @@ def test_a_killed_writer_leaves_no_final_name_and_the_next_one_succeeds(tmp_path
     assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.mcap", "made.mcap"]
 
 
-@pytest.mark.parametrize("kind", ["mcap", "parquet"])
+@pytest.mark.parametrize("kind", ["mcap", "to_bag", "parquet"])
 def test_without_space_a_sentence_names_the_file(tmp_path: Path, kind: str) -> None:
     """A limit on the size of files stands for a full disk: both fail in the same call."""
     generate_mcap(tmp_path / "drive.mcap", size_bytes=8_000_000)
@@ -90,10 +94,10 @@ def test_a_full_disk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("kind", ["mcap", "bag", "parquet"])
+@pytest.mark.parametrize("kind", ["mcap", "bag", "reencode", "to_bag", "parquet"])
 def test_memory_is_bounded(tmp_path: Path, kind: str) -> None:
     source = tmp_path / "drive"
-    (generate_bag if kind == "bag" else generate_mcap)(source, size_bytes=150_000_000)
+    (generate_bag if kind in ("bag", "reencode") else generate_mcap)(source, size_bytes=150_000_000)
     process = start(str(source), str(tmp_path / "made"), kind, "0")
     output, errors = process.communicate(timeout=110)
     assert process.returncode == 0, errors

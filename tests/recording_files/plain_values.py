@@ -1,0 +1,43 @@
+"""Values of messages as any library decodes them, comparable with each other; and decoders of `rosbags`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from kleinkram.recordings.decoding.transcode import legal_name
+
+_NAMES = {"secs": "sec", "nsecs": "nanosec", "structure_needs_at_least_one_member": None, "seq": None}
+
+
+def plain(value: Any) -> Any:
+    """Return a value of any library as dicts by the names of ROS 2, lists, and numbers; without sequence numbers."""
+    if isinstance(value, (list, tuple)):
+        return [plain(part) for part in value]
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, (bytes, bytearray)):
+        return list(value)
+    if isinstance(value, dict):
+        parts = value
+    elif is_dataclass(value):
+        parts = {one.name: getattr(value, one.name) for one in fields(value) if not hasattr(type(value), one.name)}
+    else:
+        return value
+    named = {_NAMES.get(name, legal_name(name)): plain(part) for name, part in parts.items()}
+    return {name: part for name, part in named.items() if name}
+
+
+@cache
+def rosbags_decoder(message_encoding: str, name: str, definition: str) -> Callable[[bytes], Any]:
+    """Return what decodes messages of a type by its definition; "ros1" or "cdr"."""
+    store = get_typestore(Stores.EMPTY)
+    full_name = name if "/msg/" in name else name.replace("/", "/msg/")
+    store.register(get_types_from_msg(definition.replace("# no fields\n", ""), full_name))
+    decode = store.deserialize_ros1 if message_encoding == "ros1" else store.deserialize_cdr
+    return lambda data: plain(decode(data, full_name))
