@@ -9,6 +9,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
+from functools import partial
 from html import escape
 from os import PathLike
 from pathlib import Path
@@ -152,7 +153,12 @@ class Recording:
     @property
     def damage(self) -> tuple[Problem, ...]:
         """The damaged parts that were met so far: they were left out, or only partly read. Reads nothing."""
-        return tuple(problem for problem in self._problem_log.all() if problem.code in _DAMAGED)
+        return tuple(problem for problem in self.problems_met if problem.code in _DAMAGED)
+
+    @property
+    def problems_met(self) -> tuple[Problem, ...]:
+        """The problems that were met so far, when the files were opened and messages read. Reads nothing."""
+        return self._problem_log.all()
 
     def raw_messages(
         self, topics: Topics | None = None, *, start: Time | None = None, end: Time | None = None
@@ -346,31 +352,34 @@ class Recording:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def topic_messages(
+        self, name: str, *, start: Time | None = None, end: Time | None = None
+    ) -> Iterator[tuple[int, int, bytes]]:
+        """Yield log time, publish time and bytes of the messages of a topic; for modules of `kleinkram.recordings`.
+
+        Messages of another layout than the topic's are left out, and reported.
+        """
+        topic = self.topic(name)
+        blocks = self._blocks(Selection(frozenset((name,)), *_span(start, end)))
+        return _timed(blocks, topic.schema, topic.message_encoding, self._problem_log)
+
+    def note_undecodable(self, topic: str, log_time_ns: int, error: DecodeError) -> None:
+        """Report a message that cannot be decoded; for modules of `kleinkram.recordings`."""
+        message = f"at {log_time_ns} ns: {error}; what could not be decoded is null"
+        self._problem_log.add("message-undecodable", topic, message)
+
     def _of_topic(
         self, name: str, start: Time | None, end: Time | None
     ) -> tuple[Decoder | Undecodable, Iterator[tuple[int, int, bytes]], Callable[[int, DecodeError], None]]:
         """Return the decoder of a topic, its messages, and what reports a message that cannot be decoded."""
         topic = self.topic(name)
-        blocks = self._blocks(Selection(frozenset((name,)), *_span(start, end)))
-
-        def notice(log_time_ns: int, error: DecodeError) -> None:
-            message = f"at {log_time_ns} ns: {error}; what could not be decoded is null"
-            self._problem_log.add("message-undecodable", name, message)
-
-        messages = _timed(blocks, topic.schema, topic.message_encoding, self._problem_log)
-        return decoder_of(topic.message_encoding, topic.schema), messages, notice
+        messages = self.topic_messages(name, start=start, end=end)
+        return decoder_of(topic.message_encoding, topic.schema), messages, partial(self.note_undecodable, name)
 
     def _select(self, topics: Topics | None, start: Time | None, end: Time | None) -> Selection:
         if topics is None:
             return Selection(None, *_span(start, end))
-        names = {topic.name: None for topic in self.topics}
-        selected: set[str] = set()
-        for pattern in [topics] if isinstance(topics, str) else topics:
-            is_glob = pattern not in names and any(sign in pattern for sign in "*?[")
-            if not is_glob and pattern not in names:
-                raise NoSuchTopic(pattern, list(names))
-            selected.update([name for name in names if fnmatchcase(name, pattern)] if is_glob else [pattern])
-        return Selection(frozenset(selected), *_span(start, end))
+        return Selection(matching_topics(topics, [topic.name for topic in self.topics]), *_span(start, end))
 
     def _blocks(self, selection: Selection) -> Iterator[Block]:
         """Yield the messages as lists that follow each other in time."""
@@ -398,6 +407,17 @@ class Recording:
 
 
 _DAMAGED = frozenset(("damaged", "damaged-message", "too-damaged", "too-late"))
+
+
+def matching_topics(topics: Topics, names: Sequence[str]) -> frozenset[str]:
+    """Return the names that these names or globs select; `NoSuchTopic` for a name that is not among them."""
+    known, selected = frozenset(names), set[str]()
+    for pattern in [topics] if isinstance(topics, str) else topics:
+        is_glob = pattern not in known and any(sign in pattern for sign in "*?[")
+        if not is_glob and pattern not in known:
+            raise NoSuchTopic(pattern, [*names])
+        selected.update([name for name in names if fnmatchcase(name, pattern)] if is_glob else [pattern])
+    return frozenset(selected)
 
 
 def _span(start: Time | None, end: Time | None) -> tuple[int, int]:
