@@ -1,6 +1,6 @@
 """Reads recordings (MCAP, ROS 1 bag, rosbag2, ULog): summaries (`summarise`, `scan`) and messages (`Recording`).
 
-`Recording` also writes them as MCAP and Parquet.
+`Recording` also writes them as MCAP, Parquet, CSV and images.
 
 Independent of the rest of Kleinkram: it reads bytes from a source, in bounded memory, without a database. Files are
 untrusted: any bytes give a summary. A server reads them in a child process (`isolation`).
@@ -43,9 +43,19 @@ if TYPE_CHECKING:
     from kleinkram.recordings.recording_groups import RecordingGroup, RecordingGroupKind, group, is_recording_name
     from kleinkram.recordings.sources import FileSource, Source
     from kleinkram.recordings.summary import scan, summarise
+    from kleinkram.recordings.writing.export import (
+        ExportedFile,
+        ExportFormat,
+        ExportOptions,
+        ExportResult,
+        RecordingProblem,
+        TopicLeftOut,
+        export_recordings,
+    )
+    from kleinkram.recordings.writing.image_files import ImageOptions
     from kleinkram.recordings.writing.losses import LostPlace, MemberLoss
     from kleinkram.recordings.writing.mcap import ChunkCompression, McapOptions, McapResult, is_whole_mcap
-    from kleinkram.recordings.writing.parquet import ParquetFile, ParquetResult
+    from kleinkram.recordings.writing.topic_rows import NamedRecording
 
 _HOMES = {
     "combine_summaries": "combine",
@@ -57,9 +67,12 @@ _HOMES = {
     "recording_groups": "RecordingGroup RecordingGroupKind group is_recording_name",
     "sources": "FileSource Source",
     "summary": "scan summarise",
+    "writing.export": "ExportFormat ExportOptions ExportResult ExportedFile RecordingProblem TopicLeftOut "
+    "export_recordings",
+    "writing.image_files": "ImageOptions",
     "writing.losses": "MemberLoss LostPlace",
     "writing.mcap": "ChunkCompression McapOptions McapResult is_whole_mcap",
-    "writing.parquet": "ParquetFile ParquetResult",
+    "writing.topic_rows": "NamedRecording",
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
 __all__ = sorted(_HOME_OF)

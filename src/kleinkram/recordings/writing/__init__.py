@@ -1,1 +1,1 @@
-"""Writes recordings and tables: MCAP and Parquet."""
+"""Writes recordings, tables and images: MCAP, Parquet, CSV, PNG and JPEG."""

@@ -26,8 +26,6 @@ from kleinkram.recordings.writing.topic_rows import (
     unused_name,
 )
 
-_SUFFIX = "_ns"
-
 
 def write_parquet(group: TopicGroup, path: Path, span: Span, on_rows: OnRows) -> Written:
     """Write the rows of a topic to a new file.
@@ -70,13 +68,13 @@ def _with_timestamps(table: Any, group: TopicGroup) -> Any:
     """Return rows whose times are timestamps, with a unit for each column that has one."""
     import pyarrow as pa
 
-    moments, units = _moments_of(group), group.units()
+    moments, units = _moments_of(group), column_units(group)
     names: list[str] = []
     fields, columns = [], []
     for field, column in zip(table.schema, table.columns, strict=True):
         name, kind, unit = field.name, field.type, units.get(field.name)
         if name in moments:
-            name, kind, unit = name.removesuffix(_SUFFIX), pa.timestamp("ns", "UTC"), None
+            name, kind = name.removesuffix("_ns"), pa.timestamp("ns", "UTC")
         names.append(unused_name(name, names))
         fields.append(pa.field(names[-1], kind, metadata=None if unit is None else {"unit": unit}))
         columns.append(column.cast(kind))
@@ -100,12 +98,13 @@ def _metadata_of(group: TopicGroup, frame_id: str | None) -> dict[str, str]:
         "message_type": group.topic.message_type,
         "message_encoding": group.topic.message_encoding,
         "recordings": json.dumps([one.name for one in group.recordings], ensure_ascii=False),
-        "units": json.dumps(_units_of(group), ensure_ascii=False),
+        "units": json.dumps(column_units(group), ensure_ascii=False),
         "kleinkram": __version__,
     }
     return metadata if frame_id is None else {**metadata, "frame_id": frame_id}
 
 
-def _units_of(group: TopicGroup) -> dict[str, str]:
+def column_units(group: TopicGroup) -> dict[str, str]:
+    """Return the units of the columns; timestamps have none, as their type is one."""
     moments = _moments_of(group)
     return {name: unit for name, unit in group.units().items() if name not in moments}

@@ -111,7 +111,7 @@ def group_topics(
                 kind = topic.message_type.replace("/msg/", "/"), topic.message_encoding, _layout_of(topic)
                 members.setdefault((topic.name, *kind), []).append((one, topic))
     groups: list[TopicGroup] = []
-    taken: set[str] = set()
+    taken = {"index.json"}  # of the export
     for pairs in sorted(members.values(), key=lambda pairs: (pairs[0][1].name, pairs[0][1].undecodable is not None)):
         counts = [topic.count for _, topic in pairs]
         total = None if None in counts else sum(count or 0 for count in counts)

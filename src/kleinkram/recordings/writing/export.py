@@ -1,0 +1,419 @@
+"""Writes topics of the recordings of a mission as Parquet, CSV or images: one file or folder a topic.
+
+A new folder gets a file for each topic of the mission (a folder, for images), and `index.json`, which lists them. A
+folder a mission, rather than one file: topics differ in their columns, and a reader of one topic reads one file.
+
+Each file appears when it is complete. `.export.jsonl` lists the complete files until all are, so that an export can
+continue after it was interrupted. Memory: that of one topic (`topic_rows`, `csv_file`, `image_files`).
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from kleinkram import __version__
+from kleinkram.recordings.decoding.tables import load_pyarrow
+from kleinkram.recordings.errors import CannotWrite
+from kleinkram.recordings.messages import END_OF_TIME_NS, Time, to_ns
+from kleinkram.recordings.recording import OnProgress, Recording, Topics, matching_topics
+from kleinkram.recordings.writing.csv_file import write_csv
+from kleinkram.recordings.writing.image_files import ImageOptions, why_no_images, write_images
+from kleinkram.recordings.writing.new_file import new_file, refuse_existing
+from kleinkram.recordings.writing.parquet import column_units, write_parquet
+from kleinkram.recordings.writing.topic_rows import (
+    NamedRecording,
+    OnRows,
+    Span,
+    TopicGroup,
+    Written,
+    group_topics,
+)
+
+INDEX_NAME = "index.json"
+JOURNAL_NAME = ".export.jsonl"
+
+
+class ExportFormat(str, Enum):
+    """What topics become."""
+
+    parquet = "parquet"
+    csv = "csv"
+    images = "images"
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """What of the recordings is exported.
+
+    Attributes:
+        topics: names or globs; None: all, and all with images where images are written.
+        start: earliest log time, inclusive.
+        end: latest log time, exclusive.
+        images: which images, and how; of no effect on tables.
+    """
+
+    topics: Topics | None = None
+    start: Time | None = None
+    end: Time | None = None
+    images: ImageOptions = field(default_factory=ImageOptions)
+
+    def span(self) -> Span:
+        """Return the span of log time.
+
+        Raises:
+            ValueError: a time cannot be read, or the end is not after the start.
+        """
+        start_ns = 0 if self.start is None else to_ns(self.start)
+        end_ns = END_OF_TIME_NS if self.end is None else to_ns(self.end)
+        if end_ns <= start_ns:
+            raise ValueError("the end must be after the start")
+        return Span(start_ns, end_ns)
+
+
+@dataclass(frozen=True)
+class ExportedFile:
+    """The file of a topic; the folder of its images.
+
+    Attributes:
+        recordings: names of the recordings that have the topic.
+        row_count: rows or images.
+        size_bytes: of the file, or of all files of the folder.
+        frame_id: of all messages; None where it differs, or where they have none.
+        units: of columns, by their names.
+        failed_count: messages whose image cannot be written; `failure`: why the first cannot.
+    """
+
+    topic: str
+    message_type: str
+    message_encoding: str
+    recordings: tuple[str, ...]
+    path: Path
+    row_count: int
+    size_bytes: int
+    frame_id: str | None
+    units: Mapping[str, str]
+    failed_count: int = 0
+    failure: str = ""
+
+
+@dataclass(frozen=True)
+class TopicLeftOut:
+    """A topic of some recordings that is not exported, and why."""
+
+    topic: str
+    recordings: tuple[str, ...]
+    reason: str
+
+
+@dataclass(frozen=True)
+class RecordingProblem:
+    """A problem that was met while a recording was read: some of its messages are missing, or null."""
+
+    recording: str
+    code: str
+    where: str
+    message: str
+
+
+@dataclass(frozen=True)
+class ExportResult:
+    """The written files by topic, the topics that were left out, and the problems that were met."""
+
+    files: tuple[ExportedFile, ...]
+    left_out: tuple[TopicLeftOut, ...]
+    problems: tuple[RecordingProblem, ...]
+
+    def to_plain(self, folder: Path) -> dict[str, object]:
+        """Return what `json.dumps` takes, with paths relative to a folder."""
+        return {
+            "files": [_plain_file(file, folder) for file in self.files],
+            "left_out": [asdict(item) for item in self.left_out],
+            "problems": [asdict(problem) for problem in self.problems],
+        }
+
+
+@dataclass(frozen=True)
+class PlannedFile:
+    """A topic that is written, and the path of its file or folder below that of the export."""
+
+    group: TopicGroup
+    path: str
+
+
+@dataclass(frozen=True)
+class ExportPlan:
+    """The files that an export writes, and the topics that it leaves out."""
+
+    to: ExportFormat
+    files: tuple[PlannedFile, ...]
+    left_out: tuple[TopicLeftOut, ...]
+
+
+def plan_export(
+    recordings: Sequence[NamedRecording], to: ExportFormat, options: ExportOptions, *, with_recording: bool = True
+) -> ExportPlan:
+    """Return what would be written; reads no messages.
+
+    Raises:
+        NoSuchTopic: a name that is no glob is not among the topics of any recording.
+    """
+    names = sorted({topic.name for one in recordings for topic in one.recording.topics})
+    chosen = frozenset(names) if options.topics is None else matching_topics(options.topics, names)
+    files: list[PlannedFile] = []
+    left_out: list[TopicLeftOut] = []
+    for group in group_topics(recordings, chosen, with_recording=with_recording):
+        why_no_image = why_no_images(group.topic.message_type) if to is ExportFormat.images else None
+        if why_no_image is not None and options.topics is None:
+            continue
+        reason = group.topic.undecodable or why_no_image
+        if reason is None:
+            suffix = "" if to is ExportFormat.images else f".{to.value}"
+            files.append(PlannedFile(group, f"{group.name}{suffix}"))
+        else:
+            left_out.append(_left_out(group, reason))
+    return ExportPlan(to, tuple(files), tuple(left_out))
+
+
+def _left_out(group: TopicGroup, reason: str) -> TopicLeftOut:
+    return TopicLeftOut(group.topic.name, tuple(one.name for one in group.recordings), reason)
+
+
+def export_recordings(
+    recordings: Sequence[NamedRecording],
+    folder: str | os.PathLike[str],
+    to: ExportFormat,
+    options: ExportOptions | None = None,
+    *,
+    resume: bool = False,
+    on_progress: OnProgress | None = None,
+) -> ExportResult:
+    """Write the topics of the recordings of a mission to a new folder, with an `index.json`.
+
+    Rows of all recordings are in one file a topic, in the order of log time, with the name of their recording. A topic
+    with several types or encodings has several files. Without anything to write, there is no folder.
+
+    Args:
+        recordings: opened, with names that differ.
+        folder: is made, with those above it.
+        to: what topics become.
+        options: topics, log times and images.
+        resume: continue an export to this folder that was interrupted; its complete files stay.
+        on_progress: called with the share that is done, from 0 to 1.
+
+    Raises:
+        CannotWrite: the folder exists (with `resume`: it holds another export, or a complete one), or it cannot be
+            written to or is full.
+        NoSuchTopic: a name that is no glob is not among the topics of any recording.
+        ValueError: a time cannot be read, or the end is not after the start.
+        ReadingExtraMissing: the extra `reading` is not installed.
+        TooDisordered: too many parts of a recording overlap in time to be put in order in bounded memory.
+        SourceError: the bytes cannot be read.
+    """
+    folder, options = Path(folder), options or ExportOptions()
+    plan = plan_export(recordings, to, options)
+    if not plan.files:
+        return ExportResult((), plan.left_out, _problems_of(recordings))
+    request = _request_of(recordings, to, options)
+    with _open_journal(folder, request, resume=resume) as journal:
+        result = write_plan(plan, folder, options, journal=journal, on_progress=on_progress)
+        with new_file(folder / INDEX_NAME) as stream:
+            index = {"kleinkram": __version__, **request, **result.to_plain(folder)}
+            stream.write(json.dumps(index, indent=2, ensure_ascii=False).encode())
+        (folder / JOURNAL_NAME).unlink()
+    return result
+
+
+def export_topics(
+    recording: Recording, folder: Path, to: ExportFormat, options: ExportOptions, on_progress: OnProgress | None
+) -> ExportResult:
+    """Write topics of one recording to a folder, as `Recording.to_parquet` describes."""
+    name = Path(recording.name).name
+    plan = plan_export([NamedRecording(name, recording)], to, options, with_recording=False)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CannotWrite(str(folder), f"the folder cannot be made: {error.strerror}") from error
+    return write_plan(plan, folder, options, on_progress=on_progress)
+
+
+def _request_of(recordings: Sequence[NamedRecording], to: ExportFormat, options: ExportOptions) -> dict[str, object]:
+    topics = [options.topics] if isinstance(options.topics, str) else options.topics
+    span = options.span()
+    return {
+        "to": to.value,
+        "recordings": [one.name for one in recordings],
+        "topics": None if topics is None else [*topics],
+        "start_ns": None if options.start is None else span.start_ns,
+        "end_ns": None if options.end is None else span.end_ns,
+        **(asdict(options.images) if to is ExportFormat.images else {}),
+    }
+
+
+class Journal:
+    """The complete files of an export, in a file of one JSON document a line; the first is the request."""
+
+    def __init__(self, folder: Path, stream: BinaryIO) -> None:
+        self._folder, self._stream = folder, stream
+        self.files: dict[str, ExportedFile] = {}
+        self.problems: list[RecordingProblem] = []
+
+    def begin(self, request: Mapping[str, object]) -> None:
+        """Write the request."""
+        self._append({"request": request})
+
+    def read(self, request: Mapping[str, object]) -> None:
+        """Read the files that are complete; CannotWrite if the request was another."""
+        self._stream.seek(0)
+        text = self._stream.read()
+        whole = text[: text.rfind(b"\n") + 1]  # the last line may be cut
+        self._stream.truncate(len(whole))
+        first, *lines = [json.loads(line) for line in whole.splitlines()] or [{}]
+        if first.get("request") != request:
+            raise CannotWrite(str(self._folder), "the export in it has other recordings or options: choose another name")
+        for line in lines:
+            self.files[line["file"]["path"]] = _read_file(line["file"], self._folder)
+            self.problems += [RecordingProblem(**problem) for problem in line["problems"]]
+
+    def add(self, file: ExportedFile, problems: Sequence[RecordingProblem]) -> None:
+        """Note that a file is complete, and the problems that were met so far."""
+        self._append({"file": _plain_file(file, self._folder), "problems": [asdict(problem) for problem in problems]})
+
+    def _append(self, document: Mapping[str, object]) -> None:
+        self._stream.write(json.dumps(document).encode() + b"\n")
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+
+
+def _plain_file(file: ExportedFile, folder: Path) -> dict[str, Any]:
+    return {**asdict(file), "path": file.path.relative_to(folder).as_posix(), "recordings": [*file.recordings]}
+
+
+def _read_file(plain: Mapping[str, Any], folder: Path) -> ExportedFile:
+    return ExportedFile(**{**plain, "path": folder / plain["path"], "recordings": tuple(plain["recordings"])})
+
+
+@contextmanager
+def _open_journal(folder: Path, request: Mapping[str, object], *, resume: bool) -> Iterator[Journal]:
+    """Make the folder of an export and its journal, or open those of an interrupted one; only one process at a time."""
+    path = folder / JOURNAL_NAME
+    is_continued = resume and folder.exists()
+    if is_continued and not path.exists():
+        is_complete = (folder / INDEX_NAME).exists()
+        raise CannotWrite(str(folder), "the export in it is complete" if is_complete else "there is no export in it")
+    if not is_continued:
+        refuse_existing(folder)
+    try:
+        if not is_continued:
+            folder.mkdir(parents=True)
+        with path.open("a+b") as stream:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            journal = Journal(folder, stream)
+            if is_continued:
+                journal.read(request)
+            else:
+                journal.begin(request)
+            yield journal
+    except BlockingIOError:
+        raise CannotWrite(str(folder), "another process is writing it") from None
+    except OSError as error:
+        raise CannotWrite(str(folder), f"cannot be written: {error.strerror or error}") from error
+
+
+def write_plan(
+    plan: ExportPlan,
+    folder: Path,
+    options: ExportOptions,
+    *,
+    journal: Journal | None = None,
+    on_progress: OnProgress | None = None,
+) -> ExportResult:
+    """Write the files of a plan to a folder that exists; with a journal, those that it does not have yet."""
+    arrow_error = load_pyarrow().ArrowException
+    span = options.span()
+    recordings = [*{id(one): one for planned in plan.files for one in planned.group.recordings}.values()]
+    files: list[ExportedFile] = []
+    left_out = [*plan.left_out]
+    for number, planned in enumerate(plan.files):
+        path = folder / planned.path
+        file = None if journal is None else journal.files.get(planned.path)
+        if file is None or not path.exists():
+            if journal is not None:
+                _remove(path)  # written, but not noted, when the export was interrupted
+            on_rows = _counter(on_progress, number, len(plan.files), planned.group.message_count)
+            try:
+                written = _write(plan.to, planned.group, path, span, options.images, on_rows)
+            except arrow_error as error:
+                left_out.append(_left_out(planned.group, f"its columns cannot be written: {error}"))
+                continue
+            file = _exported(plan.to, planned.group, path, written)
+            if not path.exists():
+                left_out.append(_left_out(planned.group, file.failure or "it has no images in this time"))
+                continue
+            if journal is not None:
+                journal.add(file, _problems_of(recordings))
+        files.append(file)
+    if on_progress is not None:
+        on_progress(1.0)
+    problems = dict.fromkeys([*(journal.problems if journal else ()), *_problems_of(recordings)])
+    return ExportResult(tuple(files), tuple(left_out), tuple(problems))
+
+
+def _problems_of(recordings: Sequence[NamedRecording]) -> tuple[RecordingProblem, ...]:
+    return tuple(RecordingProblem(one.name, **vars(p)) for one in recordings for p in one.recording.problems_met)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _write(
+    to: ExportFormat, group: TopicGroup, path: Path, span: Span, images: ImageOptions, on_rows: OnRows
+) -> Written:
+    if to is ExportFormat.images:
+        return write_images(group, path, span, images, on_rows)
+    return (write_parquet if to is ExportFormat.parquet else write_csv)(group, path, span, on_rows)
+
+
+def _exported(to: ExportFormat, group: TopicGroup, path: Path, written: Written) -> ExportedFile:
+    topic = group.topic
+    units = {ExportFormat.parquet: column_units, ExportFormat.csv: TopicGroup.units}.get(to, lambda _: {})(group)
+    return ExportedFile(
+        topic.name,
+        topic.message_type,
+        topic.message_encoding,
+        tuple(one.name for one in group.recordings),
+        path,
+        written.row_count,
+        written.size_bytes,
+        written.frame_id,
+        units,
+        written.failed_count,
+        written.failure,
+    )
+
+
+def _counter(on_progress: OnProgress | None, number: int, count: int, messages: int | None) -> OnRows:
+    """Return what reports the share of all topics that is done, at most a thousand times."""
+    done, shown = 0, -1
+
+    def on_rows(more: int) -> None:
+        nonlocal done, shown
+        done += more
+        share = (number + (min(1.0, done / messages) if messages else 0)) / count
+        if on_progress is not None and int(share * 1000) > shown:
+            shown = int(share * 1000)
+            on_progress(share)
+
+    return on_rows
