@@ -18,12 +18,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from kleinkram.recordings.messages import Selection
 from kleinkram.recordings.writing.new_file import new_file
 from kleinkram.recordings.writing.topic_rows import (
     BATCH_BYTES,
     FrameNames,
     OnRows,
-    Span,
     TopicGroup,
     Written,
     rows_of,
@@ -37,7 +37,7 @@ _SLICE_ROWS = 4096
 _NOT_FINITE = {"nan": '"NaN"', "inf": '"Infinity"', "-inf": '"-Infinity"'}
 
 
-def write_csv(group: TopicGroup, path: Path, span: Span, on_rows: OnRows) -> Written:
+def write_csv(group: TopicGroup, path: Path, selection: Selection, on_rows: OnRows) -> Written:
     """Write the rows of a topic to a new file.
 
     Reads the messages twice where the type has arrays of any length.
@@ -46,14 +46,14 @@ def write_csv(group: TopicGroup, path: Path, span: Span, on_rows: OnRows) -> Wri
         CannotWrite: the file exists, or its folder cannot be written to or is full.
         pyarrow.ArrowException: the columns of two recordings contradict each other.
     """
-    schema = schema_of(group, span)
-    lengths = _lengths_of(group, schema, span)
+    schema = schema_of(group, selection)
+    lengths = _lengths_of(group, schema, selection)
     frames = FrameNames()
     row_count, has_header = 0, False
     with new_file(path) as stream:
         text = io.TextIOWrapper(stream, encoding="utf-8", newline="", write_through=True)
         writer = csv.writer(text, lineterminator="\r\n")
-        for table in rows_of(group, schema, span):
+        for table in rows_of(group, schema, selection):
             if not has_header:
                 writer.writerow([name for field in table.schema for name in _headers(field.name, lengths)])
                 has_header = True
@@ -80,7 +80,7 @@ def _headers(name: str, lengths: dict[str, int]) -> list[str]:
     return [f"{name}[{number}]" for number in range(lengths[name])] if name in lengths else [name]
 
 
-def _lengths_of(group: TopicGroup, schema: Any, span: Span) -> dict[str, int]:
+def _lengths_of(group: TopicGroup, schema: Any, selection: Selection) -> dict[str, int]:
     """Return the number of elements of each array that has a column for each."""
     import pyarrow as pa
 
@@ -94,15 +94,15 @@ def _lengths_of(group: TopicGroup, schema: Any, span: Span) -> dict[str, int]:
         else:
             growing.append(field.name)
     if growing:
-        lengths |= _longest(group, schema, span, growing)
+        lengths |= _longest(group, schema, selection, growing)
     return {name: length for name, length in lengths.items() if 0 < length <= MAX_NUMBERED}
 
 
-def _longest(group: TopicGroup, schema: Any, span: Span, names: Sequence[str]) -> dict[str, int]:
+def _longest(group: TopicGroup, schema: Any, selection: Selection, names: Sequence[str]) -> dict[str, int]:
     import pyarrow.compute as pc
 
     longest = dict.fromkeys(names, 0)
-    for table in rows_of(group, schema, span):
+    for table in rows_of(group, schema, selection):
         for name in names:
             longest[name] = max(longest[name], pc.max(pc.list_value_length(table[name])).as_py() or 0)
         del table

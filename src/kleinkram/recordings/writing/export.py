@@ -32,7 +32,6 @@ from kleinkram.recordings.writing.parquet import column_units, write_parquet
 from kleinkram.recordings.writing.topic_rows import (
     NamedRecording,
     OnRows,
-    Span,
     TopicGroup,
     Written,
     group_topics,
@@ -66,8 +65,8 @@ class ExportOptions:
     end: Time | None = None
     images: ImageOptions = field(default_factory=ImageOptions)
 
-    def span(self) -> Span:
-        """Return the span of log time.
+    def selection(self) -> Span:
+        """Return the selection of log time.
 
         Raises:
             ValueError: a time cannot be read, or the end is not after the start.
@@ -247,13 +246,13 @@ def export_topics(
 
 def _request_of(recordings: Sequence[NamedRecording], to: ExportFormat, options: ExportOptions) -> dict[str, object]:
     topics = [options.topics] if isinstance(options.topics, str) else options.topics
-    span = options.span()
+    selection = options.selection()
     return {
         "to": to.value,
         "recordings": [one.name for one in recordings],
         "topics": None if topics is None else [*topics],
-        "start_ns": None if options.start is None else span.start_ns,
-        "end_ns": None if options.end is None else span.end_ns,
+        "start_ns": None if options.start is None else selection.start_ns,
+        "end_ns": None if options.end is None else selection.end_ns,
         **(asdict(options.images) if to is ExportFormat.images else {}),
     }
 
@@ -338,7 +337,7 @@ def write_plan(
 ) -> ExportResult:
     """Write the files of a plan to a folder that exists; with a journal, those that it does not have yet."""
     arrow_error = load_pyarrow().ArrowException
-    span = options.span()
+    selection = options.selection()
     recordings = [*{id(one): one for planned in plan.files for one in planned.group.recordings}.values()]
     files: list[ExportedFile] = []
     left_out = [*plan.left_out]
@@ -350,7 +349,7 @@ def write_plan(
                 _remove(path)  # written, but not noted, when the export was interrupted
             on_rows = _counter(on_progress, number, len(plan.files), planned.group.message_count)
             try:
-                written = _write(plan.to, planned.group, path, span, options.images, on_rows)
+                written = _write(plan.to, planned.group, path, selection, options.images, on_rows)
             except arrow_error as error:
                 left_out.append(_left_out(planned.group, f"its columns cannot be written: {error}"))
                 continue
@@ -379,11 +378,11 @@ def _remove(path: Path) -> None:
 
 
 def _write(
-    to: ExportFormat, group: TopicGroup, path: Path, span: Span, images: ImageOptions, on_rows: OnRows
+    to: ExportFormat, group: TopicGroup, path: Path, selection: Selection, images: ImageOptions, on_rows: OnRows
 ) -> Written:
     if to is ExportFormat.images:
-        return write_images(group, path, span, images, on_rows)
-    return (write_parquet if to is ExportFormat.parquet else write_csv)(group, path, span, on_rows)
+        return write_images(group, path, selection, images, on_rows)
+    return (write_parquet if to is ExportFormat.parquet else write_csv)(group, path, selection, on_rows)
 
 
 def _exported(to: ExportFormat, group: TopicGroup, path: Path, written: Written) -> ExportedFile:

@@ -25,8 +25,9 @@ from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable, ima
 from kleinkram.recordings.decoding.sensor_data import CAMERA_TYPES, VIDEO_TYPES, compressed_image
 from kleinkram.recordings.decoding.values import NS, part, type_name
 from kleinkram.recordings.errors import CannotWrite
+from kleinkram.recordings.messages import Selection
 from kleinkram.recordings.writing.new_file import refuse_existing, sync_folder
-from kleinkram.recordings.writing.topic_rows import FrameNames, OnRows, Span, TopicGroup, Written, messages_of
+from kleinkram.recordings.writing.topic_rows import FrameNames, OnRows, TopicGroup, Written, messages_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -81,7 +82,7 @@ def why_no_images(message_type: str) -> str | None:
     return "it is a video, not single images" if kind in VIDEO_TYPES else f"its messages, {message_type}, are no images"
 
 
-def write_images(group: TopicGroup, folder: Path, span: Span, options: ImageOptions, on_rows: OnRows) -> Written:
+def write_images(group: TopicGroup, folder: Path, selection: Selection, options: ImageOptions, on_rows: OnRows) -> Written:
     """Write the images of a topic to a new folder, which appears when it is complete.
 
     Until then it is `.NAME.part` beside it, which is removed after an error. Messages whose image cannot be written are
@@ -96,7 +97,7 @@ def write_images(group: TopicGroup, folder: Path, span: Span, options: ImageOpti
         shutil.rmtree(partial, ignore_errors=True)  # what a killed process left
         partial.mkdir()
         try:
-            written = _fill(group, partial, span, options, on_rows)
+            written = _fill(group, partial, selection, options, on_rows)
             if written.row_count:
                 sync_folder(partial)
                 partial.rename(folder)
@@ -108,14 +109,14 @@ def write_images(group: TopicGroup, folder: Path, span: Span, options: ImageOpti
     return written
 
 
-def _fill(group: TopicGroup, folder: Path, span: Span, options: ImageOptions, on_rows: OnRows) -> Written:
+def _fill(group: TopicGroup, folder: Path, selection: Selection, options: ImageOptions, on_rows: OnRows) -> Written:
     frames = FrameNames()
     count = failed = size_bytes = 0
     failure = ""
     with (folder / INDEX_NAME).open("w", encoding="utf-8", newline="") as stream:
         index = csv.writer(stream, lineterminator="\r\n")
         index.writerow(_HEADERS)
-        for name, log_ns, data in _selected(group, span, options, on_rows):
+        for name, log_ns, data in _selected(group, selection, options, on_rows):
             try:
                 value = _decode(group.decoder, data)
                 made = image_file(value, as_jpeg=options.as_jpeg)
@@ -160,7 +161,7 @@ def _write(folder: Path, stamp: int, made: ImageFile) -> str:
 
 
 def _selected(
-    group: TopicGroup, span: Span, options: ImageOptions, on_rows: OnRows
+    group: TopicGroup, selection: Selection, options: ImageOptions, on_rows: OnRows
 ) -> Iterator[tuple[str, int, bytes]]:
     """Yield recording, log time and bytes of the messages whose images are written.
 
@@ -168,7 +169,7 @@ def _selected(
     """
     slot_ns = None if options.rate_hz is None else max(1, round(NS / options.rate_hz))
     first_ns, last_slot = 0, -1
-    for number, (one, (log_ns, _, data)) in enumerate(messages_of(group, span)):
+    for number, (one, (log_ns, _, data)) in enumerate(messages_of(group, selection)):
         on_rows(1)
         first_ns = log_ns if number == 0 else first_ns
         slot = number if slot_ns is None else (log_ns - first_ns) // slot_ns

@@ -14,11 +14,11 @@ from typing import Any
 
 from kleinkram import __version__
 from kleinkram.recordings.decoding.tables import TIME_COLUMNS, columns_of, is_time
+from kleinkram.recordings.messages import Selection
 from kleinkram.recordings.writing.new_file import new_file
 from kleinkram.recordings.writing.topic_rows import (
     FrameNames,
     OnRows,
-    Span,
     TopicGroup,
     Written,
     rows_of,
@@ -27,7 +27,7 @@ from kleinkram.recordings.writing.topic_rows import (
 )
 
 
-def write_parquet(group: TopicGroup, path: Path, span: Span, on_rows: OnRows) -> Written:
+def write_parquet(group: TopicGroup, path: Path, selection: Selection, on_rows: OnRows) -> Written:
     """Write the rows of a topic to a new file.
 
     Raises:
@@ -36,12 +36,12 @@ def write_parquet(group: TopicGroup, path: Path, span: Span, on_rows: OnRows) ->
     """
     import pyarrow.parquet as pq
 
-    schema = schema_of(group, span)
+    schema = schema_of(group, selection)
     frames = FrameNames()
     row_count, writer = 0, None
     with new_file(path) as stream:
         with ExitStack() as stack:
-            for rows in rows_of(group, schema, span):
+            for rows in rows_of(group, schema, selection):
                 table = _with_timestamps(rows, group)
                 if writer is None:
                     options = {"compression": "zstd", "use_dictionary": _texts_of(table.schema)}

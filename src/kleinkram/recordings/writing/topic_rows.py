@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable, arrow_batches
 from kleinkram.recordings.decoding.tables import TIME_COLUMNS, TimedMessage, load_pyarrow
 from kleinkram.recordings.decoding.types import Layout, Struct
-from kleinkram.recordings.messages import END_OF_TIME_NS, Topic
+from kleinkram.recordings.messages import Selection, Topic
 from kleinkram.recordings.recording import Recording, decoder_of
 from kleinkram.recordings.writing.units import units_of
 
@@ -57,13 +57,6 @@ class Written(NamedTuple):
     frame_id: str | None = None
     failed_count: int = 0
     failure: str = ""
-
-
-class Span(NamedTuple):
-    """start_ns <= log time < end_ns."""
-
-    start_ns: int = 0
-    end_ns: int = END_OF_TIME_NS
 
 
 @dataclass(frozen=True)
@@ -136,7 +129,7 @@ def _file_name(topic: str, taken: set[str]) -> str:
     return name
 
 
-def messages_of(group: TopicGroup, span: Span) -> Iterator[tuple[NamedRecording, TimedMessage]]:
+def messages_of(group: TopicGroup, selection: Selection) -> Iterator[tuple[NamedRecording, TimedMessage]]:
     """Yield the messages of a group by log time; of equal times, in the order of the recordings.
 
     A recording is read from once its first log time is reached.
@@ -146,7 +139,7 @@ def messages_of(group: TopicGroup, span: Span) -> Iterator[tuple[NamedRecording,
     while waiting or heap:
         if waiting and (not heap or (waiting[-1][1].recording.start_ns or 0) <= heap[0][0]):
             number, one = waiting.pop()
-            messages = one.recording.topic_messages(group.topic.name, start=span.start_ns, end=span.end_ns)
+            messages = one.recording.topic_messages(group.topic.name, start=selection.start_ns, end=selection.end_ns)
             if (message := next(messages, None)) is not None:
                 heappush(heap, (message[0], number, message, messages))
             continue
@@ -158,7 +151,7 @@ def messages_of(group: TopicGroup, span: Span) -> Iterator[tuple[NamedRecording,
             heapreplace(heap, (following[0], number, following, messages))
 
 
-def schema_of(group: TopicGroup, span: Span) -> Any:
+def schema_of(group: TopicGroup, selection: Selection) -> Any:
     """Return the Arrow schema of the rows of a group.
 
     Reads the messages of JSON and protobuf, whose columns depend on them.
@@ -172,31 +165,31 @@ def schema_of(group: TopicGroup, span: Span) -> Any:
         return pa.unify_schemas([one, other], promote_options="permissive")
 
     if group.topic.message_encoding in _VARYING:
-        return functools.reduce(unified, (table.schema for table in _tables(group, span)))
-    return next(_tables(group, Span(0, 0))).schema
+        return functools.reduce(unified, (table.schema for table in _tables(group, selection)))
+    return next(_tables(group, Selection(None, 0, 0))).schema
 
 
-def rows_of(group: TopicGroup, schema: Any, span: Span) -> Iterator[Any]:
+def rows_of(group: TopicGroup, schema: Any, selection: Selection) -> Iterator[Any]:
     """Yield the rows of a group as tables with this schema, which follow each other in log time.
 
     At least one table, which may be empty. With `with_recording`, the third column is `recording`.
     """
     import pyarrow as pa
 
-    for table in _tables(group, span):
+    for table in _tables(group, selection):
         if not table.schema.equals(schema):
             table = pa.concat_tables([schema.empty_table(), table], promote_options="permissive")
         yield table
         del table
 
 
-def _tables(group: TopicGroup, span: Span) -> Iterator[Any]:
+def _tables(group: TopicGroup, selection: Selection) -> Iterator[Any]:
     import pyarrow as pa
 
     pending: deque[tuple[int, NamedRecording]] = deque()  # log times and recordings of messages that have no row yet
 
     def timed() -> Iterator[TimedMessage]:
-        for one, message in messages_of(group, span):
+        for one, message in messages_of(group, selection):
             pending.append((message[0], one))
             yield message
 
