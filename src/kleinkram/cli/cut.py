@@ -22,15 +22,13 @@ from kleinkram.contract.errors import FileUnavailable, NotFound
 from kleinkram.recordings import (
     ChunkCompression,
     EmptyRange,
-    FileSource,
     McapOptions,
     McapResult,
     NotARecording,
     Recording,
-    Source,
 )
 from kleinkram.recordings.messages import Selection
-from kleinkram.recordings.recording_groups import RecordingGroup, RecordingGroupKind, read_folder
+from kleinkram.recordings.open_paths import find_recordings
 from kleinkram.recordings.writing.mcap import merge_to_mcap, select_slice
 
 
@@ -70,7 +68,7 @@ def cut(
         elif project is not None or not sources:
             raise InvalidInput(what="The command", reason="specify files or folders, or a mission with -m")
         else:
-            recordings = _open_all(stack, (opener for path in sources for opener in _openers(Path(path))))
+            recordings = _open_all(stack, (item.open for item in find_recordings(sources)))
         selection = _select(recordings, options.topic_names(topics), start, end)
         if dry_run or output is None:
             return _estimate(recordings, selection)
@@ -117,43 +115,6 @@ def _open_readable(opener: Callable[[], Recording]) -> Recording | NotARecording
         return opener()
     except (NotARecording, FileUnavailable) as error:
         return error
-
-
-def _openers(path: Path) -> Iterator[Callable[[], Recording]]:
-    """Yield a function that opens a recording, for each in a path."""
-    if not path.is_dir():
-        yield partial(Recording.open, path)
-        return
-    groups = read_folder(path).groups
-    if not groups:
-        raise NotARecording(str(path), "there is no recording in it")
-    yield from (_opener(path, group) for group in groups)
-
-
-def _opener(folder: Path, group: RecordingGroup) -> Callable[[], Recording]:
-    if group.kind is RecordingGroupKind.rosbag2 and group.metadata_path is not None:
-        return partial(Recording.open, folder / group.metadata_path)
-    if len(group.members) == 1:
-        return partial(Recording.open, folder / group.members[0])
-    return partial(Recording.open, _LocalFiles([folder / name for name in group.members]))
-
-
-class _LocalFiles:
-    """The files of a split recording."""
-
-    def __init__(self, paths: Iterable[Path]) -> None:
-        self._paths = [*paths]
-        self._sources: list[FileSource] = []
-
-    def sources(self) -> Sequence[Source]:
-        """Open the files."""
-        self._sources = [FileSource(path) for path in self._paths]
-        return self._sources
-
-    def close(self) -> None:
-        """Close them."""
-        for source in self._sources:
-            source.close()
 
 
 def _open_remote(

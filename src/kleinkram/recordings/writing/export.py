@@ -23,10 +23,11 @@ from typing import Any, BinaryIO
 from kleinkram import __version__
 from kleinkram.recordings.decoding.tables import load_pyarrow
 from kleinkram.recordings.errors import CannotWrite
-from kleinkram.recordings.messages import END_OF_TIME_NS, Time, to_ns
-from kleinkram.recordings.recording import OnProgress, Recording, Topics, matching_topics
+from kleinkram.recordings.messages import END_OF_TIME_NS, Selection, Time
+from kleinkram.recordings.recording import OnProgress, Recording, Topics
 from kleinkram.recordings.writing.csv_file import write_csv
 from kleinkram.recordings.writing.image_files import ImageOptions, why_no_images, write_images
+from kleinkram.recordings.writing.mcap import select_slice
 from kleinkram.recordings.writing.new_file import new_file, refuse_existing
 from kleinkram.recordings.writing.parquet import column_units, write_parquet
 from kleinkram.recordings.writing.topic_rows import (
@@ -55,7 +56,7 @@ class ExportOptions:
 
     Attributes:
         topics: names or globs; None: all, and all with images where images are written.
-        start: earliest log time, inclusive.
+        start: earliest log time, inclusive; as in `Recording.raw_messages`, with `+20s` after the earliest recording.
         end: latest log time, exclusive.
         images: which images, and how; of no effect on tables.
     """
@@ -64,18 +65,6 @@ class ExportOptions:
     start: Time | None = None
     end: Time | None = None
     images: ImageOptions = field(default_factory=ImageOptions)
-
-    def selection(self) -> Span:
-        """Return the selection of log time.
-
-        Raises:
-            ValueError: a time cannot be read, or the end is not after the start.
-        """
-        start_ns = 0 if self.start is None else to_ns(self.start)
-        end_ns = END_OF_TIME_NS if self.end is None else to_ns(self.end)
-        if end_ns <= start_ns:
-            raise ValueError("the end must be after the start")
-        return Span(start_ns, end_ns)
 
 
 @dataclass(frozen=True)
@@ -153,6 +142,7 @@ class ExportPlan:
     """The files that an export writes, and the topics that it leaves out."""
 
     to: ExportFormat
+    selection: Selection
     files: tuple[PlannedFile, ...]
     left_out: tuple[TopicLeftOut, ...]
 
@@ -164,12 +154,14 @@ def plan_export(
 
     Raises:
         NoSuchTopic: a name that is no glob is not among the topics of any recording.
+        EmptyRange: the end is not after the start.
+        OutsideRecording: nothing was recorded between start and end.
+        ValueError: a text is no time.
     """
-    names = sorted({topic.name for one in recordings for topic in one.recording.topics})
-    chosen = frozenset(names) if options.topics is None else matching_topics(options.topics, names)
+    selection = select_slice([one.recording for one in recordings], options.topics, options.start, options.end)
     files: list[PlannedFile] = []
     left_out: list[TopicLeftOut] = []
-    for group in group_topics(recordings, chosen, with_recording=with_recording):
+    for group in group_topics(recordings, selection, with_recording=with_recording):
         why_no_image = why_no_images(group.topic.message_type) if to is ExportFormat.images else None
         if why_no_image is not None and options.topics is None:
             continue
@@ -179,7 +171,7 @@ def plan_export(
             files.append(PlannedFile(group, f"{group.name}{suffix}"))
         else:
             left_out.append(_left_out(group, reason))
-    return ExportPlan(to, tuple(files), tuple(left_out))
+    return ExportPlan(to, selection, tuple(files), tuple(left_out))
 
 
 def _left_out(group: TopicGroup, reason: str) -> TopicLeftOut:
@@ -211,8 +203,7 @@ def export_recordings(
     Raises:
         CannotWrite: the folder exists (with `resume`: it holds another export, or a complete one), or it cannot be
             written to or is full.
-        NoSuchTopic: a name that is no glob is not among the topics of any recording.
-        ValueError: a time cannot be read, or the end is not after the start.
+        NoSuchTopic, EmptyRange, OutsideRecording, ValueError: as `plan_export`.
         ReadingExtraMissing: the extra `reading` is not installed.
         TooDisordered: too many parts of a recording overlap in time to be put in order in bounded memory.
         SourceError: the bytes cannot be read.
@@ -221,9 +212,9 @@ def export_recordings(
     plan = plan_export(recordings, to, options)
     if not plan.files:
         return ExportResult((), plan.left_out, _problems_of(recordings))
-    request = _request_of(recordings, to, options)
+    request = _request_of(recordings, plan, options)
     with _open_journal(folder, request, resume=resume) as journal:
-        result = write_plan(plan, folder, options, journal=journal, on_progress=on_progress)
+        result = write_plan(plan, folder, options.images, journal=journal, on_progress=on_progress)
         with new_file(folder / INDEX_NAME) as stream:
             index = {"kleinkram": __version__, **request, **result.to_plain(folder)}
             stream.write(json.dumps(index, indent=2, ensure_ascii=False).encode())
@@ -241,19 +232,21 @@ def export_topics(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise CannotWrite(str(folder), f"the folder cannot be made: {error.strerror}") from error
-    return write_plan(plan, folder, options, on_progress=on_progress)
+    return write_plan(plan, folder, options.images, on_progress=on_progress)
 
 
-def _request_of(recordings: Sequence[NamedRecording], to: ExportFormat, options: ExportOptions) -> dict[str, object]:
+def _request_of(
+    recordings: Sequence[NamedRecording], plan: ExportPlan, options: ExportOptions
+) -> dict[str, object]:
     topics = [options.topics] if isinstance(options.topics, str) else options.topics
-    selection = options.selection()
+    start_ns, end_ns = plan.selection.start_ns, plan.selection.end_ns
     return {
-        "to": to.value,
+        "to": plan.to.value,
         "recordings": [one.name for one in recordings],
         "topics": None if topics is None else [*topics],
-        "start_ns": None if options.start is None else selection.start_ns,
-        "end_ns": None if options.end is None else selection.end_ns,
-        **(asdict(options.images) if to is ExportFormat.images else {}),
+        "start_ns": start_ns or None,
+        "end_ns": None if end_ns == END_OF_TIME_NS else end_ns,
+        **(asdict(options.images) if plan.to is ExportFormat.images else {}),
     }
 
 
@@ -330,14 +323,13 @@ def _open_journal(folder: Path, request: Mapping[str, object], *, resume: bool) 
 def write_plan(
     plan: ExportPlan,
     folder: Path,
-    options: ExportOptions,
+    images: ImageOptions,
     *,
     journal: Journal | None = None,
     on_progress: OnProgress | None = None,
 ) -> ExportResult:
     """Write the files of a plan to a folder that exists; with a journal, those that it does not have yet."""
     arrow_error = load_pyarrow().ArrowException
-    selection = options.selection()
     recordings = [*{id(one): one for planned in plan.files for one in planned.group.recordings}.values()]
     files: list[ExportedFile] = []
     left_out = [*plan.left_out]
@@ -349,7 +341,7 @@ def write_plan(
                 _remove(path)  # written, but not noted, when the export was interrupted
             on_rows = _counter(on_progress, number, len(plan.files), planned.group.message_count)
             try:
-                written = _write(plan.to, planned.group, path, selection, options.images, on_rows)
+                written = _write(plan, planned.group, path, images, on_rows)
             except arrow_error as error:
                 left_out.append(_left_out(planned.group, f"its columns cannot be written: {error}"))
                 continue
@@ -367,7 +359,7 @@ def write_plan(
 
 
 def _problems_of(recordings: Sequence[NamedRecording]) -> tuple[RecordingProblem, ...]:
-    return tuple(RecordingProblem(one.name, **vars(p)) for one in recordings for p in one.recording.problems_met)
+    return tuple(RecordingProblem(one.name, **vars(p)) for one in recordings for p in one.recording.problem_log.all())
 
 
 def _remove(path: Path) -> None:
@@ -377,12 +369,11 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _write(
-    to: ExportFormat, group: TopicGroup, path: Path, selection: Selection, images: ImageOptions, on_rows: OnRows
-) -> Written:
-    if to is ExportFormat.images:
-        return write_images(group, path, selection, images, on_rows)
-    return (write_parquet if to is ExportFormat.parquet else write_csv)(group, path, selection, on_rows)
+def _write(plan: ExportPlan, group: TopicGroup, path: Path, images: ImageOptions, on_rows: OnRows) -> Written:
+    if plan.to is ExportFormat.images:
+        return write_images(group, path, plan.selection, images, on_rows)
+    write = write_parquet if plan.to is ExportFormat.parquet else write_csv
+    return write(group, path, plan.selection, on_rows)
 
 
 def _exported(to: ExportFormat, group: TopicGroup, path: Path, written: Written) -> ExportedFile:

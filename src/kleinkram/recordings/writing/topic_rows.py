@@ -94,13 +94,13 @@ class TopicGroup:
 
 
 def group_topics(
-    recordings: Sequence[NamedRecording], names: frozenset[str], *, with_recording: bool
+    recordings: Sequence[NamedRecording], selection: Selection, *, with_recording: bool
 ) -> list[TopicGroup]:
-    """Return the topics of these names over all recordings, by name; a topic of several layouts is several groups."""
+    """Return the selected topics of all recordings, by name; a topic of several layouts is several groups."""
     members: dict[tuple[object, ...], list[tuple[NamedRecording, Topic]]] = {}
     for one in recordings:
         for topic in one.recording.topics:
-            if topic.name in names:
+            if selection.has_topic(topic.name):
                 kind = topic.message_type.replace("/msg/", "/"), topic.message_encoding, _layout_of(topic)
                 members.setdefault((topic.name, *kind), []).append((one, topic))
     groups: list[TopicGroup] = []
