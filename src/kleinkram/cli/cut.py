@@ -72,7 +72,7 @@ def cut(
         selection = _select(recordings, options.topic_names(topics), start, end)
         if dry_run or output is None:
             return _estimate(recordings, selection)
-        with _watching(output.name) as on_progress:
+        with watch_share(output.name) as on_progress:
             names = None if selection.topics is None else sorted(selection.topics)
             result = merge_to_mcap(
                 recordings,
@@ -152,7 +152,7 @@ def _estimate(recordings: Sequence[Recording], selection: Selection) -> Output:
 
 
 @contextlib.contextmanager
-def _watching(name: str) -> Iterator[Callable[[float], None] | None]:
+def watch_share(name: str) -> Iterator[Callable[[float], None] | None]:
     """Show a bar on a terminal. Ctrl-C raises Interrupted; nothing is left of the file then."""
     try:
         if not sys.stderr.isatty():

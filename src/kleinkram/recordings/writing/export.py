@@ -41,6 +41,8 @@ from kleinkram.recordings.writing.topic_rows import (
 INDEX_NAME = "index.json"
 JOURNAL_NAME = ".export.jsonl"
 
+_OTHER_EXPORT = "the export in it has other recordings or options: choose another name"
+
 
 class ExportFormat(str, Enum):
     """What topics become."""
@@ -197,12 +199,13 @@ def export_recordings(
         folder: is made, with those above it.
         to: what topics become.
         options: topics, log times and images.
-        resume: continue an export to this folder that was interrupted; its complete files stay.
+        resume: continue an export to this folder that was interrupted; its complete files stay. If it is complete,
+            nothing is done.
         on_progress: called with the share that is done, from 0 to 1.
 
     Raises:
-        CannotWrite: the folder exists (with `resume`: it holds another export, or a complete one), or it cannot be
-            written to or is full.
+        CannotWrite: the folder exists (with `resume`: it holds no export, or another one), or it cannot be written to or
+            is full.
         NoSuchTopic, EmptyRange, OutsideRecording, ValueError: as `plan_export`.
         ReadingExtraMissing: the extra `reading` is not installed.
         TooDisordered: too many parts of a recording overlap in time to be put in order in bounded memory.
@@ -213,6 +216,8 @@ def export_recordings(
     if not plan.files:
         return ExportResult((), plan.left_out, _problems_of(recordings))
     request = _request_of(recordings, plan, options)
+    if resume and (folder / INDEX_NAME).exists() and not (folder / JOURNAL_NAME).exists():
+        return _read_index(folder, request)
     with _open_journal(folder, request, resume=resume) as journal:
         result = write_plan(plan, folder, options.images, journal=journal, on_progress=on_progress)
         with new_file(folder / INDEX_NAME) as stream:
@@ -250,6 +255,18 @@ def _request_of(
     }
 
 
+def _read_index(folder: Path, request: Mapping[str, object]) -> ExportResult:
+    """Return the result of an export that is complete; CannotWrite if the request was another."""
+    index = json.loads((folder / INDEX_NAME).read_bytes())
+    if {name: index.get(name) for name in request} != request:
+        raise CannotWrite(str(folder), _OTHER_EXPORT)
+    return ExportResult(
+        tuple(_read_file(file, folder) for file in index["files"]),
+        tuple(TopicLeftOut(**{**item, "recordings": tuple(item["recordings"])}) for item in index["left_out"]),
+        tuple(RecordingProblem(**problem) for problem in index["problems"]),
+    )
+
+
 class Journal:
     """The complete files of an export, in a file of one JSON document a line; the first is the request."""
 
@@ -270,7 +287,7 @@ class Journal:
         self._stream.truncate(len(whole))
         first, *lines = [json.loads(line) for line in whole.splitlines()] or [{}]
         if first.get("request") != request:
-            raise CannotWrite(str(self._folder), "the export in it has other recordings or options: choose another name")
+            raise CannotWrite(str(self._folder), _OTHER_EXPORT)
         for line in lines:
             self.files[line["file"]["path"]] = _read_file(line["file"], self._folder)
             self.problems += [RecordingProblem(**problem) for problem in line["problems"]]
@@ -299,8 +316,7 @@ def _open_journal(folder: Path, request: Mapping[str, object], *, resume: bool) 
     path = folder / JOURNAL_NAME
     is_continued = resume and folder.exists()
     if is_continued and not path.exists():
-        is_complete = (folder / INDEX_NAME).exists()
-        raise CannotWrite(str(folder), "the export in it is complete" if is_complete else "there is no export in it")
+        raise CannotWrite(str(folder), "there is no export in it that can continue: choose another name")
     if not is_continued:
         refuse_existing(folder)
     try:
