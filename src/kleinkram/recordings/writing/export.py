@@ -27,7 +27,7 @@ from kleinkram.recordings.messages import END_OF_TIME_NS, Selection, Time
 from kleinkram.recordings.recording import OnProgress, Recording, Topics
 from kleinkram.recordings.writing.csv_file import write_csv
 from kleinkram.recordings.writing.image_files import ImageOptions, why_no_images, write_images
-from kleinkram.recordings.writing.mcap import select_slice
+from kleinkram.recordings.writing.mcap import select_slice, share_read_ahead
 from kleinkram.recordings.writing.new_file import new_file, refuse_existing
 from kleinkram.recordings.writing.parquet import column_units, write_parquet
 from kleinkram.recordings.writing.topic_rows import (
@@ -209,7 +209,7 @@ def export_recordings(
         NoSuchTopic, EmptyRange, OutsideRecording, ValueError: as `plan_export`.
         ReadingExtraMissing: the extra `reading` is not installed.
         TooDisordered: too many parts of a recording overlap in time to be put in order in bounded memory.
-        SourceError: the bytes cannot be read.
+        SourceError: the bytes cannot be read, or a local file was written to while it was read.
     """
     folder, options = Path(folder), options or ExportOptions()
     plan = plan_export(recordings, to, options)
@@ -347,6 +347,7 @@ def write_plan(
     """Write the files of a plan to a folder that exists; with a journal, those that it does not have yet."""
     arrow_error = load_pyarrow().ArrowException
     recordings = [*{id(one): one for planned in plan.files for one in planned.group.recordings}.values()]
+    share_read_ahead([one.recording for one in recordings])
     files: list[ExportedFile] = []
     left_out = [*plan.left_out]
     for number, planned in enumerate(plan.files):
@@ -361,6 +362,8 @@ def write_plan(
             except arrow_error as error:
                 left_out.append(_left_out(planned.group, f"its columns cannot be written: {error}"))
                 continue
+            for one in planned.group.recordings:
+                one.recording.check_unchanged()
             file = _exported(plan.to, planned.group, path, written)
             if not path.exists():
                 left_out.append(_left_out(planned.group, file.failure or "it has no images in this time"))
