@@ -100,7 +100,7 @@ def _select(
 
 def _open_all(stack: ExitStack, openers: Iterable[Callable[[], Recording]]) -> list[Recording]:
     """Open recordings; note those that cannot be read, if there are others."""
-    results = [_open_readable(opener) for opener in openers]
+    results = [open_readable(opener) for opener in openers]
     recordings = [stack.enter_context(result) for result in results if isinstance(result, Recording)]
     failures = [result for result in results if not isinstance(result, Recording)]
     if not recordings:
@@ -110,7 +110,8 @@ def _open_all(stack: ExitStack, openers: Iterable[Callable[[], Recording]]) -> l
     return recordings
 
 
-def _open_readable(opener: Callable[[], Recording]) -> Recording | NotARecording | FileUnavailable:
+def open_readable(opener: Callable[[], Recording]) -> Recording | NotARecording | FileUnavailable:
+    """Open a recording, or return why it cannot be read."""
     try:
         return opener()
     except (NotARecording, FileUnavailable) as error:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from kleinkram.cli import options
 from kleinkram.cli.commands import Many, argument, flag, option
-from kleinkram.cli.cut import watch_share
+from kleinkram.cli.cut import open_readable, watch_share
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.filters import Choice, select_files, with_choice
 from kleinkram.cli.render import Output, note, table
@@ -26,7 +26,7 @@ from kleinkram.client.exports import (
     plan_exports,
     refuse_existing_folder,
 )
-from kleinkram.recordings.errors import NotARecording
+from kleinkram.recordings import Recording
 from kleinkram.recordings.open_paths import find_recordings
 from kleinkram.recordings.writing.export import ExportFormat, ExportOptions, ExportPlan, export_recordings
 from kleinkram.recordings.writing.image_files import ImageOptions
@@ -112,18 +112,15 @@ def _export_local(sources: Sequence[str], request: _ExportRequest) -> Output:
 @contextmanager
 def _open_local(sources: Sequence[str]) -> Iterator[OpenedRecordings]:
     """Open local recordings; one that cannot be read is named, if there are others."""
-    recordings: list[NamedRecording] = []
-    failures: dict[str, NotARecording] = {}
     with ExitStack() as stack:
-        for item in find_recordings(sources):
-            try:
-                recordings.append(NamedRecording(item.name, stack.enter_context(item.open())))
-            except NotARecording as error:
-                failures[item.name] = error
+        results = [(item.name, open_readable(item.open)) for item in find_recordings(sources)]
+        recordings = [
+            NamedRecording(name, stack.enter_context(one)) for name, one in results if isinstance(one, Recording)
+        ]
+        failures = {name: one for name, one in results if not isinstance(one, Recording)}
         if not recordings:
             raise next(iter(failures.values()))
-        unread = {name: str(error) for name, error in failures.items()}
-        yield OpenedRecordings(recordings, unread)
+        yield OpenedRecordings(recordings, {name: str(error) for name, error in failures.items()})
 
 
 def _export_remote(client: Client, choice: Choice, sources: Sequence[str], request: _ExportRequest) -> Output:
@@ -166,16 +163,16 @@ def _show_plans(plans: Sequence[_Planned]) -> Output:
     items: list[dict[str, object]] = []
     for mission, opened, plan in plans:
         above = "" if mission is None else f"{mission.project}/{mission.mission}/"
-        for file in plan.files:
-            items.append(
-                {
-                    "topic": file.group.topic.name,
-                    "message_type": file.group.topic.message_type,
-                    "message_count": file.group.message_count,
-                    "recordings": [one.name for one in file.group.recordings],
-                    "path": f"{above}{file.path}",
-                }
-            )
+        items += [
+            {
+                "topic": file.group.topic.name,
+                "message_type": file.group.topic.message_type,
+                "message_count": file.group.message_count,
+                "recordings": [one.name for one in file.group.recordings],
+                "path": f"{above}{file.path}",
+            }
+            for file in plan.files
+        ]
         for topic in plan.left_out:
             note(f"Would leave out {above}{topic.topic}: {topic.reason}")
         for name, reason in opened.unread.items():
@@ -194,8 +191,8 @@ def _show_exports(exports: Sequence[MissionExport], output: Path) -> Output:
         names = {"project": one.project or None, "mission": one.mission or None, "folder": str(one.folder)}
         items.append({**names, "error": one.error, "unread": dict(one.unread), **plain})
         _note_missing(one)
-        for file in one.result.files if one.result is not None else ():
-            rows.append((file.topic, file.row_count, size(file.size_bytes), str(file.path)))
+        files = one.result.files if one.result is not None else ()
+        rows += [(file.topic, file.row_count, size(file.size_bytes), str(file.path)) for file in files]
     failed = [one for one in exports if one.error is not None]
     if len(failed) == len(exports):
         raise NothingToDo(reason=f"Nothing was exported: {failed[0].error}")

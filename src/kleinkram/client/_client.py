@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from kleinkram.client.actions import Actions, ProjectActions
     from kleinkram.client.checks import Checks
+    from kleinkram.client.exports import MissionExport
     from kleinkram.client.files import Files, Recordings, Uploads
     from kleinkram.client.metrics import Metrics
     from kleinkram.client.missions import Missions, Projects
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from kleinkram.client.search import Search, Stats
     from kleinkram.client.server import Admin, Audit, Events, Home, Me, Service, Trash
     from kleinkram.client.tokens import Shares, Tokens
-    from kleinkram.client.exports import MissionExport
     from kleinkram.recordings.messages import Time
     from kleinkram.recordings.recording import Topics
     from kleinkram.recordings.writing.export import ExportFormat

@@ -14,7 +14,7 @@ import io
 import itertools
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -151,9 +151,14 @@ def _texts(column: Any) -> list[str | None]:
     if _is_plain(kind) or pa.types.is_null(kind):
         return list(column.cast(pa.string()).to_pylist())
     if _is_listed(kind) and _is_plain(kind.value_type) and not pa.types.is_string(kind.value_type):
-        rows = (f"[{','.join(_NOT_FINITE.get(text or 'null', text or 'null') for text in row)}]" for row in _rows(column))
-        return [row if is_valid else None for row, is_valid in zip(rows, column.is_valid().to_pylist(), strict=True)]
+        are_valid = column.is_valid().to_pylist()
+        return [_json_list(row) if is_valid else None for row, is_valid in zip(_rows(column), are_valid, strict=True)]
     return [None if value is None else _as_text(value) for value in column.to_pylist()]
+
+
+def _json_list(texts: Iterable[str | None]) -> str:
+    """Return numbers or truth values as JSON, in fewer digits than `json` writes a float32 with."""
+    return f"[{','.join('null' if text is None else _NOT_FINITE.get(text, text) for text in texts)}]"
 
 
 def _as_text(value: object) -> str:

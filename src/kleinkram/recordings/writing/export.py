@@ -204,8 +204,7 @@ def export_recordings(
         on_progress: called with the share that is done, from 0 to 1.
 
     Raises:
-        CannotWrite: the folder exists (with `resume`: it holds no export, or another one), or it cannot be written to or
-            is full.
+        CannotWrite: the folder exists (with `resume`: it holds no such export), or cannot be written to or is full.
         NoSuchTopic, EmptyRange, OutsideRecording, ValueError: as `plan_export`.
         ReadingExtraMissing: the extra `reading` is not installed.
         TooDisordered: too many parts of a recording overlap in time to be put in order in bounded memory.
@@ -240,9 +239,7 @@ def export_topics(
     return write_plan(plan, folder, options.images, on_progress=on_progress)
 
 
-def _request_of(
-    recordings: Sequence[NamedRecording], plan: ExportPlan, options: ExportOptions
-) -> dict[str, object]:
+def _request_of(recordings: Sequence[NamedRecording], plan: ExportPlan, options: ExportOptions) -> dict[str, object]:
     topics = [options.topics] if isinstance(options.topics, str) else options.topics
     start_ns, end_ns = plan.selection.start_ns, plan.selection.end_ns
     return {

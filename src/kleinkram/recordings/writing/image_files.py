@@ -82,7 +82,9 @@ def why_no_images(message_type: str) -> str | None:
     return "it is a video, not single images" if kind in VIDEO_TYPES else f"its messages, {message_type}, are no images"
 
 
-def write_images(group: TopicGroup, folder: Path, selection: Selection, options: ImageOptions, on_rows: OnRows) -> Written:
+def write_images(
+    group: TopicGroup, folder: Path, selection: Selection, options: ImageOptions, on_rows: OnRows
+) -> Written:
     """Write the images of a topic to a new folder, which appears when it is complete.
 
     Until then it is `.NAME.part` beside it, which is removed after an error. Messages whose image cannot be written are
@@ -147,7 +149,7 @@ def _frame_of(value: object) -> str | None:
 
 
 def _write(folder: Path, stamp: int, made: ImageFile) -> str:
-    """Write a file whose name is the stamp, with a number behind it for further images of one stamp; return its name."""
+    """Write a file named by a stamp, with a number behind it for further images of one stamp; return its name."""
     stem, number = f"{stamp:019d}", 1
     while True:
         name = f"{stem}.{made.suffix}" if number == 1 else f"{stem}-{number}.{made.suffix}"

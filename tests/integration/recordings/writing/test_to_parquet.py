@@ -88,7 +88,9 @@ def test_metadata_of_the_sample(kind: str, tmp_path: Path) -> None:
     units = json.loads(metadata[b"units"])
     assert units["linear_acceleration.x"] == "m/s^2"
     schema = pq.read_schema(file.path)
-    assert {field.name: field.metadata[b"unit"].decode() for field in schema if b"unit" in (field.metadata or {})} == units
+    assert {
+        field.name: field.metadata[b"unit"].decode() for field in schema if b"unit" in (field.metadata or {})
+    } == units
     for name in ("log_time", "publish_time", "header.stamp"):
         assert schema.field(name).type == pa.timestamp("ns", "UTC")
 
