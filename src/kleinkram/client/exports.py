@@ -169,7 +169,8 @@ def plan_export(recordings: Sequence["NamedRecording"], to: "ExportFormat", opti
 def refuse_existing_folder(folder: Path) -> None:
     """Raise DestinationRefused if there is such a file or folder."""
     if folder.exists() or folder.is_symlink():
-        reason = "there is such a file or folder; choose another name, or continue an export that was interrupted"
+        remedy = "choose another name, or continue an export that was interrupted (--continue, resume=True)"
+        reason = f"there is such a file or folder; {remedy}"
         raise DestinationRefused(path=str(folder), reason=reason)
 
 

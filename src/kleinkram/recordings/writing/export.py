@@ -254,14 +254,24 @@ def _request_of(recordings: Sequence[NamedRecording], plan: ExportPlan, options:
 
 def _read_index(folder: Path, request: Mapping[str, object]) -> ExportResult:
     """Return the result of an export that is complete; CannotWrite if the request was another."""
-    index = json.loads((folder / INDEX_NAME).read_bytes())
-    if {name: index.get(name) for name in request} != request:
-        raise CannotWrite(str(folder), _OTHER_EXPORT)
-    return ExportResult(
-        tuple(_read_file(file, folder) for file in index["files"]),
-        tuple(TopicLeftOut(**{**item, "recordings": tuple(item["recordings"])}) for item in index["left_out"]),
-        tuple(RecordingProblem(**problem) for problem in index["problems"]),
-    )
+    with _reading(folder / INDEX_NAME):
+        index = json.loads((folder / INDEX_NAME).read_bytes())
+        if {name: index.get(name) for name in request} != request:
+            raise CannotWrite(str(folder), _OTHER_EXPORT)
+        return ExportResult(
+            tuple(_read_file(file, folder) for file in index["files"]),
+            tuple(TopicLeftOut(**{**item, "recordings": tuple(item["recordings"])}) for item in index["left_out"]),
+            tuple(RecordingProblem(**problem) for problem in index["problems"]),
+        )
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Raise CannotWrite where a file does not say what an export wrote."""
+    try:
+        yield
+    except (ValueError, KeyError, TypeError, AttributeError, OSError) as error:
+        raise CannotWrite(str(path), f"it cannot be read: {error}; choose another folder") from None
 
 
 class Journal:
@@ -282,12 +292,13 @@ class Journal:
         text = self._stream.read()
         whole = text[: text.rfind(b"\n") + 1]  # the last line may be cut
         self._stream.truncate(len(whole))
-        first, *lines = [json.loads(line) for line in whole.splitlines()] or [{}]
-        if first.get("request") != request:
-            raise CannotWrite(str(self._folder), _OTHER_EXPORT)
-        for line in lines:
-            self.files[line["file"]["path"]] = _read_file(line["file"], self._folder)
-            self.problems += [RecordingProblem(**problem) for problem in line["problems"]]
+        with _reading(self._folder / JOURNAL_NAME):
+            first, *lines = [json.loads(line) for line in whole.splitlines()] or [{}]
+            if first.get("request") != request:
+                raise CannotWrite(str(self._folder), _OTHER_EXPORT)
+            for line in lines:
+                self.files[line["file"]["path"]] = _read_file(line["file"], self._folder)
+                self.problems += [RecordingProblem(**problem) for problem in line["problems"]]
 
     def add(self, file: ExportedFile, problems: Sequence[RecordingProblem]) -> None:
         """Note that a file is complete, and the problems that were met so far."""

@@ -213,7 +213,10 @@ def _pillow_file(picture: NDArray[Any], file_format: str, **options: int) -> byt
 
     out = io.BytesIO()
     plane = picture[..., 0] if picture.shape[2] == 1 else picture
-    Image.fromarray(np.ascontiguousarray(plane)).save(out, file_format, **options)
+    try:
+        Image.fromarray(np.ascontiguousarray(plane)).save(out, file_format, **options)
+    except (OSError, SystemError) as error:  # such as a JPEG of more than 65,535 columns
+        raise DecodeError("", f"its image cannot be written as {file_format}: {str(error)[:100]}") from None
     return out.getvalue()
 
 

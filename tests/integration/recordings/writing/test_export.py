@@ -213,6 +213,14 @@ def test_a_cut_line_of_the_journal_is_ignored(tmp_path: Path) -> None:
     assert [file.topic for file in result.files] == ["/imu", "/second"]
 
 
+@pytest.mark.parametrize("text", ["no JSON\n", "[1]\n", '{"request": null}\n{"file": {}}\n', ""])
+def test_a_journal_that_says_something_else_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / ".export.jsonl").write_text(text)
+    with pytest.raises(CannotWrite, match=r"cannot be read|other recordings or options"):
+        export({"a": ros2_mcap(imu(1))}, tmp_path / "out", resume=True)
+
+
 _WRITE = r"""
 import re, sys
 from pathlib import Path
