@@ -353,36 +353,43 @@ def write_plan(
     on_progress: OnProgress | None = None,
 ) -> ExportResult:
     """Write the files of a plan to a folder that exists; with a journal, those that it does not have yet."""
-    arrow_error = load_pyarrow().ArrowException
     recordings = [*{id(one): one for planned in plan.files for one in planned.group.recordings}.values()]
     share_read_ahead([one.recording for one in recordings])
-    files: list[ExportedFile] = []
-    left_out = [*plan.left_out]
+    outcomes: list[ExportedFile | TopicLeftOut] = [*plan.left_out]
     for number, planned in enumerate(plan.files):
         path = folder / planned.path
-        file = None if journal is None else journal.files.get(planned.path)
-        if file is None or not path.exists():
+        outcome: ExportedFile | TopicLeftOut | None = None
+        if journal is not None:
+            outcome = journal.files.get(planned.path) if path.exists() else None
+        if outcome is None:
             if journal is not None:
                 _remove(path)  # written, but not noted, when the export was interrupted
             on_rows = _counter(on_progress, number, len(plan.files), planned.group.message_count)
-            try:
-                written = _write(plan, planned.group, path, images, on_rows)
-            except arrow_error as error:
-                left_out.append(_left_out(planned.group, f"its columns cannot be written: {error}"))
-                continue
-            for one in planned.group.recordings:
-                one.recording.check_unchanged()
-            file = _exported(plan.to, planned.group, path, written)
-            if not path.exists():
-                left_out.append(_left_out(planned.group, file.failure or "it has no images in this time"))
-                continue
-            if journal is not None:
-                journal.add(file, _problems_of(recordings))
-        files.append(file)
+            outcome = _write_topic(plan, planned.group, path, images, on_rows)
+            if journal is not None and isinstance(outcome, ExportedFile):
+                journal.add(outcome, _problems_of(recordings))
+        outcomes.append(outcome)
     if on_progress is not None:
         on_progress(1.0)
+    files = tuple(outcome for outcome in outcomes if isinstance(outcome, ExportedFile))
+    left_out = tuple(outcome for outcome in outcomes if isinstance(outcome, TopicLeftOut))
     problems = dict.fromkeys([*(journal.problems if journal else ()), *_problems_of(recordings)])
-    return ExportResult(tuple(files), tuple(left_out), tuple(problems))
+    return ExportResult(files, left_out, tuple(problems))
+
+
+def _write_topic(
+    plan: ExportPlan, group: TopicGroup, path: Path, images: ImageOptions, on_rows: OnRows
+) -> ExportedFile | TopicLeftOut:
+    arrow_error = load_pyarrow().ArrowException
+    try:
+        written = _write(plan, group, path, images, on_rows)
+    except arrow_error as error:
+        return _left_out(group, f"its columns cannot be written: {error}")
+    for one in group.recordings:
+        one.recording.check_unchanged()
+    if plan.to is ExportFormat.images and not written.row_count:
+        return _left_out(group, written.failure or "it has no images in this time")
+    return _exported(plan.to, group, path, written)
 
 
 def _problems_of(recordings: Sequence[NamedRecording]) -> tuple[RecordingProblem, ...]:

@@ -30,10 +30,10 @@ from kleinkram.recordings import (
     export_recordings,
 )
 from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mcap
-from tests.integration.recordings.writing.test_to_parquet import json_mcap
 from tests.recording_files.builders import T0
 from tests.recording_files.memory_source import MemorySource
 from tests.recording_files.ros_messages import SECOND, TimedMessage, ros1_bag, ros2_mcap
+from tests.recording_files.tables import json_mcap
 
 MAX_MB = 200
 

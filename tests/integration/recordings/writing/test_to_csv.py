@@ -19,10 +19,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from kleinkram.recordings import Recording
 from kleinkram.recordings.writing.csv_file import MAX_NUMBERED
-from tests.integration.recordings.writing.test_to_parquet import json_mcap
 from tests.recording_files.builders import T0
 from tests.recording_files.corpus import Entry, params
 from tests.recording_files.ros_messages import TimedMessage, ros2_mcap
+from tests.recording_files.tables import json_mcap
 
 
 def read(path: Path) -> tuple[list[str], list[list[str]]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from io import BytesIO
 from pathlib import Path
 
 import pyarrow as pa
@@ -15,32 +14,10 @@ from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mca
 from kleinkram.recordings.writing.topic_rows import _file_name
 from tests.recording_files.builders import T0
 from tests.recording_files.corpus import Entry, params
-from tests.recording_files.memory_source import MemorySource
 from tests.recording_files.ros_messages import SECOND, TimedMessage, ros2_mcap
-from tests.recording_files.writers import McapWriter
+from tests.recording_files.tables import as_arrow, json_mcap
 
 FORMATS = "MCAP", "ROS1 bag 2.0", "ROS2 sqlite3 db3", "file-zstd of MCAP", "PX4 ULog"
-
-
-def json_mcap(values: list[object]) -> MemorySource:
-    out = BytesIO()
-    writer = McapWriter(out)
-    channel = writer.add_channel("/state", writer.add_schema("State", "jsonschema", b"{}"), "json")
-    for number, value in enumerate(values):
-        writer.add_message(channel, T0 + number, json.dumps(value).encode())
-    writer.finish()
-    return MemorySource(out.getvalue())
-
-
-def as_arrow(path: Path) -> pa.Table:
-    """Return the rows of a file with the columns of `to_arrow`: times as integers."""
-    table = pq.read_table(path)
-    names, columns = [], []
-    for field, column in zip(table.schema, table.columns, strict=True):
-        is_time = pa.types.is_timestamp(field.type)
-        names.append(f"{field.name}_ns" if is_time else field.name)
-        columns.append(column.cast(pa.int64()) if is_time else column)
-    return pa.Table.from_arrays(columns, names=names)
 
 
 def _plain(table: pa.Table) -> str:
