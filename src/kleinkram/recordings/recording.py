@@ -345,7 +345,7 @@ class Recording:
         """Write each topic as a Parquet file with the columns of `to_arrow`, in row groups of about 4 MB of messages.
 
         The file of `/camera/front` is `camera.front.parquet`. Times are timestamps in ns, UTC: `log_time`,
-        `publish_time`, `header.stamp`. Its metadata are `topic`, `message_type`, `message_encoding`, `recordings`,
+        `publish_time`, `header.stamp`. Its metadata are `topic`, `message_type`, `message_encoding`, `sources`,
         `units`, and `frame_id` where all messages have the same. Topics that cannot be decoded are left out, and named
         in the result.
 

@@ -36,6 +36,7 @@ from kleinkram.recordings.writing.topic_rows import (
     TopicGroup,
     Written,
     group_topics,
+    sources_of,
 )
 
 INDEX_NAME = "index.json"
@@ -245,6 +246,7 @@ def _request_of(recordings: Sequence[NamedRecording], plan: ExportPlan, options:
     return {
         "to": plan.to.value,
         "recordings": [one.name for one in recordings],
+        "sources": sources_of(recordings),
         "topics": None if topics is None else [*topics],
         "start_ns": start_ns or None,
         "end_ns": None if end_ns == END_OF_TIME_NS else end_ns,
@@ -412,7 +414,7 @@ def _write(plan: ExportPlan, group: TopicGroup, path: Path, images: ImageOptions
 
 def _exported(to: ExportFormat, group: TopicGroup, path: Path, written: Written) -> ExportedFile:
     topic = group.topic
-    units = {ExportFormat.parquet: column_units, ExportFormat.csv: TopicGroup.units}.get(to, lambda _: {})(group)
+    units = {} if to is ExportFormat.images else column_units(group) if to is ExportFormat.parquet else group.units()
     return ExportedFile(
         topic.name,
         topic.message_type,

@@ -23,6 +23,7 @@ from kleinkram.recordings.writing.topic_rows import (
     Written,
     rows_of,
     schema_of,
+    sources_of,
     unused_name,
 )
 
@@ -97,7 +98,7 @@ def _metadata_of(group: TopicGroup, frame_id: str | None) -> dict[str, str]:
         "topic": group.topic.name,
         "message_type": group.topic.message_type,
         "message_encoding": group.topic.message_encoding,
-        "recordings": json.dumps([one.name for one in group.recordings], ensure_ascii=False),
+        "sources": json.dumps(sources_of(group.recordings), ensure_ascii=False),
         "units": json.dumps(column_units(group), ensure_ascii=False),
         "kleinkram": __version__,
     }

@@ -93,6 +93,11 @@ class TopicGroup:
         return dict.fromkeys(TIME_COLUMNS, "ns") | own
 
 
+def sources_of(recordings: Iterable[NamedRecording]) -> dict[str, dict[str, str | None]]:
+    """Return the files of each recording, with their SHA-256 where it is known: of files on a server."""
+    return {one.name: {file: one.recording.sha256.get(file) for file in one.recording.files} for one in recordings}
+
+
 def group_topics(
     recordings: Sequence[NamedRecording], selection: Selection, *, with_recording: bool
 ) -> list[TopicGroup]:

@@ -204,7 +204,7 @@ def test_a_cut_line_of_the_journal_is_ignored(tmp_path: Path) -> None:
     export({"a": source}, tmp_path / "out")
     folder = tmp_path / "out"
     index = json.loads((folder / "index.json").read_bytes())
-    request = {name: index[name] for name in ("to", "recordings", "topics", "start_ns", "end_ns")}
+    request = {name: index[name] for name in ("to", "recordings", "sources", "topics", "start_ns", "end_ns")}
     first, second = index["files"]
     lines = [{"request": request}, {"file": first, "problems": []}, {"file": second, "problems": []}]
     (folder / "index.json").unlink()
