@@ -16,6 +16,7 @@ import re
 import shutil
 import struct
 import zlib
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,9 +26,10 @@ from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable, ima
 from kleinkram.recordings.decoding.sensor_data import CAMERA_TYPES, VIDEO_TYPES, compressed_image
 from kleinkram.recordings.decoding.values import NS, part, type_name
 from kleinkram.recordings.errors import CannotWrite
-from kleinkram.recordings.messages import Selection
+from kleinkram.recordings.decoding.tables import TimedMessage
+from kleinkram.recordings.messages import END_OF_TIME_NS, Selection
 from kleinkram.recordings.writing.new_file import refuse_existing, sync_folder
-from kleinkram.recordings.writing.topic_rows import FrameNames, OnRows, TopicGroup, Written, messages_of
+from kleinkram.recordings.writing.topic_rows import FrameNames, NamedRecording, OnRows, TopicGroup, Written, messages_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -49,7 +51,7 @@ class ImageOptions:
 
     Attributes:
         every: the first of so many images of a topic.
-        rate_hz: at most so many images a second of log time; None: all.
+        rate_hz: at most so many images a second of log time, the first of each part of it; None: all.
         as_jpeg: images of 8 bits that are not compressed become JPEG (lossy, quality 95) in place of PNG.
     """
 
@@ -58,7 +60,9 @@ class ImageOptions:
     as_jpeg: bool = False
 
     def __post_init__(self) -> None:
-        """Check the numbers; ValueError for one that selects nothing."""
+        """Check the numbers; ValueError for one that selects nothing, and for both."""
+        if self.every != 1 and self.rate_hz is not None:
+            raise ValueError("specify one of every and rate")
         if self.every < 1:
             raise ValueError("the number of images of which one is written must be at least 1")
         if self.rate_hz is not None and not 0 < self.rate_hz <= NS:
@@ -118,7 +122,7 @@ def _fill(group: TopicGroup, folder: Path, selection: Selection, options: ImageO
     with (folder / INDEX_NAME).open("w", encoding="utf-8", newline="") as stream:
         index = csv.writer(stream, lineterminator="\r\n")
         index.writerow(_HEADERS)
-        for name, log_ns, data in _selected(group, selection, options, on_rows):
+        for one, (log_ns, _, data) in _selected(group, selection, options, on_rows):
             try:
                 value = _decode(group.decoder, data)
                 made = image_file(value, as_jpeg=options.as_jpeg)
@@ -129,7 +133,7 @@ def _fill(group: TopicGroup, folder: Path, selection: Selection, options: ImageO
                 continue
             frame, encoding = _frame_of(value), str(part(value, "encoding") or part(value, "format") or "")
             file_name = _write(folder, log_ns if stamp is None else stamp, made)
-            index.writerow([stamp, log_ns, file_name, made.width, made.height, encoding, frame, name])
+            index.writerow([stamp, log_ns, file_name, made.width, made.height, encoding, frame, one.name])
             frames.add(frame)
             count, size_bytes = count + 1, size_bytes + len(made.data)
         stream.flush()
@@ -162,23 +166,42 @@ def _write(folder: Path, stamp: int, made: ImageFile) -> str:
             return name
 
 
-def _selected(
-    group: TopicGroup, selection: Selection, options: ImageOptions, on_rows: OnRows
-) -> Iterator[tuple[str, int, bytes]]:
-    """Yield recording, log time and bytes of the messages whose images are written.
+_Images = Iterator[tuple[NamedRecording, TimedMessage]]
 
-    With a rate, log time since the first message is divided into slots, and the first message of each is taken.
-    """
-    slot_ns = None if options.rate_hz is None else max(1, round(NS / options.rate_hz))
-    first_ns, last_slot = 0, -1
-    for number, (one, (log_ns, _, data)) in enumerate(messages_of(group, selection)):
+
+def _selected(group: TopicGroup, selection: Selection, options: ImageOptions, on_rows: OnRows) -> _Images:
+    """Yield the messages whose images are written, with their recordings."""
+    if options.rate_hz is not None:
+        yield from _spaced(group, selection, max(1, round(NS / options.rate_hz)), on_rows)
+        return
+    for number, item in enumerate(messages_of(group, selection)):
         on_rows(1)
-        first_ns = log_ns if number == 0 else first_ns
-        slot = number if slot_ns is None else (log_ns - first_ns) // slot_ns
-        if number % options.every or slot == last_slot:
+        if number % options.every == 0:
+            yield item
+
+
+def _spaced(group: TopicGroup, selection: Selection, slot_ns: int, on_rows: OnRows) -> _Images:
+    """Yield the first message of each slot of log time since the first message.
+
+    Parts of the recordings that are between two of them are not read.
+    """
+    topic = group.topic.name
+    segments = sorted(
+        (one.first_ns, one.last_ns) for part in group.recordings for one in part.recording.segments(topic)
+    )
+    messages = messages_of(group, selection)
+    first_ns, next_ns = None, 0
+    while (item := next(messages, None)) is not None:
+        on_rows(1)
+        log_ns = item[1][0]
+        if log_ns < next_ns:
             continue
-        last_slot = slot
-        yield one.name, log_ns, data
+        first_ns = log_ns if first_ns is None else first_ns
+        yield item
+        next_ns = first_ns + ((log_ns - first_ns) // slot_ns + 1) * slot_ns
+        after = bisect_right(segments, (log_ns, END_OF_TIME_NS))
+        if after < len(segments) and segments[after][1] < next_ns:
+            messages = messages_of(group, selection._replace(start_ns=next_ns))
 
 
 def image_file(value: object, *, as_jpeg: bool = False) -> ImageFile:

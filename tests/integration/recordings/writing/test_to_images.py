@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from PIL import Image
@@ -15,7 +17,7 @@ from PIL import Image
 from kleinkram.recordings import CannotWrite, ImageOptions, Recording
 from kleinkram.recordings.decoding import image
 from kleinkram.recordings.sample import generate_bag, generate_mcap
-from tests.recording_files.builders import T0
+from tests.recording_files.builders import T0, Watched
 from tests.recording_files.corpus import Entry, params
 from tests.recording_files.ros_messages import SECOND, TimedMessage, ros2_mcap
 
@@ -97,6 +99,38 @@ def test_some_of_the_images(tmp_path: Path, options: ImageOptions, numbers: list
     with Recording.open(ros2_mcap(camera(10))) as recording:
         (file,) = recording.to_images(tmp_path, images=options).files
     assert [(int(row["log_time_ns"]) - T0) * 10 // SECOND for row in index_of(file.path)] == numbers
+
+
+def test_a_low_rate_reads_only_what_it_needs(tmp_path: Path) -> None:
+    """100 s at 10 Hz in chunks of about 1 s."""
+    noise = np.random.default_rng(1).bytes(2000)
+    mission = ros2_mcap(camera(1000, data=jpeg() + noise), chunk_bytes=20_000)
+    sizes = []
+    for options in (ImageOptions(), ImageOptions(rate_hz=0.1)):
+        counted = Watched(mission)
+        with Recording.open(counted) as recording:
+            (file,) = recording.to_images(tmp_path / str(options.rate_hz), images=options).files
+        sizes.append(counted.bytes_read)
+    assert [int(row["log_time_ns"]) - T0 for row in index_of(file.path)] == [n * 10 * SECOND for n in range(10)]
+    assert sizes[1] < sizes[0] / 4
+
+
+@given(
+    st.lists(st.integers(0, 3000), min_size=1, max_size=40), st.sampled_from([0.4, 1.0, 5.0]), st.integers(200, 4000)
+)
+def test_images_at_a_rate_are_the_first_of_each_part(
+    tmp_path_factory: pytest.TempPathFactory, times: list[int], rate_hz: float, chunk_bytes: int
+) -> None:
+    """Whatever the times (in units of 10 ms) and chunks: as picked from all images."""
+    (image_message,) = camera(1)
+    times = sorted(times)
+    messages = [image_message._replace(log_ns=T0 + time * SECOND // 100) for time in times]
+    with Recording.open(ros2_mcap(messages, chunk_bytes=chunk_bytes)) as recording:
+        (file,) = recording.to_images(tmp_path_factory.mktemp("images"), images=ImageOptions(rate_hz=rate_hz)).files
+    slots: dict[int, int] = {}
+    for time in times:
+        slots.setdefault((time - times[0]) * SECOND // 100 // round(SECOND / rate_hz), time)
+    assert [(int(row["log_time_ns"]) - T0) * 100 // SECOND for row in index_of(file.path)] == [*slots.values()]
 
 
 def test_images_of_one_stamp_have_numbers(tmp_path: Path) -> None:

@@ -171,6 +171,8 @@ def test_types_without_images() -> None:
 def test_selections_of_nothing_are_refused() -> None:
     with pytest.raises(ValueError, match="at least 1"):
         ImageOptions(every=0)
+    with pytest.raises(ValueError, match="one of every and rate"):
+        ImageOptions(every=2, rate_hz=1)
     for rate_hz in (0.0, -1.0, float("nan")):
         with pytest.raises(ValueError, match="above 0"):
             ImageOptions(rate_hz=rate_hz)
