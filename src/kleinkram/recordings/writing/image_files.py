@@ -24,9 +24,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable, image, stamp_ns
 from kleinkram.recordings.decoding.sensor_data import CAMERA_TYPES, VIDEO_TYPES, compressed_image
+from kleinkram.recordings.decoding.tables import TimedMessage
 from kleinkram.recordings.decoding.values import NS, part, type_name
 from kleinkram.recordings.errors import CannotWrite
-from kleinkram.recordings.decoding.tables import TimedMessage
 from kleinkram.recordings.messages import END_OF_TIME_NS, Selection
 from kleinkram.recordings.writing.new_file import refuse_existing, sync_folder
 from kleinkram.recordings.writing.topic_rows import FrameNames, NamedRecording, OnRows, TopicGroup, Written, messages_of
