@@ -14,7 +14,7 @@ from uuid import UUID
 from kleinkram.client.errors import DestinationRefused, InvalidInput, NothingToDo
 from kleinkram.client.transfer.slices import recordings_of
 from kleinkram.contract.errors import FileUnavailable
-from kleinkram.contract.files import FileRead, RecordingRead
+from kleinkram.contract.files import ContentState, FileRead, RecordingRead
 from kleinkram.contract.names import check_name
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from kleinkram.recordings.writing.export import ExportFormat, ExportOptions, ExportPlan, ExportResult
     from kleinkram.recordings.writing.topic_rows import NamedRecording
 
+_NOT_READ = ": the server has not read the files yet, which takes a moment after an upload"
 OnShare = Callable[[float], None]
 
 
@@ -74,6 +75,7 @@ def plan_exports(
         InvalidInput: the files are of several missions, and not `nested`.
         DestinationRefused: the name of a project or mission cannot be that of a folder.
     """
+    files = [*files]
     by_mission: dict[UUID, list[FileRead]] = defaultdict(list)
     for file in files:
         by_mission[file.mission.id].append(file)
@@ -88,7 +90,8 @@ def plan_exports(
             folder = _folder_of(dest, project, mission) if nested else dest
             missions.append(MissionRecordings(project, mission, recorded, folder))
     if not missions:
-        raise NothingToDo(reason="No recording matches")
+        is_pending = any(file.content is ContentState.pending for file in files)
+        raise NothingToDo(reason=f"No recording matches{_NOT_READ if is_pending else ''}")
     return missions
 
 
