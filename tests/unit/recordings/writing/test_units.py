@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from kleinkram.recordings.decoding import Decoder, decoder_for
+from kleinkram.recordings.decoding.msg_definitions import known_definitions
 from kleinkram.recordings.decoding.types import Struct
 from kleinkram.recordings.writing.units import _UNITS, units_of
 
@@ -18,7 +21,9 @@ def struct_of(name: str) -> Struct:
 
 @pytest.mark.parametrize("name", sorted(_UNITS))
 def test_units_are_of_fields_that_exist(name: str) -> None:
-    fields = {field.name for field in struct_of(name.replace("/", "/msg/")).fields}
+    """In one release of ROS 2 at least: a range has a variance since Iron."""
+    texts = "\n".join(known_definitions()[name])
+    fields = set(re.findall(r"^\S+ (\w+)$", texts, re.MULTILINE))
     assert set(_UNITS[name]) <= fields
 
 
