@@ -15,6 +15,8 @@ from kleinkram.recordings.sample import generate_bag, generate_mcap
 @pytest.fixture
 def mission(tmp_path: Path) -> Path:
     """A folder with two recordings."""
+    for name in ("front", "rear"):
+        (tmp_path / "mission" / name).mkdir(parents=True)
     generate_mcap(tmp_path / "mission" / "front" / "drive.mcap", duration_s=2, size_bytes=2_000_000)
     generate_bag(tmp_path / "mission" / "rear" / "drive.bag", duration_s=2, size_bytes=2_000_000)
     return tmp_path / "mission"
