@@ -26,6 +26,7 @@ from tests.recording_files.tables import json_mcap
 
 
 def read(path: Path) -> tuple[list[str], list[list[str]]]:
+    csv.field_size_limit(2**27)  # a point cloud in base64
     with path.open(encoding="utf-8", newline="") as file:
         headers, *rows = csv.reader(file, strict=True)
     return headers, rows
