@@ -55,7 +55,7 @@ def test_metadata_of_the_sample(kind: str, tmp_path: Path) -> None:
     metadata = pq.read_metadata(file.path).metadata
     message_type = "sensor_msgs/Imu" if kind == "bag" else "sensor_msgs/msg/Imu"
     expected = {
-        b"sources": b'{"drive": {"drive": null}}',
+        b"sources": json.dumps({"drive": {"drive_0.db3" if kind == "db3" else "drive": None}}).encode(),
         b"topic": b"/imu/data",
         b"message_type": message_type.encode(),
         b"message_encoding": b"ros1" if kind == "bag" else b"cdr",
