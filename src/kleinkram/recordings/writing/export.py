@@ -276,7 +276,7 @@ def _reading(path: Path) -> Iterator[None]:
         raise CannotWrite(str(path), f"it cannot be read: {error}; choose another folder") from None
 
 
-class Journal:
+class ExportJournal:
     """The complete files of an export, in a file of one JSON document a line; the first is the request."""
 
     def __init__(self, folder: Path, stream: BinaryIO) -> None:
@@ -321,7 +321,7 @@ def _read_file(plain: Mapping[str, Any], folder: Path) -> ExportedFile:
 
 
 @contextmanager
-def _open_journal(folder: Path, request: Mapping[str, object], *, resume: bool) -> Iterator[Journal]:
+def _open_journal(folder: Path, request: Mapping[str, object], *, resume: bool) -> Iterator[ExportJournal]:
     """Make the folder of an export and its journal, or open those of an interrupted one; only one process at a time."""
     path = folder / JOURNAL_NAME
     is_continued = resume and folder.exists()
@@ -334,7 +334,7 @@ def _open_journal(folder: Path, request: Mapping[str, object], *, resume: bool) 
             folder.mkdir(parents=True)
         with path.open("a+b") as stream:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            journal = Journal(folder, stream)
+            journal = ExportJournal(folder, stream)
             if is_continued:
                 journal.read(request)
             else:
@@ -351,7 +351,7 @@ def write_plan(
     folder: Path,
     images: ImageOptions,
     *,
-    journal: Journal | None = None,
+    journal: ExportJournal | None = None,
     on_progress: OnProgress | None = None,
 ) -> ExportResult:
     """Write the files of a plan to a folder that exists; with a journal, those that it does not have yet."""

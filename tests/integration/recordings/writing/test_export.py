@@ -273,7 +273,7 @@ def test_memory_is_bounded(tmp_path: Path, to: ExportFormat) -> None:
     assert int(output) / 1024 < MAX_MB
 
 
-def test_damage_is_said_in_the_result(tmp_path: Path) -> None:
+def test_damage_is_in_the_result(tmp_path: Path) -> None:
     generate_mcap(tmp_path / "drive.mcap", duration_s=3, size_bytes=6_000_000)
     data = bytearray((tmp_path / "drive.mcap").read_bytes())
     data[len(data) // 2 : len(data) // 2 + 200] = bytes(200)
