@@ -40,7 +40,9 @@ def cut_mcap(source: str, target: str, start_ns: str, end_ns: str, topics: str) 
         writer = Writer(stream)
         writer.start("ros2")
         channels: dict[int, int] = {}
-        messages = make_reader(file).iter_messages(_topics(topics), int(start_ns), int(end_ns))
+        messages = make_reader(file).iter_messages(
+            _topics(topics), starting_at=int(start_ns), ending_before=int(end_ns)
+        )
         for schema, channel, message in messages:
             if channel.id not in channels and schema is not None:
                 number = writer.register_schema(schema.name, schema.encoding, schema.data)

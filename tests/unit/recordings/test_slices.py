@@ -239,7 +239,7 @@ def test_damage_in_the_range_is_in_the_result(tmp_path: Path) -> None:
 
 def test_a_file_that_changes_is_an_error(tmp_path: Path) -> None:
     source, target = tmp_path / "drive.mcap", tmp_path / "a.mcap"
-    memory = mcap_of(CHUNKS)
+    memory = mcap_of(CHUNKS[:5])
     source.write_bytes(memory.read(0, memory.size_bytes))
 
     with Recording.open(source) as recording:

@@ -225,6 +225,7 @@ class _Slicer:
             topics = self._matching([topic.name for topic in recording.topics])
             if topics is not None and not topics:
                 return None
+            _make_dest(target.dest)
             make_folders(target.dest, target.relative)
             if is_there:
                 part.unlink(missing_ok=True)  # of a killed process
@@ -264,6 +265,13 @@ class _Slicer:
                 self._matched.add(pattern)
                 selected |= own
         return sorted(selected)
+
+
+def _make_dest(dest: Path) -> None:
+    try:
+        dest.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DestinationRefused(path=str(dest), reason=error.strerror or str(error)) from None
 
 
 def _resolve(what: SliceRange, targets: Iterable[SliceTarget]) -> tuple[int, int]:

@@ -5,7 +5,7 @@ topic: the map, the robot description, static transforms. A slice begins with th
 start of the slice, because players wait between log times, and would otherwise be silent until the slice begins; their
 publish time stays that of the original, in formats without one its log time.
 
-Memory: the messages that are kept. Of a file with an index, at most `_MAX_SEGMENTS` chunks of a topic are read.
+Memory: the messages that are returned. Of a file with an index, at most `_MAX_SEGMENTS` chunks of a topic are read.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ def latched_before(recording: Recording, topics: frozenset[str] | None, start_ns
     counts = _latched_topics(recording, topics)
     if not counts or (recording.start_ns is not None and recording.start_ns >= start_ns):
         return []
-    kept = {topic: _new_kept(topic, count) for topic, count in counts.items()}
+    collectors = {topic: _new_collector(topic, count) for topic, count in counts.items()}
     if all(isinstance(member, ChunkedMember) for member in recording.members):
-        segments = [segment for segment in recording.segments([*kept]) if segment.first_ns < start_ns]
-        _read_backwards(recording, segments, kept, start_ns)
+        segments = [segment for segment in recording.segments([*collectors]) if segment.first_ns < start_ns]
+        _read_backwards(recording, segments, collectors, start_ns)
     else:
-        _keep(kept, recording.raw_messages([*kept], end=start_ns))
-    messages = (message for one in kept.values() for message in one.messages())
+        _collect(collectors, recording.raw_messages([*collectors], end=start_ns))
+    messages = (message for one in collectors.values() for message in one.messages())
     return sorted(messages, key=lambda message: message.log_time_ns)
 
 
@@ -111,10 +111,10 @@ class _LastTransforms:
         return {id(message): message for message in self._by_frame.values()}.values()
 
 
-_Kept = _LastMessages | _LastTransforms
+_Collector = _LastMessages | _LastTransforms
 
 
-def _new_kept(topic: str, count: int) -> _Kept:
+def _new_collector(topic: str, count: int) -> _Collector:
     return _LastTransforms() if topic.rpartition("/")[2] == _STATIC_TRANSFORMS else _LastMessages(count)
 
 
@@ -128,19 +128,21 @@ def _child_frames(message: RawMessage) -> Iterator[str]:
         yield ""
 
 
-def _read_backwards(recording: Recording, segments: Sequence[Segment], kept: dict[str, _Kept], start_ns: int) -> None:
+def _read_backwards(
+    recording: Recording, segments: Sequence[Segment], collectors: dict[str, _Collector], start_ns: int
+) -> None:
     """Read the segments in which the last messages may be, the latest first."""
     latest_first = sorted(segments, key=lambda segment: segment.last_ns, reverse=True)
-    to_read = {topic: _orders(latest_first, topic) for topic in kept}
+    to_read = {topic: _orders(latest_first, topic) for topic in collectors}
     for segment in latest_first:
         topics = [
             topic
-            for topic, one in kept.items()
+            for topic, one in collectors.items()
             if segment.order in to_read[topic] and not one.is_complete(segment.last_ns)
         ]
         if topics:
             for block in recording.segment_messages(segment, topics):
-                _keep(kept, (message for message in block if message.log_time_ns < start_ns))
+                _collect(collectors, (message for message in block if message.log_time_ns < start_ns))
 
 
 def _orders(segments: Sequence[Segment], topic: str) -> Collection[tuple[int, int]]:
@@ -150,6 +152,6 @@ def _orders(segments: Sequence[Segment], topic: str) -> Collection[tuple[int, in
     return frozenset(orders if len(orders) <= _MAX_SEGMENTS else orders[:half] + orders[-half:])
 
 
-def _keep(kept: dict[str, _Kept], messages: Iterable[RawMessage]) -> None:
+def _collect(collectors: dict[str, _Collector], messages: Iterable[RawMessage]) -> None:
     for message in messages:
-        kept[message.topic].add(message)
+        collectors[message.topic].add(message)
