@@ -22,16 +22,14 @@ from kleinkram.contract.errors import FileUnavailable, NotFound
 from kleinkram.recordings import (
     ChunkCompression,
     EmptyRange,
-    FileSource,
     McapOptions,
     McapResult,
     NotARecording,
     Recording,
-    Source,
 )
 from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME
 from kleinkram.recordings.messages import END_OF_TIME_NS, Selection
-from kleinkram.recordings.recording_groups import RecordingGroup, RecordingGroupKind, read_folder
+from kleinkram.recordings.open_paths import find_recordings
 from kleinkram.recordings.writing.mcap import merge_to_mcap, select_slice
 
 
@@ -71,11 +69,11 @@ def cut(
         elif project is not None or not sources:
             raise InvalidInput(what="The command", reason="specify files or folders, or a mission with -m")
         else:
-            recordings = _open_all(stack, (opener for path in sources for opener in _openers(Path(path))))
+            recordings = _open_all(stack, (item.open for item in find_recordings(sources)))
         selection = _select(recordings, options.topic_names(topics), start, end)
         if dry_run or output is None:
             return _estimate(recordings, selection)
-        with _watching(output.name) as on_progress:
+        with watch_share(output.name) as on_progress:
             names = None if selection.topics is None else sorted(selection.topics)
             result = merge_to_mcap(
                 recordings,
@@ -103,7 +101,7 @@ def _select(
 
 def _open_all(stack: ExitStack, openers: Iterable[Callable[[], Recording]]) -> list[Recording]:
     """Open recordings; note those that cannot be read, if there are others."""
-    results = [_open_readable(opener) for opener in openers]
+    results = [open_readable(opener) for opener in openers]
     recordings = [stack.enter_context(result) for result in results if isinstance(result, Recording)]
     failures = [result for result in results if not isinstance(result, Recording)]
     if not recordings:
@@ -113,48 +111,12 @@ def _open_all(stack: ExitStack, openers: Iterable[Callable[[], Recording]]) -> l
     return recordings
 
 
-def _open_readable(opener: Callable[[], Recording]) -> Recording | NotARecording | FileUnavailable:
+def open_readable(opener: Callable[[], Recording]) -> Recording | NotARecording | FileUnavailable:
+    """Open a recording, or return why it cannot be read."""
     try:
         return opener()
     except (NotARecording, FileUnavailable) as error:
         return error
-
-
-def _openers(path: Path) -> Iterator[Callable[[], Recording]]:
-    """Yield a function that opens a recording, for each in a path."""
-    if not path.is_dir():
-        yield partial(Recording.open, path)
-        return
-    groups = read_folder(path).groups
-    if not groups:
-        raise NotARecording(str(path), "there is no recording in it")
-    yield from (_opener(path, group) for group in groups)
-
-
-def _opener(folder: Path, group: RecordingGroup) -> Callable[[], Recording]:
-    if group.kind is RecordingGroupKind.rosbag2 and group.metadata_path is not None:
-        return partial(Recording.open, folder / group.metadata_path)
-    if len(group.members) == 1:
-        return partial(Recording.open, folder / group.members[0])
-    return partial(Recording.open, _LocalFiles([folder / name for name in group.members]))
-
-
-class _LocalFiles:
-    """The files of a split recording."""
-
-    def __init__(self, paths: Iterable[Path]) -> None:
-        self._paths = [*paths]
-        self._sources: list[FileSource] = []
-
-    def sources(self) -> Sequence[Source]:
-        """Open the files."""
-        self._sources = [FileSource(path) for path in self._paths]
-        return self._sources
-
-    def close(self) -> None:
-        """Close them."""
-        for source in self._sources:
-            source.close()
 
 
 def _open_remote(
@@ -192,7 +154,7 @@ def _estimate(recordings: Sequence[Recording], selection: Selection) -> Output:
 
 
 @contextlib.contextmanager
-def _watching(name: str) -> Iterator[Callable[[float], None] | None]:
+def watch_share(name: str) -> Iterator[Callable[[float], None] | None]:
     """Show a bar on a terminal. Ctrl-C raises Interrupted; nothing is left of the file then."""
     try:
         if not sys.stderr.isatty():

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from kleinkram.client.actions import Actions, ProjectActions
     from kleinkram.client.checks import Checks
+    from kleinkram.client.exports import MissionExport
     from kleinkram.client.files import Files, Recordings, Uploads
     from kleinkram.client.metrics import Metrics
     from kleinkram.client.missions import Missions, Projects
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
     from kleinkram.client.tokens import Shares, Tokens
     from kleinkram.recordings.messages import Time
     from kleinkram.recordings.recording import Topics
+    from kleinkram.recordings.writing.export import ExportFormat
+    from kleinkram.recordings.writing.image_files import ImageOptions
 
 _log = logging.getLogger("kleinkram")
 
@@ -186,6 +189,53 @@ class Client:
             return download_slices(self, slices, SliceRange(topics, start, end), overwrite=overwrite)
         plan = plan_download(files, folder, nested=nested)
         return download(self, plan, overwrite=overwrite, connections=connections, bytes_per_s=bytes_per_s)
+
+    def export(
+        self,
+        what: "Condition | Ref | Iterable[Ref]" = None,
+        dest: "AnyPath" = "export",
+        *,
+        to: "ExportFormat | str" = "parquet",
+        topics: "Topics | None" = None,
+        start: "Time | None" = None,
+        end: "Time | None" = None,
+        images: "ImageOptions | None" = None,
+        nested: bool = True,
+        resume: bool = False,
+        **fields: "Unpack[FileFields]",
+    ) -> "list[MissionExport]":
+        """Write topics of recordings as Parquet, CSV or images, and return the result for each mission.
+
+        Each mission has a new folder, DEST/PROJECT/MISSION, with a file for each topic (a folder, for images) over all
+        of its recordings, by log time, and `index.json`. Only the indexes and the chunks that are needed are fetched.
+
+        Args:
+            what: as in `download`. Recordings that runs made are left out where others are selected.
+            dest: the folder.
+            to: "parquet", "csv" or "images".
+            topics: names or globs of topics; None: all, or all with images.
+            start: earliest log time, inclusive, as in `download`.
+            end: latest log time, exclusive.
+            images: which images, and how.
+            nested: with False, write to `dest` itself; all files must be of one mission.
+            resume: continue an export that was interrupted.
+            **fields: those of `FileFields`.
+
+        Raises:
+            NothingToDo: no recording matches, or nothing was selected.
+            InvalidInput: the time range is empty, a text is no time, or there are several missions and not `nested`.
+            DestinationRefused: the folder of a mission exists, and not `resume`.
+            CannotWrite: a folder cannot be written to or is full, or holds another export.
+            ServerUnreachable: the server stayed unavailable.
+        """
+        from kleinkram.client.exports import export_missions, plan_exports
+        from kleinkram.recordings.writing.export import ExportFormat, ExportOptions
+        from kleinkram.recordings.writing.image_files import ImageOptions
+
+        files = self._select_files(what, fields)
+        missions = plan_exports(self, files, Path(as_paths(dest)[0]), nested=nested)
+        options = ExportOptions(topics, start, end, images or ImageOptions())
+        return export_missions(self, missions, ExportFormat(to), options, resume=resume)
 
     def _select_files(self, what: "Condition | Ref | Iterable[Ref]", fields: "FileFields") -> "list[FileRead]":
         from kleinkram.contract.files import FileFilter, FileRead

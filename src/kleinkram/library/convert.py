@@ -233,8 +233,8 @@ def to_parquet(recording: InputRecording, target: str, show: Callable[[float], N
         losses = [problem for problem in reader.problems if problem.code in LOSSES_OF_TABLES]
     for problem in losses:
         report_finding("warning", "convert.loss", f"{problem.where}: {problem.message}", recording)
-    for topic, reason in result.left_out.items():
-        report_finding("warning", "convert.topic", f"left out: {reason}", recording, topic)
+    for topic in result.left_out:
+        report_finding("warning", "convert.topic", f"left out: {topic.reason}", recording, topic.topic)
     for file in result.files:
         put(recording, file.path, file.path.relative_to(out).as_posix())
     rows = sum(file.row_count for file in result.files)

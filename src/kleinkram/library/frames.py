@@ -17,8 +17,6 @@ from kleinkram.recordings.decoding.values import part, type_name
 
 MAX_PIXELS = 32_000_000
 MAX_POINTS = 60_000  # of a scan; of more, every second, third, … is taken
-CAMERA_TYPES = frozenset(("Image", "CompressedImage", "RawImage"))
-VIDEO_TYPES = frozenset(("CompressedVideo", "FFMPEGPacket", "Packet"))
 LIDAR_TYPES = frozenset(("PointCloud2", "PointCloud", "LaserScan", "CustomMsg"))
 _VIDEO = re.compile(r"h\.?26[45]|hevc|avc|av1|vp[89]|theora", re.IGNORECASE)
 _DEPTH = re.compile(r"16uc1|32fc1|64fc1|compresseddepth")

@@ -69,18 +69,10 @@ from kleinkram.checks.local import LocalMission, read_mission
 from kleinkram.library import pictures
 from kleinkram.library.canvas import Canvas, printable
 from kleinkram.library.curves import TimeSpan, TopicNumbers, most_interesting, numeric_fields, panels_of, short_type
-from kleinkram.library.frames import (
-    CAMERA_TYPES,
-    LIDAR_TYPES,
-    VIDEO_TYPES,
-    Frame,
-    Samples,
-    ScanPoints,
-    read_frame,
-    read_scan,
-)
+from kleinkram.library.frames import LIDAR_TYPES, Frame, Samples, ScanPoints, read_frame, read_scan
 from kleinkram.library.pictures import CameraFrames, PlanarTrack
 from kleinkram.recordings import Recording, RecordingError, Topic, TopicSummary
+from kleinkram.recordings.decoding.sensor_data import CAMERA_TYPES, VIDEO_TYPES
 from kleinkram.recordings.model import Content, counted
 
 WHOLE_BYTES = 1_500_000_000

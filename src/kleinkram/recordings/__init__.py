@@ -1,6 +1,6 @@
 """Reads recordings (MCAP, ROS 1 bag, rosbag2, ULog): summaries (`summarise`, `scan`) and messages (`Recording`).
 
-`Recording` also writes them as MCAP, ROS 1 bag and Parquet.
+`Recording` also writes them as MCAP, ROS 1 bag, Parquet, CSV and images.
 
 Independent of the rest of Kleinkram: it reads bytes from a source, in bounded memory, without a database. Files are
 untrusted: any bytes give a summary. A server reads them in a child process (`isolation`).
@@ -46,6 +46,16 @@ if TYPE_CHECKING:
     from kleinkram.recordings.sources import FileSource, Source
     from kleinkram.recordings.summary import scan, summarise
     from kleinkram.recordings.writing.bag import BagCompression, BagOptions, BagResult
+    from kleinkram.recordings.writing.export import (
+        ExportedFile,
+        ExportFormat,
+        ExportOptions,
+        ExportResult,
+        RecordingProblem,
+        TopicLeftOut,
+        export_recordings,
+    )
+    from kleinkram.recordings.writing.image_files import ImageOptions
     from kleinkram.recordings.writing.losses import LostPlace, MemberLoss
     from kleinkram.recordings.writing.mcap import (
         ChunkCompression,
@@ -56,7 +66,7 @@ if TYPE_CHECKING:
         merge_to_mcap,
     )
     from kleinkram.recordings.writing.message_copy import LeftOut
-    from kleinkram.recordings.writing.parquet import ParquetFile, ParquetResult
+    from kleinkram.recordings.writing.topic_rows import NamedRecording
 
 _HOMES = {
     "combine_summaries": "combine",
@@ -69,10 +79,13 @@ _HOMES = {
     "sources": "FileSource Source",
     "summary": "scan summarise",
     "writing.bag": "BagCompression BagOptions BagResult",
+    "writing.export": "ExportFormat ExportOptions ExportResult ExportedFile RecordingProblem TopicLeftOut "
+    "export_recordings",
+    "writing.image_files": "ImageOptions",
     "writing.losses": "MemberLoss LostPlace",
     "writing.mcap": "ChunkCompression McapOptions McapResult Ros1Messages is_whole_mcap merge_to_mcap",
     "writing.message_copy": "LeftOut",
-    "writing.parquet": "ParquetFile ParquetResult",
+    "writing.topic_rows": "NamedRecording",
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
 __all__ = sorted(_HOME_OF)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
+from functools import partial
 from html import escape
 from os import PathLike
 from pathlib import Path, PurePosixPath
@@ -44,8 +45,9 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from kleinkram.recordings.writing.bag import BagOptions, BagResult
+    from kleinkram.recordings.writing.export import ExportResult
+    from kleinkram.recordings.writing.image_files import ImageOptions
     from kleinkram.recordings.writing.mcap import McapOptions, McapResult
-    from kleinkram.recordings.writing.parquet import ParquetResult
 
 OnProgress = Callable[[float], None]
 Topics = str | Sequence[str]  # names of topics, or globs of them (`*`, `?`)
@@ -380,28 +382,80 @@ class Recording:
         return write_bag(self, Path(path), topics, options or BagOptions(), on_progress)
 
     def to_parquet(
-        self, folder: str | PathLike[str], topics: Topics | None = None, *, on_progress: OnProgress | None = None
-    ) -> ParquetResult:
+        self,
+        folder: str | PathLike[str],
+        topics: Topics | None = None,
+        *,
+        start: Time | None = None,
+        end: Time | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> ExportResult:
         """Write each topic as a Parquet file with the columns of `to_arrow`, in row groups of about 4 MB of messages.
 
-        The file of `/camera/front` is `camera.front.parquet`. Its metadata are `topic`, `message_type`,
-        `message_encoding`, `recording`, and `frame_id` where all messages have the same. Topics that cannot be decoded
-        are left out, and named in the result.
+        The file of `/camera/front` is `camera.front.parquet`. Times are timestamps in ns, UTC: `log_time`,
+        `publish_time`, `header.stamp`. Its metadata are `topic`, `message_type`, `message_encoding`, `sources`,
+        `units`, and `frame_id` where all messages have the same. Topics that cannot be decoded are left out, and named
+        in the result.
 
         Args:
             folder: is made if it does not exist; files in it are not replaced. A file appears when it is complete.
             topics: names or globs; None: all.
-            on_progress: called with the share of topics that is done.
+            start: earliest log time, inclusive.
+            end: latest log time, exclusive.
+            on_progress: called with the share that is done.
 
         Raises:
             CannotWrite: a file exists, or the folder cannot be written to or is full.
             NoSuchTopic: a name that is no glob is not among the topics.
+            ValueError: a time cannot be read, or the end is not after the start.
             ReadingExtraMissing: the extra `reading` is not installed.
             SourceError: the bytes cannot be read.
         """
-        from kleinkram.recordings.writing.parquet import write_parquet
+        from kleinkram.recordings.writing.export import ExportFormat, ExportOptions, export_topics
 
-        return write_parquet(self, Path(folder), self.select_topics(topics), on_progress)
+        options = ExportOptions(topics, start, end)
+        return export_topics(self, Path(folder), ExportFormat.parquet, options, on_progress)
+
+    def to_csv(
+        self,
+        folder: str | PathLike[str],
+        topics: Topics | None = None,
+        *,
+        start: Time | None = None,
+        end: Time | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> ExportResult:
+        """Write each topic as a CSV file (RFC 4180) with the columns of `to_arrow`; times are integers of nanoseconds.
+
+        An array of up to 64 numbers or texts has a column for each element, `covariance[0]`; other arrays are JSON, and
+        bytes base64. Arguments and errors are those of `to_parquet`.
+        """
+        from kleinkram.recordings.writing.export import ExportFormat, ExportOptions, export_topics
+
+        return export_topics(self, Path(folder), ExportFormat.csv, ExportOptions(topics, start, end), on_progress)
+
+    def to_images(
+        self,
+        folder: str | PathLike[str],
+        topics: Topics | None = None,
+        *,
+        start: Time | None = None,
+        end: Time | None = None,
+        images: ImageOptions | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> ExportResult:
+        """Write the images of each topic to a folder of its own, which appears when it is complete.
+
+        JPEG and PNG are written as they are in the messages; others become PNG, 16-bit depth with 16 bits, and float
+        depth TIFF. `camera.front/1714550400000000000.png` is named by the stamp of its header, in nanoseconds, and
+        listed in `camera.front/index.csv`. Other arguments and the errors are those of `to_parquet`; `topics=None`
+        takes all with images.
+        """
+        from kleinkram.recordings.writing.export import ExportFormat, ExportOptions, export_topics
+        from kleinkram.recordings.writing.image_files import ImageOptions
+
+        options = ExportOptions(topics, start, end, images or ImageOptions())
+        return export_topics(self, Path(folder), ExportFormat.images, options, on_progress)
 
     def select_topics(self, topics: Topics | None = None) -> tuple[Topic, ...]:
         """Return the topics of these names or globs, by name; `NoSuchTopic` for a name that is not among them."""
@@ -426,19 +480,29 @@ class Recording:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def topic_messages(
+        self, name: str, *, start: Time | None = None, end: Time | None = None
+    ) -> Iterator[tuple[int, int, bytes]]:
+        """Yield log time, publish time and bytes of the messages of a topic; for modules of `kleinkram.recordings`.
+
+        Messages of another layout than the topic's are left out, and reported.
+        """
+        topic = self.topic(name)
+        blocks = self._blocks(Selection(frozenset((name,)), *resolve_range(start, end, self.start_ns, self.end_ns)))
+        return _timed(blocks, topic.schema, topic.message_encoding, self.problem_log)
+
+    def note_undecodable(self, topic: str, log_time_ns: int, error: DecodeError) -> None:
+        """Report a message that cannot be decoded; for modules of `kleinkram.recordings`."""
+        message = f"at {log_time_ns} ns: {error}; what could not be decoded is null"
+        self.problem_log.add("message-undecodable", topic, message)
+
     def _of_topic(
         self, name: str, start: Time | None, end: Time | None
     ) -> tuple[Decoder | Undecodable, Iterator[tuple[int, int, bytes]], Callable[[int, DecodeError], None]]:
         """Return the decoder of a topic, its messages, and what reports a message that cannot be decoded."""
         topic = self.topic(name)
-        blocks = self._blocks(Selection(frozenset((name,)), *resolve_range(start, end, self.start_ns, self.end_ns)))
-
-        def notice(log_time_ns: int, error: DecodeError) -> None:
-            message = f"at {log_time_ns} ns: {error}; what could not be decoded is null"
-            self.problem_log.add("message-undecodable", name, message)
-
-        messages = _timed(blocks, topic.schema, topic.message_encoding, self.problem_log)
-        return decoder_of(topic.message_encoding, topic.schema), messages, notice
+        messages = self.topic_messages(name, start=start, end=end)
+        return decoder_of(topic.message_encoding, topic.schema), messages, partial(self.note_undecodable, name)
 
     def _select(self, topics: Topics | None, start: Time | None, end: Time | None) -> Selection:
         span = resolve_range(start, end, self.start_ns, self.end_ns)

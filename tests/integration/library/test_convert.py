@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
 
-import pyarrow.parquet as pq
 import pytest
 
 from kleinkram.action.testing import TryOutResult, try_out
@@ -18,6 +17,7 @@ from kleinkram.recordings import Recording
 from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mcap
 from kleinkram.recordings.writing.conversion import target_names
 from tests.recording_files.builders import T0, mcap_of
+from tests.recording_files.tables import as_arrow
 from tests.recording_files.whole_mcap import read_whole_mcap
 from tests.recording_files.writers import McapWriter
 
@@ -176,7 +176,7 @@ def test_topics_become_tables(drives: Path, tmp_path: Path) -> None:
     }
     with Recording.open(drives / "drive.bag") as source:
         expected = source.to_arrow("/odom")
-    table = pq.read_table(ran.out / "drive/odom.parquet")
+    table = as_arrow(ran.out / "drive/odom.parquet")
     assert table.equals(expected)
     assert ran.metric("messages", "drive.bag") > table.num_rows
 

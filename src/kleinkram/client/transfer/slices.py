@@ -89,7 +89,7 @@ def plan_slices(client: Client, files: Iterable[FileRead], dest: Path, *, nested
     for mission_id, mission_files in by_mission.items():
         mission = mission_files[0].mission
         above = f"{mission.project.name}/{mission.name}/" if nested else ""
-        for recording in _recordings_of(client, mission_id, mission_files):
+        for recording in recordings_of(client, mission_id, mission_files):
             name = recording.name if isinstance(recording, RecordingRead) else recording.path
             relative = above + _slice_name(name if name != "." else mission.name)
             if relative in targets:
@@ -108,7 +108,7 @@ def plan_slices(client: Client, files: Iterable[FileRead], dest: Path, *, nested
     return SlicePlan([*targets.values()], left_out)
 
 
-def _recordings_of(client: Client, mission_id: UUID, files: Sequence[FileRead]) -> Iterator[RecordingRead | FileRead]:
+def recordings_of(client: Client, mission_id: UUID, files: Sequence[FileRead]) -> Iterator[RecordingRead | FileRead]:
     """Yield the recordings of which all files are selected, and single files of others."""
     selected = {file.id: file for file in files}
     for recording in client.recordings.list(mission_id):

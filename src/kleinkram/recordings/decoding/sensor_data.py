@@ -29,6 +29,8 @@ from __future__ import annotations
 import io
 import re
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -38,9 +40,17 @@ from kleinkram.recordings.decoding.values import part, payload, type_name, whole
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from PIL import Image
 
+
+CAMERA_TYPES = frozenset(("Image", "CompressedImage", "RawImage"))
+"""Types of single pictures, without their package."""
+
+VIDEO_TYPES = frozenset(("CompressedVideo", "FFMPEGPacket", "Packet"))
+"""Types of parts of a video, which are no pictures by themselves."""
 
 _FORMATS = ("JPEG", "PNG", "WEBP")
+_SIGNATURES = {b"\xff\xd8\xff": "jpg", b"\x89PNG\r\n\x1a\n": "png"}
 _DEPTH_HEADER = struct.Struct("<iff")
 # Exceptions that pillow raises for broken images.
 _BROKEN = (OSError, SyntaxError, ValueError, TypeError, IndexError, EOFError, OverflowError, struct.error)
@@ -49,26 +59,56 @@ _BROKEN = (OSError, SyntaxError, ValueError, TypeError, IndexError, EOFError, Ov
 def decode_image(data: Any, name: str, max_pixels: int) -> NDArray[Any]:
     """Return a compressed image as [H, W, C]: uint8, or uint16 [H, W, 1] for 16 bits of grey."""
     import numpy as np
+
+    with _opened_image(data, name, max_pixels) as opened:
+        picture = opened
+        if picture.mode == "1":
+            picture = picture.convert("L")
+        elif picture.mode not in ("L", "RGB", "RGBA") and not picture.mode.startswith("I"):
+            has_alpha = "transparency" in picture.info or picture.mode.endswith("A")
+            picture = picture.convert("RGBA" if has_alpha else "RGB")
+        array = np.asarray(picture)
+    if array.dtype.kind in "ui" and array.dtype.itemsize > 1:
+        array = array.astype(np.uint16)
+    return array[..., np.newaxis] if array.ndim == 2 else array
+
+
+def compressed_image(value: object) -> tuple[memoryview, str, tuple[int, int]] | None:
+    """Return the JPEG or PNG that a decoded message holds, its format ("jpg", "png"), and its width and height.
+
+    Also that of a 16-bit `compressedDepth`. Decodes no pixel. None for other messages.
+
+    Raises:
+        DecodeError: its header cannot be read, or says that it is too large.
+        ReadingExtraMissing: pillow is not installed.
+    """
+    if part(value, "encoding") is not None or part(value, "format") is None or part(value, "data") is None:
+        return None
+    form, data = str(part(value, "format")).lower(), memoryview(payload(value))
+    if "compresseddepth" in form and not form.startswith("32fc1"):
+        data = data[_DEPTH_HEADER.size :]
+    for signature, suffix in _SIGNATURES.items():
+        if data[: len(signature)] == signature:
+            _require("PIL", "pillow")
+            with _opened_image(data, type_name(value), MAX_IMAGE_PIXELS) as opened:
+                return data, suffix, opened.size
+    return None
+
+
+@contextmanager
+def _opened_image(data: Any, name: str, max_pixels: int) -> Iterator[Image.Image]:
+    """Yield a compressed image whose size is bounded; what fails in the block becomes a `DecodeError`, too."""
     from PIL import Image
 
     try:
         with Image.open(io.BytesIO(data), formats=_FORMATS) as opened:
-            picture: Image.Image = opened
-            if picture.width * picture.height > max_pixels:
-                raise DecodeError(name, f"{picture.width} x {picture.height} pixels are more than {max_pixels}")
-            if picture.mode == "1":
-                picture = picture.convert("L")
-            elif picture.mode not in ("L", "RGB", "RGBA") and not picture.mode.startswith("I"):
-                has_alpha = "transparency" in picture.info or picture.mode.endswith("A")
-                picture = picture.convert("RGBA" if has_alpha else "RGB")
-            array = np.asarray(picture)
+            if opened.width * opened.height > max_pixels:
+                raise DecodeError(name, f"{opened.width} x {opened.height} pixels are more than {max_pixels}")
+            yield opened
     except (Image.DecompressionBombError, Image.DecompressionBombWarning):
         raise DecodeError(name, f"an image of more than {max_pixels} pixels") from None
     except _BROKEN as error:
         raise DecodeError(name, f"its image cannot be read: {str(error)[:100]}") from None
-    if array.dtype.kind in "ui" and array.dtype.itemsize > 1:
-        array = array.astype(np.uint16)
-    return array[..., np.newaxis] if array.ndim == 2 else array
 
 
 def uncompressed_depth(data: Any, form: str, name: str, max_pixels: int) -> NDArray[Any]:

@@ -1,1 +1,1 @@
-"""Writes recordings and tables: MCAP, ROS 1 bag and Parquet."""
+"""Writes recordings, tables and images: MCAP, ROS 1 bag, Parquet, CSV, PNG and JPEG."""

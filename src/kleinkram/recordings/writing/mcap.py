@@ -253,7 +253,7 @@ def write_slice(
     for recording in recordings:
         if any(channel.message_encoding == "ulog" for channel in _channels_of([recording])):
             raise CannotWrite(recording.name, "it is a ULog, whose messages have no encoding that MCAP knows")
-    _share_read_ahead(recordings)
+    share_read_ahead(recordings)
     writer = McapWriter(
         stream,
         profile=_profile_of(recordings, channels, options.ros1),
@@ -286,7 +286,7 @@ def _is_partly_read(recordings: Sequence[Recording], selection: Selection) -> bo
     return selection.has_range or (selection.topics is not None and is_remote)
 
 
-def _share_read_ahead(recordings: Sequence[Recording]) -> None:
+def share_read_ahead(recordings: Sequence[Recording]) -> None:
     """Divide the memory for reading ahead between the recordings that are read at the same time."""
     at_once = _most_at_once(recordings)
     if at_once > 1:

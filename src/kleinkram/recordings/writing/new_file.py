@@ -30,23 +30,24 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
     """
     part = path.with_name(f".{path.name}.part")
     try:
-        _refuse_existing(path)
+        refuse_existing(path)
         with _open_locked(path, part) as stream:
             try:
                 yield stream
                 stream.flush()
                 os.fsync(stream.fileno())
-                _refuse_existing(path)
+                refuse_existing(path)
                 part.rename(path)
             except BaseException:
                 part.unlink(missing_ok=True)
                 raise
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
     except OSError as error:
         raise CannotWrite(str(path), f"cannot be written: {error.strerror or error}") from error
 
 
-def _refuse_existing(path: Path) -> None:
+def refuse_existing(path: Path) -> None:
+    """Raise CannotWrite if the name is taken."""
     if path.exists() or path.is_symlink():
         raise CannotWrite(str(path), "there is such a file or folder, and it is not replaced: choose another name")
 
@@ -78,8 +79,9 @@ class _EarlyWriteback(io.FileIO):
         return written
 
 
-def _sync_folder(folder: Path) -> None:
-    with suppress(OSError):  # not every file system can
+def sync_folder(folder: Path) -> None:
+    """Have the names in a folder on the disk, where the file system can."""
+    with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         try:
             os.fsync(descriptor)

@@ -1,110 +1,61 @@
-"""Writes topics of a recording as Parquet files, one row group a batch, in the memory of a batch."""
+"""Writes a topic as a Parquet file, one row group a batch, in the memory of a batch.
+
+The columns are those of `to_arrow`, except that times (not durations) are timestamps in ns, UTC: `log_time`,
+`publish_time`, `header.stamp`. The file's metadata say what it was made from; a column's `unit` is in the metadata of
+its field, and in `units` of the file, for readers that are not Arrow.
+"""
 
 from __future__ import annotations
 
-import functools
-import re
-from collections.abc import Iterator
+import json
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from kleinkram.recordings.decoding.tables import load_pyarrow
-from kleinkram.recordings.errors import CannotWrite
-from kleinkram.recordings.messages import Topic
+from kleinkram import __version__
+from kleinkram.recordings.decoding.tables import TIME_COLUMNS, columns_of, is_time
+from kleinkram.recordings.messages import Selection
 from kleinkram.recordings.writing.new_file import new_file
-
-if TYPE_CHECKING:
-    from kleinkram.recordings.recording import OnProgress, Recording
-
-_FRAME = "header.frame_id"
-_UNSAFE = re.compile(r"[^\w.-]+", re.ASCII)
-_MAX_NAME = 200
-_BATCH_BYTES = 4 * 2**20
-_VARYING = ("json", "protobuf")
-"""Encodings whose batches have the columns that their messages need."""
-
-
-@dataclass(frozen=True)
-class ParquetFile:
-    """The file of a topic."""
-
-    topic: str
-    path: Path
-    row_count: int
-    size_bytes: int
+from kleinkram.recordings.writing.topic_rows import (
+    FrameNames,
+    OnRows,
+    TopicGroup,
+    Written,
+    rows_of,
+    schema_of,
+    sources_of,
+    unused_name,
+)
 
 
-@dataclass(frozen=True)
-class ParquetResult:
-    """The written files by topic, and why other topics were left out."""
+def write_parquet(group: TopicGroup, path: Path, selection: Selection, on_rows: OnRows) -> Written:
+    """Write the rows of a topic to a new file.
 
-    files: tuple[ParquetFile, ...]
-    left_out: dict[str, str]
-
-
-def write_parquet(
-    recording: Recording, folder: Path, topics: tuple[Topic, ...], on_progress: OnProgress | None
-) -> ParquetResult:
-    """Write topics as `Recording.to_parquet` describes."""
-    pa = load_pyarrow()
-    files: list[ParquetFile] = []
-    left_out: dict[str, str] = {}
-    names = _names_of(topics)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CannotWrite(str(folder), f"the folder cannot be made: {error.strerror}") from error
-    for number, topic in enumerate(topics, 1):
-        if topic.undecodable is not None:
-            left_out[topic.name] = topic.undecodable
-        else:
-            try:
-                files.append(_write_topic(recording, topic, folder / names[topic.name]))
-            except pa.ArrowException as error:
-                left_out[topic.name] = f"its columns do not fit into Parquet: {error}"
-        if on_progress is not None:
-            on_progress(number / len(topics))
-    return ParquetResult(tuple(files), left_out)
-
-
-def _names_of(topics: tuple[Topic, ...]) -> dict[str, str]:
-    """Return the name of the file of each topic; they differ also where case does not count."""
-    names: dict[str, str] = {}
-    taken: set[str] = set()
-    for topic in topics:
-        stem = _UNSAFE.sub("_", topic.name.strip("/").replace("/", "."))[:_MAX_NAME].lstrip(".") or "topic"
-        name, number = stem, 1
-        while name.lower() in taken:
-            number += 1
-            name = f"{stem}-{number}"
-        taken.add(name.lower())
-        names[topic.name] = f"{name}.parquet"
-    return names
-
-
-def _write_topic(recording: Recording, topic: Topic, path: Path) -> ParquetFile:
+    Raises:
+        CannotWrite: the file exists, or its folder cannot be written to or is full.
+        pyarrow.ArrowException: the columns do not fit into Parquet, or contradict each other.
+    """
     import pyarrow.parquet as pq
 
-    schema = _common_schema(recording, topic) if topic.message_encoding in _VARYING else None
-    frames: set[str | None] = set()
+    schema = schema_of(group, selection)
+    frames = FrameNames()
     row_count, writer = 0, None
     with new_file(path) as stream:
         with ExitStack() as stack:
-            for table in _tables(recording, topic, schema):
+            for rows in rows_of(group, schema, selection):
+                table = _with_timestamps(rows, group)
                 if writer is None:
-                    texts = _texts_of(table.schema)
-                    options = {"compression": "zstd", "use_dictionary": texts}
+                    options = {"compression": "zstd", "use_dictionary": _texts_of(table.schema)}
                     writer = stack.enter_context(pq.ParquetWriter(stream, table.schema, **options))
-                row_count += table.num_rows
-                _note_frames(table, frames)
+                frames.note(table)
                 writer.write_table(table)
-                del table  # before the next one is made
+                row_count += table.num_rows
+                on_rows(table.num_rows)
+                del rows, table  # before the next ones are made
             if writer is not None:
-                writer.add_key_value_metadata(_metadata_of(recording, topic, frames))
+                writer.add_key_value_metadata(_metadata_of(group, frames.only))
         size_bytes = stream.tell()
-    return ParquetFile(topic.name, path, row_count, size_bytes)
+    return Written(row_count, size_bytes, frames.only)
 
 
 def _texts_of(schema: Any) -> list[str]:
@@ -114,38 +65,47 @@ def _texts_of(schema: Any) -> list[str]:
     return [field.name for field in schema if pa.types.is_string(field.type)]
 
 
-def _common_schema(recording: Recording, topic: Topic) -> Any:
-    """Return a schema with the columns of all batches of a topic."""
+def _with_timestamps(table: Any, group: TopicGroup) -> Any:
+    """Return rows whose times are timestamps, with a unit for each column that has one."""
     import pyarrow as pa
 
-    schemas = (batch.schema for batch in recording.batches(topic.name, batch_bytes=_BATCH_BYTES))
-    return functools.reduce(lambda one, other: pa.unify_schemas([one, other], promote_options="permissive"), schemas)
+    moments, units = _moments_of(group), column_units(group)
+    names: list[str] = []
+    fields, columns = [], []
+    for field, column in zip(table.schema, table.columns, strict=True):
+        name, kind, unit = field.name, field.type, units.get(field.name)
+        if name in moments:
+            name, kind = name.removesuffix("_ns"), pa.timestamp("ns", "UTC")
+        names.append(unused_name(name, names))
+        fields.append(pa.field(names[-1], kind, metadata=None if unit is None else {"unit": unit}))
+        columns.append(column.cast(kind))
+    return pa.Table.from_arrays(columns, schema=pa.schema(fields))
 
 
-def _tables(recording: Recording, topic: Topic, schema: Any | None) -> Iterator[Any]:
-    """Yield the rows of a topic as tables; with a schema, with all of its columns."""
-    import pyarrow as pa
-
-    for batch in recording.batches(topic.name, batch_bytes=_BATCH_BYTES):
-        table = pa.Table.from_batches([batch])
-        del batch
-        if schema is not None and not table.schema.equals(schema):
-            table = pa.concat_tables([schema.empty_table(), table], promote_options="permissive")
-        yield table
-        del table
+def _moments_of(group: TopicGroup) -> set[str]:
+    """Return the columns that are points in time: also fields of ROS types, but no durations."""
+    columns = [] if group.struct is None else columns_of(group.struct, None)
+    own = {column.name for column in columns if is_time(column.kind) and not _is_duration(column.kind)}
+    return own | set(TIME_COLUMNS)
 
 
-def _note_frames(table: Any, frames: set[str | None]) -> None:
-    if len(frames) < 2 and _FRAME in table.column_names:  # two are as good as many
-        frames.update(table[_FRAME].unique().to_pylist())
+def _is_duration(kind: Any) -> bool:
+    return str(kind.name).lower().endswith("duration")
 
 
-def _metadata_of(recording: Recording, topic: Topic, frames: set[str | None]) -> dict[str, str]:
+def _metadata_of(group: TopicGroup, frame_id: str | None) -> dict[str, str]:
     metadata = {
-        "recording": Path(recording.name).name,
-        "topic": topic.name,
-        "message_type": topic.message_type,
-        "message_encoding": topic.message_encoding,
+        "topic": group.topic.name,
+        "message_type": group.topic.message_type,
+        "message_encoding": group.topic.message_encoding,
+        "sources": json.dumps(sources_of(group.recordings), ensure_ascii=False),
+        "units": json.dumps(column_units(group), ensure_ascii=False),
+        "kleinkram": __version__,
     }
-    frame = frames.pop() if len(frames) == 1 else None
-    return metadata if frame is None else {**metadata, "frame_id": frame}
+    return metadata if frame_id is None else {**metadata, "frame_id": frame_id}
+
+
+def column_units(group: TopicGroup) -> dict[str, str]:
+    """Return the units of the columns; timestamps have none, as their type is one."""
+    moments = _moments_of(group)
+    return {name: unit for name, unit in group.units().items() if name not in moments}
