@@ -110,6 +110,7 @@ _CLASSES: dict[ExitCode, tuple[type[KleinkramError], ...]] = {
         remote.ProviderUnavailable,
         remote.RateLimited,
         remote.TooManyStreams,
+        remote.TooManySlices,
         remote.StoreUnavailable,
         remote.DatabaseUnavailable,
         local.ServerUnreachable,

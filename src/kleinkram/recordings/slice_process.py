@@ -1,0 +1,169 @@
+"""Writes a slice of an untrusted recording as MCAP to stdout, in a child process without credentials.
+
+The caller starts `SLICE_COMMAND` with `CHILD_ENVIRONMENT` and writes one line, `slice_request_bytes(...)`, to its stdin.
+The child answers with a line of JSON: `{}`, and the bytes of the MCAP follow, or what `read_refusal` reads. The bytes
+are whole only if the exit code is 0. The first megabyte is complete before the child answers, so most damaged
+recordings are refused instead of cut off.
+
+Like that of `isolation`, the child bounds itself before it looks at a byte, and reads the recording by a URL.
+"""
+
+from __future__ import annotations
+
+import enum
+import io
+import json
+import os
+import resource
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+from typing_extensions import Buffer
+
+from kleinkram.recordings.errors import NoSuchTopic, RecordingError, SourceError
+from kleinkram.recordings.isolation import limit_this_process
+from kleinkram.recordings.messages import Time
+
+SLICE_COMMAND: tuple[str, ...] = (sys.executable, "-I", "-m", "kleinkram.recordings.slice_process")
+_HELD_BYTES = 2**20
+_STDOUT = 1
+
+
+class RefusalKind(str, enum.Enum):
+    """Why there is no slice."""
+
+    topic = "topic"  # there is no such topic
+    range = "range"  # start or end is no time
+    source = "source"  # the bytes cannot be read now
+    memory = "memory"
+    recording = "recording"  # the recording cannot be sliced
+
+
+@dataclass(frozen=True)
+class SliceRequest:
+    """A slice of the file behind a URL that answers ranges.
+
+    Attributes:
+        name: of the file, for messages, its extension and the metadata record of the slice.
+        sha256: of the file, for the metadata record; None: unknown.
+        topics: names or globs; None: all.
+        start: earliest log time, inclusive, as `Recording.raw_messages` takes it or nanoseconds as text; None: the first.
+        end: latest log time, exclusive; None: behind the last.
+        max_scan_bytes: a file without a usable index is read whole if it has at most so many bytes.
+        memory_bytes: address space of the child.
+        cpu_s: processor time of the child.
+    """
+
+    url: str
+    size_bytes: int
+    name: str
+    sha256: str | None
+    topics: Sequence[str] | None
+    start: str | None
+    end: str | None
+    max_scan_bytes: int
+    memory_bytes: int
+    cpu_s: int
+
+
+@dataclass(frozen=True)
+class SliceRefusal:
+    """Why there is no slice: its kind, and a sentence."""
+
+    kind: RefusalKind
+    message: str
+
+
+def slice_request_bytes(request: SliceRequest) -> bytes:
+    """Return the line that the child reads from stdin, without its newline."""
+    return json.dumps(asdict(request)).encode()
+
+
+def read_refusal(line: bytes) -> SliceRefusal | None:
+    """Return why there is no slice; None if its bytes follow. `ValueError` if the line is none of the child's."""
+    answer = json.loads(line)
+    if answer == {}:
+        return None
+    try:
+        return SliceRefusal(RefusalKind(answer["kind"]), str(answer["message"]))
+    except (KeyError, TypeError) as error:
+        raise ValueError("its answer cannot be understood") from error
+
+
+class _Answer(io.RawIOBase):
+    """Stdout, with the line that announces a slice before its first bytes."""
+
+    has_begun = False
+    _is_discarded = False
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: Buffer, /) -> int:
+        if self._is_discarded:
+            return len(memoryview(data))
+        if not self.has_begun:
+            self.has_begun = True
+            _write_line({})
+        return os.write(_STDOUT, data)
+
+    def discard(self) -> None:
+        """Ignore what is written from now on: a buffer before this stream is flushed whenever it is freed."""
+        self._is_discarded = True
+
+
+def main() -> int:
+    """Answer the request on stdin; 0 if the slice is whole, or was refused."""
+    import kleinkram.recordings.writing.mcap  # noqa: F401  # all modules, before the memory is bounded
+
+    request = SliceRequest(**json.loads(sys.stdin.buffer.readline()))
+    limit_this_process(memory_bytes=request.memory_bytes, cpu_s=request.cpu_s)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))  # what would have to be unpacked to the disk first is refused
+    answer = _Answer()
+    try:
+        _write_slice(request, answer)
+    except (RecordingError, MemoryError, OSError, ValueError) as error:
+        if answer.has_begun:
+            raise
+        _write_line(asdict(_refusal_of(error)))
+    return 0
+
+
+def _write_slice(request: SliceRequest, answer: _Answer) -> None:
+    from kleinkram.recordings.http_source import HttpSource  # only in the child
+    from kleinkram.recordings.recording import Recording
+    from kleinkram.recordings.writing.mcap import McapOptions, Slice, write_mcap_to
+
+    source = HttpSource(request.url, size_bytes=request.size_bytes, name=request.name)
+    sha256 = {} if request.sha256 is None else {request.name: request.sha256}
+    selected = Slice(request.topics, _time_of(request.start), _time_of(request.end))
+    held = io.BufferedWriter(answer, _HELD_BYTES)
+    try:
+        with Recording.open(source, max_bytes=request.max_scan_bytes) as recording:
+            write_mcap_to(held, recording, selected, McapOptions(), sha256)
+        held.flush()
+    except BaseException:
+        answer.discard()
+        raise
+
+
+def _time_of(text: str | None) -> Time | None:
+    return int(text) if text is not None and text.isascii() and text.isdigit() else text
+
+
+def _refusal_of(error: Exception) -> SliceRefusal:
+    if isinstance(error, MemoryError):
+        return SliceRefusal(RefusalKind.memory, "it needs more memory to be read than is allowed")
+    kinds = {NoSuchTopic: RefusalKind.topic, SourceError: RefusalKind.source, ValueError: RefusalKind.range}
+    return SliceRefusal(kinds.get(type(error), RefusalKind.recording), str(error))
+
+
+def _write_line(answer: Mapping[str, object]) -> None:
+    data = json.dumps(answer).encode() + b"\n"
+    while data:
+        data = data[os.write(_STDOUT, data) :]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
