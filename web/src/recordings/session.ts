@@ -49,7 +49,7 @@ export class Session {
         ? ((await this.first(topic, before, "backward", noticed)) ?? (await this.first(topic, span, "forward", noticed)))
         : ((await this.first(topic, after, "forward", noticed)) ?? (await this.first(topic, span, "backward", noticed)));
     if (message === null) throw noticed.first ?? new ReadFailure("topic_silent");
-    const picture = pictureOf(this.decoder(message.schema)(message.data));
+    const picture = pictureOf(this.decoder(message.channel.schema)(message.data));
     return { logTimeNs: message.logTimeNs, picture, damaged: noticed.parts };
   }
 
@@ -57,7 +57,7 @@ export class Session {
   async fields(topic: string): Promise<OfferedFields> {
     const span = this.span(topic);
     const noticed = new Damages(span.fromNs);
-    for await (const message of this.recording.messages(topic, span, "forward", noticed.note)) {
+    for await (const message of this.recording.messages([topic], span, "forward", noticed.note)) {
       const value = this.decodeOrNote(message, noticed);
       if (value !== null) return { fields: fieldTree(value) };
       if (noticed.parts.length >= MAX_DAMAGED) break;
@@ -69,7 +69,7 @@ export class Session {
   async curves(request: CurvesRequest, { signal, onCurves }: Observer): Promise<DrawnCurves> {
     const start = this.span(request.topic).fromNs;
     const requested = { fromNs: request.fromNs, toNs: request.toNs };
-    const pieces = this.recording.pieces(request.topic, requested);
+    const pieces = this.recording.pieces([request.topic], requested);
     const span = affordable(requested, pieces, request.maxBytes);
     const paths = request.fields.map((field) => stepsOf(field) ?? []);
     const seconds = (timeNs: bigint): number => Number(timeNs - start) / SECOND_NS;
@@ -79,7 +79,7 @@ export class Session {
     this.recording.source.ahead = this.isDense(pieces) ? READ_AHEAD : 0;
     let reportedAt = Date.now();
     try {
-      for await (const message of this.recording.messages(request.topic, span, "forward", noticed.note)) {
+      for await (const message of this.recording.messages([request.topic], span, "forward", noticed.note)) {
         const value = this.decodeOrNote(message, noticed);
         collector.add(seconds(message.logTimeNs), paths.map((path) => (value === null ? null : numberAt(value, path))));
         if (Date.now() - reportedAt < REPORT_EVERY_MS) continue;
@@ -103,12 +103,12 @@ export class Session {
   }
 
   private async first(topic: string, span: Span, order: Order, noticed: Damages): Promise<Message | null> {
-    for await (const message of this.recording.messages(topic, span, order, noticed.note)) return message;
+    for await (const message of this.recording.messages([topic], span, order, noticed.note)) return message;
     return null;
   }
 
   private decodeOrNote(message: Message, noticed: Damages): Value | null {
-    const decode = this.decoder(message.schema);
+    const decode = this.decoder(message.channel.schema);
     try {
       return decode(message.data);
     } catch (thrown) {

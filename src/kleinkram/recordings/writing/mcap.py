@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING
 
 import lz4.frame
 import zstandard
@@ -21,7 +21,7 @@ from kleinkram.recordings.decoding import DecodeError, Decoder, decoder_for
 from kleinkram.recordings.decoding.msg_definitions import well_known_definitions
 from kleinkram.recordings.errors import CannotWrite, Malformed
 from kleinkram.recordings.limits import WINDOW
-from kleinkram.recordings.messages import Channel, Properties, Schema, to_ns
+from kleinkram.recordings.messages import Channel, Properties, Schema
 from kleinkram.recordings.model import Content, RecordingFormat
 from kleinkram.recordings.streams import open_range
 from kleinkram.recordings.writing.losses import LostPlace, MemberLoss, find_losses
@@ -29,7 +29,6 @@ from kleinkram.recordings.writing.mcap_writer import McapWriter
 from kleinkram.recordings.writing.new_file import new_file
 
 if TYPE_CHECKING:
-    from kleinkram.recordings.messages import Time
     from kleinkram.recordings.recording import OnProgress, Recording, Topics
 
 MADE_FROM = "kleinkram:made_from"
@@ -75,23 +74,6 @@ class McapOptions:
 
 
 @dataclass(frozen=True)
-class Slice:
-    """What of a recording is written: topics (names or globs; None: all), from `start` to before `end` (None: all)."""
-
-    topics: Topics | None = None
-    start: Time | None = None
-    end: Time | None = None
-
-
-class McapContents(NamedTuple):
-    """What was written to a stream. `losses` as in `McapResult`."""
-
-    message_count: int
-    size_bytes: int
-    losses: tuple[MemberLoss, ...]
-
-
-@dataclass(frozen=True)
 class McapResult:
     """A written MCAP. `losses`: what of the recording could not be read; empty if nothing was lost."""
 
@@ -124,41 +106,27 @@ def write_mcap(
     on_progress: OnProgress | None,
 ) -> McapResult:
     """Write a recording as `Recording.to_mcap` describes."""
-    with new_file(path) as stream:
-        return McapResult(path, *write_mcap_to(stream, recording, Slice(topics), options, sha256, on_progress))
-
-
-def write_mcap_to(
-    stream: BinaryIO,
-    recording: Recording,
-    selected: Slice,
-    options: McapOptions,
-    sha256: Mapping[str, str],
-    on_progress: OnProgress | None = None,
-) -> McapContents:
-    """Write a slice of a recording to a stream, which is neither read nor positioned; it may be a pipe.
-
-    Raises:
-        CannotWrite: the recording is a ULog.
-        NoSuchTopic, TooDisordered, SourceError: as `Recording.raw_messages`.
-    """
-    topics = frozenset(topic.name for topic in recording.select_topics(selected.topics))
-    channels = [channel for channel in _channels_of(recording) if channel.topic in topics]
+    selected = frozenset(topic.name for topic in recording.select_topics(topics))
+    channels = [channel for channel in _channels_of(recording) if channel.topic in selected]
     if any(channel.message_encoding == "ulog" for channel in channels):
         raise CannotWrite(recording.name, "it is a ULog, whose messages have no encoding that MCAP knows")
-    writer = McapWriter(
-        stream,
-        profile=_profile_of(recording, channels),
-        library=f"kleinkram {__version__}",
-        compression="" if options.compression is ChunkCompression.none else options.compression.value,
-        compress=_compressor(options),
-        chunk_bytes=options.chunk_bytes,
-    )
-    message_count = _copy_messages(recording, selected, _Channels(writer, channels), on_progress)
-    losses = find_losses(recording, _copy_other_records(recording, writer))
-    writer.add_metadata(MADE_FROM, _made_from(recording, selected, topics, sha256, losses).items())
-    writer.finish()
-    return McapContents(message_count, writer.bytes_written, losses)
+    with new_file(path) as stream:
+        writer = McapWriter(
+            stream,
+            profile=_profile_of(recording, channels),
+            library=f"kleinkram {__version__}",
+            compression="" if options.compression is ChunkCompression.none else options.compression.value,
+            compress=_compressor(options),
+            chunk_bytes=options.chunk_bytes,
+        )
+        message_count = _copy_messages(recording, topics, _Channels(writer, channels), on_progress)
+        losses = find_losses(recording, _copy_other_records(recording, writer))
+        writer.add_metadata(
+            MADE_FROM, _made_from(recording, None if topics is None else selected, sha256, losses).items()
+        )
+        writer.finish()
+        size_bytes = stream.tell()
+    return McapResult(path, message_count, size_bytes, losses)
 
 
 def _compressor(options: McapOptions) -> Callable[[bytes], bytes]:
@@ -227,14 +195,13 @@ def _is_readable(type_name: str, definition: str, data: bytes) -> bool:
 
 
 def _copy_messages(
-    recording: Recording, selected: Slice, channels: _Channels, on_progress: OnProgress | None
+    recording: Recording, topics: Topics | None, channels: _Channels, on_progress: OnProgress | None
 ) -> int:
     add, numbers = channels.writer.add_message, dict[int, int]()
-    messages = recording.raw_messages(selected.topics, start=selected.start, end=selected.end)
     start_ns = recording.start_ns or 0
     span_ns = max(1, (recording.end_ns or 0) - start_ns)
     count = 0
-    for count, (_topic, log_ns, publish_ns, sequence, data, channel) in enumerate(messages, 1):
+    for count, (_topic, log_ns, publish_ns, sequence, data, channel) in enumerate(recording.raw_messages(topics), 1):
         number = numbers.get(id(channel))
         if number is None:
             number = numbers[id(channel)] = channels.number_of(channel, data)
@@ -261,19 +228,12 @@ def _copy_other_records(recording: Recording, writer: McapWriter) -> list[LostPl
 
 
 def _made_from(
-    recording: Recording,
-    selected: Slice,
-    topics: frozenset[str],
-    sha256: Mapping[str, str],
-    losses: tuple[MemberLoss, ...],
+    recording: Recording, topics: frozenset[str] | None, sha256: Mapping[str, str], losses: tuple[MemberLoss, ...]
 ) -> dict[str, str]:
     files = [{"name": name, "sha256": sha256[name]} if name in sha256 else {"name": name} for name in recording.files]
     entries = {"version": __version__, "files": json.dumps(files)}
-    if selected.topics is not None:
+    if topics is not None:
         entries["topics"] = json.dumps(sorted(topics))
-    for name, time in (("start_ns", selected.start), ("end_ns", selected.end)):
-        if time is not None:
-            entries[name] = str(to_ns(time))
     if losses:
         entries["losses"] = json.dumps([asdict(loss) for loss in losses])
     return entries
