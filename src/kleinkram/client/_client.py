@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from kleinkram.client.search import Search, Stats
     from kleinkram.client.server import Admin, Audit, Events, Home, Me, Service, Trash
     from kleinkram.client.tokens import Shares, Tokens
+    from kleinkram.recordings.messages import Time
+    from kleinkram.recordings.recording import Topics
 
 _log = logging.getLogger("kleinkram")
 
@@ -136,6 +138,9 @@ class Client:
         what: "Condition | Ref | Iterable[Ref]" = None,
         dest: "AnyPath" = ".",
         *,
+        topics: "Topics | None" = None,
+        start: "Time | None" = None,
+        end: "Time | None" = None,
         nested: bool = False,
         overwrite: bool = False,
         connections: int = 4,
@@ -144,10 +149,17 @@ class Client:
     ) -> "TransferReport":
         """Download files to a folder, each verified before it gets its name, and return the result for each.
 
+        With `topics`, `start` or `end`, download a slice of each recording instead, as one MCAP at its path:
+        `nuc/drive.bag` becomes `nuc/drive.mcap`. Only the index and the chunks that are needed are fetched.
+
         Args:
             what: a file or its id, a mission, or several; the text of a query, or a filter. Or select by keywords, as
                 in `download(dest="data", project="alpine", mission="ridge", topic="*imu*")`.
             dest: the folder; it is created if it is missing.
+            topics: names of topics, or globs of them.
+            start: earliest log time, inclusive: nanoseconds, an aware datetime, ISO text, or a text such as `10:00`
+                (UTC) or `+20s` after the earliest start of the recordings.
+            end: latest log time, exclusive.
             nested: write to PROJECT/MISSION/PATH below it.
             overwrite: replace existing files that differ.
             connections: transfers at the same time.
@@ -155,18 +167,22 @@ class Client:
             **fields: those of `FileFields`.
 
         Raises:
-            NothingToDo: no file matches, or nothing was selected.
+            NothingToDo: no file matches, nothing was selected, or no recording has any of a slice.
+            InvalidInput: the time range is empty, or a text is no time.
             PathsCollide: two files would have the same path.
             DiskFull, DestinationRefused: the folder cannot take them.
             ServerUnreachable, StoreUnreachable: one of them stayed unavailable.
         """
-        from kleinkram.client.transfer import plan_download
+        from kleinkram.client.transfer import SliceRange, download_slices, plan_download, plan_slices
         from kleinkram.client.transfer.download import download
 
-        files = self._select_files(what, fields)
+        files, folder = self._select_files(what, fields), Path(as_paths(dest)[0])
         if not files:
             raise NothingToDo(reason="No file matches")
-        plan = plan_download(files, Path(as_paths(dest)[0]), nested=nested)
+        if (topics, start, end) != (None, None, None):
+            slices = plan_slices(self, files, folder, nested=nested)
+            return download_slices(self, slices, SliceRange(topics, start, end), overwrite=overwrite)
+        plan = plan_download(files, folder, nested=nested)
         return download(self, plan, overwrite=overwrite, connections=connections, bytes_per_s=bytes_per_s)
 
     def _select_files(self, what: "Condition | Ref | Iterable[Ref]", fields: "FileFields") -> "list[FileRead]":

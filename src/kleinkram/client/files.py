@@ -246,6 +246,7 @@ class RemoteFiles:
             connections=self._connections,
             renew=sign_again,
             check=ask_for_check,
+            sha256=link.sha256,
         )
 
 

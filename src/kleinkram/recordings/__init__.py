@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from kleinkram.recordings.combine_summaries import combine
     from kleinkram.recordings.errors import (
         CannotWrite,
+        EmptyRange,
         FailureKind,
         NoSuchTopic,
         NotARecording,
+        OutsideRecording,
         RecordingError,
         SeveralRecordings,
         SourceError,
@@ -44,13 +46,19 @@ if TYPE_CHECKING:
     from kleinkram.recordings.sources import FileSource, Source
     from kleinkram.recordings.summary import scan, summarise
     from kleinkram.recordings.writing.losses import LostPlace, MemberLoss
-    from kleinkram.recordings.writing.mcap import ChunkCompression, McapOptions, McapResult, is_whole_mcap
+    from kleinkram.recordings.writing.mcap import (
+        ChunkCompression,
+        McapOptions,
+        McapResult,
+        is_whole_mcap,
+        merge_to_mcap,
+    )
     from kleinkram.recordings.writing.parquet import ParquetFile, ParquetResult
 
 _HOMES = {
     "combine_summaries": "combine",
-    "errors": "CannotWrite FailureKind NoSuchTopic NotARecording RecordingError SeveralRecordings SourceError "
-    "SummaryFailed TooCostly TooDisordered",
+    "errors": "CannotWrite EmptyRange FailureKind NoSuchTopic NotARecording OutsideRecording RecordingError "
+    "SeveralRecordings SourceError SummaryFailed TooCostly TooDisordered",
     "messages": "Channel Message RawMessage Schema Topic",
     "model": "Content Depth Fact Lost Problem RecordingFormat RecordingSummary TopicSummary",
     "recording": "Recording",
@@ -58,7 +66,7 @@ _HOMES = {
     "sources": "FileSource Source",
     "summary": "scan summarise",
     "writing.losses": "MemberLoss LostPlace",
-    "writing.mcap": "ChunkCompression McapOptions McapResult is_whole_mcap",
+    "writing.mcap": "ChunkCompression McapOptions McapResult is_whole_mcap merge_to_mcap",
     "writing.parquet": "ParquetFile ParquetResult",
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}

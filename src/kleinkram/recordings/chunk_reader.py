@@ -11,7 +11,7 @@ import heapq
 import zlib
 from array import array
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import itemgetter
@@ -60,10 +60,10 @@ class ChunkFormat:
     open_chunk: Callable[[ByteStream], ChunkHead] = _refuse_chunk
     salvage: Salvage = lambda source, _gaps, _channels: SalvagedMessages(JoinedGaps(source, b"", ()), ChunkTable())
     read_message_index: ReadMessageIndex = lambda _source, _row: None
-    find_other_records: FindOtherRecords = lambda _source, _table: iter(())
+    find_other_records: FindOtherRecords = lambda _source, _table, _opcodes: iter(())
 
 
-FindOtherRecords = Callable[[Source, ChunkTable], Iterator[OtherRecord | Malformed]]
+FindOtherRecords = Callable[[Source, ChunkTable, Container[int]], Iterator[OtherRecord | Malformed]]
 Loaded = Buffer | Malformed  # the content of a chunk, or why it cannot be read
 
 
@@ -71,7 +71,8 @@ class ChunkedMember:
     """A file made of chunks.
 
     `summary`: if it was scanned to be opened. `is_part`: of a damaged chunk. `with_index_check`: the table comes from
-    the file's own index, which may be wrong. `claimed_span`: by the statistics.
+    the file's own index, which may be wrong. `claimed_span`: by the statistics. `max_ahead`: bytes of chunks that one
+    iteration fetches and decompresses ahead; lower it where several files are read at the same time.
     """
 
     def __init__(
@@ -89,6 +90,7 @@ class ChunkedMember:
     ) -> None:
         self.source, self.format, self.table, self.problem_log = source, chunk_format, table, problem_log
         self.summary, self.is_part, self._contents = summary, is_part, contents
+        self.max_ahead = MAX_AHEAD if getattr(source, "parallel_reads", 1) > 1 else _AHEAD_ON_DISK
         self.check: IndexCheck | None = None
         if with_index_check:
             self.check = IndexCheck(source, table, problem_log, chunk_format.read_message_index)
@@ -184,17 +186,17 @@ class _ChunkReader:
     def load_ahead(self, numbers: Iterable[int]) -> Iterator[Loaded]:
         parallel: int = getattr(self._file.source, "parallel_reads", 1)
         tasks = self._tasks(numbers, together=parallel > 1)
-        max_bytes = MAX_AHEAD if parallel > 1 else _AHEAD_ON_DISK
-        for group in read_ahead(tasks, workers=max(_MIN_WORKERS, parallel), max_bytes=max_bytes):
+        for group in read_ahead(tasks, workers=max(_MIN_WORKERS, parallel), max_bytes=self._file.max_ahead):
             yield from group
 
     def _tasks(self, numbers: Iterable[int], *, together: bool) -> Iterator[ReadAheadTask[list[Loaded]]]:
         """Yield what to fetch; over a network, adjacent chunks are fetched together."""
         group: list[Row] = []
         size, previous, alone = 0, -1, True
+        group_bytes = min(_GROUP_BYTES, self._file.max_ahead // 4)
         for number in numbers:
             row = self._file.table.rows[number]
-            joins = together and not alone and number == previous + 1 and row.start - group[0].start < _GROUP_BYTES
+            joins = together and not alone and number == previous + 1 and row.start - group[0].start < group_bytes
             if group and not joins:
                 yield ReadAheadTask(size, partial(self._load_group, group))
                 alone = False

@@ -115,6 +115,24 @@ class CannotWrite(RecordingError):
         self.reason = reason
 
 
+class EmptyRange(RecordingError):
+    """The end of a time range, exclusive, is not after its start. Both in nanoseconds since 1970."""
+
+    def __init__(self, message: str, *, start_ns: int, end_ns: int) -> None:
+        super().__init__(message)
+        self.start_ns = start_ns
+        self.end_ns = end_ns
+
+
+class OutsideRecording(RecordingError):
+    """Nothing was recorded in a time range: the recordings span `first_ns` to `last_ns`, or hold no messages."""
+
+    def __init__(self, message: str, *, first_ns: int | None, last_ns: int | None) -> None:
+        super().__init__(message)
+        self.first_ns = first_ns
+        self.last_ns = last_ns
+
+
 class TrajectoryRefused(RecordingError):
     """A trajectory cannot be used: the `name` of its file, topic or transforms, and why."""
 

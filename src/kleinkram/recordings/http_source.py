@@ -137,7 +137,7 @@ class HttpSource:
 
     `renew` returns another URL of the same bytes when one is refused (403), as an expired one is; any reading thread
     may call it, one at a time. `check` is called once if the server behind the URL fails (500): what is read may be
-    damaged. Before reading gives up then, `renew` is called again, and may raise.
+    damaged. Before reading gives up then, `renew` is called again, and may raise. `sha256`: of all bytes, where known.
     """
 
     parallel_reads = PARALLEL_READS
@@ -151,8 +151,10 @@ class HttpSource:
         connections: HttpConnections | None = None,
         renew: Callable[[], str] | None = None,
         check: Callable[[], None] | None = None,
+        sha256: str | None = None,
     ) -> None:
         self.name = name
+        self.sha256 = sha256
         self.size_bytes = size_bytes
         self.bytes_read = 0
         self.reads = 0

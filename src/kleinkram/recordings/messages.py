@@ -126,6 +126,15 @@ class Selection(NamedTuple):
     start_ns: int = 0
     end_ns: int = END_OF_TIME_NS
 
+    def has_topic(self, topic: str) -> bool:
+        """Return whether a topic is selected."""
+        return self.topics is None or topic in self.topics
+
+    @property
+    def has_range(self) -> bool:
+        """Whether a time range is selected, rather than all times."""
+        return (self.start_ns, self.end_ns) != (0, END_OF_TIME_NS)
+
 
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
 _MICROSECOND = datetime.timedelta(microseconds=1)

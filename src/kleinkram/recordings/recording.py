@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from html import escape
 from os import PathLike
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from kleinkram.recordings import decoding
@@ -23,9 +23,8 @@ from kleinkram.recordings.decoding.types import BATCH_BYTES
 from kleinkram.recordings.errors import Malformed, NoSuchTopic, SourceError
 from kleinkram.recordings.formats.base import MemberContents, OpenedFile, Segment
 from kleinkram.recordings.formats.ulog import as_ros1_definition
-from kleinkram.recordings.merge_messages import merge
+from kleinkram.recordings.merge_messages import MessagePiece, merge
 from kleinkram.recordings.messages import (
-    END_OF_TIME_NS,
     Block,
     Channel,
     Message,
@@ -34,10 +33,11 @@ from kleinkram.recordings.messages import (
     Selection,
     Time,
     Topic,
-    to_ns,
 )
 from kleinkram.recordings.model import Problem, RecordingSummary
 from kleinkram.recordings.recording_files import Openable, open_members
+from kleinkram.recordings.sources import FileSource
+from kleinkram.recordings.time_range import resolve_range
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,10 +61,10 @@ class Recording:
     """
 
     def __init__(self, what: Openable, max_bytes: int | None) -> None:
-        self._problem_log = ProblemLog()
-        opened = open_members(what, self._problem_log, max_bytes=max_bytes)
+        self.problem_log = ProblemLog()
+        opened = open_members(what, self.problem_log, max_bytes=max_bytes)
         self.name, self.files = opened.name, opened.files
-        self._members = opened.members
+        self._members, self._sources = opened.members, opened.sources
         self._stack = opened.stack
         self._summarise, self._scan_files = opened.summarise, opened.scan_files
         self._summary_problems: tuple[Problem, ...] | None = None
@@ -134,12 +134,29 @@ class Recording:
             except SourceError:
                 if not self._is_closed:
                     raise
-        return self._problem_log.all(self._summary_problems or ())
+        return self.problem_log.all(self._summary_problems or ())
 
     @property
     def members(self) -> tuple[OpenedFile, ...]:
         """The opened data files, in the order of `files`; for modules of `kleinkram.recordings`."""
         return self._members
+
+    @property
+    def sha256(self) -> dict[str, str]:
+        """SHA-256 of the files by name, where their sources know it: of files on a server, not of local ones."""
+        known = ((PurePosixPath(source.name).name, getattr(source, "sha256", None)) for source in self._sources)
+        return {name: sha256 for name, sha256 in known if sha256}
+
+    @property
+    def is_damaged(self) -> bool:
+        """Return whether something damaged was met so far, when it was opened or read. Reads nothing."""
+        return bool(self.damage) or any(member.summary is not None and member.summary.lost for member in self._members)
+
+    def check_unchanged(self) -> None:
+        """Raise `SourceError` if a local file was written to since the recording was opened."""
+        for source in self._sources:
+            if isinstance(source, FileSource):
+                source.check_unchanged()
 
     def scan_files(self) -> tuple[RecordingSummary, ...]:
         """Return what is in each of `files` by reading all of it, with every checksum, as `klein inspect --deep`.
@@ -152,7 +169,7 @@ class Recording:
     @property
     def damage(self) -> tuple[Problem, ...]:
         """The damaged parts that were met so far: they were left out, or only partly read. Reads nothing."""
-        return tuple(problem for problem in self._problem_log.all() if problem.code in _DAMAGED)
+        return tuple(problem for problem in self.problem_log.all() if problem.code in _DAMAGED)
 
     def raw_messages(
         self, topics: Topics | None = None, *, start: Time | None = None, end: Time | None = None
@@ -161,7 +178,8 @@ class Recording:
 
         Args:
             topics: names or globs; None: all.
-            start: earliest log time, inclusive: nanoseconds, an aware datetime, or ISO text such as 2026-05-01T10:00Z.
+            start: earliest log time, inclusive: nanoseconds, an aware datetime, ISO text such as 2026-05-01T10:00Z, or
+                a text of `resolve_time` such as 10:00 or +20s.
             end: latest log time, exclusive.
 
         Raises:
@@ -180,7 +198,7 @@ class Recording:
         A message whose schema cannot be decoded has its bytes as value (the topic's `undecodable` says why); so has
         one that does not fit its schema, which is then named in `problems`.
         """
-        return _decode_blocks(self._blocks(self._select(topics, start, end)), self._problem_log)
+        return _decode_blocks(self._blocks(self._select(topics, start, end)), self.problem_log)
 
     def segments(self, topics: Topics | None = None) -> list[Segment]:
         """Return the parts of the recording that may hold messages of these topics, by first time.
@@ -201,7 +219,8 @@ class Recording:
         Errors are those of `raw_messages`.
         """
         selection = self._select(topics, None, None)
-        return self._decompressed_blocks(merge(self._members[segment.order[0]].segment_pieces(segment, selection)))
+        blocks = merge(self._members[segment.order[0]].segment_pieces(segment, selection))
+        return _decompressed_blocks(blocks, self._members, self.problem_log)
 
     def to_arrow(
         self,
@@ -271,33 +290,46 @@ class Recording:
         path: str | PathLike[str],
         topics: Topics | None = None,
         *,
+        start: Time | None = None,
+        end: Time | None = None,
         options: McapOptions | None = None,
         sha256: Mapping[str, str] | None = None,
         on_progress: OnProgress | None = None,
     ) -> McapResult:
-        """Write the recording as one whole MCAP: chunked, indexed, with every CRC, messages in the order of log time.
+        """Write the recording, or a slice of it, as one whole MCAP: chunked, indexed, with every CRC, by log time.
 
         Topics, types, encodings, times and bytes of messages stay as they are; ROS 1 stays ROS 1. Channels without
         messages, attachments and metadata records are kept. Of a damaged recording, what can be read is written. A
         metadata record `kleinkram:made_from` says what the file was made from, and what was lost. The same recording
         gives the same bytes, whatever else is on the machine. Memory stays below about 200 MB.
 
+        Of a slice, only the index and the chunks that may hold its messages are read. Messages of latched topics that
+        were valid at its start come first, with the start as log time (`writing.latched`).
+
         Args:
             path: a file that does not exist yet. It appears when it is complete.
             topics: names or globs; None: all.
-            options: compression and chunks.
-            sha256: of the files, by their names, for the metadata record.
+            start: earliest log time, inclusive, as in `raw_messages`.
+            end: latest log time, exclusive.
+            options: compression and chunks, and what is copied beside messages.
+            sha256: of the files, by their names, for the metadata record; by default what their sources know.
             on_progress: called with the share that is done, from 0 to 1, every few MB.
 
         Raises:
             CannotWrite: the file exists, its folder cannot be written to or is full, or the recording is a ULog.
             NoSuchTopic: a name that is no glob is not among the topics.
+            EmptyRange: the end is not after the start.
+            OutsideRecording: nothing was recorded between start and end.
             TooDisordered: too many parts overlap in time to be put in order in bounded memory.
-            SourceError: the bytes cannot be read.
+            SourceError: the bytes cannot be read, or a local file was written to while it was read.
+            ValueError: a text is no time.
         """
-        from kleinkram.recordings.writing.mcap import McapOptions, write_mcap
+        from kleinkram.recordings.writing.mcap import merge_to_mcap
 
-        return write_mcap(self, Path(path), topics, options or McapOptions(), sha256 or {}, on_progress)
+        known = None if sha256 is None else [sha256]
+        return merge_to_mcap(
+            [self], path, topics, start=start, end=end, options=options, sha256=known, on_progress=on_progress
+        )
 
     def to_parquet(
         self, folder: str | PathLike[str], topics: Topics | None = None, *, on_progress: OnProgress | None = None
@@ -351,57 +383,81 @@ class Recording:
     ) -> tuple[Decoder | Undecodable, Iterator[tuple[int, int, bytes]], Callable[[int, DecodeError], None]]:
         """Return the decoder of a topic, its messages, and what reports a message that cannot be decoded."""
         topic = self.topic(name)
-        blocks = self._blocks(Selection(frozenset((name,)), *_span(start, end)))
+        blocks = self._blocks(Selection(frozenset((name,)), *resolve_range(start, end, self.start_ns, self.end_ns)))
 
         def notice(log_time_ns: int, error: DecodeError) -> None:
             message = f"at {log_time_ns} ns: {error}; what could not be decoded is null"
-            self._problem_log.add("message-undecodable", name, message)
+            self.problem_log.add("message-undecodable", name, message)
 
-        messages = _timed(blocks, topic.schema, topic.message_encoding, self._problem_log)
+        messages = _timed(blocks, topic.schema, topic.message_encoding, self.problem_log)
         return decoder_of(topic.message_encoding, topic.schema), messages, notice
 
     def _select(self, topics: Topics | None, start: Time | None, end: Time | None) -> Selection:
-        if topics is None:
-            return Selection(None, *_span(start, end))
-        names = {topic.name: None for topic in self.topics}
-        selected: set[str] = set()
-        for pattern in [topics] if isinstance(topics, str) else topics:
-            is_glob = pattern not in names and any(sign in pattern for sign in "*?[")
-            if not is_glob and pattern not in names:
-                raise NoSuchTopic(pattern, list(names))
-            selected.update([name for name in names if fnmatchcase(name, pattern)] if is_glob else [pattern])
-        return Selection(frozenset(selected), *_span(start, end))
+        span = resolve_range(start, end, self.start_ns, self.end_ns)
+        return Selection(select_names(topics, [topic.name for topic in self.topics]), *span)
 
     def _blocks(self, selection: Selection) -> Iterator[Block]:
-        """Yield the messages as lists that follow each other in time."""
-        pieces = [member.pieces(selection, (number,)) for number, member in enumerate(self._members)]
-        return self._decompressed_blocks(
-            merge(heapq.merge(*pieces, key=lambda piece: piece.first_ns), self._problem_log.note_late)
-        )
+        return merged_blocks([self], selection)
 
-    def _decompressed_blocks(self, blocks: Iterator[Block]) -> Iterator[Block]:
-        """Decompress messages that are compressed one by one."""
-        channels = (channel for member in self._members for channel in member.contents.channels.values())
-        if any(channel.message_compression for channel in channels):
-            return ([one for one in map(self._decompressed, block) if one is not None] for block in blocks)
-        return blocks
+    def pieces(self, selection: Selection, number: int) -> Iterator[MessagePiece]:
+        """Yield the parts that may hold selected messages, by first time; for modules of `kleinkram.recordings`.
 
-    def _decompressed(self, message: RawMessage) -> RawMessage | None:
-        """Decompress a single message; report a damaged one and return None."""
-        if not message.channel.message_compression:
-            return message
-        try:
-            return message._replace(data=unpack_message(message.data, MAX_MESSAGE))
-        except Malformed as error:
-            self._problem_log.add("damaged-message", message.topic, f"left out: {error.message}")
-            return None
+        `number`: of this recording, among several that are merged.
+        """
+        parts = [member.pieces(selection, (number, order)) for order, member in enumerate(self._members)]
+        return heapq.merge(*parts, key=lambda piece: piece.first_ns)
 
 
 _DAMAGED = frozenset(("damaged", "damaged-message", "too-damaged", "too-late"))
 
 
-def _span(start: Time | None, end: Time | None) -> tuple[int, int]:
-    return (0 if start is None else to_ns(start)), (END_OF_TIME_NS if end is None else to_ns(end))
+def select_names(topics: Topics | None, names: Sequence[str]) -> frozenset[str] | None:
+    """Return the names that `topics` (names or globs) selects; None for None, which selects all.
+
+    Raises:
+        NoSuchTopic: a name that is no glob is not among the names.
+    """
+    if topics is None:
+        return None
+    selected: set[str] = set()
+    for pattern in [topics] if isinstance(topics, str) else topics:
+        is_glob = pattern not in names and any(sign in pattern for sign in "*?[")
+        if not is_glob and pattern not in names:
+            raise NoSuchTopic(pattern, [*names])
+        selected.update([name for name in names if fnmatchcase(name, pattern)] if is_glob else [pattern])
+    return frozenset(selected)
+
+
+def merged_blocks(recordings: Sequence[Recording], selection: Selection) -> Iterator[Block]:
+    """Yield the messages of recordings by log time, as lists that follow each other; equal times in the order given.
+
+    The memory is that of one recording, except for what `ChunkedMember.max_ahead` allows each of them.
+    """
+    pieces = [recording.pieces(selection, number) for number, recording in enumerate(recordings)]
+    log = recordings[0].problem_log
+    blocks = merge(heapq.merge(*pieces, key=lambda piece: piece.first_ns), log.note_late)
+    members = [member for recording in recordings for member in recording.members]
+    return _decompressed_blocks(blocks, members, log)
+
+
+def _decompressed_blocks(
+    blocks: Iterator[Block], members: Iterable[OpenedFile], problem_log: ProblemLog
+) -> Iterator[Block]:
+    """Decompress messages that are compressed one by one; leave out damaged ones, and report them."""
+    channels = (channel for member in members for channel in member.contents.channels.values())
+    if not any(channel.message_compression for channel in channels):
+        return blocks
+
+    def decompress(message: RawMessage) -> RawMessage | None:
+        if not message.channel.message_compression:
+            return message
+        try:
+            return message._replace(data=unpack_message(message.data, MAX_MESSAGE))
+        except Malformed as error:
+            problem_log.add("damaged-message", message.topic, f"left out: {error.message}")
+            return None
+
+    return ([one for one in map(decompress, block) if one is not None] for block in blocks)
 
 
 def _decode_blocks(blocks: Iterable[Block], problem_log: ProblemLog) -> Iterator[Message]:

@@ -47,12 +47,14 @@ Openable = str | os.PathLike[str] | Source | HasSources | Sequence[Source]
 class Opened:
     """The opened files of a recording, in the order of recording.
 
-    `summarise`: as `klein inspect`. `scan_files`: as `klein inspect --deep`, file by file.
+    `sources`: of all files, a metadata.yaml and logs of databases among them. `summarise`: as `klein inspect`.
+    `scan_files`: as `klein inspect --deep`, file by file.
     """
 
     name: str
     files: tuple[str, ...]
     members: tuple[OpenedFile, ...]
+    sources: tuple[Source, ...]
     summarise: Callable[[], RecordingSummary]
     scan_files: Callable[[], tuple[RecordingSummary, ...]]
     stack: ExitStack
@@ -83,7 +85,8 @@ def open_members(what: Openable, problem_log: ProblemLog, *, max_bytes: int | No
     def scan_files() -> tuple[RecordingSummary, ...]:
         return tuple(member.summary or _scan(file) for file, member in zip(data, members, strict=True))
 
-    return Opened(name, names, members, summarise_all, scan_files, stack)
+    sources = tuple(file.source for file in files)
+    return Opened(name, names, members, sources, summarise_all, scan_files, stack)
 
 
 def _summary_of(file: RecordingFile, member: OpenedFile) -> RecordingSummary:

@@ -59,6 +59,7 @@ class FileSource:
             raise SourceError(f"{path}: cannot be opened: {error.strerror}") from error
         status = os.fstat(self._descriptor)
         self.size_bytes = status.st_size
+        self._modified_ns = status.st_mtime_ns
         if not stat.S_ISREG(status.st_mode):
             self.close()
             raise SourceError(f"{path}: is not a regular file")
@@ -78,6 +79,12 @@ class FileSource:
             offset += len(piece)
             length -= len(piece)
         return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+
+    def check_unchanged(self) -> None:
+        """Raise `SourceError` if something was written to the file since it was opened."""
+        status = os.fstat(self._descriptor)
+        if (status.st_size, status.st_mtime_ns) != (self.size_bytes, self._modified_ns):
+            raise SourceError(f"{self.name}: changed while it was read; wait until no program writes to it")
 
     def close(self) -> None:
         """Close the file; a second call does nothing."""

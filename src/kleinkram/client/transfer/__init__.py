@@ -4,6 +4,7 @@ from kleinkram.client.transfer.download import download
 from kleinkram.client.transfer.download_target import DownloadPlan, DownloadTarget, plan_download
 from kleinkram.client.transfer.plan import LocalFile, UploadPlan, plan_upload
 from kleinkram.client.transfer.report import CONNECTIONS, LinkReport, Outcome, TransferReport, TransferResult, Watcher
+from kleinkram.client.transfer.slices import SlicePlan, SliceRange, download_slices, plan_slices
 from kleinkram.client.transfer.upload import upload
 from kleinkram.client.transfer.verify import Comparison, FileComparison, verify_local, verify_remote
 
@@ -15,13 +16,17 @@ __all__ = [
     "FileComparison",
     "LinkReport",
     "LocalFile",
+    "SlicePlan",
+    "SliceRange",
     "Outcome",
     "TransferReport",
     "TransferResult",
     "UploadPlan",
     "Watcher",
     "download",
+    "download_slices",
     "plan_download",
+    "plan_slices",
     "plan_upload",
     "upload",
     "verify_local",

@@ -57,7 +57,10 @@ class Outcome(str, enum.Enum):
 
 @dataclass(frozen=True)
 class TransferResult:
-    """The result for one file: its path in the mission, the bytes that this run moved, and why it failed."""
+    """The result for one file: its path in the mission, the bytes that this run moved, and why it failed.
+
+    `losses`: of a slice of a damaged recording, what could not be read.
+    """
 
     path: str
     local: Path
@@ -67,6 +70,7 @@ class TransferResult:
     file_id: uuid.UUID | None = None
     sha256: str | None = None
     error: KleinkramError | None = None
+    losses: Sequence[str] = ()
 
 
 @dataclass(frozen=True)

@@ -54,13 +54,25 @@ def find_losses(recording: Recording, other_places: Iterable[LostPlace] = ()) ->
 
     `other_places`: damaged attachments and metadata records.
     """
-    losses: list[MemberLoss] = []
-    damage, others = recording.damage, tuple(other_places)
-    is_damaged = [member.summary is not None and member.summary.lost is not None for member in recording.members]
-    if damage or any(is_damaged):
-        summaries = zip(recording.files, recording.members, recording.scan_files(), strict=True)
-        losses = [loss for file, member, summary in summaries if (loss := _loss_of(file, member, summary))]
-    unnamed = [problem for problem in damage if not losses or problem.code != "damaged"]
+    summaries = recording.scan_files() if recording.is_damaged else ()
+    return _losses(recording, summaries, other_places)
+
+
+def losses_met(recording: Recording, other_places: Iterable[LostPlace] = ()) -> tuple[MemberLoss, ...]:
+    """Return the damage that was met while a slice was read. Reads nothing: the rest of the files may be damaged, too.
+
+    What is known of a file that was scanned to be opened concerns all of it.
+    """
+    return _losses(recording, [member.summary for member in recording.members], other_places)
+
+
+def _losses(
+    recording: Recording, summaries: Iterable[RecordingSummary | None], other_places: Iterable[LostPlace]
+) -> tuple[MemberLoss, ...]:
+    files = zip(recording.files, recording.members, summaries)  # noqa: B905  # no summaries: nothing is damaged
+    losses = [loss for file, member, summary in files if summary and (loss := _loss_of(file, member, summary))]
+    unnamed = [problem for problem in recording.damage if not losses or problem.code != "damaged"]
+    others = tuple(other_places)
     places = (*(LostPlace(problem.where, problem.message) for problem in unnamed), *others)
     if places:
         reason = f"{places[0].where}: {places[0].reason}"

@@ -1,4 +1,4 @@
-"""Writes a recording of any format as one MCAP.
+"""Writes a recording of any format, several recordings, or a slice of them as one MCAP.
 
 Memory: the messages that are being merged, and what `McapWriter` holds.
 """
@@ -6,30 +6,33 @@ Memory: the messages that are being merged, and what `McapWriter` holds.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import Enum
+from itertools import chain
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import BinaryIO
 
 import lz4.frame
 import zstandard
 
 from kleinkram import __version__
-from kleinkram.recordings.chunk_reader import ChunkedMember
+from kleinkram.recordings.chunk_reader import MAX_AHEAD, ChunkedMember
 from kleinkram.recordings.decoding import DecodeError, Decoder, decoder_for
 from kleinkram.recordings.decoding.msg_definitions import well_known_definitions
-from kleinkram.recordings.errors import CannotWrite, Malformed
+from kleinkram.recordings.errors import CannotWrite, EmptyRange, Malformed, OutsideRecording
+from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.limits import WINDOW
-from kleinkram.recordings.messages import Channel, Properties, Schema
+from kleinkram.recordings.messages import END_OF_TIME_NS, Channel, Properties, RawMessage, Schema, Selection, Time
 from kleinkram.recordings.model import Content, RecordingFormat
+from kleinkram.recordings.recording import OnProgress, Recording, Topics, merged_blocks, select_names
 from kleinkram.recordings.streams import open_range
-from kleinkram.recordings.writing.losses import LostPlace, MemberLoss, find_losses
+from kleinkram.recordings.time_range import resolve_range, utc_text
+from kleinkram.recordings.writing.latched import latched_before
+from kleinkram.recordings.writing.losses import LostPlace, MemberLoss, find_losses, losses_met
 from kleinkram.recordings.writing.mcap_writer import McapWriter
 from kleinkram.recordings.writing.new_file import new_file
-
-if TYPE_CHECKING:
-    from kleinkram.recordings.recording import OnProgress, Recording, Topics
 
 MADE_FROM = "kleinkram:made_from"
 """Name of the metadata record that says what a file was made from."""
@@ -59,11 +62,17 @@ class McapOptions:
         compression: of chunks.
         level: 1 to 22 for zstd (default 3), 0 to 16 for lz4 (default 0); higher is smaller and slower.
         chunk_bytes: uncompressed bytes of messages after which a chunk ends.
+        attachments: whether attachments are copied.
+        metadata: whether metadata records are copied.
+        latched: whether a slice begins with the valid messages of latched topics from before its start.
     """
 
     compression: ChunkCompression = ChunkCompression.zstd
     level: int | None = None
     chunk_bytes: int = 2**20
+    attachments: bool = True
+    metadata: bool = True
+    latched: bool = True
 
     def __post_init__(self) -> None:
         levels = LEVELS[self.compression]
@@ -74,13 +83,25 @@ class McapOptions:
 
 
 @dataclass(frozen=True)
-class McapResult:
-    """A written MCAP. `losses`: what of the recording could not be read; empty if nothing was lost."""
+class WrittenMcap:
+    """What was written.
 
-    path: Path
+    Attributes:
+        losses: what of the recordings could not be read; empty if nothing was lost.
+        latched_count: messages of latched topics from before the start of a slice, among `message_count`.
+    """
+
     message_count: int
     size_bytes: int
     losses: tuple[MemberLoss, ...]
+    latched_count: int
+
+
+@dataclass(frozen=True)
+class McapResult(WrittenMcap):
+    """A written MCAP, and its path."""
+
+    path: Path
 
 
 def is_whole_mcap(recording: Recording, compression: ChunkCompression) -> bool:
@@ -97,36 +118,153 @@ def is_whole_mcap(recording: Recording, compression: ChunkCompression) -> bool:
     return is_whole and has_good_index and set(summary.compression) <= {compression.value}
 
 
-def write_mcap(
-    recording: Recording,
-    path: Path,
-    topics: Topics | None,
-    options: McapOptions,
-    sha256: Mapping[str, str],
-    on_progress: OnProgress | None,
+def merge_to_mcap(
+    recordings: Sequence[Recording],
+    path: str | PathLike[str],
+    topics: Topics | None = None,
+    *,
+    start: Time | None = None,
+    end: Time | None = None,
+    options: McapOptions | None = None,
+    sha256: Sequence[Mapping[str, str]] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> McapResult:
-    """Write a recording as `Recording.to_mcap` describes."""
-    selected = frozenset(topic.name for topic in recording.select_topics(topics))
-    channels = [channel for channel in _channels_of(recording) if channel.topic in selected]
-    if any(channel.message_encoding == "ulog" for channel in channels):
-        raise CannotWrite(recording.name, "it is a ULog, whose messages have no encoding that MCAP knows")
+    """Write several recordings, or a slice of them, as one MCAP in log time order, as `Recording.to_mcap` does one.
+
+    They may overlap in time. Messages of equal log times have the order of the recordings. Channels with the same
+    topic, encodings, schema and properties become one; others stay apart, also those of one topic. Recordings
+    without messages in the time range are left out. `sha256`: one mapping for each recording.
+
+    Times such as `10:00` and `+20s` refer to the earliest start of the recordings. Errors are those of
+    `Recording.to_mcap`; a topic must be in at least one of them.
+    """
+    options = options or McapOptions()
+    selection = select_slice(recordings, topics, start, end)
+    hashes = [recording.sha256 for recording in recordings] if sha256 is None else sha256
+    sources = [SliceSource(*pair) for pair in zip(recordings, hashes, strict=True)]
+    path = Path(path)
     with new_file(path) as stream:
-        writer = McapWriter(
-            stream,
-            profile=_profile_of(recording, channels),
-            library=f"kleinkram {__version__}",
-            compression="" if options.compression is ChunkCompression.none else options.compression.value,
-            compress=_compressor(options),
-            chunk_bytes=options.chunk_bytes,
+        written = write_slice(stream, sources, selection, options, on_progress)
+    return McapResult(**vars(written), path=path)
+
+
+def select_slice(
+    recordings: Sequence[Recording], topics: Topics | None, start: Time | None, end: Time | None
+) -> Selection:
+    """Return the topics and log times of a slice of recordings; errors are those of `merge_to_mcap`."""
+    names = sorted({topic.name for recording in recordings for topic in recording.topics})
+    return Selection(select_names(topics, names), *_time_range(recordings, start, end))
+
+
+def _time_range(recordings: Sequence[Recording], start: Time | None, end: Time | None) -> tuple[int, int]:
+    """Return the log times of a range.
+
+    Raises:
+        EmptyRange: the end is not after the start.
+        OutsideRecording: nothing was recorded in it.
+    """
+    first_ns = min((one.start_ns for one in recordings if one.start_ns is not None), default=None)
+    last_ns = max((one.end_ns for one in recordings if one.end_ns is not None), default=None)
+    start_ns, end_ns = resolve_range(start, end, first_ns, last_ns)
+    if end_ns <= start_ns:
+        message = f"the time range is empty: its end, {utc_text(end_ns)}, is not after its start, {utc_text(start_ns)}"
+        raise EmptyRange(message, start_ns=start_ns, end_ns=end_ns)
+    selection = Selection(None, start_ns, end_ns)
+    if selection.has_range and not any(_overlaps(recording, selection) for recording in recordings):
+        raise OutsideRecording(
+            _why_outside(recordings, selection, first_ns, last_ns), first_ns=first_ns, last_ns=last_ns
         )
-        message_count = _copy_messages(recording, topics, _Channels(writer, channels), on_progress)
-        losses = find_losses(recording, _copy_other_records(recording, writer))
-        writer.add_metadata(
-            MADE_FROM, _made_from(recording, None if topics is None else selected, sha256, losses).items()
-        )
-        writer.finish()
-        size_bytes = stream.tell()
-    return McapResult(path, message_count, size_bytes, losses)
+    return start_ns, end_ns
+
+
+def _why_outside(
+    recordings: Sequence[Recording], selection: Selection, first_ns: int | None, last_ns: int | None
+) -> str:
+    name = recordings[0].name if len(recordings) == 1 else f"the {len(recordings)} recordings"
+    after = f"from {utc_text(selection.start_ns)}" if selection.start_ns else ""
+    before = "" if selection.end_ns == END_OF_TIME_NS else f"before {utc_text(selection.end_ns)}"
+    nothing = f"nothing was recorded {' and '.join(filter(None, (after, before)))}"
+    if first_ns is None or last_ns is None:
+        return f"{name}: {nothing}: there are no messages"
+    return f"{name}: {nothing}: the messages are from {utc_text(first_ns)} to {utc_text(last_ns)}"
+
+
+def _overlaps(recording: Recording, selection: Selection) -> bool:
+    """Return whether a recording may have messages in a time range, by its index."""
+    if not selection.has_range:
+        return True
+    if recording.start_ns is None or recording.end_ns is None:
+        return recording.message_count != 0  # a database without an index of times says neither
+    return recording.start_ns < selection.end_ns and recording.end_ns >= selection.start_ns
+
+
+@dataclass(frozen=True)
+class SliceSource:
+    """A recording, and the SHA-256 of its files by name, as far as they are known."""
+
+    recording: Recording
+    sha256: Mapping[str, str]
+
+
+def write_slice(
+    stream: BinaryIO,
+    sources: Sequence[SliceSource],
+    selection: Selection,
+    options: McapOptions,
+    on_progress: OnProgress | None = None,
+) -> WrittenMcap:
+    """Write a slice of recordings to a stream, which need not be seekable, as `merge_to_mcap` does to a file."""
+    sources = [source for source in sources if _overlaps(source.recording, selection)]
+    recordings = [source.recording for source in sources]
+    channels = [channel for channel in _channels_of(recordings) if selection.has_topic(channel.topic)]
+    for recording in recordings:
+        if any(channel.message_encoding == "ulog" for channel in _channels_of([recording])):
+            raise CannotWrite(recording.name, "it is a ULog, whose messages have no encoding that MCAP knows")
+    _share_read_ahead(recordings)
+    writer = McapWriter(
+        stream,
+        profile=_profile_of(recordings, channels),
+        library=f"kleinkram {__version__}",
+        compression="" if options.compression is ChunkCompression.none else options.compression.value,
+        compress=_compressor(options),
+        chunk_bytes=options.chunk_bytes,
+    )
+    latched = _latched(recordings, selection) if options.latched else []
+    message_count = _copy_messages(recordings, selection, latched, _Channels(writer, channels), on_progress)
+    find = losses_met if selection.has_range else find_losses
+    copied = [(recording, _copy_other_records(recording, writer, options)) for recording in recordings]
+    losses = tuple(loss for recording, damaged in copied for loss in find(recording, damaged))
+    writer.add_metadata(MADE_FROM, _made_from(sources, selection, latched, losses).items())
+    writer.finish()
+    for recording in recordings:
+        recording.check_unchanged()
+    return WrittenMcap(message_count, writer.bytes_written, losses, len(latched))
+
+
+def _share_read_ahead(recordings: Sequence[Recording]) -> None:
+    """Divide the memory for reading ahead between the recordings that are read at the same time."""
+    at_once = _most_at_once(recordings)
+    if at_once > 1:
+        for recording in recordings:
+            for member in recording.members:
+                if isinstance(member, ChunkedMember):
+                    member.max_ahead = min(member.max_ahead, MAX_AHEAD // at_once)
+
+
+def _most_at_once(recordings: Sequence[Recording]) -> int:
+    """Return how many recordings overlap in time, at most; those of unknown times overlap all."""
+    spans = [(recording.start_ns, recording.end_ns) for recording in recordings]
+    known = [(first_ns, last_ns) for first_ns, last_ns in spans if first_ns is not None and last_ns is not None]
+    overlaps = (sum(first_ns <= at_ns <= last_ns for first_ns, last_ns in known) for at_ns, _ in known)
+    return max(overlaps, default=0) + len(spans) - len(known)
+
+
+def _latched(recordings: Sequence[Recording], selection: Selection) -> list[RawMessage]:
+    """Return the messages of latched topics that are valid at the start of a slice, by their original log times."""
+    if not selection.start_ns:
+        return []
+    parts = (latched_before(recording, selection.topics, selection.start_ns) for recording in recordings)
+    return sorted((message for part in parts for message in part), key=lambda message: message.log_time_ns)
 
 
 def _compressor(options: McapOptions) -> Callable[[bytes], bytes]:
@@ -138,21 +276,22 @@ def _compressor(options: McapOptions) -> Callable[[bytes], bytes]:
     return bytes
 
 
-def _channels_of(recording: Recording) -> Iterator[Channel]:
-    for member in recording.members:
-        yield from member.contents.channels.values()
+def _channels_of(recordings: Iterable[Recording]) -> Iterator[Channel]:
+    for recording in recordings:
+        for member in recording.members:
+            yield from member.contents.channels.values()
 
 
-def _profile_of(recording: Recording, channels: list[Channel]) -> str:
-    """Return the profile of the source; where it has none, that of its messages."""
-    profiles = {member.contents.profile for member in recording.members}
+def _profile_of(recordings: Iterable[Recording], channels: list[Channel]) -> str:
+    """Return the profile of the sources; where they have none, that of their messages."""
+    profiles = {member.contents.profile for recording in recordings for member in recording.members}
     if profiles == {""}:
         profiles = {_PROFILES.get(channel.message_encoding, "") for channel in channels}
     return profiles.pop() if len(profiles) == 1 else ""
 
 
 class _Channels:
-    """The channels of the output. Equal channels of several files become one."""
+    """The channels of the output. Equal channels of several files or recordings become one."""
 
     def __init__(self, writer: McapWriter, channels: list[Channel]) -> None:
         self.writer = writer
@@ -195,13 +334,21 @@ def _is_readable(type_name: str, definition: str, data: bytes) -> bool:
 
 
 def _copy_messages(
-    recording: Recording, topics: Topics | None, channels: _Channels, on_progress: OnProgress | None
+    recordings: Sequence[Recording],
+    selection: Selection,
+    latched: Iterable[RawMessage],
+    channels: _Channels,
+    on_progress: OnProgress | None,
 ) -> int:
     add, numbers = channels.writer.add_message, dict[int, int]()
-    start_ns = recording.start_ns or 0
-    span_ns = max(1, (recording.end_ns or 0) - start_ns)
+    start_ns = max(selection.start_ns, min((one.start_ns or 0 for one in recordings), default=0))
+    end_ns = min(selection.end_ns, max((one.end_ns or 0 for one in recordings), default=0))
+    span_ns = max(1, end_ns - start_ns)
+    first = (message._replace(log_time_ns=selection.start_ns) for message in latched)
+    blocks = merged_blocks(recordings, selection) if recordings else iter(())
     count = 0
-    for count, (_topic, log_ns, publish_ns, sequence, data, channel) in enumerate(recording.raw_messages(topics), 1):
+    messages = chain(first, chain.from_iterable(blocks))
+    for count, (_topic, log_ns, publish_ns, sequence, data, channel) in enumerate(messages, 1):
         number = numbers.get(id(channel))
         if number is None:
             number = numbers[id(channel)] = channels.number_of(channel, data)
@@ -212,13 +359,15 @@ def _copy_messages(
     return count
 
 
-def _copy_other_records(recording: Recording, writer: McapWriter) -> list[LostPlace]:
+def _copy_other_records(recording: Recording, writer: McapWriter, options: McapOptions) -> list[LostPlace]:
     """Copy attachments and metadata records; return those that are damaged."""
     damaged: list[LostPlace] = []
+    opcodes = {Opcode.ATTACHMENT: options.attachments, Opcode.METADATA: options.metadata}
+    selected = frozenset(opcode for opcode, is_selected in opcodes.items() if is_selected)
     for member in recording.members:
-        if not isinstance(member, ChunkedMember):
+        if not isinstance(member, ChunkedMember) or not selected:
             continue
-        for record in member.format.find_other_records(member.source, member.table):
+        for record in member.format.find_other_records(member.source, member.table, selected):
             if isinstance(record, Malformed):
                 damaged.append(LostPlace(record.where, record.message))
                 continue
@@ -228,12 +377,37 @@ def _copy_other_records(recording: Recording, writer: McapWriter) -> list[LostPl
 
 
 def _made_from(
-    recording: Recording, topics: frozenset[str] | None, sha256: Mapping[str, str], losses: tuple[MemberLoss, ...]
+    sources: Sequence[SliceSource],
+    selection: Selection,
+    latched: Iterable[RawMessage],
+    losses: tuple[MemberLoss, ...],
 ) -> dict[str, str]:
-    files = [{"name": name, "sha256": sha256[name]} if name in sha256 else {"name": name} for name in recording.files]
-    entries = {"version": __version__, "files": json.dumps(files)}
-    if topics is not None:
-        entries["topics"] = json.dumps(sorted(topics))
+    entries = {"version": __version__, "files": json.dumps([*_files_of(sources)])}
+    if selection.topics is not None:
+        entries["topics"] = json.dumps(sorted(selection.topics))
+    if selection.start_ns:
+        entries["start_ns"] = str(selection.start_ns)
+    if selection.end_ns != END_OF_TIME_NS:
+        entries["end_ns"] = str(selection.end_ns)
+    if log_times := _log_times(latched):
+        entries["latched"] = json.dumps(log_times)
     if losses:
         entries["losses"] = json.dumps([asdict(loss) for loss in losses])
     return entries
+
+
+def _files_of(sources: Sequence[SliceSource]) -> Iterator[dict[str, str]]:
+    """Yield name and SHA-256 of each file; among several recordings, also the number of its recording, from 0."""
+    for number, source in enumerate(sources):
+        recording = {"recording": str(number)} if len(sources) > 1 else {}
+        for name in source.recording.files:
+            known = {"sha256": source.sha256[name]} if name in source.sha256 else {}
+            yield {"name": name, **known, **recording}
+
+
+def _log_times(messages: Iterable[RawMessage]) -> dict[str, list[int]]:
+    """Return the original log times by topic."""
+    log_times: dict[str, list[int]] = {}
+    for message in messages:
+        log_times.setdefault(message.topic, []).append(message.log_time_ns)
+    return log_times

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from itertools import chain
 
 from kleinkram.recordings.chunk_table import ChunkTable
@@ -18,16 +18,17 @@ _TIMES_BYTES, _SIZE_BYTES, _CRC_BYTES = 16, 8, 4
 _LAST = (0, Opcode.DATA_END, Opcode.FOOTER)
 
 
-def find_other_records(source: Source, table: ChunkTable) -> Iterator[OtherRecord | Malformed]:
+def find_other_records(source: Source, table: ChunkTable, opcodes: Container[int]) -> Iterator[OtherRecord | Malformed]:
     """Yield the attachments and metadata records between the chunks of a file, or what is wrong with one of them.
 
-    Where something between two chunks is no record, the search goes on behind the next chunk.
+    `opcodes`: of those to be read, `Opcode.ATTACHMENT` or `Opcode.METADATA`; the bytes of others are not read. Where
+    something between two chunks is no record, the search goes on behind the next chunk.
     """
     position, count = len(MAGIC), 0
     gaps = chain(((row.start, row.end) for row in table.rows), [(source.size_bytes, source.size_bytes)])
     for start, end in gaps:
         for opcode, at, length in _records(source, position, start):
-            if opcode in (Opcode.ATTACHMENT, Opcode.METADATA) and count < MAX_OUTSIDE_CHUNKS:
+            if opcode in opcodes and count < MAX_OUTSIDE_CHUNKS:
                 count += 1
                 yield _read(source, opcode, at, length)
         position = max(position, end)

@@ -1,0 +1,282 @@
+"""Downloads slices of recordings: topics, or a time range, of each recording as one MCAP at its path.
+
+Fetches the indexes and the chunks that are needed, in ranges, straight from the store. One recording is read at a time.
+"""
+
+import os
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
+from uuid import UUID
+
+from kleinkram.client._client import Client
+from kleinkram.client.errors import (
+    ClientError,
+    DestinationDiffers,
+    DestinationRefused,
+    FileUnreadable,
+    InvalidInput,
+    NothingToDo,
+    ServerUnreachable,
+    TransferFailed,
+)
+from kleinkram.client.transfer.download_target import make_folders, regular_size
+from kleinkram.client.transfer.report import Outcome, TransferReport, TransferResult, Watcher
+from kleinkram.contract.errors import KleinkramError
+from kleinkram.contract.files import FileRead, RecordingRead
+from kleinkram.contract.names import check_file_path
+
+if TYPE_CHECKING:
+    from kleinkram.recordings.messages import Time
+    from kleinkram.recordings.recording import Topics
+    from kleinkram.recordings.writing.mcap import McapOptions
+
+_EXTENSIONS = (".active", ".zst", ".zstd", ".bag", ".mcap", ".db3")
+
+
+@dataclass(frozen=True)
+class SliceRange:
+    """What of each recording is downloaded; None: all topics, from the start, to the end.
+
+    Times such as `10:00` and `+20s` refer to the earliest start of the recordings.
+    """
+
+    topics: "Topics | None" = None
+    start: "Time | None" = None
+    end: "Time | None" = None
+
+
+@dataclass(frozen=True)
+class SliceTarget:
+    """A recording, or a single file of one, and where its slice goes: `relative` below `dest`."""
+
+    recording: RecordingRead | FileRead
+    dest: Path
+    relative: str
+
+    @property
+    def name(self) -> str:
+        """The name of the recording, or the path of the file."""
+        return self.recording.name if isinstance(self.recording, RecordingRead) else self.recording.path
+
+    @property
+    def span(self) -> tuple[int | None, int | None]:
+        """First and last log time; None: unknown."""
+        if isinstance(self.recording, RecordingRead):
+            return self.recording.start_ns, self.recording.end_ns
+        return None, None
+
+
+@dataclass(frozen=True)
+class SlicePlan:
+    """The recordings to download slices of, and what is left out because its name cannot be written here."""
+
+    targets: Sequence[SliceTarget]
+    left_out: Sequence[ClientError]
+
+
+def plan_slices(client: Client, files: Iterable[FileRead], dest: Path, *, nested: bool = False) -> SlicePlan:
+    """Return the recordings of these files, and where their slices go: `nuc/drive.bag` becomes `nuc/drive.mcap`.
+
+    If only some files of a recording are among them, each of these is a slice of its own. Other files are left out.
+    """
+    by_mission: dict[UUID, list[FileRead]] = defaultdict(list)
+    for file in files:
+        by_mission[file.mission.id].append(file)
+    targets: dict[str, SliceTarget] = {}
+    left_out: list[ClientError] = []
+    for mission_id, mission_files in by_mission.items():
+        mission = mission_files[0].mission
+        above = f"{mission.project.name}/{mission.name}/" if nested else ""
+        for recording in _recordings_of(client, mission_id, mission_files):
+            name = recording.name if isinstance(recording, RecordingRead) else recording.path
+            relative = above + _slice_name(name if name != "." else mission.name)
+            if relative in targets:
+                relative = f"{relative.removesuffix('.mcap')}-{PurePosixPath(name).suffix.strip('.') or 'slice'}.mcap"
+            try:
+                target = SliceTarget(recording, dest, check_file_path(relative))
+            except ValueError as error:
+                reason = f"the server's name for it {error}"
+                left_out.append(DestinationRefused(path=relative, reason=reason))
+                continue
+            if relative in targets:
+                reason = f"the slice of {targets[relative].name} has the same path; use --nested"
+                left_out.append(DestinationRefused(path=relative, reason=reason))
+                continue
+            targets[relative] = target
+    return SlicePlan([*targets.values()], left_out)
+
+
+def _recordings_of(client: Client, mission_id: UUID, files: Sequence[FileRead]) -> Iterator[RecordingRead | FileRead]:
+    """Yield the recordings of which all files are selected, and single files of others."""
+    selected = {file.id: file for file in files}
+    for recording in client.recordings.list(mission_id):
+        own = [selected[file_id] for file_id in recording.file_ids if file_id in selected]
+        if len(own) == len(recording.file_ids):
+            yield recording
+        else:
+            yield from own
+
+
+def _slice_name(name: str) -> str:
+    """Return the name of a recording with the extension `.mcap` in place of its own."""
+    path = PurePosixPath(name)
+    while path.suffix.lower() in _EXTENSIONS and path.stem:
+        path = path.with_suffix("")
+    return f"{path}.mcap"
+
+
+def download_slices(
+    client: Client,
+    plan: SlicePlan,
+    what: SliceRange,
+    *,
+    options: "McapOptions | None" = None,
+    overwrite: bool = False,
+    watcher: Watcher | None = None,
+) -> TransferReport:
+    """Write the slice of each planned recording, and return the result for each.
+
+    A recording that has none of the topics, or nothing in the time range, is left out. An existing file stays, and is
+    refused unless `overwrite`. `left_out` of the report has a topic that no recording has.
+
+    Raises:
+        NothingToDo: no recording has any of it.
+        InvalidInput: the time range is empty, or a text is no time.
+        ServerUnreachable: the server stayed unavailable.
+    """
+    slicer = _Slicer(client, plan, what, options, overwrite=overwrite, watcher=watcher or Watcher())
+    slicer.run()
+    missing = [NothingToDo(reason=f"No recording has a topic {topic}") for topic in slicer.unmatched_topics()]
+    if not slicer.results:
+        raise missing[0] if missing else NothingToDo(reason="No recording has messages in this time range")
+    return TransferReport(slicer.results, [*plan.left_out, *missing])
+
+
+class _Slicer:
+    """One run of a download of slices."""
+
+    def __init__(
+        self,
+        client: Client,
+        plan: SlicePlan,
+        what: SliceRange,
+        options: "McapOptions | None",
+        *,
+        overwrite: bool,
+        watcher: Watcher,
+    ) -> None:
+        topics = what.topics
+        self._patterns = None if topics is None else [topics] if isinstance(topics, str) else [*topics]
+        self._client, self._targets, self._options = client, plan.targets, options
+        self._overwrite, self._watcher = overwrite, watcher
+        self._start_ns, self._end_ns = _resolve(what, plan.targets)
+        self._matched: set[str] = set()
+        self._read_count = 0
+        self.results: list[TransferResult] = []
+
+    def run(self) -> None:
+        for target in self._targets:
+            first_ns, last_ns = target.span
+            if first_ns is not None and last_ns is not None and not self._is_inside(first_ns, last_ns):
+                continue
+            result = self._result(target)
+            if result is not None:
+                self.results.append(result)
+                error = result.error
+                self._watcher.ended(target.name, result.outcome.value, str(error) if error else None)
+
+    def unmatched_topics(self) -> list[str]:
+        """Return the names and globs that matched no topic of the recordings that were read."""
+        if not self._read_count:
+            return []
+        return [pattern for pattern in self._patterns or () if pattern not in self._matched]
+
+    def _is_inside(self, first_ns: int, last_ns: int) -> bool:
+        return first_ns < self._end_ns and last_ns >= self._start_ns
+
+    def _result(self, target: SliceTarget) -> TransferResult | None:
+        from kleinkram.recordings.errors import CannotWrite, OutsideRecording, RecordingError, SourceError
+
+        try:
+            return self._write(target)
+        except OutsideRecording:
+            return None
+        except CannotWrite as error:
+            failure: KleinkramError = DestinationRefused(path=str(target.dest / target.relative), reason=error.reason)
+        except SourceError as error:
+            failure = TransferFailed(path=target.name, reason=str(error))
+        except RecordingError as error:
+            failure = FileUnreadable(path=target.name, reason=str(error))
+        except ServerUnreachable:
+            raise
+        except KleinkramError as error:
+            failure = error
+        return TransferResult(target.name, target.dest / target.relative, 0, Outcome.refused, error=failure)
+
+    def _write(self, target: SliceTarget) -> TransferResult | None:
+        local = make_folders(target.dest, target.relative)
+        is_there = regular_size(local) is not None
+        if is_there and not self._overwrite:
+            raise DestinationDiffers(path=str(local))
+        with self._client.recordings.open(target.recording) as recording:
+            topics = self._matching([topic.name for topic in recording.topics])
+            if topics is not None and not topics:
+                return None
+            moved = 0
+
+            def show(share: float) -> None:
+                nonlocal moved
+                size_bytes = target.recording.size_bytes
+                self._watcher.moved(target.name, int(share * size_bytes) - moved, size_bytes)
+                moved = int(share * size_bytes)
+
+            part = local.with_name(f".{local.name}.slice") if is_there else local
+            part.unlink(missing_ok=True) if is_there else None
+            written = recording.to_mcap(
+                part, topics, start=self._start_ns, end=self._end_ns, options=self._options, on_progress=show
+            )
+        if is_there:
+            os.replace(part, local)  # noqa: PTH105  # `Path.replace` is the same
+        losses = tuple(f"{loss.file}: {loss.reason}" for loss in written.losses)
+        for loss in losses:
+            self._watcher.notify(f"{target.name}: lost: {loss}")
+        size_bytes = written.size_bytes
+        return TransferResult(target.name, local, size_bytes, Outcome.downloaded, moved_bytes=size_bytes, losses=losses)
+
+    def _matching(self, names: Sequence[str]) -> list[str] | None:
+        """Return the names that the topics select in one recording; None for all."""
+        if self._patterns is None:
+            return None
+        from kleinkram.recordings.errors import NoSuchTopic
+        from kleinkram.recordings.recording import select_names
+
+        self._read_count += 1
+        selected: set[str] = set()
+        for pattern in self._patterns:
+            try:
+                own = select_names([pattern], names) or frozenset()
+            except NoSuchTopic:
+                continue
+            if own:
+                self._matched.add(pattern)
+                selected |= own
+        return sorted(selected)
+
+
+def _resolve(what: SliceRange, targets: Iterable[SliceTarget]) -> tuple[int, int]:
+    """Return the log times of a range, or raise InvalidInput."""
+    from kleinkram.recordings.time_range import resolve_range
+
+    spans = [target.span for target in targets]
+    first_ns = min((first_ns for first_ns, _ in spans if first_ns is not None), default=None)
+    last_ns = max((last_ns for _, last_ns in spans if last_ns is not None), default=None)
+    try:
+        start_ns, end_ns = resolve_range(what.start, what.end, first_ns, last_ns)
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(what="The time range", reason=str(error)) from None
+    if end_ns <= start_ns:
+        raise InvalidInput(what="The time range", reason="its end is not after its start")
+    return start_ns, end_ns
