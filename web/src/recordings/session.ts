@@ -7,7 +7,7 @@ import { ReadFailure } from "./failures";
 import { cost, type Message, type OnDamage, type Order, type Piece, type Recording, type Schema, type Span } from "./formats/recording";
 import { MAX_DAMAGED, READ_AHEAD } from "./limits";
 import { pictureOf, type Picture } from "./pictures/picture";
-import type { CurvesRequest, DamagedPart, DrawnCurves, OfferedFields, Opened, PictureRequest } from "./protocol";
+import type { CurvesRequest, DamagedPart, DrawnCurves, OfferedFields, Opened, PictureRequest, SliceProgress } from "./protocol";
 
 export interface PictureMessage {
   logTimeNs: bigint;
@@ -16,10 +16,11 @@ export interface PictureMessage {
   damaged: DamagedPart[];
 }
 
-/** Receives curves while they are read; `signal` cancels. */
+/** Receives curves and progress while something is read; `signal` cancels. */
 export interface Observer {
   signal: AbortSignal;
   onCurves: (curves: DrawnCurves) => void;
+  onSliced: (progress: SliceProgress) => void;
 }
 
 const REPORT_EVERY_MS = 400;
@@ -30,7 +31,7 @@ const DENSE = 0.5;
 export class Session {
   private readonly decoders = new Map<Schema, Decode>();
 
-  constructor(private readonly recording: Recording) {}
+  constructor(readonly recording: Recording) {}
 
   opened(): Opened {
     const topics = this.recording.topics.map(({ name, schema }) => ({ name, messageType: schema.name }));
@@ -66,7 +67,7 @@ export class Session {
   }
 
   /** Curves of fields against seconds since the start of the recording, as far as `maxBytes` reach. */
-  async curves(request: CurvesRequest, { signal, onCurves }: Observer): Promise<DrawnCurves> {
+  async curves(request: CurvesRequest, { signal, onCurves }: Pick<Observer, "signal" | "onCurves">): Promise<DrawnCurves> {
     const start = this.span(request.topic).fromNs;
     const requested = { fromNs: request.fromNs, toNs: request.toNs };
     const pieces = this.recording.pieces([request.topic], requested);
@@ -84,7 +85,7 @@ export class Session {
         collector.add(seconds(message.logTimeNs), paths.map((path) => (value === null ? null : numberAt(value, path))));
         if (Date.now() - reportedAt < REPORT_EVERY_MS) continue;
         onCurves(drawn());
-        await yieldToEvents(); // lets a cancellation in
+        await yieldToEvents();
         if (signal.aborted) throw new ReadFailure("cancelled");
         reportedAt = Date.now();
       }
@@ -163,6 +164,7 @@ function affordable(span: Span, pieces: readonly Piece[], maxBytes: number): Spa
   return span;
 }
 
-function yieldToEvents(): Promise<void> {
+/** Lets what arrived in the meantime be handled, such as a cancellation. */
+export function yieldToEvents(): Promise<void> {
   return new Promise((resolve) => setTimeout(resolve));
 }

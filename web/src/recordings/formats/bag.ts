@@ -173,7 +173,16 @@ class BagRecording implements Recording {
 
   pieces(topics: readonly string[], span: Span): Piece[] {
     const ids = this.ids(topics);
-    return this.holding(ids, span).map(({ fromNs, toNs, at, end }) => ({ fromNs, toNs, bytes: end - at }));
+    return this.holding(ids, span).map(({ fromNs, toNs, at, end, counts }) => {
+      const held = [...counts.keys()].flatMap((id) => this.connections.get(id)?.topic ?? []);
+      return { at, fromNs, toNs, bytes: end - at, topics: new Set(held) };
+    });
+  }
+
+  async readPiece(piece: Piece, topics: readonly string[]): Promise<readonly Message[]> {
+    const chunk = this.chunks.find(({ at }) => at === piece.at);
+    if (chunk === undefined) throw new ReadFailure("index_damaged", `no chunk at ${piece.at}`);
+    return (await this.read(chunk, this.ids(topics))).messages;
   }
 
   messages(topics: readonly string[], span: Span, order: Order, onDamage: OnDamage): AsyncIterable<Message> {

@@ -103,10 +103,18 @@ class McapRecording implements Recording {
 
   pieces(topics: readonly string[], span: Span): Piece[] {
     return this.chunks(topics, span).map((chunk) => ({
+      at: Number(chunk.chunkStartOffset),
       fromNs: chunk.messageStartTime,
       toNs: chunk.messageEndTime,
       bytes: Number(chunk.chunkLength + chunk.messageIndexLength),
+      topics: chunk.messageIndexOffsets.size === 0 ? null : this.topicsOf(chunk),
     }));
+  }
+
+  async readPiece(piece: Piece, topics: readonly string[]): Promise<readonly Message[]> {
+    const index = this.reader.chunkIndexes.find((chunk) => Number(chunk.chunkStartOffset) === piece.at);
+    if (index === undefined) throw new ReadFailure("index_damaged", `no chunk at ${piece.at}`);
+    return (await this.read(index, new Set(topics))).messages;
   }
 
   messages(topics: readonly string[], span: Span, order: Order, onDamage: OnDamage): AsyncIterable<Message> {
@@ -147,6 +155,10 @@ class McapRecording implements Recording {
       messages.push({ logTimeNs, publishTimeNs, sequence, channel, data: fields.bytes(fields.left) });
     }
     return { messages, retainedBytes: content.length };
+  }
+
+  private topicsOf(chunk: ChunkIndex): ReadonlySet<string> {
+    return new Set([...chunk.messageIndexOffsets.keys()].flatMap((id) => this.channelsById.get(id)?.topic ?? []));
   }
 
   private chunks(topics: readonly string[], span: Span): ChunkIndex[] {

@@ -63,7 +63,11 @@ export type Order = "forward" | "backward";
 
 /** A piece of the file that must be read as a whole. */
 export interface Piece extends Span {
+  /** Where it begins in the file. */
+  at: number;
   bytes: number;
+  /** Null where the index does not say. */
+  topics: ReadonlySet<string> | null;
 }
 
 export interface Recording {
@@ -84,6 +88,8 @@ export interface Recording {
    * Damaged parts are reported to `onDamage` and skipped.
    */
   messages(topics: readonly string[], span: Span, order: Order, onDamage: OnDamage): AsyncIterable<Message>;
+  /** The messages of the topics in one piece, in its order. @throws ReadFailure, where it is damaged. */
+  readPiece(piece: Piece, topics: readonly string[]): Promise<readonly Message[]>;
   /** The attachments and metadata records, in the order of the file. @throws ReadFailure chunk_damaged. */
   otherRecords(): AsyncIterable<OtherRecord>;
 }
