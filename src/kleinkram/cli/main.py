@@ -34,6 +34,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "person": ("people", "person_app", "Manage people."),
     "upload": ("transfer", "upload", "Upload files and folders to a mission."),
     "download": ("transfer", "download", "Download files, verified."),
+    "cut": ("cut", "cut", "Write topics, or a time range, of recordings as one MCAP."),
     "verify": ("transfer", "verify", "Compare local files with a mission, or verify the stored bytes."),
     "search": ("search", "search", "Find files, missions or topics."),
     "stats": ("search", "stats", "Count hours, bytes, files and messages by group."),

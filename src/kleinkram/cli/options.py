@@ -86,6 +86,15 @@ LimitRate = Annotated[Text, option("--limit-rate", "RATE", "Transfer at most RAT
 Connections = Annotated[int, option("--connections", "N", "Run N transfers at the same time.", min=1, max=32)]
 
 
+TopicsOption = Annotated[
+    Many, option("--topics", "TOPICS", "Select topics by name or glob; repeatable, or separated by commas.")
+]
+_START = "Begin at this log time, inclusive: 2026-05-01T10:00:00Z, 10:00 (UTC), or +20s after the start."
+_END = "End before this log time, written like the start."
+StartOption = Annotated[Text, option("--start", "TIME", _START)]
+EndOption = Annotated[Text, option("--end", "TIME", _END)]
+StartTimeOption = Annotated[Text, option("--start-time", "TIME", _START)]
+EndTimeOption = Annotated[Text, option("--end-time", "TIME", _END)]
 SetOption = Annotated[Many, option("--set", "NAME=VALUE", "Set a parameter; repeatable.")]
 
 
@@ -114,6 +123,11 @@ def parameter_values(definition: "ActionDefinition", assignments: Iterable[str])
     except ValueError as error:
         raise InvalidInput(what="The parameters", reason=str(error)) from None
     return values
+
+
+def topic_names(topics: Sequence[str] | None) -> list[str] | None:
+    """Return the names and globs of `--topics`; None for all."""
+    return None if not topics else [name for text in topics for name in text.replace(",", " ").split()]
 
 
 def the_ref(what: str, positional: str | None, option: str | None) -> str:

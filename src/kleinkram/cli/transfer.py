@@ -19,7 +19,15 @@ from kleinkram.cli.render import Output, escape, moment, note, table
 from kleinkram.cli.units import count, parse_rate, size
 from kleinkram.client import Client, connect, transfer
 from kleinkram.client.errors import ClientError, InvalidInput, NothingToDo, ServerUnreachable, TimedOut, request_id_of
-from kleinkram.client.transfer import Comparison, FileComparison, TransferReport, UploadPlan, Watcher
+from kleinkram.client.transfer import (
+    Comparison,
+    FileComparison,
+    SlicePlan,
+    SliceRange,
+    TransferReport,
+    UploadPlan,
+    Watcher,
+)
 from kleinkram.client.transfer.plan import is_excluded, mission_folders
 from kleinkram.contract.errors import KleinkramError, NotFound
 from kleinkram.contract.missions import MissionRead
@@ -206,6 +214,9 @@ def download(
     choice: Choice,
     filters: Annotated[Many, argument("FILTERS", "Paths, globs or ids of files; or the address of a link.")] = None,
     dest: Annotated[Path, option("--dest", "D", "Write to this folder.")] = Path(),
+    topics: options.TopicsOption = None,
+    start_time: options.StartTimeOption = None,
+    end_time: options.EndTimeOption = None,
     nested: Annotated[bool, flag("--nested", "Write to PROJECT/MISSION/PATH below the folder.")] = False,
     overwrite: options.Overwrite = False,
     exclude: options.ExcludeOption = None,
@@ -213,7 +224,11 @@ def download(
     connections: options.Connections = transfer.CONNECTIONS,
     dry_run: options.DryRun = False,
 ) -> Output:
-    """Download files, and verify each before it gets its final name. Running the same command again resumes."""
+    """Download files, and verify each before it gets its final name. Running the same command again resumes.
+
+    With --topics, --start-time or --end-time, a slice of each recording is downloaded as one MCAP instead: only the
+    chunks that are needed are fetched. `klein cut` makes one file of several recordings.
+    """
     bytes_per_s = parse_rate(limit_rate)
     links = [value for value in filters or [] if is_link(value)]
     refs = [value for value in filters or [] if not is_link(value)]
@@ -223,6 +238,15 @@ def download(
         raise InvalidInput(what="The command", reason="specify files: -p, -m, a path, a glob ('*' for all) or an id")
     with connect(*links) as client:
         files = [file for file in select_files(client, choice, refs) if not is_excluded(file.path, exclude or [])]
+        if (topics, start_time, end_time) != (None, None, None):
+            what = transfer.SliceRange(options.topic_names(topics), start_time, end_time)
+            return _download_slices(
+                client,
+                transfer.plan_slices(client, files, dest, nested=nested),
+                what,
+                overwrite=overwrite,
+                dry_run=dry_run,
+            )
         plan = transfer.plan_download(files, dest, nested=nested)
         _note_left_out(plan.left_out)
         if not plan.targets and not plan.left_out:
@@ -239,6 +263,24 @@ def download(
                 client, plan, overwrite=overwrite, connections=connections, bytes_per_s=bytes_per_s, watcher=watcher
             )
         )
+    return transfer_output(report, elapsed_s)
+
+
+def _download_slices(client: Client, plan: SlicePlan, what: SliceRange, *, overwrite: bool, dry_run: bool) -> Output:
+    """Download a slice of each recording."""
+    _note_left_out(plan.left_out)
+    if not plan.targets and not plan.left_out:
+        raise NothingToDo(reason="No recording matches")
+    if dry_run:
+        rows = [(target.name, str(target.dest / target.relative)) for target in plan.targets]
+        note(f"Would read {count(len(rows), 'recording')}.")
+        items = [{"recording": name, "local": local} for name, local in rows]
+        document = {"dry_run": True, "items": items, "left_out": [str(error) for error in plan.left_out]}
+        return Output(document, lambda: table(["recording", "to"], rows))
+    report, elapsed_s = run_transfer(
+        lambda watcher: transfer.download_slices(client, plan, what, overwrite=overwrite, watcher=watcher)
+    )
+    _note_left_out(report.left_out[len(plan.left_out) :])
     return transfer_output(report, elapsed_s)
 
 
@@ -345,6 +387,7 @@ def _plain_report(report: TransferReport, elapsed_s: float) -> dict[str, object]
             "file_id": str(result.file_id) if result.file_id else None,
             "sha256": result.sha256,
             "error": _plain_error(result.error) if result.error else None,
+            **({"losses": [*result.losses]} if result.losses else {}),
         }
         for result in report.results
     ]

@@ -3,7 +3,6 @@
 Fetches the indexes and the chunks that are needed, in ranges, straight from the store. One recording is read at a time.
 """
 
-import os
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from kleinkram.client.errors import (
     ServerUnreachable,
     TransferFailed,
 )
-from kleinkram.client.transfer.download_target import make_folders, regular_size
+from kleinkram.client.transfer.download_target import make_folders, partial_path, regular_size
 from kleinkram.client.transfer.report import Outcome, TransferReport, TransferResult, Watcher
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.files import FileRead, RecordingRead
@@ -218,9 +217,12 @@ class _Slicer:
 
     def _write(self, target: SliceTarget) -> TransferResult | None:
         local = make_folders(target.dest, target.relative)
-        is_there = regular_size(local) is not None
-        if is_there and not self._overwrite:
-            raise DestinationDiffers(path=str(local))
+        part = local
+        if regular_size(local) is not None:
+            if not self._overwrite:
+                raise DestinationDiffers(path=str(local))
+            part = partial_path(local, ".klein-slice")
+            part.unlink(missing_ok=True)
         with self._client.recordings.open(target.recording) as recording:
             topics = self._matching([topic.name for topic in recording.topics])
             if topics is not None and not topics:
@@ -233,13 +235,10 @@ class _Slicer:
                 self._watcher.moved(target.name, int(share * size_bytes) - moved, size_bytes)
                 moved = int(share * size_bytes)
 
-            part = local.with_name(f".{local.name}.slice") if is_there else local
-            part.unlink(missing_ok=True) if is_there else None
             written = recording.to_mcap(
                 part, topics, start=self._start_ns, end=self._end_ns, options=self._options, on_progress=show
             )
-        if is_there:
-            os.replace(part, local)  # noqa: PTH105  # `Path.replace` is the same
+        part.replace(local)
         losses = tuple(f"{loss.file}: {loss.reason}" for loss in written.losses)
         for loss in losses:
             self._watcher.notify(f"{target.name}: lost: {loss}")

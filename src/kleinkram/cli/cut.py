@@ -1,0 +1,234 @@
+"""`klein cut`: topics, or a time range, of local recordings or of those of a mission, as one MCAP."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict
+from fnmatch import fnmatchcase
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+from kleinkram.cli import options
+from kleinkram.cli.commands import Many, flag, option
+from kleinkram.cli.commands import argument as positional
+from kleinkram.cli.errors import Interrupted
+from kleinkram.cli.render import Output, details, note
+from kleinkram.cli.units import count, instant, size, span
+from kleinkram.client import Client, connect
+from kleinkram.client.errors import InvalidInput, NothingToDo
+from kleinkram.contract.errors import FileUnavailable, NotFound
+from kleinkram.recordings import (
+    ChunkCompression,
+    EmptyRange,
+    FileSource,
+    McapOptions,
+    McapResult,
+    NotARecording,
+    Recording,
+    Source,
+)
+from kleinkram.recordings.messages import Selection
+from kleinkram.recordings.recording_groups import RecordingGroup, RecordingGroupKind, read_folder
+from kleinkram.recordings.writing.mcap import merge_to_mcap, select_slice
+
+
+def cut(
+    sources: Annotated[
+        Many, positional("SOURCE", "Files and folders; with -m, names or globs of recordings in the mission.")
+    ] = None,
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
+    topics: options.TopicsOption = None,
+    start: options.StartOption = None,
+    end: options.EndOption = None,
+    output: Annotated[Path | None, option("--output -o", "FILE", "The MCAP to write; it must not exist.")] = None,
+    attachments: Annotated[bool, flag("--attachments/--no-attachments", "Copy the attachments.")] = True,
+    metadata: Annotated[bool, flag("--metadata/--no-metadata", "Copy the metadata records.")] = True,
+    latched: Annotated[
+        bool,
+        flag("--latched/--no-latched", "Begin with the valid messages of latched topics from before the start."),
+    ] = True,
+    compression: Annotated[
+        ChunkCompression, option("--compression", "NAME", "Compress chunks with zstd, lz4 or none.")
+    ] = ChunkCompression.zstd,
+    dry_run: options.DryRun = False,
+) -> Output:
+    """Write topics, or a time range, of recordings as one MCAP. Several recordings are merged in log time order.
+
+    Only the indexes and the chunks that are needed are read; from a server (-p, -m), they are fetched from the store.
+    Without SOURCE, all recordings of the mission are read, except those that runs made.
+    """
+    if output is None and not dry_run:
+        raise InvalidInput(what="The command", reason="specify the file to write: -o out.mcap")
+    how = McapOptions(compression, attachments=attachments, metadata=metadata, latched=latched)
+    with ExitStack() as stack:
+        if mission is not None:
+            client = stack.enter_context(connect())
+            recordings = _open_remote(client, stack, mission, project, sources or [])
+        elif project is not None or not sources:
+            raise InvalidInput(what="The command", reason="specify files or folders, or a mission with -m")
+        else:
+            recordings = _open_all(stack, (opener for path in sources for opener in _openers(Path(path))))
+        selection = _select(recordings, options.topic_names(topics), start, end)
+        if dry_run or output is None:
+            return _estimate(recordings, selection)
+        with _watching(output.name) as on_progress:
+            names = None if selection.topics is None else sorted(selection.topics)
+            result = merge_to_mcap(
+                recordings,
+                output,
+                names,
+                start=selection.start_ns,
+                end=selection.end_ns,
+                options=how,
+                on_progress=on_progress,
+            )
+    return _output(recordings, selection, result)
+
+
+def _select(
+    recordings: Sequence[Recording], topics: Sequence[str] | None, start: str | None, end: str | None
+) -> Selection:
+    try:
+        selection = select_slice(recordings, topics, start, end)
+    except (ValueError, EmptyRange) as error:
+        raise InvalidInput(what="The time range", reason=str(error)) from None
+    if selection.topics is not None and not selection.topics:
+        raise NothingToDo(reason=f"No topic matches {', '.join(topics or [])}")
+    return selection
+
+
+def _open_all(stack: ExitStack, openers: Iterable[Callable[[], Recording]]) -> list[Recording]:
+    """Open recordings; note those that cannot be read, if there are others."""
+    results = [_open_readable(opener) for opener in openers]
+    recordings = [stack.enter_context(result) for result in results if isinstance(result, Recording)]
+    failures = [result for result in results if not isinstance(result, Recording)]
+    if not recordings:
+        raise failures[0] if failures else NothingToDo(reason="There is no recording")
+    for failure in failures:
+        note(f"Left out: {failure}")
+    return recordings
+
+
+def _open_readable(opener: Callable[[], Recording]) -> Recording | NotARecording | FileUnavailable:
+    try:
+        return opener()
+    except (NotARecording, FileUnavailable) as error:
+        return error
+
+
+def _openers(path: Path) -> Iterator[Callable[[], Recording]]:
+    """Yield a function that opens a recording, for each in a path."""
+    if not path.is_dir():
+        yield partial(Recording.open, path)
+        return
+    groups = read_folder(path).groups
+    if not groups:
+        raise NotARecording(str(path), "there is no recording in it")
+    yield from (_opener(path, group) for group in groups)
+
+
+def _opener(folder: Path, group: RecordingGroup) -> Callable[[], Recording]:
+    if group.kind is RecordingGroupKind.rosbag2 and group.metadata_path is not None:
+        return partial(Recording.open, folder / group.metadata_path)
+    if len(group.members) == 1:
+        return partial(Recording.open, folder / group.members[0])
+    return partial(Recording.open, _LocalFiles([folder / name for name in group.members]))
+
+
+class _LocalFiles:
+    """The files of a split recording."""
+
+    def __init__(self, paths: Iterable[Path]) -> None:
+        self._paths = [*paths]
+        self._sources: list[FileSource] = []
+
+    def sources(self) -> Sequence[Source]:
+        """Open the files."""
+        self._sources = [FileSource(path) for path in self._paths]
+        return self._sources
+
+    def close(self) -> None:
+        """Close them."""
+        for source in self._sources:
+            source.close()
+
+
+def _open_remote(
+    client: Client, stack: ExitStack, mission: str, project: str | None, names: Sequence[str]
+) -> list[Recording]:
+    """Open recordings of a mission: those of these names, globs or paths, else all that no run made."""
+    rows = [*client.recordings.list(client.missions.get(mission, project=project).id)]
+    selected = [row for row in rows if not row.is_derived]
+    if names:
+        selected = [row for row in rows if any(_is_named(name, [row.name, *row.paths]) for name in names)]
+        for name in names:
+            if not any(_is_named(name, [row.name, *row.paths]) for row in rows):
+                raise NotFound(resource_type="recording", ref=name)
+    return _open_all(stack, (partial(client.recordings.open, row) for row in selected))
+
+
+def _is_named(name: str, names: Iterable[str]) -> bool:
+    return any(name == other or fnmatchcase(other, name) for other in names)
+
+
+def _estimate(recordings: Sequence[Recording], selection: Selection) -> Output:
+    """Return how many bytes of chunks would be read of each recording."""
+    items = []
+    for recording in recordings:
+        own = [topic.name for topic in recording.topics if selection.has_topic(topic.name)]
+        needed = (
+            segment.size_bytes
+            for segment in recording.segments(own)
+            if segment.first_ns < selection.end_ns and segment.last_ns >= selection.start_ns
+        )
+        items.append({"recording": recording.name, "topics": own, "chunk_bytes": sum(needed)})
+    total = sum(int(str(item["chunk_bytes"])) for item in items)
+    text = f"Would read {size(total)} of {count(len(items), 'recording')}."
+    return Output({"dry_run": True, "items": items}, text)
+
+
+@contextlib.contextmanager
+def _watching(name: str) -> Iterator[Callable[[float], None] | None]:
+    """Show a bar on a terminal. Ctrl-C raises Interrupted; nothing is left of the file then."""
+    try:
+        if not sys.stderr.isatty():
+            yield None
+            return
+        from rich.console import Console
+        from rich.progress import Progress
+
+        with Progress(console=Console(stderr=True), transient=True) as progress:
+            task = progress.add_task(name, total=1.0)
+            yield lambda share: progress.update(task, completed=share)
+    except KeyboardInterrupt:
+        raise Interrupted from None
+
+
+def _output(recordings: Sequence[Recording], selection: Selection, result: McapResult) -> Output:
+    start_ns = selection.start_ns or None
+    end_ns = selection.end_ns if selection.has_range and selection.end_ns < 2**64 else None
+    document = {
+        "path": str(result.path),
+        "size_bytes": result.size_bytes,
+        "message_count": result.message_count,
+        "latched_count": result.latched_count,
+        "start_ns": start_ns,
+        "end_ns": end_ns,
+        "topics": None if selection.topics is None else sorted(selection.topics),
+        "recordings": [recording.name for recording in recordings],
+        "losses": [asdict(loss) for loss in result.losses],
+    }
+    for loss in result.losses:
+        note(f"Lost: {loss.file}: {loss.reason}")
+    rows = [
+        ("file", str(result.path)),
+        ("size", size(result.size_bytes)),
+        ("messages", result.message_count),
+        ("latched", result.latched_count or None),
+        ("start", instant(start_ns)),
+        ("span", span(start_ns, end_ns)),
+    ]
+    return Output(document, lambda: details(rows))
