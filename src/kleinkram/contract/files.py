@@ -266,10 +266,10 @@ TopicPattern = Annotated[str, Field(min_length=1, max_length=4096)]
 
 
 class SliceQuery(Request):
-    """What of a recording is wanted: topics (names or globs; none: all), from `start` (inclusive) to `end` (exclusive).
+    """What of a recording is wanted: topics from `start` (inclusive) to `end` (exclusive); by default, all of it.
 
-    Times are log times, as `klein cut` takes them: nanoseconds since 1970, or ISO 8601 text such as
-    2026-05-01T10:00:00Z, in UTC without a zone.
+    `topics`: names or globs, repeated or separated by commas. Times are log times, as `klein cut` takes them:
+    2026-05-01T10:00:00Z, 10:00 (UTC), +20s after the start, or nanoseconds since 1970.
     """
 
     topics: Annotated[list[TopicPattern], Field(max_length=1000)] = []

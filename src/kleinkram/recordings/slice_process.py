@@ -21,9 +21,8 @@ from dataclasses import asdict, dataclass
 
 from typing_extensions import Buffer
 
-from kleinkram.recordings.errors import NoSuchTopic, RecordingError, SourceError
+from kleinkram.recordings.errors import NoSuchTopic, OutsideRecording, RecordingError, SourceError
 from kleinkram.recordings.isolation import limit_this_process
-from kleinkram.recordings.messages import Time
 
 SLICE_COMMAND: tuple[str, ...] = (sys.executable, "-I", "-m", "kleinkram.recordings.slice_process")
 _HELD_BYTES = 2**20
@@ -34,10 +33,17 @@ class RefusalKind(str, enum.Enum):
     """Why there is no slice."""
 
     topic = "topic"  # there is no such topic
-    range = "range"  # start or end is no time
+    range = "range"  # nothing was recorded between start and end
     source = "source"  # the bytes cannot be read now
     memory = "memory"
     recording = "recording"  # the recording cannot be sliced
+
+
+_KINDS: dict[type[Exception], RefusalKind] = {
+    NoSuchTopic: RefusalKind.topic,
+    SourceError: RefusalKind.source,
+    OutsideRecording: RefusalKind.range,
+}
 
 
 @dataclass(frozen=True)
@@ -48,8 +54,8 @@ class SliceRequest:
         name: of the file, for messages, its extension and the metadata record of the slice.
         sha256: of the file, for the metadata record; None: unknown.
         topics: names or globs; None: all.
-        start: earliest log time, inclusive, as `Recording.raw_messages` takes it or nanoseconds as text; None: the first.
-        end: latest log time, exclusive; None: behind the last.
+        start_ns: earliest log time, inclusive; None: the first.
+        end_ns: latest log time, exclusive; None: behind the last.
         max_scan_bytes: a file without a usable index is read whole if it has at most so many bytes.
         memory_bytes: address space of the child.
         cpu_s: processor time of the child.
@@ -60,8 +66,8 @@ class SliceRequest:
     name: str
     sha256: str | None
     topics: Sequence[str] | None
-    start: str | None
-    end: str | None
+    start_ns: int | None
+    end_ns: int | None
     max_scan_bytes: int
     memory_bytes: int
     cpu_s: int
@@ -123,7 +129,7 @@ def main() -> int:
     answer = _Answer()
     try:
         _write_slice(request, answer)
-    except (RecordingError, MemoryError, OSError, ValueError) as error:
+    except (RecordingError, MemoryError, OSError) as error:
         if answer.has_begun:
             raise
         _write_line(asdict(_refusal_of(error)))
@@ -133,30 +139,26 @@ def main() -> int:
 def _write_slice(request: SliceRequest, answer: _Answer) -> None:
     from kleinkram.recordings.http_source import HttpSource  # only in the child
     from kleinkram.recordings.recording import Recording
-    from kleinkram.recordings.writing.mcap import McapOptions, Slice, write_mcap_to
+    from kleinkram.recordings.writing.mcap import McapOptions, SliceSource, select_slice, write_slice
 
-    source = HttpSource(request.url, size_bytes=request.size_bytes, name=request.name)
-    sha256 = {} if request.sha256 is None else {request.name: request.sha256}
-    selected = Slice(request.topics, _time_of(request.start), _time_of(request.end))
+    source = HttpSource(request.url, size_bytes=request.size_bytes, name=request.name, sha256=request.sha256)
     held = io.BufferedWriter(answer, _HELD_BYTES)
     try:
         with Recording.open(source, max_bytes=request.max_scan_bytes) as recording:
-            write_mcap_to(held, recording, selected, McapOptions(), sha256)
+            selection = select_slice([recording], request.topics, request.start_ns, request.end_ns)
+            if selection.topics is not None and not selection.topics:
+                raise NoSuchTopic(", ".join(request.topics or ()), [topic.name for topic in recording.topics])
+            write_slice(held, [SliceSource(recording, recording.sha256)], selection, McapOptions())
         held.flush()
     except BaseException:
         answer.discard()
         raise
 
 
-def _time_of(text: str | None) -> Time | None:
-    return int(text) if text is not None and text.isascii() and text.isdigit() else text
-
-
 def _refusal_of(error: Exception) -> SliceRefusal:
     if isinstance(error, MemoryError):
         return SliceRefusal(RefusalKind.memory, "it needs more memory to be read than is allowed")
-    kinds = {NoSuchTopic: RefusalKind.topic, SourceError: RefusalKind.source, ValueError: RefusalKind.range}
-    return SliceRefusal(kinds.get(type(error), RefusalKind.recording), str(error))
+    return SliceRefusal(_KINDS.get(type(error), RefusalKind.recording), str(error))
 
 
 def _write_line(answer: Mapping[str, object]) -> None:

@@ -109,7 +109,8 @@ async def slice_file(
     has no footer and is no whole MCAP.
     """
     mark_as_stream(request.scope)
-    selection = Selection(tuple(query.topics) or None, query.start, query.end)
+    topics = tuple(name for text in query.topics for name in text.replace(",", " ").split())
+    selection = Selection(topics or None, query.start, query.end)
     return await open_slice(context, request.app.state.slice_slots, actor, file_id=file_id, selection=selection)
 
 

@@ -18,6 +18,7 @@ from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from kleinkram.contract.errors import CannotSlice, FieldProblem, InvalidRequest, StoreUnavailable, TooManySlices
+from kleinkram.contract.files import FileRead
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import file_name
 from kleinkram.recordings.isolation import CHILD_ENVIRONMENT
@@ -29,6 +30,7 @@ from kleinkram.recordings.slice_process import (
     read_refusal,
     slice_request_bytes,
 )
+from kleinkram.recordings.time_range import resolve_time
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.context import AppContext
 from kleinkram.server.files.service import record_slice
@@ -68,11 +70,16 @@ class SliceSlots:
         self._limit, self._limit_per_account = limit, limit_per_account
         self._taken: Counter[str] = Counter()
 
+    @property
+    def taken(self) -> int:
+        """How many slices are made now."""
+        return self._taken.total()
+
     def take(self, account: str) -> contextlib.ExitStack:
         """Take a slot; closing the stack returns it. Raises TooManySlices."""
         if self._taken[account] >= self._limit_per_account:
             raise TooManySlices(limit=self._limit_per_account, scope="for one account")
-        if self._taken.total() >= self._limit:
+        if self.taken >= self._limit:
             raise TooManySlices(limit=self._limit, scope="by this server")
         self._taken[account] += 1
         slot = contextlib.ExitStack()
@@ -188,6 +195,7 @@ async def open_slice(
         slot = on_failure.enter_context(slots.take(account_of(actor)))
         async with context.database.begin() as db:
             read, _, key = await record_slice(db, actor, file_id=file_id, selection=selection.for_audit())
+            start_ns, end_ns = _resolve_range(selection, read)
             if read.format not in _READABLE_FORMATS:
                 raise CannotSlice(path=read.path, reason="only MCAP files and ROS 1 bags are sliced here")
         timeout_s = context.settings.slice_timeout_s
@@ -197,8 +205,8 @@ async def open_slice(
             name=file_name(read.path),
             sha256=read.sha256,
             topics=selection.topics,
-            start=selection.start,
-            end=selection.end,
+            start_ns=start_ns,
+            end_ns=end_ns,
             max_scan_bytes=_MAX_SCAN_BYTES,
             memory_bytes=context.settings.slice_memory_bytes,
             cpu_s=timeout_s,
@@ -214,6 +222,19 @@ async def open_slice(
         response = SliceResponse(context, actor, child, slot, read.path)
         on_failure.pop_all()
         return response
+
+
+def _resolve_range(selection: Selection, read: FileRead) -> tuple[int | None, int | None]:
+    times: dict[str, int | None] = {}
+    for field, text in (("start", selection.start), ("end", selection.end)):
+        try:
+            times[field] = None if text is None else resolve_time(text, read.start_ns, read.end_ns)
+        except ValueError as error:
+            raise InvalidRequest(problems=[FieldProblem(field=field, message=str(error))]) from None
+    start_ns, end_ns = times["start"], times["end"]
+    if start_ns is not None and end_ns is not None and end_ns <= start_ns:
+        raise InvalidRequest(problems=[FieldProblem(field="end", message="is not after the start")])
+    return start_ns, end_ns
 
 
 async def _start(settings: Settings) -> _Child:
