@@ -4,7 +4,7 @@
 import { createHash } from "node:crypto";
 import { readFile } from "node:fs/promises";
 import { launchBrowser } from "./chromium.mjs";
-import { isConsoleError } from "./console_errors.mjs";
+import { isEnvironmentError } from "./console_errors.mjs";
 
 const [web, executablePath, link, address, selections] = process.argv.slice(2);
 const browser = await launchBrowser(web, executablePath);
@@ -20,7 +20,7 @@ async function openPage(canWrite) {
     else delete window.showSaveFilePicker;
   }, canWrite);
   const page = await context.newPage();
-  page.on("console", (message) => isConsoleError(message) && results.consoleErrors.push(message.text()));
+  page.on("console", (message) => message.type() === "error" && !isEnvironmentError(message.text()) && results.consoleErrors.push(message.text()));
   await page.goto(link);
   await page.waitForURL((url) => url.pathname === "/");
   return page;
@@ -32,7 +32,7 @@ async function select(page, { file, topics, from, to }) {
   const dialog = page.getByRole("dialog");
   await dialog.locator("[data-from]").waitFor();
   if (topics !== null) {
-    for (const box of await dialog.getByRole("row").getByRole("checkbox").all()) await box.uncheck();
+    await dialog.getByRole("checkbox").first().uncheck(); // that of all rows
     for (const topic of topics) await dialog.getByRole("checkbox", { name: topic, exact: false }).check();
   }
   for (const [place, seconds] of [["[data-from]", from], ["[data-to]", to]]) {
