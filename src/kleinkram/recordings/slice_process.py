@@ -1,9 +1,9 @@
 """Writes a slice of an untrusted recording as MCAP to stdout, in a child process without credentials.
 
-The caller starts `SLICE_COMMAND` with `CHILD_ENVIRONMENT` and writes one line, `slice_request_bytes(...)`, to its stdin.
+The caller starts `SLICE_COMMAND` with `CHILD_ENVIRONMENT` and writes one line, `slice_request_bytes(...)`, to stdin.
 The child answers with a line of JSON: `{}`, and the bytes of the MCAP follow, or what `read_refusal` reads. The bytes
-are whole only if the exit code is 0. The first megabyte is complete before the child answers, so most damaged
-recordings are refused instead of cut off.
+are whole only if the exit code is 0. The first megabyte is complete before the child answers, so what can be refused
+is refused instead of cut off.
 
 Like that of `isolation`, the child bounds itself before it looks at a byte, and reads the recording by a URL.
 """

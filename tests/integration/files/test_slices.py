@@ -1,4 +1,4 @@
-"""Slices of recordings over HTTP: the same bytes as `klein cut`, rights, limits, and failures before and after the start."""
+"""Slices over HTTP: the same bytes as `to_mcap`, rights, limits, and failures before and after the first bytes."""
 
 from __future__ import annotations
 
@@ -131,9 +131,7 @@ def test_a_link_gives_slices_of_its_files_and_counts_them(lab: Api, mission: str
     assert sliced
 
     def counted() -> tuple[int, int]:
-        ((count, size_bytes),) = lab.sql(
-            "SELECT download_count, download_bytes FROM share WHERE id = %s", made.id
-        )
+        ((count, size_bytes),) = lab.sql("SELECT download_count, download_bytes FROM share WHERE id = %s", made.id)
         return count, size_bytes
 
     wait_until(lambda: counted() == (1, len(sliced)))
@@ -198,9 +196,7 @@ def test_a_store_that_fails_later_cuts_the_connection(lab: Api, mission: str, mi
     wait_until(lambda: lab.app.state.slice_slots.taken == 0)
 
 
-def test_a_client_that_leaves_ends_the_process_and_frees_its_slot(
-    lab: Api, mission: str, middleman: Middleman
-) -> None:
+def test_a_client_that_leaves_ends_the_process_and_frees_its_slot(lab: Api, mission: str, middleman: Middleman) -> None:
     body = _recording(message_bytes=500_000)
     file_id = _store(lab, mission, body)
     with _Barrier() as barrier:
@@ -212,9 +208,7 @@ def test_a_client_that_leaves_ends_the_process_and_frees_its_slot(
         wait_until(lambda: lab.app.state.slice_slots.taken == 0)
 
 
-def test_slices_at_once_are_limited_for_an_account_and_in_total(
-    lab: Api, mission: str, middleman: Middleman
-) -> None:
+def test_slices_at_once_are_limited_for_an_account_and_in_total(lab: Api, mission: str, middleman: Middleman) -> None:
     body = _recording(message_bytes=500_000)
     file_id = _store(lab, mission, body)
     path = f"/files/{file_id}/slice.mcap"
@@ -232,9 +226,7 @@ def test_slices_at_once_are_limited_for_an_account_and_in_total(
     wait_until(lambda: lab.app.state.slice_slots.taken == 0)
 
 
-def test_a_slice_that_takes_too_long_is_cut_off(
-    start_api: StartApi, store: RunningStore, middleman: Middleman
-) -> None:
+def test_a_slice_that_takes_too_long_is_cut_off(start_api: StartApi, store: RunningStore, middleman: Middleman) -> None:
     lab = start_api(s3_internal_url=middleman.url, slice_timeout_s=3)
     body = _recording(message_bytes=500_000)
     file_id = _store(lab, lab.mission(lab.project()["id"])["id"], body)

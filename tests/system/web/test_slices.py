@@ -1,4 +1,4 @@
-"""The web's "Download selection" in a real browser gives the bytes that `klein cut` writes, and that the server sends."""
+"""The web's "Download selection" in a real browser gives the bytes that `klein cut` writes."""
 
 import hashlib
 import json

@@ -51,7 +51,7 @@ _FIELDS = {RefusalKind.topic: "topics", RefusalKind.range: "start"}
 
 @dataclass(frozen=True)
 class Selection:
-    """Topics (names or globs; None: all) from log time `start` to before `end` (None: all), as the client wrote them."""
+    """Topics (names or globs; None: all) from log time `start` to before `end` (None: all), as the client wrote it."""
 
     topics: tuple[str, ...] | None
     start: str | None
@@ -225,16 +225,18 @@ async def open_slice(
 
 
 def _resolve_range(selection: Selection, read: FileRead) -> tuple[int | None, int | None]:
-    times: dict[str, int | None] = {}
-    for field, text in (("start", selection.start), ("end", selection.end)):
-        try:
-            times[field] = None if text is None else resolve_time(text, read.start_ns, read.end_ns)
-        except ValueError as error:
-            raise InvalidRequest(problems=[FieldProblem(field=field, message=str(error))]) from None
-    start_ns, end_ns = times["start"], times["end"]
+    start_ns = None if selection.start is None else _resolve("start", selection.start, read)
+    end_ns = None if selection.end is None else _resolve("end", selection.end, read)
     if start_ns is not None and end_ns is not None and end_ns <= start_ns:
         raise InvalidRequest(problems=[FieldProblem(field="end", message="is not after the start")])
     return start_ns, end_ns
+
+
+def _resolve(field: str, text: str, read: FileRead) -> int:
+    try:
+        return resolve_time(text, read.start_ns, read.end_ns)
+    except ValueError as error:
+        raise InvalidRequest(problems=[FieldProblem(field=field, message=str(error))]) from None
 
 
 async def _start(settings: Settings) -> _Child:
