@@ -190,8 +190,9 @@ class BagRecording implements Recording {
     return inOrder(this.holding(ids, span), (chunk) => this.read(chunk, ids), { span, order, onDamage });
   }
 
-  async *otherRecords(): AsyncIterable<OtherRecord> {
-    // A bag has none.
+  /** A bag has none. */
+  otherRecords(): AsyncIterable<OtherRecord> {
+    return { [Symbol.asyncIterator]: () => ({ next: () => Promise.resolve({ done: true, value: undefined }) }) };
   }
 
   private ids(topics: readonly string[]): Set<number> {

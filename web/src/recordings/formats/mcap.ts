@@ -166,7 +166,7 @@ class McapRecording implements Recording {
     return this.reader.chunkIndexes
       .filter((chunk) => chunk.messageStartTime <= span.toNs && chunk.messageEndTime >= span.fromNs)
       .filter((chunk) => chunk.messageIndexOffsets.size === 0 || ids.some((id) => chunk.messageIndexOffsets.has(id)))
-      .sort((a, b) => (a.messageStartTime < b.messageStartTime ? -1 : 1));
+      .sort(byStart);
   }
 
   private checkSizes(chunks: ChunkIndex[]): void {
@@ -180,6 +180,11 @@ class McapRecording implements Recording {
     const overlapping = mostOverlappingBytes(spans, (chunk) => chunk.bytes);
     if (overlapping > MAX_OVERLAPPING) throw new ReadFailure("too_large", String(overlapping));
   }
+}
+
+function byStart(a: ChunkIndex, b: ChunkIndex): number {
+  if (a.messageStartTime === b.messageStartTime) return Number(a.chunkStartOffset - b.chunkStartOffset);
+  return a.messageStartTime < b.messageStartTime ? -1 : 1;
 }
 
 function spanOf(chunks: readonly ChunkIndex[]): Span | null {

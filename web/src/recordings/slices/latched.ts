@@ -91,9 +91,10 @@ class LastMessages implements Kept {
   constructor(private readonly count: number) {}
 
   add(message: Message): void {
-    let known = this.channels.find(({ channel }) => sameChannel(channel, message.channel));
-    if (known === undefined) this.channels.push((known = { channel: message.channel, last: [] }));
-    known.last = sortedByTime([...known.last, copied(message)]).slice(-this.count);
+    const own = copied(message);
+    const known = this.channels.find(({ channel }) => sameChannel(channel, message.channel));
+    if (known === undefined) this.channels.push({ channel: message.channel, last: [own] });
+    else known.last = sortedByTime([...known.last, own]).slice(-this.count);
   }
 
   isComplete(lastNs: bigint): boolean {

@@ -6,7 +6,6 @@ import { MAX_SLICE_IN_MEMORY } from "../limits";
 import type { MadeSlice, SliceOrder } from "../protocol";
 import type { Observer } from "../session";
 import { writeSlice } from "./slice";
-import { zstdCompression } from "./zstd";
 
 interface Target {
   write: (bytes: Uint8Array<ArrayBuffer>) => Promise<void>;
@@ -19,6 +18,7 @@ interface Target {
 export async function makeSlice(recording: Recording, { handle, ...request }: SliceOrder, { signal, onSliced }: Observer): Promise<MadeSlice> {
   const target = handle === null ? inMemory() : await inFile(handle);
   try {
+    const { zstdCompression } = await import("./zstd"); // a large module, which previews do without
     const result = await writeSlice(recording, request, {
       compression: await zstdCompression(),
       write: (bytes) => target.write(bytes as Uint8Array<ArrayBuffer>),

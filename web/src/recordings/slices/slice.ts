@@ -73,10 +73,10 @@ function checkSliceable(recording: Recording, topics: readonly string[], channel
   const known = new Set(recording.topics.map(({ name }) => name));
   const unknown = topics.find((topic) => !known.has(topic));
   if (unknown !== undefined) throw new ReadFailure("topic_unknown", unknown);
-  if (recording.indexedUntil !== null) throw new ReadFailure("not_sliceable", "it was not closed and has no index.");
+  if (recording.indexedUntil !== null) throw new ReadFailure("not_sliceable", "it was not closed and has no index");
   const undefinedOne = channels.find(({ schema }) => isUndefined(schema));
   if (undefinedOne !== undefined) {
-    throw new ReadFailure("not_sliceable", `it lacks the message definition of ${undefinedOne.topic}, which has to be added.`);
+    throw new ReadFailure("not_sliceable", `it lacks the message definition of ${undefinedOne.topic}`);
   }
 }
 
