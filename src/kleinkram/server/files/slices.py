@@ -100,11 +100,6 @@ class _Child:
         self._is_late = False
         self._timer = asyncio.get_running_loop().call_later(timeout_s, self._kill_late)
 
-    def _kill_late(self) -> None:
-        self._is_late = True
-        with contextlib.suppress(ProcessLookupError):
-            self._process.kill()
-
     async def request(self, line: bytes) -> SliceRefusal | None:
         """Return why the child refuses the request; None once its first bytes can be read."""
         process = self._process
@@ -113,23 +108,25 @@ class _Child:
         with contextlib.suppress(ConnectionError):  # it ended: its exit code has the reason
             process.stdin.write(line + b"\n")
             await process.stdin.drain()
-            process.stdin.close()
+        process.stdin.close()
         try:
-            return read_refusal(await process.stdout.readline())
-        except ValueError:
-            return SliceRefusal(RefusalKind.recording, await self._why_ended())
+            if answer := await process.stdout.readline():
+                return read_refusal(answer)
+        except ValueError:  # what the child never writes
+            self._kill()
+        _, stderr = await process.communicate()
+        return SliceRefusal(RefusalKind.recording, self._why_ended(stderr))
 
     async def pieces(self) -> AsyncIterator[bytes]:
         """Yield the bytes of the slice. Raises SliceCutOff if they are not whole."""
         stdout = self._process.stdout
         while stdout is not None and (piece := await stdout.read(_PIECE_BYTES)):
             yield piece
-        why = await self._why_ended()
-        if self._process.returncode != 0:
-            raise SliceCutOff(why)
-
-    async def _why_ended(self) -> str:
         _, stderr = await self._process.communicate()
+        if self._process.returncode != 0:
+            raise SliceCutOff(self._why_ended(stderr))
+
+    def _why_ended(self, stderr: bytes) -> str:
         if self._is_late or self._process.returncode == -signal.SIGXCPU:
             return "it takes longer than is allowed"
         if b"MemoryError" in stderr:
@@ -140,9 +137,16 @@ class _Child:
     async def end(self) -> None:
         """Kill it, if it still runs."""
         self._timer.cancel()
+        self._kill()
+        await self._process.communicate()
+
+    def _kill_late(self) -> None:
+        self._is_late = True
+        self._kill()
+
+    def _kill(self) -> None:
         with contextlib.suppress(ProcessLookupError):
             self._process.kill()
-        await self._process.communicate()
 
 
 class SliceCutOff(Exception):
