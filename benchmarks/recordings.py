@@ -14,6 +14,7 @@ from benchmarks.conversions import convert_bag_row, recompress_row
 from benchmarks.measure import take_turns
 from benchmarks.readings import raw_row, remote_row
 from benchmarks.scans import scan_bag_row, scan_mcap_row, synthetic_row
+from benchmarks.slices import cut_local_row, cut_mission_row, cut_remote_row
 from kleinkram.recordings.sample import generate_mcap
 
 Row = dict[str, object]
@@ -67,6 +68,9 @@ ROWS: tuple[Callable[[Path], Row], ...] = (
     remote_row,
     convert_bag_row,
     recompress_row,
+    cut_remote_row,
+    cut_local_row,
+    cut_mission_row,
 )
 
 

@@ -21,7 +21,11 @@ Klein = Callable[..., "subprocess.CompletedProcess[str]"]
 @pytest.fixture(scope="module")
 def klein(api: Api, tmp_path_factory: pytest.TempPathFactory) -> Klein:
     """Run a command, and check its exit code."""
-    home = tmp_path_factory.mktemp("home")
+    return klein_at(api, tmp_path_factory.mktemp("home"))
+
+
+def klein_at(api: Api, home: Path) -> Klein:
+    """Return a function that runs a command on a server with this home, and checks its exit code."""
     inherited = {key: value for key, value in os.environ.items() if not key.startswith(("KLEINKRAM_", "COLUMNS"))}
     ours = {name: str(home / name) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME")}
     known = {"KLEINKRAM_URL": api.url, "KLEINKRAM_TOKEN": str(api.token)}

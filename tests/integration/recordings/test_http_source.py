@@ -12,7 +12,15 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.recordings import FailureKind, FileSource, SourceError, SummaryFailed, http_source, summarise
+from kleinkram.recordings import (
+    FailureKind,
+    FileSource,
+    Recording,
+    SourceError,
+    SummaryFailed,
+    http_source,
+    summarise,
+)
 from kleinkram.recordings.http_source import ATTEMPTS, HttpSource
 from kleinkram.recordings.isolation import UrlRequest, summarise_isolated
 from kleinkram.recordings.limits import PARALLEL_READS
@@ -207,3 +215,21 @@ def test_a_refusal_of_the_store_is_a_source_failure(store: Store) -> None:
         summarise_isolated(UrlRequest(store.url, len(DATA), "drive.mcap"))
     assert caught.value.kind is FailureKind.source
     assert "hunter2" not in str(caught.value)
+
+
+def test_a_slice_survives_an_address_that_expires(store: Store, tmp_path: Path) -> None:
+    generate_mcap(tmp_path / "drive.mcap", size_bytes=4_000_000, duration_s=10)
+    store.data = (tmp_path / "drive.mcap").read_bytes()
+    renewed: list[str] = []
+
+    def renew() -> str:
+        renewed.append(f"{store.url}&again={len(renewed)}")
+        return renewed[-1]
+
+    source = HttpSource(store.url, size_bytes=len(store.data), name="drive.mcap", renew=renew)
+    with Recording.open(source) as far, Recording.open(tmp_path / "drive.mcap") as near:
+        store.mishaps = ["", "403"]
+        for name, recording in (("far", far), ("near", near)):
+            recording.to_mcap(tmp_path / f"{name}.mcap", "/imu/data", start="+2s", end="+8s")
+    assert len(renewed) == 1
+    assert (tmp_path / "far.mcap").read_bytes() == (tmp_path / "near.mcap").read_bytes()

@@ -113,7 +113,7 @@ def _recordings_of(client: Client, mission_id: UUID, files: Sequence[FileRead]) 
     selected = {file.id: file for file in files}
     for recording in client.recordings.list(mission_id):
         own = [selected[file_id] for file_id in recording.file_ids if file_id in selected]
-        if len(own) == len(recording.file_ids):
+        if own and len(own) == len(recording.file_ids):
             yield recording
         else:
             yield from own
@@ -177,10 +177,9 @@ class _Slicer:
         self.results: list[TransferResult] = []
 
     def run(self) -> None:
-        for target in self._targets:
-            first_ns, last_ns = target.span
-            if first_ns is not None and last_ns is not None and not self._is_inside(first_ns, last_ns):
-                continue
+        targets = [target for target in self._targets if self._may_overlap(target)]
+        self._watcher.began(len(targets), sum(target.recording.size_bytes for target in targets))
+        for target in targets:
             result = self._result(target)
             if result is not None:
                 self.results.append(result)
@@ -193,8 +192,9 @@ class _Slicer:
             return []
         return [pattern for pattern in self._patterns or () if pattern not in self._matched]
 
-    def _is_inside(self, first_ns: int, last_ns: int) -> bool:
-        return first_ns < self._end_ns and last_ns >= self._start_ns
+    def _may_overlap(self, target: SliceTarget) -> bool:
+        first_ns, last_ns = target.span
+        return first_ns is None or last_ns is None or (first_ns < self._end_ns and last_ns >= self._start_ns)
 
     def _result(self, target: SliceTarget) -> TransferResult | None:
         from kleinkram.recordings.errors import CannotWrite, OutsideRecording, RecordingError, SourceError

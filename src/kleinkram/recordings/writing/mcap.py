@@ -231,7 +231,7 @@ def write_slice(
     )
     latched = _latched(recordings, selection) if options.latched else []
     message_count = _copy_messages(recordings, selection, latched, _Channels(writer, channels), on_progress)
-    find = losses_met if selection.has_range else find_losses
+    find = losses_met if _is_partly_read(recordings, selection) else find_losses
     copied = [(recording, _copy_other_records(recording, writer, options)) for recording in recordings]
     losses = tuple(loss for recording, damaged in copied for loss in find(recording, damaged))
     writer.add_metadata(MADE_FROM, _made_from(sources, selection, latched, losses).items())
@@ -239,6 +239,13 @@ def write_slice(
     for recording in recordings:
         recording.check_unchanged()
     return WrittenMcap(message_count, writer.bytes_written, losses, len(latched))
+
+
+def _is_partly_read(recordings: Sequence[Recording], selection: Selection) -> bool:
+    """Return whether to measure losses would take far more bytes than the slice."""
+    sources = [member.source for one in recordings for member in one.members if isinstance(member, ChunkedMember)]
+    is_remote = any(getattr(source, "parallel_reads", 1) > 1 for source in sources)
+    return selection.has_range or (selection.topics is not None and is_remote)
 
 
 def _share_read_ahead(recordings: Sequence[Recording]) -> None:

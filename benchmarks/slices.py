@@ -1,0 +1,143 @@
+"""Rows about slices: cut over HTTP, cut locally by us and by public pairs, and cut out of a large mission."""
+
+import json
+import statistics
+from pathlib import Path
+
+from mcap.reader import SeekingReader
+
+from benchmarks.index_bytes import needed_bytes
+from benchmarks.measure import Run, run_side
+from benchmarks.range_server import serving
+from kleinkram.recordings import Recording
+
+_SIDES = "benchmarks.slice_sides"
+_PUBLIC = {"cut_mcap": "mcap", "cut_small_mcap": "small-mcap"}
+_IMU, _SECONDS = "/imu/data", 20
+_MOST_MB, _MB = 200, 10**6
+_ROUNDS = 3
+_MOST_BYTES, _MOST_TIME = 1.2, 1.3
+_MISSION_BYTES = 50 * 10**9
+_RECORDINGS = 20
+_WINDOW_MB = 0.25
+"""Bytes of each recording that are read to find its index, and attachments behind its last chunk."""
+
+
+def cut_remote_row(path: Path) -> dict[str, object]:
+    """One topic of 20 s out of an MCAP over HTTP, against the store alone."""
+    start_ns, end_ns = _middle(path, _SECONDS)
+    needed = needed_bytes(path, _IMU, start_ns, end_ns)
+    ranges = json.dumps(_chunk_ranges(path, _IMU, start_ns, end_ns))
+    target = path.with_name("cut.mcap")
+    ours: list[Run] = []
+    alone: list[Run] = []
+    with serving(path) as url:
+        for _ in range(_ROUNDS):
+            target.unlink(missing_ok=True)
+            span = str(start_ns), str(end_ns)
+            ours.append(_side("cut_remote", url, str(path.stat().st_size), str(target), _IMU, *span))
+            alone.append(_side("fetch_alone", url, ranges))
+    target.unlink()
+    bytes_ratio = max(run.facts["bytes"] for run in ours) / needed
+    time_ratio = statistics.median(run.seconds for run in ours) / statistics.median(run.seconds for run in alone)
+    peak_mb = max(run.peak_mb for run in ours)
+    return {
+        "what": f"cut one topic of {_SECONDS} s out of a 1 GB MCAP over HTTP, opening included",
+        "measured": f"{bytes_ratio:.2f}x of the bytes of the chunks needed and the index",
+        "also": (
+            f"{statistics.median(run.seconds for run in ours):.2f} s, {time_ratio:.2f}x of the store alone for "
+            f"these chunks; {needed / _MB:.0f} MB; {peak_mb:.0f} MB of memory (bar {_MOST_MB})"
+        ),
+        "bar": f"<= {_MOST_BYTES}x of the bytes, <= {_MOST_TIME}x of the time",
+        "met": bytes_ratio <= _MOST_BYTES and time_ratio <= _MOST_TIME and peak_mb <= _MOST_MB,
+        "bytes_ratio": bytes_ratio,
+        "time_ratio": time_ratio,
+    }
+
+
+def cut_local_row(path: Path) -> dict[str, object]:
+    """The middle half of an MCAP with all topics, by us and by public readers and writers."""
+    with Recording.open(path) as recording:
+        first_ns, last_ns = recording.start_ns or 0, recording.end_ns or 0
+    quarter = (last_ns - first_ns) // 4
+    target = path.with_name("cut.mcap")
+    arguments = str(path), str(target), str(first_ns + quarter), str(last_ns - quarter), "*"
+    runs = _take_turns(target, ["cut_ours", *_PUBLIC], *arguments)
+    if len({run.facts["messages"] for side in runs.values() for run in side}) != 1:
+        raise SystemExit(f"the sides cut different numbers of messages out of {path.name}")
+    seconds = {name: statistics.median(run.seconds for run in side) for name, side in runs.items()}
+    fastest = min(_PUBLIC, key=seconds.__getitem__)
+    ratio, peak_mb = seconds[fastest] / seconds["cut_ours"], max(run.peak_mb for run in runs["cut_ours"])
+    timings = ", ".join(f"{name} {seconds[side]:.2f} s" for side, name in _PUBLIC.items())
+    return {
+        "what": "the middle half of a 1 GB MCAP cut, all topics (zstd)",
+        "measured": f"{seconds['cut_ours']:.2f} s, {ratio:.2f}x of the fastest public pair ({_PUBLIC[fastest]})",
+        "also": f"{timings}; {peak_mb:.0f} MB (bar {_MOST_MB})",
+        "bar": ">= 1.0x",
+        "met": ratio >= 1 and peak_mb <= _MOST_MB,
+        "ratio": ratio,
+        "seconds": seconds,
+    }
+
+
+def cut_mission_row(path: Path) -> dict[str, object]:
+    """A slice of a mission of 20 recordings and 50 GB, which are made as they are read."""
+    target = path.with_name("cut.mcap")
+    target.unlink(missing_ok=True)
+    run = _side("cut_mission", str(target), str(_MISSION_BYTES // _RECORDINGS))
+    target.unlink()
+    facts = run.facts
+    allowed = _MOST_BYTES * facts["needed_bytes"] + facts["index_bytes"] + _RECORDINGS * _WINDOW_MB * _MB
+    return {
+        "what": f"{_SECONDS} s of one topic out of {_RECORDINGS} recordings of {facts['total_bytes'] / 1e9:.0f} GB "
+        "(synthetic), merged",
+        "measured": (
+            f"{facts['bytes'] / _MB:.0f} MB read: chunks needed {facts['needed_bytes'] / _MB:.0f} MB, "
+            f"indexes {facts['index_bytes'] / _MB:.0f} MB"
+        ),
+        "also": f"{run.seconds:.1f} s; {run.peak_mb:.0f} MB of memory (bar {_MOST_MB})",
+        "bar": f"indexes and {_MOST_BYTES}x of the chunks needed; <= {_MOST_MB} MB",
+        "met": facts["bytes"] <= allowed and run.peak_mb <= _MOST_MB,
+        "bytes": facts["bytes"],
+        "peak_mb": run.peak_mb,
+    }
+
+
+def _take_turns(target: Path, names: list[str], *arguments: str) -> dict[str, list[Run]]:
+    runs: dict[str, list[Run]] = {name: [] for name in names}
+    for _ in range(_ROUNDS):
+        for name in names:
+            target.unlink(missing_ok=True)
+            runs[name].append(_side(name, *arguments))
+    target.unlink()
+    return runs
+
+
+def _middle(path: Path, seconds: int) -> tuple[int, int]:
+    with Recording.open(path) as recording:
+        start_ns = ((recording.start_ns or 0) + (recording.end_ns or 0)) // 2
+    return start_ns, start_ns + seconds * 10**9
+
+
+def _chunk_ranges(path: Path, topic: str, start_ns: int, end_ns: int) -> list[tuple[int, int]]:
+    """Return start and length of the chunks that hold a topic in [start, end), adjacent ones joined to 4 MB."""
+    with path.open("rb") as stream:
+        summary = SeekingReader(stream).get_summary()
+    if summary is None:
+        raise ValueError(f"{path} has no summary")
+    channels = {number for number, channel in summary.channels.items() if channel.topic == topic}
+    ranges: list[tuple[int, int]] = []
+    for chunk in sorted(summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset):
+        is_inside = chunk.message_start_time < end_ns and chunk.message_end_time >= start_ns
+        if not is_inside or not channels & chunk.message_index_offsets.keys():
+            continue
+        start, length = chunk.chunk_start_offset, chunk.chunk_length
+        if ranges and start - sum(ranges[-1]) < 2**16 and start + length - ranges[-1][0] <= 4 * 2**20:
+            ranges[-1] = ranges[-1][0], start + length - ranges[-1][0]
+        else:
+            ranges.append((start, length))
+    return ranges
+
+
+def _side(name: str, *arguments: str) -> Run:
+    return run_side(name, *arguments, environment={}, module=_SIDES)
