@@ -129,6 +129,7 @@ _CLASSES: dict[ExitCode, tuple[type[KleinkramError], ...]] = {
         remote.UploadIncomplete,
         remote.ChecksumMismatch,
         remote.FileUnavailable,
+        remote.CannotSlice,
         local.VerifyFailed,
     ),
     ExitCode.destination: (local.DestinationRefused, local.DestinationDiffers, local.DiskFull),
