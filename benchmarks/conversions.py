@@ -3,10 +3,11 @@
 import statistics
 from pathlib import Path
 
-from benchmarks.measure import PAIRS, Run, pair, run_side
+from benchmarks.measure import Run, run_side
 from kleinkram.recordings.sample import generate_bag
 
 _SIDES = "benchmarks.conversion_sides"
+_ROUNDS = 3
 _MOST_MB = 200
 _BAG_BYTES = 1_000_000_000
 
@@ -16,32 +17,48 @@ def convert_bag_row(path: Path) -> dict[str, object]:
     bag = path.with_suffix(".bag")
     if not bag.exists():
         generate_bag(bag, size_bytes=_BAG_BYTES, seed=2)
-    return _row("a 1 GB bag converted to MCAP (zstd)", bag, "convert_rosbags", "rosbags with mcap")
+    pairs = {"convert_rosbags": "rosbags with mcap", "convert_rosbags_small": "rosbags with small-mcap"}
+    return _row("a 1 GB bag converted to MCAP (zstd)", bag, pairs)
 
 
 def recompress_row(path: Path) -> dict[str, object]:
     """An MCAP written anew."""
-    return _row("a 1 GB MCAP written anew (zstd)", path, "convert_mcap", "mcap")
+    pairs = {"convert_mcap": "mcap", "convert_small_mcap": "small-mcap"}
+    return _row("a 1 GB MCAP written anew (zstd)", path, pairs)
 
 
-def _row(what: str, source: Path, side: str, name: str) -> dict[str, object]:
-    def run(one: str) -> Run:
-        target = source.with_name("converted.mcap")
-        target.unlink(missing_ok=True)
-        return run_side(one, str(source), str(target), environment={}, module=_SIDES)
-
-    pairing = pair(lambda: run("convert_ours"), lambda: run(side), pairs=min(PAIRS, 3))
-    source.with_name("converted.mcap").unlink(missing_ok=True)
-    if len({one.facts["messages"] for one in (*pairing.ours, *pairing.raw)}) != 1:
+def _row(what: str, source: Path, pairs: dict[str, str]) -> dict[str, object]:
+    target = source.with_name("converted.mcap")
+    runs = in_turn(target, _SIDES, ["convert_ours", *pairs], str(source), str(target))
+    if len({run.facts["messages"] for side in runs.values() for run in side}) != 1:
         raise SystemExit(f"the sides wrote different numbers of messages of {source.name}")
-    seconds, peak_mb = pairing.median(lambda one: one.seconds), max(one.peak_mb for one in pairing.ours)
-    theirs = statistics.median(one.seconds for one in pairing.raw)
+    return compared(what, runs, "convert_ours", pairs)
+
+
+def in_turn(target: Path, module: str, names: list[str], *arguments: str) -> dict[str, list[Run]]:
+    """Run sides that write a file, each three times, one after the other; the file is removed after each."""
+    runs: dict[str, list[Run]] = {name: [] for name in names}
+    target.unlink(missing_ok=True)
+    for number in range(_ROUNDS):
+        for name in names[number % len(names) :] + names[: number % len(names)]:
+            runs[name].append(run_side(name, *arguments, environment={}, module=module))
+            target.unlink()
+    return runs
+
+
+def compared(what: str, runs: dict[str, list[Run]], ours: str, pairs: dict[str, str]) -> dict[str, object]:
+    """Return a row that compares our side with the fastest of the public pairs, by their names."""
+    seconds = {name: statistics.median(run.seconds for run in side) for name, side in runs.items()}
+    fastest = min(pairs, key=seconds.__getitem__)
+    ratio, peak_mb = seconds[fastest] / seconds[ours], max(run.peak_mb for run in runs[ours])
+    timings = ", ".join(f"{name} {seconds[side]:.2f} s" for side, name in pairs.items())
     return {
         "what": what,
-        "measured": f"{seconds:.2f} s, {pairing.ratio:.2f}x of {name} ({theirs:.2f} s)",
-        "also": f"{peak_mb:.0f} MB (bar {_MOST_MB})",
-        "bar": f"<= {_MOST_MB} MB",
-        "met": peak_mb <= _MOST_MB,
-        "ratio": pairing.ratio,
+        "measured": f"{seconds[ours]:.2f} s, {ratio:.2f}x of the fastest public pair ({pairs[fastest]})",
+        "also": f"{timings}; {peak_mb:.0f} MB (bar {_MOST_MB})",
+        "bar": ">= 1.0x",
+        "met": ratio >= 1 and peak_mb <= _MOST_MB,
+        "ratio": ratio,
         "peak_mb": peak_mb,
+        "seconds": seconds,
     }

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from http.client import HTTPConnection
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 from mcap.reader import make_reader
@@ -53,8 +54,8 @@ def cut_mcap(source: str, target: str, start_ns: str, end_ns: str, topics: str) 
 def cut_small_mcap(source: str, target: str, start_ns: str, end_ns: str, topics: str) -> Facts:
     """The same, read and written with small-mcap."""
     started = time.perf_counter()
-    count, wanted = 0, _topics(topics)
-    options = {} if wanted is None else {"should_include": include_topics(wanted)}
+    count, names = 0, _topics(topics)
+    options: dict[str, Any] = {} if names is None else {"should_include": include_topics(names)}
     with Path(source).open("rb") as file, Path(target).open("wb") as stream:
         writer = McapWriter(stream)
         writer.start("ros2")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from mcap.reader import SeekingReader
 
+from benchmarks.conversions import compared, in_turn
 from benchmarks.index_bytes import needed_bytes
 from benchmarks.measure import Run, run_side
 from benchmarks.range_server import serving
@@ -62,22 +63,10 @@ def cut_local_row(path: Path) -> dict[str, object]:
     quarter = (last_ns - first_ns) // 4
     target = path.with_name("cut.mcap")
     arguments = str(path), str(target), str(first_ns + quarter), str(last_ns - quarter), "*"
-    runs = _take_turns(target, ["cut_ours", *_PUBLIC], *arguments)
+    runs = in_turn(target, _SIDES, ["cut_ours", *_PUBLIC], *arguments)
     if len({run.facts["messages"] for side in runs.values() for run in side}) != 1:
         raise SystemExit(f"the sides cut different numbers of messages out of {path.name}")
-    seconds = {name: statistics.median(run.seconds for run in side) for name, side in runs.items()}
-    fastest = min(_PUBLIC, key=seconds.__getitem__)
-    ratio, peak_mb = seconds[fastest] / seconds["cut_ours"], max(run.peak_mb for run in runs["cut_ours"])
-    timings = ", ".join(f"{name} {seconds[side]:.2f} s" for side, name in _PUBLIC.items())
-    return {
-        "what": "the middle half of a 1 GB MCAP cut, all topics (zstd)",
-        "measured": f"{seconds['cut_ours']:.2f} s, {ratio:.2f}x of the fastest public pair ({_PUBLIC[fastest]})",
-        "also": f"{timings}; {peak_mb:.0f} MB (bar {_MOST_MB})",
-        "bar": ">= 1.0x",
-        "met": ratio >= 1 and peak_mb <= _MOST_MB,
-        "ratio": ratio,
-        "seconds": seconds,
-    }
+    return compared("the middle half of a 1 GB MCAP cut, all topics (zstd)", runs, "cut_ours", _PUBLIC)
 
 
 def cut_mission_row(path: Path) -> dict[str, object]:
@@ -101,16 +90,6 @@ def cut_mission_row(path: Path) -> dict[str, object]:
         "bytes": facts["bytes"],
         "peak_mb": run.peak_mb,
     }
-
-
-def _take_turns(target: Path, names: list[str], *arguments: str) -> dict[str, list[Run]]:
-    runs: dict[str, list[Run]] = {name: [] for name in names}
-    for _ in range(_ROUNDS):
-        for name in names:
-            target.unlink(missing_ok=True)
-            runs[name].append(_side(name, *arguments))
-    target.unlink()
-    return runs
 
 
 def _middle(path: Path, seconds: int) -> tuple[int, int]:

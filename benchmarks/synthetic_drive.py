@@ -14,6 +14,7 @@ from kleinkram.recordings.writing.mcap_writer import McapWriter, counted_bytes
 
 PERIOD_NS = 10**8
 IMU_PER_CHUNK = 10
+_STEP_NS = PERIOD_NS // IMU_PER_CHUNK
 _PICTURE = bytes(range(256)) * 3900
 _CHUNK_INDEX = struct.Struct("<QQQQ")
 _OFFSETS = 2
@@ -78,7 +79,7 @@ class SyntheticDrive:
         """Return everything behind the last chunk."""
         data_end = records.RECORD_HEAD.pack(Opcode.DATA_END, 4) + bytes(4)
         body = records.STATISTICS_BODY.pack(
-            self.chunks * (IMU_PER_CHUNK + 1), 0, 2, 0, 0, self.chunks, self._start_ns, self.end_ns - 1
+            self.chunks * (IMU_PER_CHUNK + 1), 0, 2, 0, 0, self.chunks, self._start_ns, self.end_ns - _STEP_NS
         )
         counts = struct.pack("<HQHQ", 0, self.chunks, 1, self.chunks * IMU_PER_CHUNK)
         statistics = _record(Opcode.STATISTICS, body + counted_bytes(counts))
@@ -90,7 +91,7 @@ class SyntheticDrive:
     def _chunk_index(self, number: int) -> bytes:
         start, first_ns = len(self._front) + number * self._stride, self._start_ns + number * PERIOD_NS
         offsets = struct.pack("<" + "HQ" * _OFFSETS, 0, start + self._offsets[0], 1, start + self._offsets[1])
-        times = first_ns, first_ns + (IMU_PER_CHUNK - 1) * (PERIOD_NS // IMU_PER_CHUNK)
+        times = first_ns, first_ns + PERIOD_NS - _STEP_NS
         body = _CHUNK_INDEX.pack(*times, start, self.chunk_bytes) + counted_bytes(offsets) + self._index_tail
         return _record(Opcode.CHUNK_INDEX, body)
 
@@ -112,7 +113,8 @@ def _write_chunk(start_ns: int, first_ns: int) -> tuple[bytes, bytes, bytes, byt
     camera, imu = (writer.add_channel(topic, 0, "cdr") for topic in ("/camera", "/imu"))
     writer.add_message(camera, first_ns, _PICTURE, sequence=0)
     for number in range(IMU_PER_CHUNK):
-        log_time_ns = first_ns + number * (PERIOD_NS // IMU_PER_CHUNK)
-        writer.add_message(imu, log_time_ns, struct.pack("<Q", first_ns - start_ns + number), sequence=number)
+        writer.add_message(
+            imu, first_ns + number * _STEP_NS, struct.pack("<Q", first_ns - start_ns + number), sequence=number
+        )
     writer._flush()
     return front, out.getvalue()[len(front) :], b"".join(writer._definitions), writer._chunk_indexes[0]

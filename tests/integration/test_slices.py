@@ -92,6 +92,7 @@ def test_what_is_wrong_with_a_cut_is_named(klein: Klein, drives: Path, tmp_path:
         ((source, "--start", "+6s", "--end", "+4s", *out), 2, "the time range is empty"),
         ((source, "--start", "noon", *out), 2, "'noon' is no time; write it like"),
         ((source, "--start", "+1h", *out), 8, "nothing was recorded from"),
+        (("-m", "x", "--topics", "/imu/data"), 2, "specify the file to write: -o"),
         ((drives / "none.mcap", *out), 8, "there is no such file"),
         ((drives / "notes.txt", *out), 8, "notes.txt"),
     ):
@@ -150,6 +151,8 @@ def test_download_of_slices_writes_one_file_for_each_recording(
     assert {item["outcome"] for item in document["items"]} == {"downloaded"}
     assert stamped(tmp_path / "drive.mcap") == expected(drives / "drive.mcap", "/imu/data")
     assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == ["drive.mcap", "drive2.mcap"]
+    refused = klein("download", "-m", mission, *words, "--limit-rate", "1M", code=2)
+    assert "it does not limit slices of recordings" in refused.stderr
     assert "already exists with other content" in klein("download", "-m", mission, *words, code=11).stderr
     klein("download", "-m", mission, *words, "--overwrite")
     assert stamped(tmp_path / "drive.mcap") == expected(drives / "drive.mcap", "/imu/data")

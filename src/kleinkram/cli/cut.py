@@ -29,7 +29,8 @@ from kleinkram.recordings import (
     Recording,
     Source,
 )
-from kleinkram.recordings.messages import Selection
+from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME
+from kleinkram.recordings.messages import END_OF_TIME_NS, Selection
 from kleinkram.recordings.recording_groups import RecordingGroup, RecordingGroupKind, read_folder
 from kleinkram.recordings.writing.mcap import merge_to_mcap, select_slice
 
@@ -184,7 +185,7 @@ def _estimate(recordings: Sequence[Recording], selection: Selection) -> Output:
             for segment in recording.segments(own)
             if segment.first_ns < selection.end_ns and segment.last_ns >= selection.start_ns
         )
-        items.append({"recording": recording.name, "topics": own, "chunk_bytes": sum(needed)})
+        items.append({"recording": _name_of(recording), "topics": own, "chunk_bytes": sum(needed)})
     total = sum(int(str(item["chunk_bytes"])) for item in items)
     text = f"Would read {size(total)} of {count(len(items), 'recording')}."
     return Output({"dry_run": True, "items": items}, text)
@@ -207,9 +208,13 @@ def _watching(name: str) -> Iterator[Callable[[float], None] | None]:
         raise Interrupted from None
 
 
+def _name_of(recording: Recording) -> str:
+    return recording.name.removesuffix(f"/{METADATA_NAME}")
+
+
 def _output(recordings: Sequence[Recording], selection: Selection, result: McapResult) -> Output:
     start_ns = selection.start_ns or None
-    end_ns = selection.end_ns if selection.has_range and selection.end_ns < 2**64 else None
+    end_ns = None if selection.end_ns == END_OF_TIME_NS else selection.end_ns
     document = {
         "path": str(result.path),
         "size_bytes": result.size_bytes,
@@ -218,7 +223,7 @@ def _output(recordings: Sequence[Recording], selection: Selection, result: McapR
         "start_ns": start_ns,
         "end_ns": end_ns,
         "topics": None if selection.topics is None else sorted(selection.topics),
-        "recordings": [recording.name for recording in recordings],
+        "recordings": [_name_of(recording) for recording in recordings],
         "losses": [asdict(loss) for loss in result.losses],
     }
     for loss in result.losses:

@@ -239,6 +239,8 @@ def download(
     with connect(*links) as client:
         files = [file for file in select_files(client, choice, refs) if not is_excluded(file.path, exclude or [])]
         if (topics, start_time, end_time) != (None, None, None):
+            if bytes_per_s is not None:
+                raise InvalidInput(what="--limit-rate", reason="it does not limit slices of recordings")
             what = transfer.SliceRange(options.topic_names(topics), start_time, end_time)
             return _download_slices(
                 client,

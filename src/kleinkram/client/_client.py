@@ -180,6 +180,8 @@ class Client:
         if not files:
             raise NothingToDo(reason="No file matches")
         if (topics, start, end) != (None, None, None):
+            if bytes_per_s is not None:
+                raise InvalidInput(what="bytes_per_s", reason="it does not limit slices of recordings")
             slices = plan_slices(self, files, folder, nested=nested)
             return download_slices(self, slices, SliceRange(topics, start, end), overwrite=overwrite)
         plan = plan_download(files, folder, nested=nested)

@@ -216,17 +216,18 @@ class _Slicer:
         return TransferResult(target.name, target.dest / target.relative, 0, Outcome.refused, error=failure)
 
     def _write(self, target: SliceTarget) -> TransferResult | None:
-        local = make_folders(target.dest, target.relative)
-        part = local
-        if regular_size(local) is not None:
-            if not self._overwrite:
-                raise DestinationDiffers(path=str(local))
-            part = partial_path(local, ".klein-slice")
-            part.unlink(missing_ok=True)
+        local = target.dest / target.relative
+        is_there = regular_size(local) is not None
+        if is_there and not self._overwrite:
+            raise DestinationDiffers(path=str(local))
+        part = partial_path(local, ".klein-slice") if is_there else local
         with self._client.recordings.open(target.recording) as recording:
             topics = self._matching([topic.name for topic in recording.topics])
             if topics is not None and not topics:
                 return None
+            make_folders(target.dest, target.relative)
+            if is_there:
+                part.unlink(missing_ok=True)  # of a killed process
             moved = 0
 
             def show(share: float) -> None:
