@@ -120,7 +120,7 @@ def test_only_readers_of_the_mission_get_a_slice(lab: Api, mission: str) -> None
     file_id = _store(lab, mission, _recording())
     path = f"/files/{file_id}/slice.mcap"
     lab.as_(people.person(lab).token).get(path).refused(404, "not_found")
-    lab.as_(None).get(path).refused(401, "not_authenticated")
+    lab.as_(None).get(path).refused(404, "not_found")
     assert lab.events(file_id) == []
 
 
@@ -162,7 +162,7 @@ def test_other_formats_and_damaged_bytes_are_refused(lab: Api, mission: str) -> 
     database = _store(lab, mission, b"x" * 100, format="db3")
     assert "MCAP" in lab.get(f"/files/{database}/slice.mcap").refused(409, "cannot_slice")["reason"]
     mission = lab.mission(lab.project()["id"])["id"]
-    broken = _store(lab, mission, b"\x89MCAP0\r\n" + bytes(5000))
+    broken = _store(lab, mission, b"no recording at all" * 300)
     lab.get(f"/files/{broken}/slice.mcap").refused(409, "cannot_slice")
 
 
