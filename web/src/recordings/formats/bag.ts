@@ -174,8 +174,8 @@ class BagRecording implements Recording {
   pieces(topics: readonly string[], span: Span): Piece[] {
     const ids = this.ids(topics);
     return this.holding(ids, span).map(({ fromNs, toNs, at, end, counts }) => {
-      const held = [...counts.keys()].flatMap((id) => this.connections.get(id)?.topic ?? []);
-      return { at, fromNs, toNs, bytes: end - at, topics: new Set(held) };
+      const inside = [...counts.keys()].flatMap((id) => this.connections.get(id)?.topic ?? []);
+      return { at, fromNs, toNs, bytes: end - at, topics: new Set(inside) };
     });
   }
 

@@ -119,12 +119,12 @@ class McapRecording implements Recording {
 
   messages(topics: readonly string[], span: Span, order: Order, onDamage: OnDamage): AsyncIterable<Message> {
     const chunks = this.chunks(topics, span);
-    const wanted = new Set(topics);
+    const selected = new Set(topics);
     this.checkSizes(chunks);
     const placed = chunks.map((index) => {
       return { index, at: Number(index.chunkStartOffset), fromNs: index.messageStartTime, toNs: index.messageEndTime };
     });
-    return inOrder(placed, ({ index }) => this.read(index, wanted), { span, order, onDamage });
+    return inOrder(placed, ({ index }) => this.read(index, selected), { span, order, onDamage });
   }
 
   otherRecords(): AsyncIterable<OtherRecord> {

@@ -15,7 +15,7 @@ const STATIC_TRANSFORMS = "tf_static";
 /** Pieces that are read for a topic, at most: the first and the last of those that hold it. */
 const MAX_PIECES = 64;
 
-interface Kept {
+interface Collector {
   add(message: Message): void;
   /** Whether messages up to a log time cannot be among the last ones. */
   isComplete(lastNs: bigint): boolean;
@@ -46,14 +46,14 @@ export function publisherCount({ topic, properties }: Channel): number {
 /** Returns the valid messages of latched topics before `startNs`, by log time. */
 export async function latchedBefore(recording: Recording, topics: readonly string[], startNs: bigint): Promise<Message[]> {
   const { span } = recording;
-  const kept = keptByTopic(recording.channels.filter(({ topic }) => topics.includes(topic)));
-  if (kept.size === 0 || span === null || span.fromNs >= startNs) return [];
-  const before = recording.pieces([...kept.keys()], { fromNs: 0n, toNs: startNs - 1n }).filter(({ fromNs }) => fromNs < startNs);
-  await readBackwards(recording, before, kept, startNs);
-  return sortedByTime([...kept.values()].flatMap((one) => one.messages()));
+  const collectors = collectorsOf(recording.channels.filter(({ topic }) => topics.includes(topic)));
+  if (collectors.size === 0 || span === null || span.fromNs >= startNs) return [];
+  const before = recording.pieces([...collectors.keys()], { fromNs: 0n, toNs: startNs - 1n }).filter(({ fromNs }) => fromNs < startNs);
+  await readBackwards(recording, before, collectors, startNs);
+  return sortedByTime([...collectors.values()].flatMap((one) => one.messages()));
 }
 
-function keptByTopic(channels: readonly Channel[]): Map<string, Kept> {
+function collectorsOf(channels: readonly Channel[]): Map<string, Collector> {
   const counts = new Map<string, number>();
   for (const channel of channels) {
     const count = publisherCount(channel);
@@ -62,14 +62,14 @@ function keptByTopic(channels: readonly Channel[]): Map<string, Kept> {
   return new Map([...counts].map(([topic, count]) => [topic, lastPart(topic) === STATIC_TRANSFORMS ? new LastTransforms() : new LastMessages(count)]));
 }
 
-async function readBackwards(recording: Recording, pieces: readonly Piece[], kept: ReadonlyMap<string, Kept>, startNs: bigint): Promise<void> {
+async function readBackwards(recording: Recording, pieces: readonly Piece[], collectors: ReadonlyMap<string, Collector>, startNs: bigint): Promise<void> {
   const latestFirst = pieces.toSorted((a, b) => (a.toNs === b.toNs ? 0 : a.toNs > b.toNs ? -1 : 1));
-  const toRead = new Map([...kept.keys()].map((topic) => [topic, outermost(latestFirst, topic)]));
+  const toRead = new Map([...collectors.keys()].map((topic) => [topic, outermost(latestFirst, topic)]));
   for (const piece of latestFirst) {
-    const topics = [...kept].filter(([topic, one]) => toRead.get(topic)?.has(piece) === true && !one.isComplete(piece.toNs)).map(([topic]) => topic);
+    const topics = [...collectors].filter(([topic, one]) => toRead.get(topic)?.has(piece) === true && !one.isComplete(piece.toNs)).map(([topic]) => topic);
     if (topics.length === 0) continue;
     for (const message of sortedByTime(await recording.readPiece(piece, topics))) {
-      if (message.logTimeNs < startNs) kept.get(message.channel.topic)?.add(message);
+      if (message.logTimeNs < startNs) collectors.get(message.channel.topic)?.add(message);
     }
   }
 }
@@ -85,7 +85,7 @@ function sortedByTime(messages: readonly Message[]): Message[] {
 }
 
 /** The last messages of each channel of a topic. */
-class LastMessages implements Kept {
+class LastMessages implements Collector {
   private readonly channels: { channel: Channel; last: Message[] }[] = [];
 
   constructor(private readonly count: number) {}
@@ -108,7 +108,7 @@ class LastMessages implements Kept {
 }
 
 /** The last message for each child frame. */
-class LastTransforms implements Kept {
+class LastTransforms implements Collector {
   private readonly byFrame = new Map<string, Message>();
 
   add(message: Message): void {

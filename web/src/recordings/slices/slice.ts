@@ -86,11 +86,11 @@ function isUndefined({ encoding, definition, messageEncoding }: Channel["schema"
 }
 
 function spanOf({ span }: Recording, { startNs, endNs }: SliceRequest): Span {
-  const wanted = { fromNs: startNs ?? 0n, toNs: (endNs ?? END_OF_TIME) - 1n };
+  const requested = { fromNs: startNs ?? 0n, toNs: (endNs ?? END_OF_TIME) - 1n };
   const hasRange = startNs !== null || endNs !== null;
-  const isOutside = span === null || wanted.fromNs > span.toNs || wanted.toNs < span.fromNs || wanted.toNs < wanted.fromNs;
+  const isOutside = span === null || requested.fromNs > span.toNs || requested.toNs < span.fromNs || requested.toNs < requested.fromNs;
   if (hasRange && isOutside) throw new ReadFailure("range_outside");
-  return wanted;
+  return requested;
 }
 
 /** The profile of the recording; where it has none, that of its messages. */
