@@ -9,6 +9,7 @@ import uuid
 from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import pytest
 import urllib3
@@ -46,7 +47,7 @@ def _recording(*, messages: int = 40, message_bytes: int = 100) -> bytes:
     return out.getvalue()
 
 
-def _store(api: Api, mission_id: str, body: bytes, **columns: object) -> str:
+def _store(api: Api, mission_id: str, body: bytes, **columns: Any) -> str:
     """Put a recording with its bytes; returns the id of the file."""
     key = f"blobs/{uuid.uuid4()}"
 
@@ -55,7 +56,7 @@ def _store(api: Api, mission_id: str, body: bytes, **columns: object) -> str:
             await storage.put_object(key, body)
 
     asyncio.run(put())
-    span = {"start_ns": T0, "end_ns": T0 + 39 * SECOND}
+    span: dict[str, Any] = {"start_ns": T0, "end_ns": T0 + 39 * SECOND}
     return Sample(api).file(mission_id, "day/drive.mcap", key=key, size_bytes=len(body), **{**span, **columns})
 
 

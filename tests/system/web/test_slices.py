@@ -34,14 +34,15 @@ def test_download_selection_gives_the_bytes_of_klein_cut(
 
     wait_until(lambda: all(file["content"] == "indexed" for file in files().values()), "the files to be read")
     known = files()
+    variants: dict[str, dict[str, Any]] = {
+        "all": {"topics": None, "from": None, "to": None},
+        "imu": {"topics": ["/imu/data"], "from": 1, "to": 2},
+        "later": {"topics": None, "from": 1.5, "to": None},
+    }
     selections = [
         {"name": f"{name} {what}", "file": known[name]["id"], **selected}
         for name in _NAMES
-        for what, selected in {
-            "all": {"topics": None, "from": None, "to": None},
-            "imu": {"topics": ["/imu/data"], "from": 1, "to": 2},
-            "later": {"topics": None, "from": 1.5, "to": None},
-        }.items()
+        for what, selected in variants.items()
     ]
     results = run_browser("slices.mjs", cluster, json.dumps(selections))
 

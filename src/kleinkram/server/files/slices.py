@@ -59,8 +59,11 @@ class Selection:
 
     def for_audit(self) -> Metadata:
         """Return what the audit log records."""
-        topics = None if self.topics is None else list(self.topics)
-        return {"topics": topics, "start": self.start, "end": self.end}
+        return {
+            "topics": None if self.topics is None else [*self.topics],
+            "start": self.start,
+            "end": self.end,
+        }
 
 
 class SliceSlots:
