@@ -11,18 +11,16 @@ const browser = await launchBrowser(web, executablePath);
 const results = { files: {}, downloads: {}, commands: {}, consoleErrors: [] };
 const sha256 = (bytes) => createHash("sha256").update(bytes).digest("hex");
 
+const context = await browser.newContext({ acceptDownloads: true });
+
 /** Opens a page whose browser can write files (into its private file system), or cannot. */
 async function openPage(canWrite) {
-  const context = await browser.newContext({ acceptDownloads: true });
-  await context.addInitScript((can) => {
-    const pick = async ({ suggestedName }) => (await navigator.storage.getDirectory()).getFileHandle(suggestedName, { create: true });
-    if (can) window.showSaveFilePicker = pick;
-    else delete window.showSaveFilePicker;
-  }, canWrite);
   const page = await context.newPage();
+  await page.addInitScript((can) => {
+    const pick = async ({ suggestedName }) => (await navigator.storage.getDirectory()).getFileHandle(suggestedName, { create: true });
+    window.showSaveFilePicker = can ? pick : undefined;
+  }, canWrite);
   page.on("console", (message) => message.type() === "error" && !isEnvironmentError(message.text()) && results.consoleErrors.push(message.text()));
-  await page.goto(link);
-  await page.waitForURL((url) => url.pathname === "/");
   return page;
 }
 
@@ -45,6 +43,8 @@ async function select(page, { file, topics, from, to }) {
 
 const writing = await openPage(true);
 const loading = await openPage(false);
+await writing.goto(link);
+await writing.waitForURL((url) => url.pathname === "/");
 for (const selection of JSON.parse(selections)) {
   const dialog = await select(writing, selection);
   results.commands[selection.name] = await dialog.locator("pre, code").first().innerText();
