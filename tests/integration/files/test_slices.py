@@ -154,9 +154,9 @@ def test_bad_requests_are_refused_by_field(
 ) -> None:
     file_id = _store(lab, mission, _recording())
     problem = lab.get(f"/files/{file_id}/slice.mcap", query).refused(422, "invalid_request")
-    (found,) = problem["problems"]
-    assert found["field"] == field
-    assert sentence in found["message"]
+    (field_problem,) = problem["problems"]
+    assert field_problem["field"] == field
+    assert sentence in field_problem["message"]
 
 
 def test_other_formats_and_damaged_bytes_are_refused(lab: Api, mission: str) -> None:

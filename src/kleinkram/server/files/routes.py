@@ -20,7 +20,7 @@ from kleinkram.contract.projects import Deleted
 from kleinkram.contract.query import combined_filter
 from kleinkram.contract.search import FileQuery, FilesLabelled, LabelChange
 from kleinkram.server.files import service
-from kleinkram.server.files.slices import Selection, open_slice
+from kleinkram.server.files.slices import SliceSelection, open_slice
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
 from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.http.middleware import mark_as_stream
@@ -110,7 +110,7 @@ async def slice_file(
     """
     mark_as_stream(request.scope)
     topics = tuple(name for text in query.topics for name in text.replace(",", " ").split())
-    selection = Selection(topics or None, query.start, query.end)
+    selection = SliceSelection(topics or None, query.start, query.end)
     return await open_slice(context, request.app.state.slice_slots, actor, file_id=file_id, selection=selection)
 
 

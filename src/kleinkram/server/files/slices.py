@@ -50,7 +50,7 @@ _FIELDS = {RefusalKind.topic: "topics", RefusalKind.range: "start"}
 
 
 @dataclass(frozen=True)
-class Selection:
+class SliceSelection:
     """Topics (names or globs; None: all) from log time `start` to before `end` (None: all), as the client wrote it."""
 
     topics: tuple[str, ...] | None
@@ -186,7 +186,7 @@ class SliceResponse(StreamingResponse):
 
 
 async def open_slice(
-    context: AppContext, slots: SliceSlots, actor: Actor, *, file_id: uuid.UUID, selection: Selection
+    context: AppContext, slots: SliceSlots, actor: Actor, *, file_id: uuid.UUID, selection: SliceSelection
 ) -> SliceResponse:
     """Return a response that sends a slice of a recording as MCAP; the audit log records it as a download.
 
@@ -231,7 +231,7 @@ async def open_slice(
         return response
 
 
-def _resolve_range(selection: Selection, read: FileRead) -> tuple[int | None, int | None]:
+def _resolve_range(selection: SliceSelection, read: FileRead) -> tuple[int | None, int | None]:
     start_ns = None if selection.start is None else _resolve("start", selection.start, read)
     end_ns = None if selection.end is None else _resolve("end", selection.end, read)
     if start_ns is not None and end_ns is not None and end_ns <= start_ns:
