@@ -28,7 +28,6 @@ WRITES: dict[str, set[str]] = {
     "create_check_note": {"mission.create_check_note"},
     "delete_check_note": {"mission.delete_check_note"},
     "download_files": {"file.download", "[file.preview]"},
-    "slice_file": {"file.download"},
     "verify_file": {"file.verify"},
     "update_file": {"[file.update]"},
     "label_files": {"file.update"},
