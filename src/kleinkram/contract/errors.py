@@ -10,9 +10,9 @@ raises the same class that the server raised. Never match on a message.
       requests      NotFound WrongClient AmbiguousName NameTaken NotFromLibrary EditConflict InvalidRequest
                     InvalidQuery InvalidCursor YamlInvalid FieldsInvalid MetadataInvalid BodyTooLarge MethodNotAllowed
       files         FileExists PathConflict NameLeased UploadGone UploadIncomplete ChecksumMismatch FileUnavailable
-                    QuotaExceeded
+                    CannotSlice QuotaExceeded
       runs          RunGone NoInputs NoRunner
-      server        RateLimited TooManyStreams StoreUnavailable DatabaseUnavailable InternalError
+      server        RateLimited TooManyStreams TooManySlices StoreUnavailable DatabaseUnavailable InternalError
 
 `kleinkram.contract.problems` turns them into problem documents and back.
 """
@@ -72,12 +72,14 @@ class ErrorCode(str, enum.Enum):
     upload_incomplete = "upload_incomplete"
     checksum_mismatch = "checksum_mismatch"
     file_unavailable = "file_unavailable"
+    cannot_slice = "cannot_slice"
     quota_exceeded = "quota_exceeded"
     run_gone = "run_gone"
     no_inputs = "no_inputs"
     no_runner = "no_runner"
     rate_limited = "rate_limited"
     too_many_streams = "too_many_streams"
+    too_many_slices = "too_many_slices"
     store_unavailable = "store_unavailable"
     database_unavailable = "database_unavailable"
     internal_error = "internal_error"
@@ -443,6 +445,13 @@ class FileUnavailable(KleinkramError, status=409):
     state: str
 
 
+class CannotSlice(KleinkramError, status=409):
+    """The server cannot make a slice of {path!r}: {reason}. On your computer, `klein cut` may be able to."""
+
+    path: str
+    reason: str
+
+
 class QuotaExceeded(KleinkramError, status=507):
     """The quota of project {project!r} does not allow {requested} {unit}{numbers}. Nothing was started; delete something, or ask an admin for more."""  # noqa: E501  one sentence
 
@@ -500,6 +509,14 @@ class TooManyStreams(KleinkramError, status=429):
     """Your account has {limit} streams or waiting requests open, which is the limit. Close a page or a program."""
 
     limit: int
+
+
+class TooManySlices(KleinkramError, status=429):
+    """At most {limit} slices are made at once {scope}. Wait until one is done, or use `klein cut`."""
+
+    limit: int
+    # `for one account` or `by this server`.
+    scope: str
 
 
 class StoreUnavailable(KleinkramError, status=503):

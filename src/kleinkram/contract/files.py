@@ -261,6 +261,22 @@ class DownloadLinks(Response):
     items: list[DownloadLink]
 
 
+LogTime = Annotated[str, Field(min_length=1, max_length=64)]
+TopicPattern = Annotated[str, Field(min_length=1, max_length=4096)]
+
+
+class SliceQuery(Request):
+    """What of a recording is wanted: topics from `start` (inclusive) to `end` (exclusive); by default, all of it.
+
+    `topics`: names or globs, repeated or separated by commas. Times are log times, as `klein cut` takes them:
+    2026-05-01T10:00:00Z, 10:00 (UTC), +20s after the start, or nanoseconds since 1970.
+    """
+
+    topics: Annotated[list[TopicPattern], Field(max_length=1000)] = []
+    start: LogTime | None = None
+    end: LogTime | None = None
+
+
 MAX_BINS = 512
 MAX_MISSION_TOPICS = 2_000
 

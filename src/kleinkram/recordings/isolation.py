@@ -216,16 +216,20 @@ def main() -> int:
 
     for line in sys.stdin.buffer:
         request = json.loads(line)
-        memory_bytes = request["memory_bytes"]
-        resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
-        _, max_s = resource.getrlimit(resource.RLIMIT_CPU)
-        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(time.process_time()) + request["cpu_s"], max_s))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        # The stack of a thread counts as address space from its start.
-        threading.stack_size(STACK_BYTES)
+        limit_this_process(memory_bytes=request["memory_bytes"], cpu_s=request["cpu_s"])
         sys.stdout.write(json.dumps(_answer(request)) + "\n")
         sys.stdout.flush()
     return 0
+
+
+def limit_this_process(*, memory_bytes: int, cpu_s: int) -> None:
+    """Limit the address space and, from now on, the processor time of this process; no core file."""
+    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
+    _, max_s = resource.getrlimit(resource.RLIMIT_CPU)
+    resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(time.process_time()) + cpu_s, max_s))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    # The stack of a thread counts as address space from its start.
+    threading.stack_size(STACK_BYTES)
 
 
 def _answer(request: dict[str, Any]) -> dict[str, object]:

@@ -25,6 +25,7 @@ from kleinkram.server.db import open_database
 from kleinkram.server.events.hub import open_hub
 from kleinkram.server.events.routes import router as events
 from kleinkram.server.files.routes import router as files
+from kleinkram.server.files.slices import SliceSlots
 from kleinkram.server.grants.routes import router as grants
 from kleinkram.server.groups.affiliations import ensure_affiliations
 from kleinkram.server.groups.routes import router as groups
@@ -143,6 +144,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.settings = settings
     app.state.admin_reads, app.state.refusals = AdminReads(), Refusals()
+    app.state.slice_slots = SliceSlots(settings.slices_at_once, settings.slices_per_account)
     app.add_middleware(RequestMiddleware, settings=settings)
     install_error_handlers(app)
     for router in ROUTERS:

@@ -296,6 +296,18 @@ class Settings(BaseSettings):
     )
     part_url_s: Seconds = Field(default=900, description="Lifetime of upload URLs of parts, in seconds.")
     download_url_s: Seconds = Field(default=900, description="Lifetime of download URLs, in seconds.")
+    slices_at_once: int = Field(
+        default=4, ge=1, description="Slices of recordings that one API process makes at once, each in a child process."
+    )
+    slices_per_account: int = Field(
+        default=2, ge=1, description="Of these, slices of one account, link, or address without an account."
+    )
+    slice_timeout_s: int = Field(
+        default=900, ge=1, description="Seconds, also of processor time, after which a slice is cut off."
+    )
+    slice_memory_bytes: int = Field(
+        default=1024 * 1024 * 1024, ge=256 * 1024 * 1024, description="Address space of the process that makes a slice."
+    )
     share_days_max: int = Field(default=90, ge=1, le=3650, description="Maximum lifetime of share links, in days.")
     trash_days: int = Field(default=30, ge=0, description="Days for which deleted objects can be restored.")
     garbage_grace_s: float = Field(

@@ -133,6 +133,10 @@ OBJECT_OPERATIONS: dict[str, tuple[Caller, ...]] = {
     "download_files": (
         Caller(post("/files/download", lambda principal: {"file_ids": [principal.objects.file]}), Target.file),
     ),
+    "slice_file": (
+        # Refused for its time, after the rights: a slice starts a process.
+        Caller(get("/files/{file}/slice.mcap", start="never"), Target.file, accepted_code="invalid_request"),
+    ),
     "list_file_topics": (Caller(get("/files/{file}/topics"), Target.file),),
     "verify_file": (Caller(post("/files/{file}/verify"), Target.file),),
     "update_file": (Caller(patch("/files/{file}", lambda _: {"labels": []}), Target.file),),

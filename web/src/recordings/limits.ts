@@ -33,6 +33,8 @@ export const MAX_DEFINITION = 4 * MIB;
 export const MAX_ELEMENTS = 16;
 /** Fields that are offered for plotting. */
 export const MAX_FIELDS = 600;
+/** A slice that a browser keeps in memory, because it cannot write a file. */
+export const MAX_SLICE_IN_MEMORY = 1_000_000_000;
 /** Curves in one plot. */
 export const MAX_CURVES = 6;
 /** The store must send something within this time. */

@@ -4,6 +4,7 @@ import type { Curves } from "./curves/curves";
 import type { FieldNode } from "./decoding/fields";
 import type { FailureCode } from "./failures";
 import type { Address } from "./ranges";
+import type { SliceRequest, SliceResult } from "./slices/slice";
 
 /** Formats that the preview reads, by their names in the API. */
 export const READABLE_FORMATS = ["mcap", "rosbag1"] as const;
@@ -68,12 +69,29 @@ export interface DrawnCurves extends Curves {
   untilNs: bigint;
 }
 
+/** A slice, and where it is written: into a file, or into memory. */
+export interface SliceOrder extends SliceRequest {
+  handle: FileSystemFileHandle | null;
+}
+
+export interface MadeSlice extends SliceResult {
+  /** The slice, where it was written into memory. */
+  blob: Blob | null;
+}
+
+/** The share of a slice that is done, from 0 to 1, and its bytes so far. */
+export interface SliceProgress {
+  share: number;
+  bytes: number;
+}
+
 /** Requests of the page by kind, each with its answer. A viewer that needs other data adds its kind here. */
 export interface Requests {
   open: { request: RecordingFile; answer: Opened };
   picture: { request: PictureRequest; answer: ShownPicture };
   fields: { request: { topic: string }; answer: OfferedFields };
   curves: { request: CurvesRequest; answer: DrawnCurves };
+  slice: { request: SliceOrder; answer: MadeSlice };
 }
 
 export type RequestKind = keyof Requests;
@@ -89,5 +107,6 @@ export type FromWorker =
   | { type: "answer"; id: number; answer: Answer }
   | { type: "failure"; id: number; code: FailureCode; detail: string }
   | { type: "progress"; id: number; curves: DrawnCurves }
+  | { type: "sliced"; id: number; progress: SliceProgress }
   | { type: "read"; bytes: number }
   | { type: "renew"; id: number };

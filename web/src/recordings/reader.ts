@@ -2,7 +2,7 @@
 
 import { ReadFailure, type FailureCode } from "./failures";
 import { WORKER_TIMEOUT_MS } from "./limits";
-import type { Answer, DrawnCurves, FromWorker, RecordingFile, Request, RequestKind, Requests, ToWorker } from "./protocol";
+import type { Answer, DrawnCurves, FromWorker, RecordingFile, Request, RequestKind, Requests, SliceProgress, ToWorker } from "./protocol";
 import type { Address } from "./ranges";
 
 /** What of a Worker is used. */
@@ -27,11 +27,13 @@ interface Waiting {
   resolve: (answer: never) => void;
   reject: (failure: ReadFailure) => void;
   onCurves: ((curves: DrawnCurves) => void) | undefined;
+  onSliced: ((progress: SliceProgress) => void) | undefined;
 }
 
 export interface RequestOptions {
   signal?: AbortSignal;
   onCurves?: (curves: DrawnCurves) => void;
+  onSliced?: (progress: SliceProgress) => void;
 }
 
 export class RecordingReader {
@@ -63,13 +65,13 @@ export class RecordingReader {
     this.end("cancelled");
   }
 
-  private send<K extends RequestKind>(request: Request, { signal, onCurves }: RequestOptions): Promise<Answer<K>> {
+  private send<K extends RequestKind>(request: Request, { signal, onCurves, onSliced }: RequestOptions): Promise<Answer<K>> {
     if (signal?.aborted === true) return Promise.reject(new ReadFailure("cancelled"));
     const worker = this.started();
     const id = ++this.lastId;
     const cancel = (): void => worker.postMessage({ type: "cancel", id });
     signal?.addEventListener("abort", cancel, { once: true });
-    const answer = new Promise<Answer<K>>((resolve, reject) => this.waiting.set(id, { resolve, reject, onCurves }));
+    const answer = new Promise<Answer<K>>((resolve, reject) => this.waiting.set(id, { resolve, reject, onCurves, onSliced }));
     worker.postMessage({ type: "request", id, request });
     this.watchOver();
     return answer.finally(() => signal?.removeEventListener("abort", cancel));
@@ -93,6 +95,7 @@ export class RecordingReader {
     if (message.type === "renew") void this.renew(worker);
     else if (message.type === "read") this.noteRead(message.bytes);
     else if (message.type === "progress") this.waiting.get(message.id)?.onCurves?.(message.curves);
+    else if (message.type === "sliced") this.waiting.get(message.id)?.onSliced?.(message.progress);
     else {
       const waiting = this.waiting.get(message.id);
       this.waiting.delete(message.id);

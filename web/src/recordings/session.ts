@@ -7,7 +7,7 @@ import { ReadFailure } from "./failures";
 import { cost, type Message, type OnDamage, type Order, type Piece, type Recording, type Schema, type Span } from "./formats/recording";
 import { MAX_DAMAGED, READ_AHEAD } from "./limits";
 import { pictureOf, type Picture } from "./pictures/picture";
-import type { CurvesRequest, DamagedPart, DrawnCurves, OfferedFields, Opened, PictureRequest } from "./protocol";
+import type { CurvesRequest, DamagedPart, DrawnCurves, OfferedFields, Opened, PictureRequest, SliceProgress } from "./protocol";
 
 export interface PictureMessage {
   logTimeNs: bigint;
@@ -16,10 +16,11 @@ export interface PictureMessage {
   damaged: DamagedPart[];
 }
 
-/** Receives curves while they are read; `signal` cancels. */
+/** Receives curves and progress while something is read; `signal` cancels. */
 export interface Observer {
   signal: AbortSignal;
   onCurves: (curves: DrawnCurves) => void;
+  onSliced: (progress: SliceProgress) => void;
 }
 
 const REPORT_EVERY_MS = 400;
@@ -30,7 +31,7 @@ const DENSE = 0.5;
 export class Session {
   private readonly decoders = new Map<Schema, Decode>();
 
-  constructor(private readonly recording: Recording) {}
+  constructor(readonly recording: Recording) {}
 
   opened(): Opened {
     const topics = this.recording.topics.map(({ name, schema }) => ({ name, messageType: schema.name }));
@@ -49,7 +50,7 @@ export class Session {
         ? ((await this.first(topic, before, "backward", noticed)) ?? (await this.first(topic, span, "forward", noticed)))
         : ((await this.first(topic, after, "forward", noticed)) ?? (await this.first(topic, span, "backward", noticed)));
     if (message === null) throw noticed.first ?? new ReadFailure("topic_silent");
-    const picture = pictureOf(this.decoder(message.schema)(message.data));
+    const picture = pictureOf(this.decoder(message.channel.schema)(message.data));
     return { logTimeNs: message.logTimeNs, picture, damaged: noticed.parts };
   }
 
@@ -57,7 +58,7 @@ export class Session {
   async fields(topic: string): Promise<OfferedFields> {
     const span = this.span(topic);
     const noticed = new Damages(span.fromNs);
-    for await (const message of this.recording.messages(topic, span, "forward", noticed.note)) {
+    for await (const message of this.recording.messages([topic], span, "forward", noticed.note)) {
       const value = this.decodeOrNote(message, noticed);
       if (value !== null) return { fields: fieldTree(value) };
       if (noticed.parts.length >= MAX_DAMAGED) break;
@@ -66,10 +67,10 @@ export class Session {
   }
 
   /** Curves of fields against seconds since the start of the recording, as far as `maxBytes` reach. */
-  async curves(request: CurvesRequest, { signal, onCurves }: Observer): Promise<DrawnCurves> {
+  async curves(request: CurvesRequest, { signal, onCurves }: Pick<Observer, "signal" | "onCurves">): Promise<DrawnCurves> {
     const start = this.span(request.topic).fromNs;
     const requested = { fromNs: request.fromNs, toNs: request.toNs };
-    const pieces = this.recording.pieces(request.topic, requested);
+    const pieces = this.recording.pieces([request.topic], requested);
     const span = affordable(requested, pieces, request.maxBytes);
     const paths = request.fields.map((field) => stepsOf(field) ?? []);
     const seconds = (timeNs: bigint): number => Number(timeNs - start) / SECOND_NS;
@@ -79,12 +80,12 @@ export class Session {
     this.recording.source.ahead = this.isDense(pieces) ? READ_AHEAD : 0;
     let reportedAt = Date.now();
     try {
-      for await (const message of this.recording.messages(request.topic, span, "forward", noticed.note)) {
+      for await (const message of this.recording.messages([request.topic], span, "forward", noticed.note)) {
         const value = this.decodeOrNote(message, noticed);
         collector.add(seconds(message.logTimeNs), paths.map((path) => (value === null ? null : numberAt(value, path))));
         if (Date.now() - reportedAt < REPORT_EVERY_MS) continue;
         onCurves(drawn());
-        await yieldToEvents(); // lets a cancellation in
+        await yieldToEvents();
         if (signal.aborted) throw new ReadFailure("cancelled");
         reportedAt = Date.now();
       }
@@ -103,12 +104,12 @@ export class Session {
   }
 
   private async first(topic: string, span: Span, order: Order, noticed: Damages): Promise<Message | null> {
-    for await (const message of this.recording.messages(topic, span, order, noticed.note)) return message;
+    for await (const message of this.recording.messages([topic], span, order, noticed.note)) return message;
     return null;
   }
 
   private decodeOrNote(message: Message, noticed: Damages): Value | null {
-    const decode = this.decoder(message.schema);
+    const decode = this.decoder(message.channel.schema);
     try {
       return decode(message.data);
     } catch (thrown) {
@@ -163,6 +164,7 @@ function affordable(span: Span, pieces: readonly Piece[], maxBytes: number): Spa
   return span;
 }
 
-function yieldToEvents(): Promise<void> {
+/** Lets what arrived in the meantime be handled, such as a cancellation. */
+export function yieldToEvents(): Promise<void> {
   return new Promise((resolve) => setTimeout(resolve));
 }

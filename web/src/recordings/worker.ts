@@ -7,6 +7,7 @@ import { pixelsOf } from "./pictures/pixels";
 import type { Answer, FromWorker, RecordingFile, Request, RequestKind, Requests, ShownPicture, ToWorker } from "./protocol";
 import { Ranges, type Address } from "./ranges";
 import { Session, type Observer, type PictureMessage } from "./session";
+import { makeSlice } from "./slices/make_slice";
 
 const REPORT_EVERY_MS = 200;
 
@@ -36,6 +37,7 @@ const handlers: {
   picture: async (session, request) => bitmapOf(await session.picture(request)),
   fields: (session, { topic }) => session.fields(topic),
   curves: (session, request, observer) => session.curves(request, observer),
+  slice: (session, request, observer) => makeSlice(session.recording, request, observer),
 };
 
 function enqueue(id: number, request: Request): void {
@@ -67,7 +69,11 @@ async function open({ format, sizeBytes }: RecordingFile, signal: AbortSignal): 
 function handle(id: number, request: Exclude<Request, { kind: "open" }>, signal: AbortSignal): Promise<Answer> {
   if (session === null || source === null) throw new ReadFailure("worker_ended");
   source.signal = signal;
-  const observer: Observer = { signal, onCurves: (curves) => scope.postMessage({ type: "progress", id, curves }) };
+  const observer: Observer = {
+    signal,
+    onCurves: (curves) => scope.postMessage({ type: "progress", id, curves }),
+    onSliced: (progress) => scope.postMessage({ type: "sliced", id, progress }),
+  };
   return handlers[request.kind](session, request as never, observer);
 }
 

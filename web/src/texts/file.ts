@@ -53,6 +53,7 @@ export const texts = {
 
   commands: "Commands",
   download: "Download",
+  downloadSelection: "Download selection",
   open: "Open in…",
   openTitle: "Open in another viewer",
   openWhy: "The viewer runs in your browser and reads the recording directly from the store through a temporary URL.",

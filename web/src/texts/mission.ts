@@ -99,6 +99,7 @@ export const texts = {
   commandsAll: "These commands download the whole mission. Select files to download only those.",
   commandsChosen: (files: number, bytes: number) => `For the ${counted(files, "selected file")} (${formatSize(bytes)}).`,
   clear: "Clear selection",
+  downloadSelection: "Download selection",
   shareChosen: "Share selected files",
 
   duration: formatDuration,

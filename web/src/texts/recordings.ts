@@ -42,6 +42,12 @@ export const failures: Readonly<Record<FailureCode, FailureText>> = {
   picture_unreadable: { title: (detail) => `This image is not readable${INSIDE(detail)}`, remedy: "Try another time. Other images can be intact." },
   picture_too_large: { title: (detail) => `This image is too large to display (${detail})`, remedy: DOWNLOAD },
   pixels_unknown: { title: (detail) => `The preview does not support this image format${INSIDE(detail)}`, remedy: DOWNLOAD },
+  range_outside: { title: () => "Nothing was recorded in this time range", remedy: "Choose a time range within the recording." },
+  not_sliceable: { title: (detail) => `A browser cannot make a slice of this recording: ${detail}`, remedy: "Run the command below instead." },
+  not_saved: {
+    title: (detail) => `The file could not be written${INSIDE(detail)}`,
+    remedy: "Free some space on your disk or choose another folder, and try again.",
+  },
   store_unreachable: {
     title: () => "The object store does not respond to this browser",
     remedy: "Check your network connection and try again. If downloads work, ask an admin to check the CORS rules of the store.",

@@ -101,6 +101,7 @@ OPERATIONS: dict[str, Permission] = {
     "list_files": _visible(),
     "get_file": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
     "download_files": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
+    "slice_file": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
     "list_file_topics": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
     "verify_file": Permission(ResourceKind.mission, Right.read, _READ),
     "update_file": Permission(ResourceKind.mission, Right.write, _WRITE),

@@ -3,7 +3,8 @@
 import uuid
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import StreamingResponse
 
 from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.files import (
@@ -12,14 +13,17 @@ from kleinkram.contract.files import (
     FileRead,
     FileSort,
     FileUpdate,
+    SliceQuery,
     TopicRead,
 )
 from kleinkram.contract.projects import Deleted
 from kleinkram.contract.query import combined_filter
 from kleinkram.contract.search import FileQuery, FilesLabelled, LabelChange
 from kleinkram.server.files import service
+from kleinkram.server.files.slices import SliceSelection, open_slice
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
 from kleinkram.server.http.headers import IfMatch
+from kleinkram.server.http.middleware import mark_as_stream
 from kleinkram.server.pagination import PageRequest
 
 router = APIRouter(prefix="/api/v1", tags=["files"])
@@ -84,6 +88,30 @@ async def list_file_topics(
 ) -> Page[TopicRead]:
     """List the topics of one file, by name."""
     return await service.list_topics(db, actor, file_id=file_id, page=PageRequest(limit, cursor))
+
+
+@router.get(
+    "/files/{file_id}/slice.mcap",
+    operation_id="slice_file",
+    response_class=StreamingResponse,
+    responses={200: {"description": "An MCAP.", "content": {"application/octet-stream": {}}}},
+)
+async def slice_file(
+    file_id: uuid.UUID,
+    query: Annotated[SliceQuery, Query()],
+    request: Request,
+    context: CurrentContext,
+    actor: CurrentActor,
+) -> StreamingResponse:
+    """Return some topics and a time range of a recording as a new MCAP, made while it is sent.
+
+    It has the bytes that `klein cut` makes. If it cannot be finished, the connection breaks; what was received by then
+    has no footer and is no whole MCAP.
+    """
+    mark_as_stream(request.scope)
+    topics = tuple(name for text in query.topics for name in text.replace(",", " ").split())
+    selection = SliceSelection(topics or None, query.start, query.end)
+    return await open_slice(context, request.app.state.slice_slots, actor, file_id=file_id, selection=selection)
 
 
 @router.post("/files/{file_id}/verify", operation_id="verify_file", status_code=202)

@@ -207,10 +207,7 @@ async def link_files(
         FileUnavailable: the stored copy of one is lost or corrupt.
     """
     async with context.database.begin() as db:
-        stored = await _stored_files(db, actor, file_ids)
-        for one in stored:
-            if one.read.state in _UNREADABLE:
-                raise FileUnavailable(path=one.read.path, state=one.read.state.value)
+        stored = await _readable_files(db, actor, file_ids)
         await audit(db, actor, *[_event(_FETCHED[purpose], one.read) for one in stored])
         await count_downloads(db, actor, files=len(stored), size_bytes=sum(one.read.size_bytes for one in stored))
     expires_s = context.settings.download_url_s
@@ -228,6 +225,27 @@ async def link_files(
         )
         for read, _, key in stored
     ]
+
+
+async def record_slice(db: Connection, actor: Actor, *, file_id: uuid.UUID, selection: Metadata) -> FileWithBlob:
+    """Return a file with its key, and record that somebody downloads a slice of it; `selection` is for the audit log.
+
+    Raises:
+        NotFound: it does not exist, or is not visible.
+        FileUnavailable: the stored copy is lost or corrupt.
+    """
+    (stored,) = await _readable_files(db, actor, [file_id])
+    await audit(db, actor, _event("file.download", stored.read, after=selection))
+    await count_downloads(db, actor, files=1, size_bytes=0)
+    return stored
+
+
+async def _readable_files(db: Connection, actor: Actor, file_ids: Sequence[uuid.UUID]) -> list[FileWithBlob]:
+    stored = await _stored_files(db, actor, file_ids)
+    for one in stored:
+        if one.read.state in _UNREADABLE:
+            raise FileUnavailable(path=one.read.path, state=one.read.state.value)
+    return stored
 
 
 async def verify_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> FileRead:

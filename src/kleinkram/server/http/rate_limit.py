@@ -48,6 +48,7 @@ _OPERATION_KINDS = {
     "list_metrics": "searches",
     "get_metric_table": "searches",
     "download_files": "downloads",
+    "slice_file": "downloads",
     "begin_uploads": "uploads",
     "verify_file": "verifications",
     "export_audit_events": "exports",
@@ -115,6 +116,12 @@ async def _increment(database: Database, keys: Sequence[str]) -> Sequence[_Count
     async with database.begin() as db:
         rows = await db.execute(_COUNT, {"keys": keys, "window": _WINDOW, "epoch": _EPOCH})
         return [_Counted(key, count, int(seconds_left)) for key, count, seconds_left in rows]
+
+
+def account_of(actor: Actor) -> str:
+    """Return who has an allowance of their own: a person, a link, or the network of somebody without an account."""
+    known = actor.person_id or actor.share_id
+    return str(known) if known is not None else subscriber_network(actor.address or "")
 
 
 def counts_of(actor: Actor, what: str, limit: int) -> list[Count]:

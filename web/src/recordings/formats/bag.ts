@@ -7,14 +7,16 @@ import type { Source } from "../ranges";
 import { fieldsOf, headAt, MAGIC, Op, recordAt, text, timeAt, uint32, uint64 } from "./bag_records";
 import {
   inOrder,
+  type Channel,
   type ChunkContent,
   type Message,
   type OnDamage,
   type Order,
+  type OtherRecord,
   type Piece,
+  type Properties,
   type RecordedTopic,
   type Recording,
-  type Schema,
   type Span,
 } from "./recording";
 
@@ -26,11 +28,6 @@ interface Chunk extends Span {
   /** Where the next chunk, or the index of the file, begins. */
   end: number;
   counts: ReadonlyMap<number, number>;
-}
-
-interface Connection {
-  topic: string;
-  schema: Schema;
 }
 
 /** Open a bag: reads its header and the index at its end; where there is none, up to `maxBytes` to make one.
@@ -45,7 +42,7 @@ export async function openBag(source: Source, maxBytes: number): Promise<Recordi
   if (header.op !== Op.header) throw new ReadFailure("index_damaged", "it begins with no header");
   if (indexAt === 0 || indexAt >= source.sizeBytes) return scan(source, header.dataAt + header.length, maxBytes);
   const index = await source.read(indexAt, source.sizeBytes - indexAt);
-  const connections = new Map<number, Connection>();
+  const connections = new Map<number, Channel>();
   const chunks: Chunk[] = [];
   for (let at = 0; at < index.length; ) {
     const record = recordAt(index, at);
@@ -59,7 +56,7 @@ export async function openBag(source: Source, maxBytes: number): Promise<Recordi
 
 /** Walk the chunks from `start`, each with the index behind it, as far as `maxBytes` reach or they are whole. */
 async function scan(source: Source, start: number, maxBytes: number): Promise<Recording> {
-  const connections = new Map<number, Connection>();
+  const connections = new Map<number, Channel>();
   const chunks: Chunk[] = [];
   let at = start;
   source.ahead = READ_AHEAD;
@@ -81,7 +78,7 @@ async function scan(source: Source, start: number, maxBytes: number): Promise<Re
 }
 
 /** Return the index entry of the chunk at `at`, and note its connections; null if it is incomplete. */
-async function wholeChunk(source: Source, at: number, connections: Map<number, Connection>): Promise<Chunk | null> {
+async function wholeChunk(source: Source, at: number, connections: Map<number, Channel>): Promise<Chunk | null> {
   const [op, end] = await extent(source, at);
   if (op !== Op.chunk || end === null) return null;
   const chunk: Chunk & { counts: Map<number, number> } = { at, end, fromNs: 0n, toNs: 0n, counts: new Map() };
@@ -117,11 +114,19 @@ async function extent(source: Source, at: number): Promise<[number, number | nul
   return [op, end <= source.sizeBytes ? end : null];
 }
 
-function connection(record: { fields: ReadonlyMap<string, Uint8Array>; data: Uint8Array }): Connection {
+const PROPERTIES = ["callerid", "latching", "md5sum"] as const;
+/** The md5sum of a type without fields: its empty definition is no missing one. */
+const MD5_OF_NOTHING = "d41d8cd98f00b204e9800998ecf8427e";
+
+function connection(record: { fields: ReadonlyMap<string, Uint8Array>; data: Uint8Array }): Channel {
   const about = fieldsOf(record.data);
-  const definition = about.get("message_definition")?.slice() ?? new Uint8Array();
+  const known = about.get("message_definition")?.slice() ?? new Uint8Array();
+  const isEmpty = text(known).trim() === "" && text(about.get("md5sum")) === MD5_OF_NOTHING;
+  const definition = isEmpty ? new TextEncoder().encode("# no fields\n") : known;
   const schema = { name: text(about.get("type")), encoding: "ros1msg", messageEncoding: "ros1", definition };
-  return { topic: text(record.fields.get("topic") ?? about.get("topic")), schema };
+  const properties: Properties = PROPERTIES.map((name) => [name, text(about.get(name))] as const).filter(([, value]) => value !== "");
+  const topic = text(record.fields.get("topic"));
+  return { topic: topic === "" ? text(about.get("topic")) : topic, schema, properties };
 }
 
 function chunkInfo(record: { fields: ReadonlyMap<string, Uint8Array>; data: Uint8Array }): Chunk {
@@ -149,32 +154,49 @@ function byStart(a: Chunk, b: Chunk): number {
 class BagRecording implements Recording {
   readonly span: Span | null;
   readonly topics: readonly RecordedTopic[];
+  readonly channels: readonly Channel[];
+  readonly profile = "";
 
   constructor(
     readonly source: Source,
-    private readonly connections: ReadonlyMap<number, Connection>,
+    private readonly connections: ReadonlyMap<number, Channel>,
     private readonly chunks: readonly Chunk[],
     readonly indexedUntil: number | null,
   ) {
     const [first] = chunks;
     const latest = chunks.reduce((most, chunk) => (chunk.toNs > most ? chunk.toNs : most), 0n);
     this.span = first === undefined ? null : { fromNs: first.fromNs, toNs: latest };
-    const named = [...connections.values()].map(({ topic, schema }) => [topic, { name: topic, schema }] as const);
+    this.channels = [...connections.values()];
+    const named = this.channels.map(({ topic, schema }) => [topic, { name: topic, schema }] as const);
     this.topics = [...new Map(named).values()];
   }
 
-  pieces(topic: string, span: Span): Piece[] {
-    const ids = this.ids(topic);
-    return this.holding(ids, span).map(({ fromNs, toNs, at, end }) => ({ fromNs, toNs, bytes: end - at }));
+  pieces(topics: readonly string[], span: Span): Piece[] {
+    const ids = this.ids(topics);
+    return this.holding(ids, span).map(({ fromNs, toNs, at, end, counts }) => {
+      const inside = [...counts.keys()].flatMap((id) => this.connections.get(id)?.topic ?? []);
+      return { at, fromNs, toNs, bytes: end - at, topics: new Set(inside) };
+    });
   }
 
-  messages(topic: string, span: Span, order: Order, onDamage: OnDamage): AsyncIterable<Message> {
-    const ids = this.ids(topic);
+  async readPiece(piece: Piece, topics: readonly string[]): Promise<readonly Message[]> {
+    const chunk = this.chunks.find(({ at }) => at === piece.at);
+    if (chunk === undefined) throw new ReadFailure("index_damaged", `no chunk at ${piece.at}`);
+    return (await this.read(chunk, this.ids(topics))).messages;
+  }
+
+  messages(topics: readonly string[], span: Span, order: Order, onDamage: OnDamage): AsyncIterable<Message> {
+    const ids = this.ids(topics);
     return inOrder(this.holding(ids, span), (chunk) => this.read(chunk, ids), { span, order, onDamage });
   }
 
-  private ids(topic: string): Set<number> {
-    return new Set([...this.connections].filter(([, { topic: name }]) => name === topic).map(([id]) => id));
+  /** A bag has none. */
+  otherRecords(): AsyncIterable<OtherRecord> {
+    return { [Symbol.asyncIterator]: () => ({ next: () => Promise.resolve({ done: true, value: undefined }) }) };
+  }
+
+  private ids(topics: readonly string[]): Set<number> {
+    return new Set([...this.connections].filter(([, { topic }]) => topics.includes(topic)).map(([id]) => id));
   }
 
   private holding(ids: ReadonlySet<number>, span: Span): Chunk[] {
@@ -189,29 +211,17 @@ class BagRecording implements Recording {
     const record = recordAt(bytes, 0);
     if (record.op !== Op.chunk) throw new ReadFailure("chunk_damaged", `no chunk at ${chunk.at}`);
     const unpacked = unpack(text(record.fields.get("compression")), record.data, uint32(record.fields.get("size")));
-    let messages: Message[] = [];
-    for (let at = record.next; at < bytes.length; ) {
-      const index = recordAt(bytes, at);
-      if (index.op === Op.index) messages = messages.concat(this.indexed(index, ids, unpacked));
-      at = index.next;
+    const messages: Message[] = [];
+    for (let at = 0; at < unpacked.length; ) {
+      const inside = recordAt(unpacked, at);
+      at = inside.next;
+      if (inside.op !== Op.message) continue;
+      const id = uint32(inside.fields.get("conn"));
+      const channel = this.connections.get(id);
+      if (channel === undefined || !ids.has(id)) continue;
+      const logTimeNs = timeAt(inside.fields.get("time"));
+      messages.push({ logTimeNs, publishTimeNs: logTimeNs, sequence: 0, channel, data: inside.data });
     }
     return { messages, retainedBytes: unpacked.length };
-  }
-
-  private indexed(
-    index: { fields: ReadonlyMap<string, Uint8Array>; data: Uint8Array },
-    ids: ReadonlySet<number>,
-    unpacked: Uint8Array,
-  ): Message[] {
-    const id = uint32(index.fields.get("conn"));
-    const schema = this.connections.get(id)?.schema;
-    if (schema === undefined || !ids.has(id)) return [];
-    const messages: Message[] = [];
-    for (let at = 0; at + 12 <= index.data.length; at += 12) {
-      const record = recordAt(unpacked, uint32(index.data, at + 8));
-      if (record.op !== Op.message) throw new ReadFailure("chunk_damaged", "an index that points nowhere");
-      messages.push({ logTimeNs: timeAt(index.data, at), schema, data: record.data });
-    }
-    return messages;
   }
 }

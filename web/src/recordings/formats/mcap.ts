@@ -9,16 +9,18 @@ import type { ByteSource, Source } from "../ranges";
 import {
   inOrder,
   mostOverlappingBytes,
+  type Channel,
   type ChunkContent,
   type Message,
   type OnDamage,
   type Order,
+  type OtherRecord,
   type Piece,
   type RecordedTopic,
   type Recording,
-  type Schema,
   type Span,
 } from "./recording";
+import { otherRecordsOf } from "./mcap_other_records";
 import { Fields, OP, rebuildIndex } from "./mcap_reindex";
 
 const TAIL = 512 * 1024;
@@ -69,7 +71,8 @@ type ChunkIndex = McapIndexedReader["chunkIndexes"][number];
 class McapRecording implements Recording {
   readonly span: Span | null;
   readonly topics: readonly RecordedTopic[];
-  private readonly channels = new Map<number, { topic: string; schema: Schema }>();
+  readonly profile: string;
+  private readonly channelsById = new Map<number, Channel>();
 
   constructor(
     readonly source: Source,
@@ -77,10 +80,12 @@ class McapRecording implements Recording {
     readonly indexedUntil: number | null,
   ) {
     this.span = spanOf(reader.chunkIndexes);
+    this.profile = reader.header.profile;
     for (const channel of reader.channelsById.values()) {
       const schema = reader.schemasById.get(channel.schemaId);
-      this.channels.set(channel.id, {
+      this.channelsById.set(channel.id, {
         topic: channel.topic,
+        properties: [...channel.metadata],
         schema: {
           name: schema?.name ?? "",
           encoding: schema?.encoding ?? "",
@@ -89,27 +94,48 @@ class McapRecording implements Recording {
         },
       });
     }
-    this.topics = [...new Map([...this.channels.values()].map(({ topic, schema }) => [topic, { name: topic, schema }])).values()];
+    this.topics = [...new Map(this.channels.map(({ topic, schema }) => [topic, { name: topic, schema }])).values()];
   }
 
-  pieces(topic: string, span: Span): Piece[] {
-    return this.chunks(topic, span).map((chunk) => ({
+  get channels(): readonly Channel[] {
+    return [...this.channelsById.values()];
+  }
+
+  pieces(topics: readonly string[], span: Span): Piece[] {
+    return this.chunks(topics, span).map((chunk) => ({
+      at: Number(chunk.chunkStartOffset),
       fromNs: chunk.messageStartTime,
       toNs: chunk.messageEndTime,
       bytes: Number(chunk.chunkLength + chunk.messageIndexLength),
+      topics: chunk.messageIndexOffsets.size === 0 ? null : this.topicsOf(chunk),
     }));
   }
 
-  messages(topic: string, span: Span, order: Order, onDamage: OnDamage): AsyncIterable<Message> {
-    const chunks = this.chunks(topic, span);
+  async readPiece(piece: Piece, topics: readonly string[]): Promise<readonly Message[]> {
+    const index = this.reader.chunkIndexes.find((chunk) => Number(chunk.chunkStartOffset) === piece.at);
+    if (index === undefined) throw new ReadFailure("index_damaged", `no chunk at ${piece.at}`);
+    return (await this.read(index, new Set(topics))).messages;
+  }
+
+  messages(topics: readonly string[], span: Span, order: Order, onDamage: OnDamage): AsyncIterable<Message> {
+    const chunks = this.chunks(topics, span);
+    const selected = new Set(topics);
     this.checkSizes(chunks);
     const placed = chunks.map((index) => {
       return { index, at: Number(index.chunkStartOffset), fromNs: index.messageStartTime, toNs: index.messageEndTime };
     });
-    return inOrder(placed, ({ index }) => this.read(index, topic), { span, order, onDamage });
+    return inOrder(placed, ({ index }) => this.read(index, selected), { span, order, onDamage });
   }
 
-  private async read(index: ChunkIndex, topic: string): Promise<ChunkContent> {
+  otherRecords(): AsyncIterable<OtherRecord> {
+    const chunks = this.reader.chunkIndexes.map((chunk) => {
+      const at = Number(chunk.chunkStartOffset);
+      return { at, end: at + Number(chunk.chunkLength + chunk.messageIndexLength) };
+    });
+    return otherRecordsOf(this.source, chunks);
+  }
+
+  private async read(index: ChunkIndex, topics: ReadonlySet<string>): Promise<ChunkContent> {
     const record = new Fields(await this.source.read(Number(index.chunkStartOffset), Number(index.chunkLength)));
     if (record.uint8() !== OP.chunk) throw new ReadFailure("chunk_damaged", `no chunk at ${index.chunkStartOffset}`);
     record.skip(8 + 16); // the length of the record, first and last time
@@ -123,21 +149,24 @@ class McapRecording implements Recording {
       const body = records.bytes(Number(records.uint64()));
       if (op !== OP.message) continue;
       const fields = new Fields(body);
-      const channel = this.channels.get(fields.uint16());
-      fields.skip(4); // its sequence number
-      const logTimeNs = fields.uint64();
-      fields.skip(8); // when it was published
-      if (channel?.topic === topic) messages.push({ logTimeNs, schema: channel.schema, data: fields.bytes(fields.left) });
+      const channel = this.channelsById.get(fields.uint16());
+      if (channel === undefined || !topics.has(channel.topic)) continue;
+      const [sequence, logTimeNs, publishTimeNs] = [fields.uint32(), fields.uint64(), fields.uint64()];
+      messages.push({ logTimeNs, publishTimeNs, sequence, channel, data: fields.bytes(fields.left) });
     }
     return { messages, retainedBytes: content.length };
   }
 
-  private chunks(topic: string, span: Span): ChunkIndex[] {
-    const ids = [...this.channels].filter(([, channel]) => channel.topic === topic).map(([id]) => id);
+  private topicsOf(chunk: ChunkIndex): ReadonlySet<string> {
+    return new Set([...chunk.messageIndexOffsets.keys()].flatMap((id) => this.channelsById.get(id)?.topic ?? []));
+  }
+
+  private chunks(topics: readonly string[], span: Span): ChunkIndex[] {
+    const ids = [...this.channelsById].filter(([, { topic }]) => topics.includes(topic)).map(([id]) => id);
     return this.reader.chunkIndexes
       .filter((chunk) => chunk.messageStartTime <= span.toNs && chunk.messageEndTime >= span.fromNs)
       .filter((chunk) => chunk.messageIndexOffsets.size === 0 || ids.some((id) => chunk.messageIndexOffsets.has(id)))
-      .sort((a, b) => (a.messageStartTime < b.messageStartTime ? -1 : 1));
+      .sort(byStart);
   }
 
   private checkSizes(chunks: ChunkIndex[]): void {
@@ -151,6 +180,11 @@ class McapRecording implements Recording {
     const overlapping = mostOverlappingBytes(spans, (chunk) => chunk.bytes);
     if (overlapping > MAX_OVERLAPPING) throw new ReadFailure("too_large", String(overlapping));
   }
+}
+
+function byStart(a: ChunkIndex, b: ChunkIndex): number {
+  if (a.messageStartTime === b.messageStartTime) return Number(a.chunkStartOffset - b.chunkStartOffset);
+  return a.messageStartTime < b.messageStartTime ? -1 : 1;
 }
 
 function spanOf(chunks: readonly ChunkIndex[]): Span | null {

@@ -12,7 +12,7 @@ import type { ByteSource } from "@/recordings/ranges";
 const MAGIC_LENGTH = 8;
 const RECORD_HEAD = 9;
 const MAX_RECORDS = 100_000;
-export const OP = { schema: 3, channel: 4, message: 5, chunk: 6, messageIndex: 7 } as const;
+export const OP = { footer: 2, schema: 3, channel: 4, message: 5, chunk: 6, messageIndex: 7, attachment: 9, metadata: 12, dataEnd: 15 } as const;
 const TEXT = new TextDecoder();
 
 type ChunkIndex = Parameters<McapRecordBuilder["writeChunkIndex"]>[0];

@@ -14,6 +14,16 @@ export interface Schema {
   definition: Uint8Array;
 }
 
+/** Names and values, in the order of the file. */
+export type Properties = readonly (readonly [string, string])[];
+
+/** A topic as one publisher wrote it. */
+export interface Channel {
+  topic: string;
+  schema: Schema;
+  properties: Properties;
+}
+
 export interface RecordedTopic {
   name: string;
   schema: Schema;
@@ -27,8 +37,19 @@ export interface Span {
 
 export interface Message {
   logTimeNs: bigint;
-  schema: Schema;
+  /** The log time where the format has no other; so is `sequence` 0. */
+  publishTimeNs: bigint;
+  sequence: number;
+  channel: Channel;
   data: Uint8Array;
+}
+
+/** An attachment or metadata record of an MCAP. `length`: with its head. `indexFields`: what its index repeats. */
+export interface OtherRecord {
+  op: number;
+  at: number;
+  length: number;
+  indexFields: Uint8Array;
 }
 
 /** A part of a recording that could not be read, by the time that its index gives it. */
@@ -42,7 +63,11 @@ export type Order = "forward" | "backward";
 
 /** A piece of the file that must be read as a whole. */
 export interface Piece extends Span {
+  /** Where it begins in the file. */
+  at: number;
   bytes: number;
+  /** Null where the index does not say. */
+  topics: ReadonlySet<string> | null;
 }
 
 export interface Recording {
@@ -52,10 +77,21 @@ export interface Recording {
   /** Where a recording without index was read up to, to make one: the rest is not seen. Null for one with an index. */
   readonly indexedUntil: number | null;
   readonly topics: readonly RecordedTopic[];
-  /** The pieces that may hold messages of the topic within the span, in order of time. */
-  pieces(topic: string, span: Span): Piece[];
-  /** The messages of the topic within the span, by log time. Damaged parts are reported to `onDamage` and skipped. */
-  messages(topic: string, span: Span, order: Order, onDamage: OnDamage): AsyncIterable<Message>;
+  /** In the order of the index. */
+  readonly channels: readonly Channel[];
+  /** Of an MCAP, such as "ros2". */
+  readonly profile: string;
+  /** The pieces that may hold messages of the topics within the span, in order of time. */
+  pieces(topics: readonly string[], span: Span): Piece[];
+  /** The messages of the topics within the span, by log time; of equal times, in the order of the chunks and in them.
+   *
+   * Damaged parts are reported to `onDamage` and skipped.
+   */
+  messages(topics: readonly string[], span: Span, order: Order, onDamage: OnDamage): AsyncIterable<Message>;
+  /** The messages of the topics in one piece, in its order. @throws ReadFailure, where it is damaged. */
+  readPiece(piece: Piece, topics: readonly string[]): Promise<readonly Message[]>;
+  /** The attachments and metadata records, in the order of the file. @throws ReadFailure chunk_damaged. */
+  otherRecords(): AsyncIterable<OtherRecord>;
 }
 
 /** The bytes that pieces have together. */

@@ -26,14 +26,14 @@ function start(): WorkerLike {
   return new Worker(new URL("@/recordings/worker.ts", import.meta.url), { type: "module", name: "recording" });
 }
 
-/** Returns a reader of a file of a format that can be read here. */
-export function useReader(file: File, format: ReadableFormat): FileReader {
+/** Returns a reader of a file of a format that can be read here; the audit log records what for. */
+export function useReader(file: File, format: ReadableFormat, purpose: "download" | "preview" = "preview"): FileReader {
   const bytesRead = ref(0);
   const reader = new RecordingReader({
     file: { format, sizeBytes: file.size_bytes },
     address: async () => {
       try {
-        return await addressOf(file.id, "preview");
+        return await addressOf(file.id, purpose);
       } catch (thrown) {
         throw thrown instanceof ReadFailure ? thrown : new ReadFailure("link_refused", toProblem(thrown).code);
       }

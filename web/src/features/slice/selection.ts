@@ -1,0 +1,51 @@
+// What is selected of a recording: its times, its estimated size, the name of the file, and the equivalent command.
+import type { File, Topic } from "@/api/types";
+import { fileArguments, missionArguments, quoted } from "@/components/commands";
+import type { Span } from "@/recordings/formats/recording";
+
+const MS_NS = 1_000_000n;
+
+/** Log times of a selection: from (inclusive), to before (exclusive); null at the ends of the recording. */
+export interface Times {
+  readonly startNs: bigint | null;
+  readonly endNs: bigint | null;
+}
+
+/** Returns the length of a recording in milliseconds, rounded up. */
+export function lengthMs({ fromNs, toNs }: Span): number {
+  return Number((toNs - fromNs + MS_NS - 1n) / MS_NS);
+}
+
+/** Returns the times of a range in milliseconds after the start of a recording. */
+export function timesOf(span: Span, fromMs: number, toMs: number): Times {
+  const at = (ms: number): bigint => span.fromNs + BigInt(Math.round(ms)) * MS_NS;
+  return { startNs: fromMs <= 0 ? null : at(fromMs), endNs: toMs >= lengthMs(span) ? null : at(toMs) };
+}
+
+/** Returns about how many bytes of messages are selected: the share of each topic that the range covers of it. */
+export function estimate(topics: readonly Topic[], span: Span, { startNs, endNs }: Times): number {
+  const [from, to] = [Number(startNs ?? span.fromNs), Number(endNs ?? span.toNs)];
+  return topics.reduce((sum, { stored_bytes: bytes, first_ns: first, last_ns: last }) => {
+    if (bytes === null || first === null || last === null) return sum;
+    const covered = Math.max(0, Math.min(to, last) - Math.max(from, first));
+    const isInside = first >= from && last <= to;
+    return sum + (isInside ? bytes : (bytes * covered) / Math.max(1, last - first));
+  }, 0);
+}
+
+/** Returns the name under which a selection of a file is saved. */
+export function sliceName(path: string): string {
+  const name = path.slice(path.lastIndexOf("/") + 1);
+  const dot = name.lastIndexOf(".");
+  return `${dot > 0 ? name.slice(0, dot) : name}.slice.mcap`;
+}
+
+/** Returns the command that makes the same file; `topics`: null for all. */
+export function commandOf(file: File, topics: readonly string[] | null, { startNs, endNs }: Times): string {
+  const options = [
+    ...(topics ?? []).flatMap((topic) => ["--topics", quoted(topic)]),
+    ...(startNs === null ? [] : ["--start", String(startNs)]),
+    ...(endNs === null ? [] : ["--end", String(endNs)]),
+  ];
+  return ["klein cut", ...fileArguments([file]), missionArguments(file.mission), ...options, "-o", quoted(sliceName(file.path))].join(" ");
+}

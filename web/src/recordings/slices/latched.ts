@@ -1,0 +1,145 @@
+/** Messages of latched topics that are valid when a slice begins: the rules of recordings/writing/latched.py.
+ *
+ * Of each channel, the last messages before the start, as many as there are publishers; of static transforms, the last
+ * message for each child frame.
+ */
+
+import { decoderOf } from "../decoding/decoder";
+import { ReadFailure } from "../failures";
+import type { Channel, Message, Piece, Recording } from "../formats/recording";
+import { sameSchema } from "./mcap_writer";
+
+const TRANSIENT_LOCAL = /\bdurability"?:\s*(1|transient_local)\b/gi;
+const LATCHED_NAMES: readonly string[] = ["tf_static", "robot_description"];
+const STATIC_TRANSFORMS = "tf_static";
+/** Pieces that are read for a topic, at most: the first and the last of those that hold it. */
+const MAX_PIECES = 64;
+
+interface Collector {
+  add(message: Message): void;
+  /** Whether messages up to a log time cannot be among the last ones. */
+  isComplete(lastNs: bigint): boolean;
+  messages(): readonly Message[];
+}
+
+const lastPart = (topic: string): string => topic.slice(topic.lastIndexOf("/") + 1);
+
+/** Whether two channels are one in a slice. */
+export function sameChannel(one: Channel, other: Channel): boolean {
+  if (one === other) return true;
+  const [schema, otherSchema] = [one.schema, other.schema];
+  return (
+    one.topic === other.topic &&
+    schema.messageEncoding === otherSchema.messageEncoding &&
+    sameSchema({ ...schema, data: schema.definition }, { ...otherSchema, data: otherSchema.definition }) &&
+    JSON.stringify(one.properties) === JSON.stringify(other.properties)
+  );
+}
+
+/** Returns how many publishers of a channel are latched; 0 for a topic that is not. */
+export function publisherCount({ topic, properties }: Channel): number {
+  const byName = new Map(properties);
+  const profiles = byName.get("offered_qos_profiles")?.match(TRANSIENT_LOCAL)?.length ?? 0;
+  return profiles || Number(byName.get("latching") === "1" || LATCHED_NAMES.includes(lastPart(topic)));
+}
+
+/** Returns the valid messages of latched topics before `startNs`, by log time. */
+export async function latchedBefore(recording: Recording, topics: readonly string[], startNs: bigint): Promise<Message[]> {
+  const { span } = recording;
+  const collectors = collectorsOf(recording.channels.filter(({ topic }) => topics.includes(topic)));
+  if (collectors.size === 0 || span === null || span.fromNs >= startNs) return [];
+  const before = recording.pieces([...collectors.keys()], { fromNs: 0n, toNs: startNs - 1n }).filter(({ fromNs }) => fromNs < startNs);
+  await readBackwards(recording, before, collectors, startNs);
+  return sortedByTime([...collectors.values()].flatMap((one) => one.messages()));
+}
+
+function collectorsOf(channels: readonly Channel[]): Map<string, Collector> {
+  const counts = new Map<string, number>();
+  for (const channel of channels) {
+    const count = publisherCount(channel);
+    if (count > 0) counts.set(channel.topic, Math.max(count, counts.get(channel.topic) ?? 0));
+  }
+  return new Map([...counts].map(([topic, count]) => [topic, lastPart(topic) === STATIC_TRANSFORMS ? new LastTransforms() : new LastMessages(count)]));
+}
+
+async function readBackwards(recording: Recording, pieces: readonly Piece[], collectors: ReadonlyMap<string, Collector>, startNs: bigint): Promise<void> {
+  const latestFirst = pieces.toSorted((a, b) => (a.toNs === b.toNs ? 0 : a.toNs > b.toNs ? -1 : 1));
+  const toRead = new Map([...collectors.keys()].map((topic) => [topic, outermost(latestFirst, topic)]));
+  for (const piece of latestFirst) {
+    const topics = [...collectors].filter(([topic, one]) => toRead.get(topic)?.has(piece) === true && !one.isComplete(piece.toNs)).map(([topic]) => topic);
+    if (topics.length === 0) continue;
+    for (const message of sortedByTime(await recording.readPiece(piece, topics))) {
+      if (message.logTimeNs < startNs) collectors.get(message.channel.topic)?.add(message);
+    }
+  }
+}
+
+function outermost(pieces: readonly Piece[], topic: string): ReadonlySet<Piece> {
+  const holding = pieces.filter(({ topics }) => topics?.has(topic) ?? true);
+  const half = MAX_PIECES / 2;
+  return new Set(holding.length <= MAX_PIECES ? holding : [...holding.slice(0, half), ...holding.slice(-half)]);
+}
+
+function sortedByTime(messages: readonly Message[]): Message[] {
+  return messages.toSorted((a, b) => (a.logTimeNs === b.logTimeNs ? 0 : a.logTimeNs < b.logTimeNs ? -1 : 1));
+}
+
+/** The last messages of each channel of a topic. */
+class LastMessages implements Collector {
+  private readonly channels: { channel: Channel; last: Message[] }[] = [];
+
+  constructor(private readonly count: number) {}
+
+  add(message: Message): void {
+    const own = copied(message);
+    const known = this.channels.find(({ channel }) => sameChannel(channel, message.channel));
+    if (known === undefined) this.channels.push({ channel: message.channel, last: [own] });
+    else known.last = sortedByTime([...known.last, own]).slice(-this.count);
+  }
+
+  isComplete(lastNs: bigint): boolean {
+    const isLate = ({ last }: { last: Message[] }): boolean => last.length === this.count && (last[0]?.logTimeNs ?? 0n) >= lastNs;
+    return this.channels.length > 0 && this.channels.every(isLate);
+  }
+
+  messages(): readonly Message[] {
+    return this.channels.flatMap(({ last }) => last);
+  }
+}
+
+/** The last message for each child frame. */
+class LastTransforms implements Collector {
+  private readonly byFrame = new Map<string, Message>();
+
+  add(message: Message): void {
+    const own = copied(message);
+    for (const frame of childFrames(message)) {
+      const known = this.byFrame.get(frame);
+      if (known === undefined || known.logTimeNs <= own.logTimeNs) this.byFrame.set(frame, own);
+    }
+  }
+
+  isComplete(): boolean {
+    return false; // any earlier message may have another frame
+  }
+
+  messages(): readonly Message[] {
+    return [...new Set(this.byFrame.values())];
+  }
+}
+
+/** A copy that does not keep its chunk in memory. */
+function copied(message: Message): Message {
+  return { ...message, data: message.data.slice() };
+}
+
+function childFrames({ channel, data }: Message): string[] {
+  try {
+    const { transforms } = decoderOf(channel.schema)(data) as { transforms?: unknown };
+    if (!Array.isArray(transforms)) return [""];
+    return transforms.map((transform: { child_frame_id?: unknown }) => (typeof transform.child_frame_id === "string" ? transform.child_frame_id : ""));
+  } catch (thrown) {
+    if (!(thrown instanceof ReadFailure)) throw thrown;
+    return [""];
+  }
+}

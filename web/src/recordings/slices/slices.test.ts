@@ -1,0 +1,122 @@
+// @vitest-environment node
+import { McapIndexedReader } from "@mcap/core";
+import { describe, expect, it } from "vitest";
+import { openRecording } from "../formats/open";
+import { joined } from "../formats/recording";
+import { madeBag, madeMcap, storeOf, type TestStore } from "../testing/recordings";
+import { publisherCount } from "./latched";
+import { pythonJson, writeSlice, type SliceRequest } from "./slice";
+
+const START = 1_700_000_000_000_000_000n;
+const SECOND = 1_000_000_000n;
+const COUNT = 200;
+const text = (words: string): Uint8Array => new TextEncoder().encode(words);
+const WHOLE: SliceRequest = { topics: null, startNs: null, endNs: null, fileName: "drive.mcap", sha256: "ab", version: "1" };
+
+async function drive(): Promise<TestStore> {
+  const topic = (name: string) => ({ name, schema: { name: "Words", encoding: "jsonschema", data: text("{}") }, messageEncoding: "json" });
+  const messages = Array.from({ length: COUNT }, (_, number) => {
+    const logTimeNs = START + BigInt(number) * SECOND;
+    const own = ["/a", "/b"].map((name) => ({ topic: name, logTimeNs, data: text(`${name} ${number} ${"x".repeat(200)}`) }));
+    return number % 50 === 0 ? [...own, { topic: "/robot_description", logTimeNs, data: text(`robot ${number}`) }] : own;
+  });
+  return storeOf(await madeMcap(["/a", "/b", "/silent", "/robot_description"].map(topic), messages.flat()));
+}
+
+async function sliceOf(store: TestStore, request: Partial<SliceRequest>, format: "mcap" | "rosbag1" = "mcap"): Promise<Uint8Array> {
+  const parts: Uint8Array[] = [];
+  const recording = await openRecording(format, store.ranges);
+  await writeSlice(recording, { ...WHOLE, ...request }, {
+    compression: { name: "", compress: (raw) => raw },
+    write: (bytes) => Promise.resolve(void parts.push(bytes)),
+    onProgress: () => undefined,
+    signal: new AbortController().signal,
+  });
+  return joined(parts);
+}
+
+async function read(bytes: Uint8Array) {
+  const readable = { size: () => Promise.resolve(BigInt(bytes.length)), read: (at: bigint, length: bigint) => Promise.resolve(bytes.slice(Number(at), Number(at + length))) };
+  const reader = await McapIndexedReader.Initialize({ readable });
+  const messages: string[] = [];
+  const times: bigint[] = [];
+  for await (const { data, logTime } of reader.readMessages({ validateCrcs: true })) {
+    messages.push(new TextDecoder().decode(data).replace(/ x+$/, ""));
+    times.push(logTime);
+  }
+  let madeFrom = new Map<string, string>();
+  for await (const { name, metadata } of reader.readMetadata()) if (name === "kleinkram:made_from") madeFrom = metadata;
+  return { reader, messages, times, madeFrom };
+}
+
+describe("a slice", () => {
+  it("holds the selected messages, from the start to before the end, and says what it was made from", async () => {
+    const { messages, times, madeFrom, reader } = await read(await sliceOf(await drive(), { topics: ["/b"], startNs: START + 20n * SECOND, endNs: START + 30n * SECOND }));
+    expect(messages).toEqual(Array.from({ length: 10 }, (_, number) => `/b ${20 + number}`));
+    expect([times[0], times.at(-1)]).toEqual([START + 20n * SECOND, START + 29n * SECOND]);
+    expect([...madeFrom]).toEqual([
+      ["version", "1"], ["files", '[{"name": "drive.mcap", "sha256": "ab"}]'], ["topics", '["/b"]'],
+      ["start_ns", String(START + 20n * SECOND)], ["end_ns", String(START + 30n * SECOND)],
+    ]);
+    expect([reader.statistics?.messageCount, reader.header.library]).toEqual([10n, "kleinkram 1"]);
+  });
+
+  it("of everything holds all messages and the silent topics", async () => {
+    const { messages, madeFrom, reader } = await read(await sliceOf(await drive(), {}));
+    expect(messages.length).toBe(2 * COUNT + COUNT / 50);
+    expect([...reader.channelsById.values()].map(({ topic }) => topic)).toContain("/silent");
+    expect(madeFrom.has("topics")).toBe(false);
+  });
+
+  it("begins with the last message of a latched topic before its start", async () => {
+    const startNs = START + 120n * SECOND;
+    const { messages, times, madeFrom } = await read(await sliceOf(await drive(), { topics: ["/a", "/robot_description"], startNs, endNs: startNs + 2n * SECOND }));
+    expect([messages, times[0]]).toEqual([["robot 100", "/a 120", "/a 121"], startNs]);
+    expect(madeFrom.get("latched")).toBe(`{"/robot_description": [${START + 100n * SECOND}]}`);
+  });
+
+  it("reads only the chunks that are needed", async () => {
+    const store = await drive();
+    await sliceOf(store, { topics: ["/b"], startNs: START + 20n * SECOND, endNs: START + 21n * SECOND });
+    expect(store.answers.length).toBeLessThanOrEqual(3);
+  });
+
+  it("of a bag has the profile and the properties of its connections", async () => {
+    const data = text("12345678");
+    const store = storeOf(madeBag([{ topic: "/x", type: "a/B", definition: "float64 x\n" }], [[{ connection: 0, timeNs: START, data }]]));
+    const { reader } = await read(await sliceOf(store, {}, "rosbag1"));
+    expect(reader.header.profile).toBe("ros1");
+    expect([...reader.channelsById.values()][0]).toMatchObject({ topic: "/x", messageEncoding: "ros1", metadata: new Map([["md5sum", "*"]]) });
+  });
+
+  it.each([
+    [{ startNs: START + 900n * SECOND }, "range_outside"],
+    [{ topics: ["/none"] }, "topic_unknown"],
+  ] as const)("is refused for %o", async (request, code) => {
+    await expect(sliceOf(await drive(), request)).rejects.toMatchObject({ code });
+  });
+
+  it("is refused where a chunk is damaged, and where the recording was not closed", async () => {
+    const whole = await drive();
+    const bytes = (await whole.ranges.read(0, whole.ranges.sizeBytes)).slice();
+    bytes[Math.floor(bytes.length / 3)] = (bytes[Math.floor(bytes.length / 3)] ?? 0) ^ 0xff;
+    await expect(sliceOf(storeOf(bytes), {})).rejects.toMatchObject({ code: "chunk_damaged" });
+    await expect(sliceOf(storeOf(bytes.slice(0, bytes.length / 4)), {})).rejects.toMatchObject({ code: "not_sliceable" });
+  });
+});
+
+describe("latched topics", () => {
+  const channel = (topic: string, ...properties: [string, string][]) => ({ topic, properties, schema: { name: "", encoding: "", messageEncoding: "cdr", definition: new Uint8Array() } });
+
+  it("have a publisher for each profile, connection or well-known name", () => {
+    const profiles = "- durability: 1\n  depth: 1\n- durability: 2\n- durability: transient_local\n";
+    expect(publisherCount(channel("/map", ["offered_qos_profiles", profiles]))).toBe(2);
+    expect(publisherCount(channel("/map", ["latching", "1"]))).toBe(1);
+    expect(publisherCount(channel("/robot/tf_static"))).toBe(1);
+    expect(publisherCount(channel("/imu", ["latching", "0"]))).toBe(0);
+  });
+});
+
+it("writes JSON as Python does", () => {
+  expect(pythonJson({ "/ä": ["a\"b\n", "\u{1f600}\u007f"], n: [1n, 2n] })).toBe('{"/\\u00e4": ["a\\"b\\n", "\\ud83d\\ude00\\u007f"], "n": [1, 2]}');
+});
