@@ -25,7 +25,7 @@ from kleinkram.recordings.errors import NoSuchTopic, OutsideRecording, Recording
 from kleinkram.recordings.isolation import limit_this_process
 
 SLICE_COMMAND: tuple[str, ...] = (sys.executable, "-I", "-m", "kleinkram.recordings.slice_process")
-_HELD_BYTES = 2**20
+_BUFFERED_BYTES = 2**20
 _STDOUT = 1
 
 
@@ -142,14 +142,14 @@ def _write_slice(request: SliceRequest, answer: _Answer) -> None:
     from kleinkram.recordings.writing.mcap import McapOptions, SliceSource, select_slice, write_slice
 
     source = HttpSource(request.url, size_bytes=request.size_bytes, name=request.name, sha256=request.sha256)
-    held = io.BufferedWriter(answer, _HELD_BYTES)
+    buffered = io.BufferedWriter(answer, _BUFFERED_BYTES)
     try:
         with Recording.open(source, max_bytes=request.max_scan_bytes) as recording:
             selection = select_slice([recording], request.topics, request.start_ns, request.end_ns)
             if selection.topics is not None and not selection.topics:
                 raise NoSuchTopic(", ".join(request.topics or ()), [topic.name for topic in recording.topics])
-            write_slice(held, [SliceSource(recording, recording.sha256)], selection, McapOptions())
-        held.flush()
+            write_slice(buffered, [SliceSource(recording, recording.sha256)], selection, McapOptions())
+        buffered.flush()
     except BaseException:
         answer.discard()
         raise

@@ -124,7 +124,7 @@ def test_what_cannot_be_read_fails_and_the_rest_is_converted(drives: Path, tmp_p
     assert not (ran.out / "noise.mcap").exists()
 
 
-def test_messages_are_re_encoded_where_asked(drives: Path, tmp_path: Path) -> None:
+def test_messages_are_re_encoded_if_requested(drives: Path, tmp_path: Path) -> None:
     """A bag for ROS 2; a second run over the result has nothing to do."""
     ran = convert(tmp_path, {"drive.bag": drives / "drive.bag"}, ros1="reencode")
     assert ran.exit_code == 0, ran.log
@@ -148,7 +148,7 @@ def test_an_mcap_becomes_a_bag(drives: Path, tmp_path: Path) -> None:
         assert {topic.message_encoding for topic in made.topics} == {"ros1"}
 
 
-def test_messages_that_a_bag_cannot_hold_are_findings(drives: Path, tmp_path: Path) -> None:
+def test_messages_that_a_bag_cannot_store_are_findings(drives: Path, tmp_path: Path) -> None:
     out = BytesIO()
     writer = McapWriter(out, profile="ros2")
     for topic, definition in (("/a", "int8 data\n"), ("/wide", "wstring data\n")):
