@@ -56,7 +56,7 @@ class _KeptOpen:
     def take(self) -> bool:
         """Return whether one more may stay open."""
         allowed, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-        limit = _MAX_KEPT_OPEN if allowed == resource.RLIM_INFINITY else min(_MAX_KEPT_OPEN, allowed // 4)
+        limit = MAX_KEPT_OPEN if allowed == resource.RLIM_INFINITY else min(MAX_KEPT_OPEN, allowed // 4)
         with self._lock:
             if self._count >= limit:
                 return False
@@ -69,7 +69,7 @@ class _KeptOpen:
             self._count -= 1
 
 
-_MAX_KEPT_OPEN = 256
+MAX_KEPT_OPEN = 256
 _kept_open = _KeptOpen()
 
 
