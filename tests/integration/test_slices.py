@@ -89,7 +89,7 @@ def test_what_is_wrong_with_a_cut_is_named(klein: Klein, drives: Path, tmp_path:
         (out, 2, "specify files or folders, or a mission with -m"),
         ((source, "--topics", "/nothing", *out), 8, "there is no topic /nothing; the recording has"),
         ((source, "--topics", "/nothing*", *out), 3, "No topic matches /nothing*"),
-        ((source, "--start", "+6s", "--end", "+4s", *out), 2, "the time range is empty"),
+        ((source, "--start", "+6s", "--end", "+4s", *out), 2, "is not after the start"),
         ((source, "--start", "noon", *out), 2, "'noon' is no time; write it like"),
         ((source, "--start", "+1h", *out), 8, "nothing was recorded from"),
         (("-m", "x", "--topics", "/imu/data"), 2, "specify the file to write: -o"),
@@ -172,7 +172,7 @@ def test_slices_by_the_sdk(client: Client, mission: str, drives: Path, tmp_path:
         client.download(where, other, topics="/nothing")
     with pytest.raises(NothingToDo, match="in this time range"):
         client.download(where, other, start="+1h")
-    with pytest.raises(InvalidInput, match="its end is not after its start"):
+    with pytest.raises(InvalidInput, match="is not after the start"):
         client.download(where, other, start="+6s", end="+4s")
     with pytest.raises(InvalidInput, match="is no time"):
         client.download(where, other, start="noon")

@@ -37,7 +37,7 @@ def plain(value: Any) -> Any:
 def rosbags_decoder(message_encoding: str, name: str, definition: str) -> Callable[[bytes], Any]:
     """Return what decodes messages of a type by its definition; "ros1" or "cdr"."""
     store = get_typestore(Stores.EMPTY)
-    full_name = name if "/msg/" in name else name.replace("/", "/msg/")
+    full_name = name if name.count("/") == 2 else name.replace("/", "/msg/")
     store.register(get_types_from_msg(definition.replace("# no fields\n", ""), full_name))
     decode = store.deserialize_ros1 if message_encoding == "ros1" else store.deserialize_cdr
     return lambda data: plain(decode(data, full_name))
