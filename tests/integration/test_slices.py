@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from kleinkram.client import Client, connect
-from kleinkram.client.errors import DestinationDiffers, InvalidInput, NothingToDo
+from kleinkram.client.errors import DestinationRefused, InvalidInput, NothingToDo
 from kleinkram.contract.errors import NotFound
 from kleinkram.recordings import Recording
 from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mcap
@@ -166,7 +166,7 @@ def test_slices_by_the_sdk(client: Client, mission: str, drives: Path, tmp_path:
     assert result.losses == ()
     assert stamped(result.local) == expected(drives / "drive.mcap", "/imu/data", "/odom")
     again = client.download(where, tmp_path, topics="/imu/data", path="drive.mcap")
-    assert [type(error) for error in again.failures] == [DestinationDiffers]
+    assert [type(error) for error in again.failures] == [DestinationRefused]
     other = tmp_path / "other"
     with pytest.raises(NothingToDo, match="No recording has a topic /nothing"):
         client.download(where, other, topics="/nothing")

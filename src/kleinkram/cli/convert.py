@@ -44,7 +44,9 @@ def convert(
     level: Annotated[
         int | None, option("--level", "N", "Set the level: 1 to 22 for zstd, 0 to 16 for lz4 in an MCAP.")
     ] = None,
-    output: Annotated[Path, option("--output -o", "DIR", "The folder to write to.")] = Path(),
+    output: Annotated[
+        Path, option("--output -o", "PATH", "The folder to write to, or, for one recording, the file.")
+    ] = Path(),
     dry_run: options.DryRun = False,
 ) -> Output:
     """Convert, recompress or repair recordings: each becomes one whole MCAP, or one ROS 1 bag.
@@ -110,12 +112,18 @@ def _options(to: str, compression: str | None, level: int | None, keep_ros1: boo
         raise InvalidInput(what="The command", reason=reason) from None
 
 
-def _jobs(sources: Sequence[str], folder: Path, how: ConversionOptions) -> list[_Job]:
+def _jobs(sources: Sequence[str], output: Path, how: ConversionOptions) -> list[_Job]:
+    """Return what each recording becomes: a file in the folder `output`, or the file of this name."""
     recordings = find_recordings(sources)
-    names = [str(PurePosixPath(*_inside(item.name))) for item in recordings]
     extension = _EXTENSIONS[type(how)]
+    if output.suffix in _EXTENSIONS.values() and not output.is_dir():
+        if len(recordings) > 1 or output.suffix != extension:
+            what = f"a folder, or, for one recording, a file with the extension {extension}"
+            raise InvalidInput(what="--output", reason=f"it is {what}, not {output}")
+        return [_Job(recordings[0], output)]
+    names = [str(PurePosixPath(*_inside(item.name))) for item in recordings]
     return [
-        _Job(item, folder / f"{target}{extension}")
+        _Job(item, output / f"{target}{extension}")
         for item, target in zip(recordings, target_names(names), strict=True)
     ]
 

@@ -211,12 +211,14 @@ def _show_exports(exports: Sequence[MissionExport], output: Path) -> Output:
         items.append({**names, "error": one.error, "unread": dict(one.unread), **plain})
         _note_missing(one)
         files = one.result.files if one.result is not None else ()
-        rows += [(file.topic, file.row_count, size(file.size_bytes), str(file.path)) for file in files]
+        rows += [
+            (file.topic, file.message_type, file.row_count, size(file.size_bytes), str(file.path)) for file in files
+        ]
     failed = [one for one in exports if one.error is not None]
     if len(failed) == len(exports):
         raise NothingToDo(reason=f"Nothing was exported: {failed[0].error}")
     code = ExitCode.several if failed else 0
-    return Output({"items": items}, lambda: table(["topic", "rows", "size", "file"], rows), code)
+    return Output({"items": items}, lambda: table(["topic", "type", "rows", "size", "file"], rows), code)
 
 
 def _note_missing(one: MissionExport) -> None:

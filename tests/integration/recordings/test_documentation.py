@@ -44,7 +44,7 @@ WRITTEN = {
     "In Python": [
         "imu.mcap",
         "csv/odom.csv",
-        "pictures/index.json",
+        "pictures/camera.image.compressed/index.csv",
         "drive.mcap",
         "data/field-day/drive.mcap",
         "all.mcap",

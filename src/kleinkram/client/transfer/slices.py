@@ -14,7 +14,6 @@ from uuid import UUID
 from kleinkram.client._client import Client
 from kleinkram.client.errors import (
     ClientError,
-    DestinationDiffers,
     DestinationRefused,
     FileUnreadable,
     InvalidInput,
@@ -219,7 +218,8 @@ class _Slicer:
         local = target.dest / target.relative
         is_there = regular_size(local) is not None
         if is_there and not self._overwrite:
-            raise DestinationDiffers(path=str(local))
+            reason = "it exists, and is not compared; use --overwrite to replace it, or another --dest"
+            raise DestinationRefused(path=str(local), reason=reason)
         part = partial_path(local, ".klein-slice") if is_there else local
         with self._client.recordings.open(target.recording) as recording:
             topics = self._matching([topic.name for topic in recording.topics])
