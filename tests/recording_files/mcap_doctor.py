@@ -1,7 +1,7 @@
 """What `mcap doctor` examines of chunks and their indexes; records and statistics are in `whole_mcap`.
 
-Source: the MCAP specification (Chunk, Message Index, Chunk Index, Data End, Footer), and `doctor.go` of the MCAP command
-line tool, whose errors and warnings are all failures here.
+Source: the MCAP specification (Chunk, Message Index, Chunk Index, Data End, Footer), and `doctor.go` of the MCAP
+command line tool, whose errors and warnings are all failures here.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import zlib
 from collections import defaultdict
 from collections.abc import Iterator
 from io import BytesIO
+from itertools import takewhile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -58,10 +59,8 @@ def examine(path: Path) -> None:
     chunks = [at for at, one in enumerate(written) if one.opcode == Opcode.CHUNK]
     assert [*indexes] == [written[at].start for at in chunks]
     for at in chunks:
-        following = next(
-            number for number in range(at + 1, len(written)) if written[number].opcode != Opcode.MESSAGE_INDEX
-        )
-        _examine_chunk(written[at], written[at + 1 : following], indexes[written[at].start])
+        message_indexes = [*takewhile(lambda one: one.opcode == Opcode.MESSAGE_INDEX, written[at + 1 :])]
+        _examine_chunk(written[at], message_indexes, indexes[written[at].start])
 
 
 def _records(data: bytes, start: int, end: int) -> Iterator[_Record]:
