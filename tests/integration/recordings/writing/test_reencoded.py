@@ -119,6 +119,7 @@ ROS_2 = [
     param
     for param in params("MCAP", "ROS2 sqlite3 db3", "file-zstd of MCAP", "file-zstd of ROS2 sqlite3 db3")
     if not str(param.id).startswith(("conformance/", "derived/magic_only", "broken/", "ros2-db3/old_schema"))
+    and param not in ROS_1
 ]
 
 
