@@ -40,7 +40,7 @@ Klein = Callable[..., tuple[int, str, str]]
 """Runs a command in this process; returns exit code, stdout and stderr."""
 
 MANY = 200
-FEW_DESCRIPTORS = 64
+MAX_DESCRIPTORS = 64
 _FULL_BYTES = 100_000
 
 
@@ -277,7 +277,7 @@ def test_more_recordings_than_files_may_be_open(many: Path, tmp_path: Path, comm
     words = {"cut": ["-o", str(tmp_path / "out")], "export": ["--to", "csv", "-o", str(tmp_path / "out")]}[command]
     line = shlex.join([str(KLEIN), command, str(many), *words, "--json"])
     done = subprocess.run(
-        ["sh", "-c", f"ulimit -n {FEW_DESCRIPTORS}; exec {line}"], capture_output=True, text=True, timeout=60
+        ["sh", "-c", f"ulimit -n {MAX_DESCRIPTORS}; exec {line}"], capture_output=True, text=True, timeout=60
     )
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
@@ -285,13 +285,13 @@ def test_more_recordings_than_files_may_be_open(many: Path, tmp_path: Path, comm
     assert rows == 3 * MANY
 
 
-def test_a_file_that_is_not_kept_open_is_read_and_checked(
+def test_a_file_that_is_not_open_files_is_read_and_checked(
     drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source = tmp_path / "drive.mcap"
     source.write_bytes((drives / "early.mcap").read_bytes())
     before = len([*Path("/proc/self/fd").iterdir()])
-    monkeypatch.setattr(sources, "MAX_KEPT_OPEN", 0)
+    monkeypatch.setattr(sources, "MAX_OPEN_FILES", 0)
     with Recording.open(source) as recording:
         assert len([*Path("/proc/self/fd").iterdir()]) == before
         assert len(list(recording.raw_messages())) == 10

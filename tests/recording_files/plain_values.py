@@ -35,7 +35,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: plain(part) for own, part in value.items() if (name := _plain_name(own))}
     if is_dataclass(value):
-        return {name: plain(getattr(value, own)) for own, name in _field_names(kind)}
+        return {name: plain(getattr(value, own)) for own, name in _field_names(kind)}  # type: ignore[arg-type]  # types are hashable
     return value
 
 
