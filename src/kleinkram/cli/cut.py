@@ -77,17 +77,7 @@ def cut(
         selection = _select(recordings, options.topic_names(topics), *times)
         if dry_run or output is None:
             return _estimate(recordings, selection)
-        with watch_share(output.name) as on_progress:
-            names = None if selection.topics is None else sorted(selection.topics)
-            result = merge_to_mcap(
-                recordings,
-                output,
-                names,
-                start=selection.start_ns,
-                end=selection.end_ns,
-                options=how,
-                on_progress=on_progress,
-            )
+        result = _write(recordings, output, selection, how)
     return _output(recordings, selection, result)
 
 
@@ -163,6 +153,15 @@ def _estimate(recordings: Sequence[Recording], selection: Selection) -> Output:
     total = sum(int(str(item["chunk_bytes"])) for item in items)
     text = f"Would read {size(total)} of {count(len(items), 'recording')}."
     return Output({"dry_run": True, "items": items}, text)
+
+
+def _write(recordings: Sequence[Recording], output: Path, selection: Selection, how: McapOptions) -> McapResult:
+    topics = None if selection.topics is None else sorted(selection.topics)
+    start_ns, end_ns = selection.start_ns, selection.end_ns
+    with watch_share(output.name) as on_progress:
+        return merge_to_mcap(
+            recordings, output, topics, start=start_ns, end=end_ns, options=how, on_progress=on_progress
+        )
 
 
 @contextlib.contextmanager

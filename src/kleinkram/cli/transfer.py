@@ -275,7 +275,8 @@ def _download_slices(client: Client, plan: SlicePlan, what: SliceRange, *, overw
     if not plan.targets and not plan.left_out:
         raise NothingToDo(reason="No recording matches")
     if dry_run:
-        rows = [(target.name, str(target.dest / target.relative)) for target in plan.targets]
+        _, targets = transfer.select_targets(plan, what)
+        rows = [(target.name, str(target.dest / target.relative)) for target in targets]
         note(f"Would read {count(len(rows), 'recording')}.")
         items = [{"recording": name, "local": local} for name, local in rows]
         document = {"dry_run": True, "items": items, "left_out": [str(error) for error in plan.left_out]}

@@ -46,7 +46,7 @@ def check_range(source: Source, offset: int, length: int) -> None:
         raise SourceError(f"{source.name}: bytes {offset}+{length} lie outside its {source.size_bytes} bytes")
 
 
-class _KeptOpen:
+class _OpenFiles:
     """Counts the files that stay open between reads: at most a quarter of what the process may open, and 256."""
 
     def __init__(self) -> None:
@@ -56,7 +56,7 @@ class _KeptOpen:
     def take(self) -> bool:
         """Return whether one more may stay open."""
         allowed, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-        limit = MAX_KEPT_OPEN if allowed == resource.RLIM_INFINITY else min(MAX_KEPT_OPEN, allowed // 4)
+        limit = MAX_OPEN_FILES if allowed == resource.RLIM_INFINITY else min(MAX_OPEN_FILES, allowed // 4)
         with self._lock:
             if self._count >= limit:
                 return False
@@ -69,8 +69,8 @@ class _KeptOpen:
             self._count -= 1
 
 
-MAX_KEPT_OPEN = 256
-_kept_open = _KeptOpen()
+MAX_OPEN_FILES = 256
+_open_files = _OpenFiles()
 
 
 class FileSource:
@@ -96,7 +96,7 @@ class FileSource:
             self._file = status.st_dev, status.st_ino
             self.size_bytes = status.st_size
             self._modified_ns = status.st_mtime_ns
-            if _kept_open.take():
+            if _open_files.take():
                 self._descriptor, descriptor = descriptor, -1
         finally:
             if descriptor >= 0:
@@ -161,7 +161,7 @@ class FileSource:
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
-            _kept_open.give_back()
+            _open_files.give_back()
 
     def __enter__(self) -> FileSource:
         return self

@@ -162,19 +162,16 @@ class _Slicer:
     ) -> None:
         topics = what.topics
         self._patterns = None if topics is None else [topics] if isinstance(topics, str) else [*topics]
-        self._client, self._targets, self._options = client, plan.targets, options
+        self._client, self._options = client, options
         self._overwrite, self._watcher = overwrite, watcher
-        self._range = _resolve(what, [target.recording for target in plan.targets])
+        self._range, self._targets = select_targets(plan, what)
         self._matched: set[str] = set()
         self._read_count = 0
         self.results: list[TransferResult] = []
 
     def run(self) -> None:
-        from kleinkram.recordings.writing.mcap import may_overlap
-
-        targets = [target for target in self._targets if may_overlap(target.recording, self._range)]
-        self._watcher.began(len(targets), sum(target.recording.size_bytes for target in targets))
-        for target in targets:
+        self._watcher.began(len(self._targets), sum(target.recording.size_bytes for target in self._targets))
+        for target in self._targets:
             result = self._result(target)
             if result is not None:
                 self.results.append(result)
@@ -279,17 +276,25 @@ def _make_dest(dest: Path) -> None:
         raise DestinationRefused(path=str(dest), reason=error.strerror or str(error)) from None
 
 
-def _resolve(what: SliceRange, recordings: Sequence[RecordingRead | FileRead]) -> "Selection":
-    """Return the log times of a range; raise InvalidInput, or NothingToDo where nothing was recorded in it."""
+def select_targets(plan: SlicePlan, what: SliceRange) -> "tuple[Selection, list[SliceTarget]]":
+    """Return the log times of a range, and what of a plan may have messages in it. Opens nothing.
+
+    Raises:
+        InvalidInput: the time range is empty, or a text is no time.
+        NothingToDo: nothing was recorded in it.
+    """
     from kleinkram.recordings.errors import OutsideRecording
     from kleinkram.recordings.messages import Selection
-    from kleinkram.recordings.writing.mcap import select_range
+    from kleinkram.recordings.writing.mcap import may_overlap, select_range
 
+    recordings = [target.recording for target in plan.targets]
     try:
         with time_range_errors():
-            return Selection(None, *select_range(recordings, what.start, what.end, name="The selected recordings"))
+            times = select_range(recordings, what.start, what.end, name="The selected recordings")
     except OutsideRecording as error:
         raise NothingToDo(reason=str(error)) from None
+    selection = Selection(None, *times)
+    return selection, [target for target in plan.targets if may_overlap(target.recording, selection)]
 
 
 @contextmanager
