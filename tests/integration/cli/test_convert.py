@@ -142,7 +142,7 @@ def test_recompression_is_a_reason(drives: Path, tmp_path: Path, convert: Conver
     assert (code, items[0]["status"]) == (0, "converted")
 
 
-def test_one_recording_can_be_given_the_name_of_its_file(drives: Path, tmp_path: Path, convert: Convert) -> None:
+def test_output_names_the_file_of_one_recording(drives: Path, tmp_path: Path, convert: Convert) -> None:
     code, items = convert.json(drives / "nuc" / "drive.bag", "-o", tmp_path / "new" / "walk.mcap")
     assert (code, items[0]["path"]) == (0, str(tmp_path / "new" / "walk.mcap"))
     assert read_whole_mcap(tmp_path / "new" / "walk.mcap").messages
