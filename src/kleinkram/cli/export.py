@@ -99,7 +99,9 @@ def _export_local(sources: Sequence[str], request: _ExportRequest) -> Output:
             refuse_existing_folder(request.output)
         if not plan.files and not plan.left_out:
             topics = ", ".join(request.options.topics or [])
-            raise NothingToDo(reason=f"No topic matches {topics}" if topics else "There is no topic to export")
+            raise NothingToDo(
+                reason=f"No topic matches {topics}" if topics else f"There is no topic to export as {request.to.value}"
+            )
         with watch_share(request.output.name, remedy=_REMEDY) as on_progress:
             result = export_recordings(
                 opened.recordings,
