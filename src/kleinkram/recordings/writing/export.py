@@ -215,6 +215,7 @@ def export_recordings(
     plan = plan_export(recordings, to, options)
     if not plan.files:
         return ExportResult((), plan.left_out, _problems_of(recordings))
+    load_pyarrow()  # where it is missing, no folder is made
     request = _request_of(recordings, plan, options)
     if resume and (folder / INDEX_NAME).exists() and not (folder / JOURNAL_NAME).exists():
         return _read_index(folder, request)
