@@ -24,9 +24,10 @@ from kleinkram.recordings.messages import Channel, Schema
 from kleinkram.recordings.writing.latched import publisher_count
 from kleinkram.recordings.writing.mcap import MADE_FROM
 from tests.recording_files.builders import T0, Stamped, Watched, bag_of, mcap_of
+from tests.recording_files.databases import make_database
 from tests.recording_files.memory_source import MemorySource
 from tests.recording_files.whole_mcap import WholeMcap, read_whole_mcap
-from tests.recording_files.writers import McapWriter
+from tests.recording_files.writers import BagWriter, McapWriter
 
 PROFILE = "- history: 1\n  depth: 1\n  durability: {}\n"
 NOISE = random.Random(1).randbytes(50_000)
@@ -158,6 +159,37 @@ def test_latched_messages_of_a_bag(tmp_path: Path) -> None:
     assert [publish_ns - T0 for _, _, publish_ns, _, _ in whole.messages] == [0, 50]
 
 
+def test_each_publisher_of_a_latched_topic_has_its_last_message(tmp_path: Path) -> None:
+    """Also where a later chunk already has one of another publisher."""
+    out = BytesIO()
+    writer = BagWriter(out, chunk_bytes=2**40)
+    publishers = [
+        writer.add_connection(
+            "/map", "a/B", md5sum="*", definition="", properties=(("callerid", name), ("latching", "1"))
+        )
+        for name in ("/lower", "/upper")
+    ]
+    for number, data in enumerate((b"lower", b"upper", b"upper again")):
+        writer.add_message(publishers[min(number, 1)], T0 + 10 * number, data)
+        writer._flush()
+    writer.finish()
+    with Recording.open(MemorySource(out.getvalue(), "two.bag")) as recording:
+        whole = cut(recording, tmp_path / "a.mcap", start=T0 + 20)
+    assert stamped(whole) == [("/map", 20, b"lower"), ("/map", 20, b"upper"), ("/map", 20, b"upper again")]
+
+
+def test_a_topic_that_only_has_the_name_of_static_transforms(tmp_path: Path) -> None:
+    out = BytesIO()
+    writer = McapWriter(out)
+    channel = writer.add_channel("/tf_static", writer.add_schema("a/msg/B", "ros2msg", b"uint32 transforms"), "cdr")
+    for number in range(3):
+        writer.add_message(channel, T0 + number, b"\0\1\0\0" + bytes([number, 0, 0, 0]))
+    writer.finish()
+    with Recording.open(MemorySource(out.getvalue(), "other.mcap")) as recording:
+        whole = cut(recording, tmp_path / "a.mcap", start=T0 + 2)
+    assert [data[4] for _, _, data in stamped(whole)] == [1, 2]
+
+
 # Bytes
 
 
@@ -188,6 +220,12 @@ def test_the_start_is_inclusive_and_the_end_exclusive(tmp_path: Path) -> None:
 
 
 # Bad input
+
+
+def test_a_start_behind_all_times_of_a_database(tmp_path: Path) -> None:
+    database = make_database(tmp_path / "a.db3", schema="crystal", messages=[(1, T0, b"\0\1\0\0")])
+    with Recording.open(database) as recording:
+        assert not list(recording.raw_messages(start=2**63))
 
 
 def test_ranges_and_topics_that_are_wrong_are_named(tmp_path: Path) -> None:

@@ -46,10 +46,10 @@ def latched_before(recording: Recording, topics: frozenset[str] | None, start_ns
     each child frame, since several publishers share the topic. In a file with more than 64 chunks that hold a topic,
     the first and the last 32 of them are read.
     """
-    counts = _latched_topics(recording, topics)
-    if not counts or (recording.start_ns is not None and recording.start_ns >= start_ns):
+    latched = _latched_topics(recording, topics)
+    if not latched or (recording.start_ns is not None and recording.start_ns >= start_ns):
         return []
-    collectors = {topic: _new_collector(topic, count) for topic, count in counts.items()}
+    collectors = {topic: _new_collector(topic, channels) for topic, channels in latched.items()}
     if all(isinstance(member, ChunkedMember) for member in recording.members):
         segments = [segment for segment in recording.segments([*collectors]) if segment.first_ns < start_ns]
         _read_backwards(recording, segments, collectors, start_ns)
@@ -59,20 +59,22 @@ def latched_before(recording: Recording, topics: frozenset[str] | None, start_ns
     return sorted(messages, key=lambda message: message.log_time_ns)
 
 
-def _latched_topics(recording: Recording, topics: frozenset[str] | None) -> dict[str, int]:
-    counts: dict[str, int] = {}
+def _latched_topics(recording: Recording, topics: frozenset[str] | None) -> dict[str, set[Channel]]:
+    """Return the channels of each selected topic that has a latched publisher."""
+    channels: dict[str, set[Channel]] = {}
     for member in recording.members:
         for channel in member.contents.channels.values():
-            if (topics is None or channel.topic in topics) and (count := publisher_count(channel)):
-                counts[channel.topic] = max(count, counts.get(channel.topic, 0))
-    return counts
+            if topics is None or channel.topic in topics:
+                channels.setdefault(channel.topic, set()).add(channel)
+    return {topic: some for topic, some in channels.items() if any(map(publisher_count, some))}
 
 
 class _LastMessages:
     """The last messages of each channel of a topic."""
 
-    def __init__(self, count: int) -> None:
-        self._count = count
+    def __init__(self, channels: Collection[Channel]) -> None:
+        self._count = max(map(publisher_count, channels))
+        self._channel_count = len(channels)
         self._by_channel: dict[Channel, list[RawMessage]] = {}
 
     def add(self, message: RawMessage) -> None:
@@ -83,7 +85,7 @@ class _LastMessages:
 
     def is_complete(self, last_ns: int) -> bool:
         """Return whether messages up to a log time cannot be among the last ones."""
-        return bool(self._by_channel) and all(
+        return len(self._by_channel) == self._channel_count and all(
             len(last) == self._count and last[0].log_time_ns >= last_ns for last in self._by_channel.values()
         )
 
@@ -114,8 +116,8 @@ class _LastTransforms:
 _Collector = _LastMessages | _LastTransforms
 
 
-def _new_collector(topic: str, count: int) -> _Collector:
-    return _LastTransforms() if topic.rpartition("/")[2] == _STATIC_TRANSFORMS else _LastMessages(count)
+def _new_collector(topic: str, channels: Collection[Channel]) -> _Collector:
+    return _LastTransforms() if topic.rpartition("/")[2] == _STATIC_TRANSFORMS else _LastMessages(channels)
 
 
 def _child_frames(message: RawMessage) -> Iterator[str]:
@@ -124,7 +126,7 @@ def _child_frames(message: RawMessage) -> Iterator[str]:
         value = decode(message)
         transforms = getattr(value, "transforms", None)
         yield from ([str(transform.child_frame_id) for transform in transforms] if transforms is not None else [""])
-    except (AttributeError, DecodeError):
+    except (AttributeError, TypeError, DecodeError):  # another type than static transforms have
         yield ""
 
 

@@ -54,12 +54,13 @@ export async function latchedBefore(recording: Recording, topics: readonly strin
 }
 
 function collectorsOf(channels: readonly Channel[]): Map<string, Collector> {
-  const counts = new Map<string, number>();
+  const byTopic = new Map<string, Channel[]>();
   for (const channel of channels) {
-    const count = publisherCount(channel);
-    if (count > 0) counts.set(channel.topic, Math.max(count, counts.get(channel.topic) ?? 0));
+    const own = byTopic.get(channel.topic) ?? [];
+    if (!own.some((other) => sameChannel(channel, other))) byTopic.set(channel.topic, [...own, channel]);
   }
-  return new Map([...counts].map(([topic, count]) => [topic, lastPart(topic) === STATIC_TRANSFORMS ? new LastTransforms() : new LastMessages(count)]));
+  const latched = [...byTopic].filter(([, own]) => own.some((channel) => publisherCount(channel) > 0));
+  return new Map(latched.map(([topic, own]) => [topic, lastPart(topic) === STATIC_TRANSFORMS ? new LastTransforms() : new LastMessages(own)]));
 }
 
 async function readBackwards(recording: Recording, pieces: readonly Piece[], collectors: ReadonlyMap<string, Collector>, startNs: bigint): Promise<void> {
@@ -87,8 +88,11 @@ function sortedByTime(messages: readonly Message[]): Message[] {
 /** The last messages of each channel of a topic. */
 class LastMessages implements Collector {
   private readonly channels: { channel: Channel; last: Message[] }[] = [];
+  private readonly count: number;
 
-  constructor(private readonly count: number) {}
+  constructor(private readonly known: readonly Channel[]) {
+    this.count = Math.max(...known.map(publisherCount));
+  }
 
   add(message: Message): void {
     const own = copied(message);
@@ -99,7 +103,7 @@ class LastMessages implements Collector {
 
   isComplete(lastNs: bigint): boolean {
     const isLate = ({ last }: { last: Message[] }): boolean => last.length === this.count && (last[0]?.logTimeNs ?? 0n) >= lastNs;
-    return this.channels.length > 0 && this.channels.every(isLate);
+    return this.channels.length === this.known.length && this.channels.every(isLate);
   }
 
   messages(): readonly Message[] {
