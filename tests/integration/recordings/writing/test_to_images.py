@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import fcntl
 import io
+import os
 from pathlib import Path
 
 import numpy as np
@@ -165,6 +167,21 @@ def test_a_folder_is_not_replaced(tmp_path: Path) -> None:
         with pytest.raises(CannotWrite, match="there is such a file or folder"):
             recording.to_images(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["cam"]
+
+
+def test_two_processes_do_not_write_the_same_folder(tmp_path: Path) -> None:
+    part = tmp_path / ".cam.part"
+    part.mkdir()
+    (part / "1.png").write_bytes(b"of the other process")
+    descriptor = os.open(part, os.O_RDONLY)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    with Recording.open(ros2_mcap(camera(1))) as recording:
+        with pytest.raises(CannotWrite, match="another process is writing it"):
+            recording.to_images(tmp_path)
+        assert (part / "1.png").exists()
+        os.close(descriptor)  # as if it were killed
+        (file,) = recording.to_images(tmp_path).files
+    assert sorted(path.name for path in file.path.iterdir()) == [f"{T0 + 5:019d}.jpg", "index.csv"]
 
 
 def test_an_error_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
