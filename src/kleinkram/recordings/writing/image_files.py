@@ -150,12 +150,12 @@ def _fill(group: TopicGroup, folder: Path, selection: Selection, options: ImageO
             try:
                 value = _decode(group.decoder, data)
                 made = image_file(value, as_jpeg=options.as_jpeg)
-                stamp = stamp_ns(value)
+                stamp = _stamp_of(value)
             except _BROKEN as error:
                 failed += 1
                 failure = failure or str(error)
                 continue
-            frame, encoding = _frame_of(value), str(part(value, "encoding") or part(value, "format") or "")
+            frame, encoding = _frame_of(value), _text(part(value, "encoding") or part(value, "format") or "")
             file_name = _write(folder, log_ns if stamp is None else stamp, made)
             index.writerow([stamp, log_ns, file_name, made.width, made.height, encoding, frame, one.name])
             frames.add(frame)
@@ -173,7 +173,19 @@ def _decode(decoder: Decoder | Undecodable, data: bytes) -> object:
 
 def _frame_of(value: object) -> str | None:
     frame = part(part(value, "header"), "frame_id") if part(value, "header") is not None else part(value, "frame_id")
-    return None if frame is None else str(frame)
+    return None if frame is None else _text(frame)
+
+
+def _text(value: object) -> str:
+    """Return a value as a text that UTF-8 can express: JSON may have half of a surrogate pair."""
+    return str(value).encode("utf-8", "replace").decode()
+
+
+def _stamp_of(value: object) -> int | None:
+    stamp = stamp_ns(value)
+    if stamp is not None and abs(stamp) >= END_OF_TIME_NS:
+        raise DecodeError(type_name(value), "its stamp is beyond all times")
+    return stamp
 
 
 def _write(folder: Path, stamp: int, made: ImageFile) -> str:

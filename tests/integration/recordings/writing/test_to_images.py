@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import fcntl
 import io
@@ -22,6 +23,7 @@ from kleinkram.recordings.sample import generate_bag, generate_mcap
 from tests.recording_files.builders import T0, Watched
 from tests.recording_files.corpus import Entry, params
 from tests.recording_files.ros_messages import SECOND, TimedMessage, ros2_mcap
+from tests.recording_files.tables import json_mcap
 
 CAMERA = "/camera/image/compressed"
 FORMATS = "MCAP", "ROS1 bag 2.0", "ROS2 sqlite3 db3"
@@ -148,6 +150,20 @@ def test_broken_images_are_counted(tmp_path: Path) -> None:
         (file,) = recording.to_images(tmp_path).files
     assert (file.row_count, file.failed_count) == (2, 1)
     assert "its image cannot be read" in file.failure
+
+
+def test_texts_and_stamps_of_json_may_be_anything(tmp_path: Path) -> None:
+    data = base64.b64encode(jpeg()).decode()
+    images = [
+        {"timestamp": {"sec": sec, "nsec": 0}, "frame_id": "\ud800", "format": "../\udc00", "data": data}
+        for sec in (5, 10**300, -5)
+    ]
+    source = json_mcap(images, name="foxglove.CompressedImage")
+    with Recording.open(source) as recording:
+        (file,) = recording.to_images(tmp_path).files
+    assert (file.row_count, file.failed_count, file.frame_id) == (2, 1, "?")
+    assert "its stamp is beyond all times" in file.failure
+    assert [row["encoding"] for row in index_of(file.path)] == ["../?"] * 2
 
 
 def test_topics_without_images_are_named(tmp_path: Path) -> None:
