@@ -73,7 +73,7 @@ def test_cut_of_a_local_file(klein: Klein, drives: Path, tmp_path: Path) -> None
     assert document["size_bytes"] == target.stat().st_size < (drives / "drive.mcap").stat().st_size / 4
     assert (document["topics"], document["losses"]) == (["/imu/data", "/odom"], [])
     assert document["end_ns"] - document["start_ns"] == 2 * 10**9
-    assert "is not replaced" in klein(*cut, code=8).stderr
+    assert "is not replaced" in klein(*cut, code=11).stderr
 
 
 def test_cut_of_a_folder_merges_its_recordings(klein: Klein, drives: Path, tmp_path: Path) -> None:
@@ -87,11 +87,11 @@ def test_what_is_wrong_with_a_cut_is_named(klein: Klein, drives: Path, tmp_path:
     for arguments, code, text in (
         ((source, *RANGE), 2, "specify the file to write: -o"),
         (out, 2, "specify files or folders, or a mission with -m"),
-        ((source, "--topics", "/nothing", *out), 8, "there is no topic /nothing; the recording has"),
+        ((source, "--topics", "/nothing", *out), 3, "there is no topic /nothing; the recording has"),
         ((source, "--topics", "/nothing*", *out), 3, "No topic matches /nothing*"),
-        ((source, "--start", "+6s", "--end", "+4s", *out), 2, "the time range is empty"),
+        ((source, "--start", "+6s", "--end", "+4s", *out), 2, "is not after the start"),
         ((source, "--start", "noon", *out), 2, "'noon' is no time; write it like"),
-        ((source, "--start", "+1h", *out), 8, "nothing was recorded from"),
+        ((source, "--start", "+1h", *out), 3, "nothing was recorded from"),
         (("-m", "x", "--topics", "/imu/data"), 2, "specify the file to write: -o"),
         ((drives / "none.mcap", *out), 8, "there is no such file"),
         ((drives / "notes.txt", *out), 8, "notes.txt"),
@@ -170,9 +170,9 @@ def test_slices_by_the_sdk(client: Client, mission: str, drives: Path, tmp_path:
     other = tmp_path / "other"
     with pytest.raises(NothingToDo, match="No recording has a topic /nothing"):
         client.download(where, other, topics="/nothing")
-    with pytest.raises(NothingToDo, match="in this time range"):
+    with pytest.raises(NothingToDo, match="nothing was recorded from"):
         client.download(where, other, start="+1h")
-    with pytest.raises(InvalidInput, match="its end is not after its start"):
+    with pytest.raises(InvalidInput, match="is not after the start"):
         client.download(where, other, start="+6s", end="+4s")
     with pytest.raises(InvalidInput, match="is no time"):
         client.download(where, other, start="noon")

@@ -9,9 +9,9 @@ from typing import Annotated
 
 from kleinkram.cli import options
 from kleinkram.cli.commands import argument, flag, option
-from kleinkram.cli.errors import ExitCode, Interrupted
+from kleinkram.cli.errors import ExitCode, Interrupted, recording_code
 from kleinkram.cli.render import Output, note, table
-from kleinkram.cli.units import count, size
+from kleinkram.cli.units import size
 from kleinkram.client.errors import DestinationRefused, InvalidInput
 from kleinkram.recordings.errors import RecordingError
 from kleinkram.recordings.open_paths import LocalRecordingPath, find_recordings
@@ -54,7 +54,7 @@ def convert(
     No file is replaced.
 
     The exit code is 0 also if messages were lost or left out, which is printed; it is 8 if a recording could not be
-    converted.
+    read or converted, 11 if a file could not be written, and 10 for both.
     """
     how = _options(to, compression, level, keep_ros1)
     jobs = _jobs(sources, output, how)
@@ -85,6 +85,7 @@ class _Outcome:
     plan: ConversionPlan | None = None
     result: ConversionResult | None = None
     error: str | None = None
+    exit_code: int = 0
 
 
 _Watch = Callable[[str], Callable[[float], None] | None]
@@ -110,10 +111,7 @@ def _options(to: str, compression: str | None, level: int | None, keep_ros1: boo
 
 
 def _jobs(sources: Sequence[str], folder: Path, how: ConversionOptions) -> list[_Job]:
-    try:
-        recordings = find_recordings(sources)
-    except FileNotFoundError as error:
-        raise InvalidInput(what="SOURCE", reason=str(error)) from None
+    recordings = find_recordings(sources)
     names = [str(PurePosixPath(*_inside(item.name))) for item in recordings]
     extension = _EXTENSIONS[type(how)]
     return [
@@ -133,7 +131,7 @@ def _plan(job: _Job, how: ConversionOptions) -> _Outcome:
             plan = plan_conversion(recording, how)
             return _Outcome(job, plan.size_bytes, plan)
     except RecordingError as error:
-        return _Outcome(job, error=str(error))
+        return _Outcome(job, error=str(error), exit_code=recording_code(error))
 
 
 def _convert(job: _Job, how: ConversionOptions, watch: _Watch) -> _Outcome:
@@ -145,9 +143,9 @@ def _convert(job: _Job, how: ConversionOptions, watch: _Watch) -> _Outcome:
             result = convert_recording(recording, job.path, how, on_progress=watch(job.recording.name))
             return _Outcome(job, recording.size_bytes, result=result)
     except OSError as error:
-        return _Outcome(job, error=f"{job.path.parent}: {error.strerror or error}")
+        return _Outcome(job, error=f"{job.path.parent}: {error.strerror or error}", exit_code=ExitCode.destination)
     except RecordingError as error:
-        return _Outcome(job, error=str(error))
+        return _Outcome(job, error=str(error), exit_code=recording_code(error))
 
 
 @contextlib.contextmanager
@@ -169,7 +167,7 @@ def _watching() -> Iterator[_Watch]:
 
             yield watch
     except KeyboardInterrupt:
-        raise Interrupted from None
+        raise Interrupted("The files that were written are complete.") from None
 
 
 def _planned(outcomes: Sequence[_Outcome]) -> Output:
@@ -246,11 +244,12 @@ def _note_outcome(one: _Outcome) -> None:
         note(f"{name}: nothing to do, it is already as wanted.")
     else:
         for loss in one.result.losses:
-            lost = "" if loss.messages is None else f" ({count(loss.messages, 'message')} lost)"
-            note(f"Lost: {loss.file}: {loss.reason}{lost}")
+            note(f"Lost: {loss.file}: {loss.reason}")
         for sentence in sentences(one.result.left_out):
             note(f"{name}: {sentence}")
 
 
 def _exit_code(outcomes: Sequence[_Outcome]) -> int:
-    return ExitCode.local_file if any(one.error for one in outcomes) else 0
+    """Return the exit code that all failures have, otherwise `several`; 0 for no failures."""
+    codes = {one.exit_code for one in outcomes if one.error}
+    return ExitCode.several if len(codes) > 1 else next(iter(codes), 0)

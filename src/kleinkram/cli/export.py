@@ -21,16 +21,19 @@ from kleinkram.client.exports import (
     MissionRecordings,
     OpenedRecordings,
     export_missions,
+    in_range,
     open_recordings,
     plan_export,
     plan_exports,
     refuse_existing_folder,
 )
-from kleinkram.recordings import Recording
+from kleinkram.recordings import Recording, RecordingError
 from kleinkram.recordings.open_paths import find_recordings
 from kleinkram.recordings.writing.export import ExportFormat, ExportOptions, ExportPlan, export_recordings
 from kleinkram.recordings.writing.image_files import ImageOptions
 from kleinkram.recordings.writing.topic_rows import NamedRecording
+
+_REMEDY = "Run the same command with --continue to continue."
 
 
 @dataclass(frozen=True)
@@ -95,8 +98,9 @@ def _export_local(sources: Sequence[str], request: _ExportRequest) -> Output:
         if not request.resume:
             refuse_existing_folder(request.output)
         if not plan.files and not plan.left_out:
-            raise NothingToDo(reason="The recordings have no such topics")
-        with watch_share(request.output.name) as on_progress:
+            topics = ", ".join(request.options.topics or [])
+            raise NothingToDo(reason=f"No topic matches {topics}" if topics else "There is no topic to export")
+        with watch_share(request.output.name, remedy=_REMEDY) as on_progress:
             result = export_recordings(
                 opened.recordings,
                 request.output,
@@ -128,8 +132,8 @@ def _export_remote(client: Client, choice: Choice, sources: Sequence[str], reque
         client, select_files(client, choice, sources), request.output, nested=not _is_one_mission(choice)
     )
     if request.dry_run:
-        return _show_plans([*_plans(client, missions, request)])
-    with watch_share(request.output.name) as on_share:
+        return _show_plans(_plans(client, missions, request))
+    with watch_share(request.output.name, remedy=_REMEDY) as on_share:
         shares = {(mission.project, mission.mission): 0.0 for mission in missions}
 
         def show(mission: MissionRecordings, share: float) -> None:
@@ -152,10 +156,25 @@ def _is_one_mission(choice: Choice) -> bool:
 _Planned = tuple[MissionRecordings | None, OpenedRecordings, ExportPlan]
 
 
-def _plans(client: Client, missions: Sequence[MissionRecordings], request: _ExportRequest) -> Iterator[_Planned]:
-    for mission in missions:
-        with open_recordings(client, mission) as opened:
-            yield mission, opened, plan_export(opened.recordings, request.to, request.options)
+def _plans(client: Client, missions: Sequence[MissionRecordings], request: _ExportRequest) -> list[_Planned]:
+    """Plan each mission; note those of which nothing would be exported, if there are others."""
+    results = [(mission, _plan(client, mission, request)) for mission in missions]
+    plans = [plan for _, plan in results if not isinstance(plan, RecordingError)]
+    failures = [(mission, plan) for mission, plan in results if isinstance(plan, RecordingError)]
+    if not plans:
+        raise failures[0][1]
+    for mission, error in failures:
+        note(f"Would leave out {mission.project}/{mission.mission}: {error}")
+    return plans
+
+
+def _plan(client: Client, mission: MissionRecordings, request: _ExportRequest) -> _Planned | RecordingError:
+    try:
+        near, what = in_range(mission, request.options)
+        with open_recordings(client, near) as opened:
+            return near, opened, plan_export(opened.recordings, request.to, what)
+    except RecordingError as error:
+        return error
 
 
 def _show_plans(plans: Sequence[_Planned]) -> Output:

@@ -171,7 +171,7 @@ def test_options_that_do_not_exist_are_refused(
 
 def test_a_missing_source_is_refused(tmp_path: Path, convert: Convert) -> None:
     code, _, err = convert(tmp_path / "no.bag")
-    assert (code, "there is no such file or folder" in err) == (2, True)
+    assert (code, "there is no such file or folder" in err) == (8, True)
 
 
 def test_one_bad_recording_does_not_stop_the_others(drives: Path, tmp_path: Path, convert: Convert) -> None:

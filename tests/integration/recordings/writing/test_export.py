@@ -279,9 +279,8 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("to", [ExportFormat.csv, ExportFormat.images])
-def test_memory_is_bounded(tmp_path: Path, to: ExportFormat) -> None:
-    generate_mcap(tmp_path / "drive.mcap", size_bytes=150_000_000)
-    process = start(str(tmp_path / "drive.mcap"), str(tmp_path / "out"), to.value, "2")
+def test_memory_is_bounded(tmp_path: Path, large_mcap: Path, to: ExportFormat) -> None:
+    process = start(str(large_mcap), str(tmp_path / "out"), to.value, "2")
     output, errors = process.communicate(timeout=110)
     assert process.returncode == 0, errors
     assert int(output) / 1024 < MAX_MB
