@@ -46,8 +46,8 @@ def cut_remote_row(path: Path) -> dict[str, object]:
 def cut_stored_row(path: Path, url: str) -> dict[str, object]:
     """The same out of an object of the store.
 
-    The time has no bar: the store runs on the same processors, and uses all of two while it sends, so that each second
-    of decompression comes on top. A store on another machine is what `cut_remote_row` emulates.
+    The time has no bar: store and client alone keep both of two processors busy, so that decompression, which a store
+    on another machine leaves time for, comes on top. That store is what `cut_remote_row` emulates.
     """
     cut = _cut_in_turn(path, url)
     also = f"{cut.needed_bytes / _MB:.0f} MB; {cut.peak_mb:.0f} MB of memory (bar {_MOST_MB})"
