@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import threading
 from io import BytesIO
 from pathlib import Path
 
@@ -209,6 +210,30 @@ def test_only_the_chunks_needed_are_read_over_a_network(tmp_path: Path) -> None:
     assert [(topic, log_ns, data) for topic, log_ns, _, _, data in whole.messages] == expected
     outside = 64 * 2**10  # the window that looks for attachments behind the last chunk
     assert source.bytes_read <= 1.2 * sum(segment.size_bytes for segment in needed) + outside
+
+
+class FetchedTogether(Watched):
+    """A source that answers requests for some offsets once all of them have come."""
+
+    def __init__(self, source: MemorySource) -> None:
+        super().__init__(source, parallel_reads=8)
+        self.offsets: list[int] = []
+        self.together = threading.Barrier(1)
+
+    def read(self, offset: int, length: int) -> bytes:
+        if offset in self.offsets:
+            self.together.wait(20)
+        return super().read(offset, length)
+
+
+def test_the_first_chunks_of_a_slice_are_fetched_together(tmp_path: Path) -> None:
+    source = FetchedTogether(mcap_of(CHUNKS))
+    with Recording.open(source) as recording:
+        (member,) = recording.members
+        assert isinstance(member, ChunkedMember)
+        source.offsets = [row.start for row in member.table.rows][20:40:4]
+        source.together = threading.Barrier(len(source.offsets))
+        cut(recording, tmp_path / "a.mcap", "/camera", start=T0 + 2000, end=T0 + 4000)
 
 
 def test_the_start_is_inclusive_and_the_end_exclusive(tmp_path: Path) -> None:

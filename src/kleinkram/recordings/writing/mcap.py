@@ -304,13 +304,12 @@ def _is_partly_read(recordings: Sequence[Recording], selection: Selection) -> bo
 
 
 def share_read_ahead(recordings: Sequence[Recording]) -> None:
-    """Divide the memory for reading ahead between the recordings that are read at the same time."""
-    at_once = _most_at_once(recordings)
-    if at_once > 1:
-        for recording in recordings:
-            for member in recording.members:
-                if isinstance(member, ChunkedMember):
-                    member.max_ahead = min(member.max_ahead, MAX_AHEAD // at_once)
+    """Use all memory for reading ahead, divided between the recordings that are read at the same time."""
+    share = MAX_AHEAD // max(1, _most_at_once(recordings))
+    for recording in recordings:
+        for member in recording.members:
+            if isinstance(member, ChunkedMember):
+                member.first_ahead = member.max_ahead = min(member.max_ahead, share)
 
 
 def _most_at_once(recordings: Sequence[Recording]) -> int:
