@@ -7,6 +7,7 @@
 import { decoderOf } from "../decoding/decoder";
 import { ReadFailure } from "../failures";
 import type { Channel, Message, Piece, Recording } from "../formats/recording";
+import { checkTime } from "./index_check";
 import { sameSchema } from "./mcap_writer";
 
 const TRANSIENT_LOCAL = /\bdurability"?:\s*(1|transient_local)\b/gi;
@@ -70,7 +71,9 @@ async function readBackwards(recording: Recording, pieces: readonly Piece[], col
     const topics = [...collectors].filter(([topic, one]) => toRead.get(topic)?.has(piece) === true && !one.isComplete(piece.toNs)).map(([topic]) => topic);
     if (topics.length === 0) continue;
     for (const message of sortedByTime(await recording.readPiece(piece, topics))) {
-      if (message.logTimeNs < startNs) collectors.get(message.channel.topic)?.add(message);
+      if (message.logTimeNs >= startNs) continue;
+      checkTime(message);
+      collectors.get(message.channel.topic)?.add(message);
     }
   }
 }
