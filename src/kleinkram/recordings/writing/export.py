@@ -247,6 +247,7 @@ def _request_of(recordings: Sequence[NamedRecording], plan: ExportPlan, options:
         "to": plan.to.value,
         "recordings": [one.name for one in recordings],
         "sources": sources_of(recordings),
+        "source_bytes": {one.name: one.recording.size_bytes for one in recordings},
         "topics": None if topics is None else [*topics],
         "start_ns": start_ns or None,
         "end_ns": None if end_ns == END_OF_TIME_NS else end_ns,
