@@ -179,6 +179,22 @@ def test_each_publisher_of_a_latched_topic_has_its_last_message(tmp_path: Path) 
     assert stamped(whole) == [("/map", 20, b"lower"), ("/map", 20, b"upper"), ("/map", 20, b"upper again")]
 
 
+@pytest.mark.parametrize("chunk_bytes", [1, 2**20], ids=["several chunks", "one chunk"])
+def test_latched_messages_of_one_time_keep_their_order(tmp_path: Path, chunk_bytes: int) -> None:
+    """As in a slice, where all of them have its start as log time: the last one of a frame must stay the last."""
+    out = BytesIO()
+    writer = McapWriter(out, chunk_bytes=chunk_bytes)
+    schema = writer.add_schema("tf2_msgs/msg/TFMessage", "ros2msg", TRANSFORMS.encode())
+    channel = writer.add_channel("/tf_static", schema, "cdr")
+    both, again = transforms("lidar", "camera"), transforms("lidar") + b"\0"
+    for time_ns, data in ((T0, both), (T0, again), (T0 + 9, both)):
+        writer.add_message(channel, time_ns, data)
+    writer.finish()
+    with Recording.open(MemorySource(out.getvalue(), "one_time.mcap")) as recording:
+        whole = cut(recording, tmp_path / "a.mcap", start=T0 + 5)
+    assert [data for _, _, data in stamped(whole)] == [both, again, both]
+
+
 def test_a_topic_that_only_has_the_name_of_static_transforms(tmp_path: Path) -> None:
     out = BytesIO()
     writer = McapWriter(out)
