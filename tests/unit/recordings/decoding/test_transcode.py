@@ -194,7 +194,7 @@ def test_names_that_no_type_can_have_are_refused(name: str) -> None:
         to_ros1(name, "ros2msg", b"int8 a\n")
 
 
-def test_a_constant_may_hold_other_line_separators() -> None:
+def test_a_constant_may_contain_other_line_separators() -> None:
     text = f"string A=one\u2028my_msgs/B\nB b\n{RULE}\nMSG: my_msgs/B\nint8 a\n"
     nested = hashlib.md5(b"int8 a", usedforsecurity=False).hexdigest()
     expected = f"string A=one\u2028my_msgs/B\n{nested} b".encode()
