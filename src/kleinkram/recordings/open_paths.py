@@ -26,8 +26,8 @@ class LocalRecordingPath(NamedTuple):
 def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[LocalRecordingPath]:
     """Return the recordings of files and folders, in the given order; of a folder, each in it and below it.
 
-    A recording that is named twice is returned once. Names are those of files, or paths in their folder; where two would
-    be the same, they are the whole paths.
+    A recording that is named twice is returned once. Names are those of files, or paths in their folder; where two
+    would be the same, they are the whole paths.
 
     Raises:
         FileNotFoundError: a path does not exist.
