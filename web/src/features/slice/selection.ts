@@ -1,6 +1,6 @@
 // What is selected of a recording: its times, its estimated size, the name of the file, and the equivalent command.
 import type { File, Recording, Topic } from "@/api/types";
-import { fileArguments, missionArguments, quoted } from "@/components/commands";
+import { missionArguments, quoted } from "@/components/commands";
 import type { Span } from "@/recordings/formats/recording";
 
 const MS_NS = 1_000_000n;
@@ -58,9 +58,12 @@ export function wholeRecording(file: File, recordings: readonly Recording[]): Re
   return recordings.find(({ file_ids: ids }) => ids.length > 1 && ids.includes(file.id)) ?? null;
 }
 
+/** A recording as `klein cut` takes it: a glob that matches its name or path alone, and is no option. */
+const recordingArgument = (name: string): string => quoted(name.replace(/[*?[]/g, "[$&]").replace(/^-/, "[-]"));
+
 /** Returns the command that makes a slice of recordings of a mission, to be completed with topics and times. */
 export function commandOfSeveral(names: readonly string[], mission: Parameters<typeof missionArguments>[0]): string {
-  return ["klein cut", ...names, missionArguments(mission), "--topics /TOPIC --start +10s --end +20s -o selection.mcap"].join(" ");
+  return ["klein cut", ...names.map(recordingArgument), missionArguments(mission), "--topics /TOPIC --start +10s --end +20s -o selection.mcap"].join(" ");
 }
 
 /** Topics as `--topics` takes them: it separates names by commas and spaces, which a glob can stand for. */
@@ -73,5 +76,5 @@ export function commandOf(file: File, topics: readonly string[] | null, { startN
     ...(startNs === null ? [] : ["--start", String(startNs)]),
     ...(endNs === null ? [] : ["--end", String(endNs)]),
   ];
-  return ["klein cut", ...fileArguments([file]), missionArguments(file.mission), ...options, "-o", quoted(sliceName(file.path))].join(" ");
+  return ["klein cut", recordingArgument(file.path), missionArguments(file.mission), ...options, "-o", quoted(sliceName(file.path))].join(" ");
 }

@@ -15,8 +15,8 @@ describe("the command", () => {
     expect(commandOf(FILE, ["/GPS fix, raw"], TIMES)).toContain("--topics '/GPS?fix??raw' ");
   });
 
-  it("of several files names them", () => {
-    expect(commandOfSeveral(["a.mcap", "b.bag"], MISSION)).toBe("klein cut a.mcap b.bag -p Alps -m day --topics /TOPIC --start +10s --end +20s -o selection.mcap");
+  it("of several files names each of them, whatever characters its name has", () => {
+    expect(commandOfSeveral(["a.mcap", "-b[1].bag"], MISSION)).toBe("klein cut a.mcap '[-]b[[]1].bag' -p Alps -m day --topics /TOPIC --start +10s --end +20s -o selection.mcap");
   });
 });
 
