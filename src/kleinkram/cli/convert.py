@@ -1,15 +1,14 @@
 """`klein convert`: local recordings as MCAPs or ROS 1 bags, without a server."""
 
-import contextlib
-import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated
 
 from kleinkram.cli import options
 from kleinkram.cli.commands import argument, flag, option
-from kleinkram.cli.errors import ExitCode, Interrupted, recording_code
+from kleinkram.cli.cut import Watch, watch_shares
+from kleinkram.cli.errors import ExitCode, recording_code
 from kleinkram.cli.render import Output, note, table
 from kleinkram.cli.units import size
 from kleinkram.client.errors import DestinationRefused, InvalidInput
@@ -66,7 +65,7 @@ def convert(
         if job.path.exists() or job.path.is_symlink():
             reason = "there is such a file or folder, and it is not replaced: choose another folder with -o"
             raise DestinationRefused(path=str(job.path), reason=reason)
-    with _watching() as watch:
+    with watch_shares("The files that were written are complete.") as watch:
         return _converted([_convert(job, how, watch) for job in jobs])
 
 
@@ -88,9 +87,6 @@ class _Outcome:
     result: ConversionResult | None = None
     error: str | None = None
     exit_code: int = 0
-
-
-_Watch = Callable[[str], Callable[[float], None] | None]
 
 
 def _options(to: str, compression: str | None, level: int | None, keep_ros1: bool) -> ConversionOptions:
@@ -142,7 +138,7 @@ def _plan(job: _Job, how: ConversionOptions) -> _Outcome:
         return _Outcome(job, error=str(error), exit_code=recording_code(error))
 
 
-def _convert(job: _Job, how: ConversionOptions, watch: _Watch) -> _Outcome:
+def _convert(job: _Job, how: ConversionOptions, watch: Watch) -> _Outcome:
     try:
         with job.recording.open() as recording:
             if is_as_wanted(recording, how):
@@ -154,28 +150,6 @@ def _convert(job: _Job, how: ConversionOptions, watch: _Watch) -> _Outcome:
         return _Outcome(job, error=f"{job.path.parent}: {error.strerror or error}", exit_code=ExitCode.destination)
     except RecordingError as error:
         return _Outcome(job, error=str(error), exit_code=recording_code(error))
-
-
-@contextlib.contextmanager
-def _watching() -> Iterator[_Watch]:
-    """Show a bar for each recording on a terminal. Ctrl-C raises Interrupted; no incomplete file is left then."""
-    try:
-        if not sys.stderr.isatty():
-            yield lambda _name: None
-            return
-        from rich.console import Console
-        from rich.markup import escape
-        from rich.progress import Progress
-
-        with Progress(console=Console(stderr=True), transient=True) as progress:
-
-            def watch(name: str) -> Callable[[float], None]:
-                task = progress.add_task(escape(name), total=1.0)
-                return lambda share: progress.update(task, completed=share)
-
-            yield watch
-    except KeyboardInterrupt:
-        raise Interrupted("The files that were written are complete.") from None
 
 
 def _planned(outcomes: Sequence[_Outcome]) -> Output:

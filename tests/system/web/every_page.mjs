@@ -300,6 +300,7 @@ await page.goto(`${address}/`);
 await page.locator("h1").waitFor();
 await page.keyboard.press("Shift+?");
 await checkPage(page, "dialog-keys", { ...dialogOnly, ready: "dialog[open]" });
+await checkPage(page, "dialog-slice", { ...dialogOnly, path: `/files/${ids.drive}?slice=1`, ready: "dialog[open] [data-estimate]" });
 
 // Pages of the server, not of the app, for a signed-in person.
 await checkPage(page, "device", { path: `/sign-in/device?user_code=${encodeURIComponent(texts.value)}`, expectedTexts: [texts.value] });

@@ -79,11 +79,12 @@ def test_every_ros_1_recording_has_the_same_values_in_ros_2(entry: Entry, record
     assert {channel.message_encoding for channel in whole.channels} <= {"cdr"}
     assert {schema.encoding for schema in whole.schemas.values()} <= {"ros2msg"}
     assert mcap_values(whole) == independent_values(source)
+    if not whole.channels:
+        return
+    assert whole.header.profile == "ros2"
     with Rosbag2Reader(tmp_path / "made.mcap") as reader:
         read = {(connection.topic, stamp, bytes(data)) for connection, stamp, data in reader.messages()}
     assert read == {(topic, log_ns, data) for topic, log_ns, _, _, data in whole.messages}
-    if whole.channels:
-        assert whole.header.profile == "ros2"
 
 
 @pytest.mark.parametrize("entry", ROS_1)
@@ -179,7 +180,7 @@ def assert_true_md5_sums(path: Path) -> None:
 def test_bags_are_indexed_and_the_same_each_time(compression: BagCompression, kind: str, tmp_path: Path) -> None:
     make = {"mcap": generate_mcap, "bag": generate_bag, "db3": generate_db3}[kind]
     source = tmp_path / ("drive" if kind == "db3" else f"drive.{kind}")
-    make(source, size_bytes=2_000_000)
+    make(source, size_bytes=600_000, duration_s=2)
     with Recording.open(source) as recording:
         for name in ("one.bag", "other.bag"):
             result = recording.to_bag(tmp_path / name, options=BagOptions(compression))
