@@ -315,8 +315,9 @@ class MissionChecksRead(Response):
     `evaluated_at` is null while nothing was checked.
     `is_current`: the checks are of the present files and by the present `checks.yaml`, whose version is `checks_number`
     (0 for none). `reference` is the trajectory that estimates are compared with: of the mission's metadata, or else of
-    the first profile that applies and names one. `bad_since` is when the mission became bad. With `all`, acceptances that ended are listed too. Without
-    an account, there are no notes and no reports, and only acceptances that apply.
+    the first profile that applies and names one; it comes with the first page. `bad_since` is when the mission became
+    bad. With `all`, acceptances that ended are listed too. Without an account, there are no notes and no reports, and
+    only acceptances that apply.
     """
 
     verdict: Verdict

@@ -144,7 +144,13 @@ def test_a_name_has_one_rule_or_several_or_only_the_defaults() -> None:
         pytest.param(HEAD + "reference: tf:map\n", 3, 3, "transforms are named like tf:map->base_link", id="one frame"),
         pytest.param(HEAD + "reference: nuc.mcap:tf:->a\n", 3, 3, "transforms are named like", id="in a recording"),
         pytest.param(HEAD + "reference: [/odom]\n", 3, 3, "reference: it must be text", id="several references"),
-        pytest.param(HEAD + f"reference: {'a' * 1025}\n", 3, 3, "reference: it is too long", id="long reference"),
+        pytest.param(
+            HEAD + f"reference: {'a' * 1025}\n",
+            3,
+            3,
+            "reference: it has more than 1024 characters",
+            id="long reference",
+        ),
         pytest.param("version: 1\nreference: /odom\nprofiles:\n- {}\n", 2, 1, "no such field", id="of no profile"),
     ],
 )

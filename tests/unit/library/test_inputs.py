@@ -2,8 +2,8 @@
 
 import pytest
 
-from kleinkram.library import inputs
 from kleinkram.contract.names import split_trajectory_name
+from kleinkram.library import inputs
 from kleinkram.library.inputs import InputRecording, only_recording
 from kleinkram.recordings import Schema, Topic
 from kleinkram.recordings.trajectories import TrajectoryRefused

@@ -32,7 +32,7 @@ def test_results_from_before_declared_inputs_stay_valid() -> None:
     )
 
 
-PROFILES = "version: 1\nprofiles: [{when: {place: hall}, reference: /vicon/pose}, {reference: truth.tum}]\n"
+PROFILES = "version: 1\nprofiles: [{name: a, when: {place: hall}, reference: /vicon/pose}, {reference: truth.tum}]\n"
 RULES, OTHER_RULES = b"\1" * 32, b"\2" * 32
 
 
@@ -49,9 +49,9 @@ def test_every_declared_value_counts(other: Metadata) -> None:
 
 
 def test_results_of_actions_that_declare_metadata_or_checks_stay_valid() -> None:
-    expected = "8ba6c11b21f5fd4a7d83ed8a6a5d7d98d7eb9a1bfd2a0dd4c9bdc3f3fd8ee5d0"
+    expected = "509023f6b4b11a4fd9518be0feec7c97f8062c6b9e75b4ba772c92d90d63aeb5"
     assert of(Inputs(metadata=["reference"]), {"reference": "/odom", "robot": "spot"}, RULES) == expected
-    expected = "0"
+    expected = "7ab92cf7bea4e04d04e4e8dc41fcee71a3300052924fb649dea58520bc6fe232"
     assert of(Inputs(checks=True), {"robot": "spot"}, RULES) == expected
 
 

@@ -42,6 +42,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.jobs.rejudge import judge_again
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pagination import PageRequest, Rows, fetch_page
+from kleinkram.server.runs.declared_inputs import present_reference
 from kleinkram.server.tables import check_acceptance, check_note, check_report, mission_checks
 
 _MAX_NOTES = 1000
