@@ -196,7 +196,7 @@ def test_a_run_reads_the_reference_as_at_its_launch(lab: Api, runner: FakeRunner
 
 
 def test_rules_that_cannot_be_read_any_more_name_no_reference(lab: Api, runner: FakeRunner, place: Place) -> None:
-    set_rules(lab, place.project, REFERENCES)
+    set_rules(lab, place.project, REFERENCES + "# of this project alone\n")
     lab.sql("UPDATE project_checks SET text = 'version: 0' WHERE project_id = %s", place.project["id"])
     launch(lab, runner, place.mission, inputs={"reference": True})
     assert context_of(runner, runner.claim())["reference"] is None
