@@ -43,6 +43,7 @@ async function limitNetwork(bytesPerSecond, offline = false) {
   await networkSession.send("Network.emulateNetworkConditions", conditions);
 }
 const SLOW = 16e6;
+const VERY_SLOW = 1e6; // however slow this machine is, the upload is not over before the next step
 
 const panel = page.locator("[data-phase]").first();
 
@@ -117,6 +118,7 @@ results.offline = await panel.innerText();
 await checkPage("offline");
 await limitNetwork(SLOW);
 await waitForProgress(20);
+await limitNetwork(VERY_SLOW);
 expectsErrors = false;
 await page.getByRole("link", { name: "Projects" }).first().click();
 await page.getByRole("link", { name: /^Uploading, / }).click();
@@ -124,7 +126,9 @@ await panel.getByRole("button", { name: "Pause" }).click();
 await panel.getByText("paused").waitFor();
 await checkPage("paused");
 await panel.getByRole("button", { name: "Continue" }).click();
-await waitForProgress(70); // at most four parts are in progress, so six have arrived
+await limitNetwork(SLOW);
+await waitForProgress(50); // at most four parts are in progress, so six have arrived
+await limitNetwork(VERY_SLOW);
 
 // The page is reloaded during the upload.
 results.putsBefore = puts;
