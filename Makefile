@@ -15,20 +15,21 @@ export KLEINKRAM_RECORDINGS ?= $(abspath ../shared/recordings)
 
 setup: $(STAMP) $(APP)
 
-$(STAMP): requirements/dev.txt pyproject.toml
+$(BIN)/python:
+	@if command -v uv >/dev/null 2>&1; then uv venv --quiet --python $(PYTHON) $(VENV); else $(PYTHON) -m venv $(VENV); fi
+
+$(STAMP): requirements/dev.txt pyproject.toml | $(BIN)/python
 	@if command -v uv >/dev/null 2>&1; then \
-	  test -x $(BIN)/python || uv venv --quiet --python $(PYTHON) $(VENV); \
 	  uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements/dev.txt \
 	  && uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .; \
 	else \
-	  test -x $(BIN)/python || $(PYTHON) -m venv $(VENV); \
 	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt \
 	  && $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .; \
 	fi
 	@touch $@
 
 # The web interface, built with the system's Node or one from a wheel (docs/decisions/0018-web.md).
-$(MODULES): web/package.json web/package-lock.json web/.npmrc | $(STAMP)
+$(MODULES): web/package.json web/package-lock.json web/.npmrc | $(BIN)/python
 	@web/npm ci --silent
 	@touch $@
 
@@ -58,7 +59,7 @@ soak: setup
 	@$(BIN)/python -m tests.requirements
 	@HYPOTHESIS_PROFILE=soak $(BIN)/python -m pytest -m soak -q --timeout=0
 
-# Two at a time: each uses mostly one core, and without caches mypy and ESLint take longest.
+# Two at a time, from their installation on: pip, mypy and ESLint use one core each.
 check:
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=line check-web-sources check-python check-web-tests
 	@echo "check: all good"
