@@ -20,7 +20,7 @@ fields:
   - {name: operator, type: string, pattern: '(?x) [a-z]+', required: true, description: In small letters.}
   - {name: temperature, type: number, unit: degC}
 """
-_LARGE_BYTES = 120_000_000
+_LARGE_BYTES = 80_000_000
 _PARTS = -(-_LARGE_BYTES // (5 << 20))
 _SMALL_FILES, _SMALL_BYTES = 100, 250_000
 

@@ -7,6 +7,7 @@ import { launchBrowser } from "./chromium.mjs";
 
 const [web, executablePath, link, address, folder, changing, pictures, api] = process.argv.slice(2);
 const TIMEOUT_MS = 60_000;
+const WITH_PICTURES = process.env.KLEINKRAM_TEST_PICTURES === "1";
 // However slow this machine is, an upload at this rate is not over before the next step. The parts of a large file may
 // all be signed when it begins, so that only its end needs the API; many small files need it for each of them.
 const SLOW = 1e6;
@@ -23,11 +24,11 @@ await page.waitForURL((url) => url.pathname === "/");
 
 const panel = page.locator("[data-phase]").first();
 
-async function limitUploadRate(target, bytesPerSecond) {
-  const session = await context.newCDPSession(target);
-  await session.send("Network.enable");
+const networkSession = await context.newCDPSession(page);
+await networkSession.send("Network.enable");
+async function limitUploadRate(bytesPerSecond) {
   const conditions = { offline: false, latency: 0, downloadThroughput: -1, uploadThroughput: bytesPerSecond };
-  await session.send("Network.emulateNetworkConditions", conditions);
+  await networkSession.send("Network.emulateNetworkConditions", conditions);
 }
 
 async function choose(target, path, button) {
@@ -56,7 +57,7 @@ await choose(page, folder, "Choose a folder");
 await page.getByLabel("Project").selectOption({ label: "Alps" });
 await page.getByLabel("Mission").selectOption({ label: "New mission" });
 await page.getByLabel("Mission name").fill("descent");
-await limitUploadRate(page, SLOW);
+await limitUploadRate(SLOW);
 await begin(page);
 await waitForProgress(1);
 process.kill(Number(api), "SIGKILL");
@@ -72,7 +73,7 @@ await context.clearCookies();
 await page.locator("[data-phase=signed_out]").waitFor(); // the page may notice the end of the session before the upload does
 await page.getByRole("dialog").getByRole("button", { name: "Sign in" }).waitFor();
 results.signedOut = await panel.innerText();
-await page.screenshot({ path: `${pictures}/upload-signed-out.png` });
+if (WITH_PICTURES) await page.screenshot({ path: `${pictures}/upload-signed-out.png` });
 const progressSignedOut = await currentProgress();
 await context.addCookies(session);
 await page.evaluate(() => globalThis.dispatchEvent(new Event("focus")));
@@ -91,13 +92,13 @@ await begin(otherTab);
 await otherTab.locator("[data-phase=elsewhere]").waitFor();
 results.refusedInOtherTab = await otherTab.locator("[data-phase]").innerText();
 await otherTab.close();
-await limitUploadRate(page, -1);
+await limitUploadRate(-1);
 await page.locator("[data-phase=over]").waitFor();
 results.finished = await panel.innerText();
 
 // A file changes during its upload.
 await page.goto(`${address}/upload?mission=${mission}`);
-await limitUploadRate(page, SLOW);
+await limitUploadRate(SLOW);
 await choose(page, changing, "Choose files");
 await begin(page);
 await waitForProgress(1);
