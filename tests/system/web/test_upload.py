@@ -22,6 +22,7 @@ fields:
 """
 _LARGE_BYTES = 80_000_000
 _PARTS = -(-_LARGE_BYTES // (5 << 20))
+_MEDIUM_BYTES = 40_000_000  # more parts than connections
 _SMALL_FILES, _SMALL_BYTES = 100, 250_000
 
 
@@ -83,9 +84,9 @@ def test_an_upload_survives_a_killed_api_an_expired_session_and_a_second_tab(
     contents = random.Random(6)
     for number in range(_SMALL_FILES):
         (day / f"a{number:03}.raw").write_bytes(contents.randbytes(_SMALL_BYTES))
-    (day / "camera.raw").write_bytes(contents.randbytes(_LARGE_BYTES))
+    (day / "camera.raw").write_bytes(contents.randbytes(_MEDIUM_BYTES))
     changing = tmp_path / "changing.raw"
-    changing.write_bytes(random.Random(7).randbytes(_LARGE_BYTES))
+    changing.write_bytes(random.Random(7).randbytes(_MEDIUM_BYTES))
     terminal = cluster.terminal
     terminal.run("project", "create", "Alps")
 
