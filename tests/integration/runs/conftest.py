@@ -85,9 +85,7 @@ class FakeRunner:
         return self._begin(claim, {path: data})[path]
 
     def _begin(self, claim: Mapping[str, Any], files: Mapping[str, bytes]) -> dict[str, Any]:
-        expected = [
-            {"path": path, "size_bytes": len(data), "sha256": sha256(data)} for path, data in files.items()
-        ]
+        expected = [{"path": path, "size_bytes": len(data), "sha256": sha256(data)} for path, data in files.items()]
         body = {"attempt": claim["attempt"], "files": expected}
         decisions = self.api.post(f"/runner/runs/{claim['run_id']}/uploads", body).ok()["items"]
         assert {decision["decision"] for decision in decisions} == {"upload"}, decisions
