@@ -92,6 +92,15 @@ describe("a slice", () => {
     expect(madeFrom.get("latched")).toBe(`{"/robot_description": [${START + 100n * SECOND}]}`);
   });
 
+  it("begins with latched messages of one time in their order, so that the last one of a frame stays the last", async () => {
+    const schema = { name: "Transforms", encoding: "jsonschema", data: text("{}") };
+    const transforms = (...frames: string[]) => text(JSON.stringify({ transforms: frames.map((name) => ({ child_frame_id: name })) }));
+    const both = { topic: "/tf_static", logTimeNs: START, data: transforms("a", "b") };
+    const store = storeOf(await madeMcap([{ name: "/tf_static", schema, messageEncoding: "json" }], [both, { ...both, data: transforms("a") }, { ...both, logTimeNs: START + 9n }]));
+    const { messages } = await read(await sliceOf(store, { startNs: START + 5n }));
+    expect(messages.map((message) => message.length)).toEqual([both, { data: transforms("a") }, both].map(({ data }) => data.length));
+  });
+
   it("reads only the chunks that are needed", async () => {
     const store = await drive();
     await sliceOf(store, { topics: ["/b"], startNs: START + 20n * SECOND, endNs: START + 21n * SECOND });
