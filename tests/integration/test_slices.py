@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from kleinkram.client import Client, connect
-from kleinkram.client.errors import DestinationDiffers, InvalidInput, NothingToDo
+from kleinkram.client.errors import DestinationRefused, InvalidInput, NothingToDo
 from kleinkram.contract.errors import NotFound
 from kleinkram.recordings import Recording
 from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mcap
@@ -153,7 +153,7 @@ def test_download_of_slices_writes_one_file_for_each_recording(
     assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == ["drive.mcap", "drive2.mcap"]
     refused = klein("download", "-m", mission, *words, "--limit-rate", "1M", code=2)
     assert "it does not limit slices of recordings" in refused.stderr
-    assert "already exists with other content" in klein("download", "-m", mission, *words, code=11).stderr
+    assert "it exists, and is not compared" in klein("download", "-m", mission, *words, code=11).stderr
     klein("download", "-m", mission, *words, "--overwrite")
     assert stamped(tmp_path / "drive.mcap") == expected(drives / "drive.mcap", "/imu/data")
 
@@ -166,7 +166,7 @@ def test_slices_by_the_sdk(client: Client, mission: str, drives: Path, tmp_path:
     assert result.losses == ()
     assert stamped(result.local) == expected(drives / "drive.mcap", "/imu/data", "/odom")
     again = client.download(where, tmp_path, topics="/imu/data", path="drive.mcap")
-    assert [type(error) for error in again.failures] == [DestinationDiffers]
+    assert [type(error) for error in again.failures] == [DestinationRefused]
     other = tmp_path / "other"
     with pytest.raises(NothingToDo, match="No recording has a topic /nothing"):
         client.download(where, other, topics="/nothing")

@@ -14,7 +14,7 @@ from kleinkram.cli import options
 from kleinkram.cli.commands import Many, flag, option
 from kleinkram.cli.commands import argument as positional
 from kleinkram.cli.errors import Interrupted
-from kleinkram.cli.render import Output, details, note
+from kleinkram.cli.render import Output, details, escape, note
 from kleinkram.cli.units import count, instant, size, span
 from kleinkram.client import Client, connect
 from kleinkram.client.errors import InvalidInput, NothingToDo
@@ -158,25 +158,35 @@ def _estimate(recordings: Sequence[Recording], selection: Selection) -> Output:
 def _write(recordings: Sequence[Recording], output: Path, selection: Selection, how: McapOptions) -> McapResult:
     topics = None if selection.topics is None else sorted(selection.topics)
     start_ns, end_ns = selection.start_ns, selection.end_ns
-    with watch_share(output.name) as on_progress:
+    with watch_shares() as watch:
         return merge_to_mcap(
-            recordings, output, topics, start=start_ns, end=end_ns, options=how, on_progress=on_progress
+            recordings, output, topics, start=start_ns, end=end_ns, options=how, on_progress=watch(output.name)
         )
 
 
+Watch = Callable[[str], Callable[[float], None] | None]
+"""Shows a bar of this name; returns what takes the share that is done, None where there is no terminal."""
+
+
 @contextlib.contextmanager
-def watch_share(name: str, *, remedy: str = "Nothing was written.") -> Iterator[Callable[[float], None] | None]:
-    """Show a bar on a terminal. Ctrl-C raises Interrupted, which names a remedy; no incomplete file is left then."""
+def watch_shares(remedy: str = "Nothing was written.") -> Iterator[Watch]:
+    """Show bars on a terminal. Ctrl-C raises Interrupted, which names a remedy; no incomplete file is left then."""
     try:
         if not sys.stderr.isatty():
-            yield None
+            yield lambda _name: None
             return
         from rich.console import Console
-        from rich.progress import Progress
+        from rich.progress import Progress, TextColumn
 
-        with Progress(console=Console(stderr=True), transient=True) as progress:
-            task = progress.add_task(name, total=1.0)
-            yield lambda share: progress.update(task, completed=share)
+        name_column = TextColumn("{task.description}", markup=False)  # names may have brackets
+        columns = name_column, *Progress.get_default_columns()[1:]
+        with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+
+            def watch(name: str) -> Callable[[float], None]:
+                task = progress.add_task(escape(name), total=1.0)
+                return lambda share: progress.update(task, completed=share)
+
+            yield watch
     except KeyboardInterrupt:
         raise Interrupted(remedy) from None
 

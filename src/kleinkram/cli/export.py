@@ -8,7 +8,7 @@ from typing import Annotated
 
 from kleinkram.cli import options
 from kleinkram.cli.commands import Many, argument, flag, option
-from kleinkram.cli.cut import open_readable, watch_share
+from kleinkram.cli.cut import open_readable, watch_shares
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.filters import Choice, select_files, with_choice
 from kleinkram.cli.render import Output, note, table
@@ -99,15 +99,17 @@ def _export_local(sources: Sequence[str], request: _ExportRequest) -> Output:
             refuse_existing_folder(request.output)
         if not plan.files and not plan.left_out:
             topics = ", ".join(request.options.topics or [])
-            raise NothingToDo(reason=f"No topic matches {topics}" if topics else "There is no topic to export")
-        with watch_share(request.output.name, remedy=_REMEDY) as on_progress:
+            raise NothingToDo(
+                reason=f"No topic matches {topics}" if topics else f"There is no topic to export as {request.to.value}"
+            )
+        with watch_shares(_REMEDY) as watch:
             result = export_recordings(
                 opened.recordings,
                 request.output,
                 request.to,
                 request.options,
                 resume=request.resume,
-                on_progress=on_progress,
+                on_progress=watch(request.output.name),
             )
     error = None if result.files else "none of the topics can be exported"
     return _show_exports([MissionExport("", "", request.output, result, opened.unread, error)], request.output)
@@ -133,7 +135,8 @@ def _export_remote(client: Client, choice: Choice, sources: Sequence[str], reque
     )
     if request.dry_run:
         return _show_plans(_plans(client, missions, request))
-    with watch_share(request.output.name, remedy=_REMEDY) as on_share:
+    with watch_shares(_REMEDY) as watch:
+        on_share = watch(request.output.name)
         shares = {(mission.project, mission.mission): 0.0 for mission in missions}
 
         def show(mission: MissionRecordings, share: float) -> None:
@@ -211,12 +214,14 @@ def _show_exports(exports: Sequence[MissionExport], output: Path) -> Output:
         items.append({**names, "error": one.error, "unread": dict(one.unread), **plain})
         _note_missing(one)
         files = one.result.files if one.result is not None else ()
-        rows += [(file.topic, file.row_count, size(file.size_bytes), str(file.path)) for file in files]
+        rows += [
+            (file.topic, file.message_type, file.row_count, size(file.size_bytes), str(file.path)) for file in files
+        ]
     failed = [one for one in exports if one.error is not None]
     if len(failed) == len(exports):
         raise NothingToDo(reason=f"Nothing was exported: {failed[0].error}")
     code = ExitCode.several if failed else 0
-    return Output({"items": items}, lambda: table(["topic", "rows", "size", "file"], rows), code)
+    return Output({"items": items}, lambda: table(["topic", "type", "rows", "size", "file"], rows), code)
 
 
 def _note_missing(one: MissionExport) -> None:

@@ -227,7 +227,8 @@ def download(
     """Download files, and verify each before it gets its final name. Running the same command again resumes.
 
     With --topics, --start or --end, a slice of each recording is downloaded as one MCAP instead: only the chunks that
-    are needed are fetched. `klein cut` makes one file of several recordings.
+    are needed are fetched. A slice that exists is refused, not resumed. `klein cut` makes one file of several
+    recordings.
     """
     bytes_per_s = parse_rate(limit_rate)
     links = [value for value in filters or [] if is_link(value)]

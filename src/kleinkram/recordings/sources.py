@@ -223,23 +223,28 @@ class ReadAheadTask(NamedTuple, Generic[T]):
     run: Callable[[], T]
 
 
-def read_ahead(tasks: Iterator[ReadAheadTask[T]], *, workers: int, max_bytes: int) -> Iterator[T]:
+def read_ahead(tasks: Iterator[ReadAheadTask[T]], *, workers: int, max_bytes: int, first_bytes: int = 0) -> Iterator[T]:
     """Yield the results of tasks, in order, while threads run the next ones; an exception is raised in this order.
+
+    Results of `first_bytes` are read ahead at first, and twice as much with each result, up to `max_bytes`; by default
+    the first task runs alone, because its result may be all that is wanted.
 
     Closed early, it returns at once: tasks that have begun run to their end, without effect.
     """
     from concurrent.futures import Future, ThreadPoolExecutor  # slow to import
 
-    first = next(tasks, None)
-    if first is None:
+    upcoming = next(tasks, None)
+    if upcoming is None:
         return
     raise_malloc_threshold()
-    yield first.run()
+    allowance = first_bytes
+    if not allowance:
+        yield upcoming.run()
+        allowance, upcoming = max(1, upcoming.size_bytes), next(tasks, None)
     pool = ThreadPoolExecutor(workers, thread_name_prefix="read-ahead")
     try:
         running: deque[tuple[int, Future[T]]] = deque()
-        allowance, buffered_bytes = max(1, first.size_bytes), 0
-        upcoming = next(tasks, None)
+        buffered_bytes = 0
         while upcoming is not None or running:
             allowance = min(max_bytes, 2 * allowance)
             while upcoming is not None and (not running or buffered_bytes + upcoming.size_bytes <= allowance):
@@ -264,11 +269,12 @@ def raise_malloc_threshold() -> None:
     """Make malloc keep up to 48 MB of freed memory for reuse, because fresh pages cost as much as decompression.
 
     glibc raises its threshold when a large allocation is freed, even an untouched one; other libraries ignore it. Once
-    per process: a second such allocation would reuse memory and first fill it with zeros, which takes 1 ms.
+    per process: a second such allocation would reuse memory and first fill it with zeros, which takes 1 ms. A
+    `bytearray` always does, which takes 15 ms.
 
     Source: mallopt(3), M_MMAP_THRESHOLD, "dynamic mmap threshold".
     """
-    bytearray(_LARGE_ALLOCATION)
+    bytes(_LARGE_ALLOCATION)
 
 
 class SequentialReader(Protocol):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -52,6 +53,15 @@ def test_the_files_are_printed(
     assert "/camera/image/compressed" in shown
     assert str(out / "camera.image.compressed") in shown
     assert len([*(out / "camera.image.compressed").glob("*.jpg")]) == 4
+
+
+def test_nothing_is_left_where_the_extra_is_missing(
+    mission: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert run(monkeypatch, mission, "--to", "csv", "-o", tmp_path / "tables") == 8
+    assert "this needs pyarrow: run `pip install 'open-kleinkram[reading]'`" in capsys.readouterr().err
+    assert not (tmp_path / "tables").exists()
 
 
 def test_a_dry_run_writes_nothing(

@@ -14,7 +14,6 @@ from uuid import UUID
 from kleinkram.client._client import Client
 from kleinkram.client.errors import (
     ClientError,
-    DestinationDiffers,
     DestinationRefused,
     FileUnreadable,
     InvalidInput,
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
     from kleinkram.recordings.messages import Selection, Time
     from kleinkram.recordings.recording import Topics
     from kleinkram.recordings.writing.mcap import McapOptions
-
-_EXTENSIONS = (".active", ".zst", ".zstd", ".bag", ".mcap", ".db3")
 
 
 @dataclass(frozen=True)
@@ -75,6 +72,8 @@ def plan_slices(client: Client, files: Iterable[FileRead], dest: Path, *, nested
 
     If only some files of a recording are among them, each of these is a slice of its own. Other files are left out.
     """
+    from kleinkram.recordings.writing.conversion import without_extensions
+
     by_mission: dict[UUID, list[FileRead]] = defaultdict(list)
     for file in files:
         by_mission[file.mission.id].append(file)
@@ -85,7 +84,7 @@ def plan_slices(client: Client, files: Iterable[FileRead], dest: Path, *, nested
         above = f"{mission.project.name}/{mission.name}/" if nested else ""
         for recording in recordings_of(client, mission_id, mission_files):
             name = recording.name if isinstance(recording, RecordingRead) else recording.path
-            relative = above + _slice_name(name if name != "." else mission.name)
+            relative = f"{above}{without_extensions(name if name != '.' else mission.name)}.mcap"
             if relative in targets:
                 relative = f"{relative.removesuffix('.mcap')}-{PurePosixPath(name).suffix.strip('.') or 'slice'}.mcap"
             try:
@@ -111,14 +110,6 @@ def recordings_of(client: Client, mission_id: UUID, files: Sequence[FileRead]) -
             yield recording
         else:
             yield from own
-
-
-def _slice_name(name: str) -> str:
-    """Return the name of a recording with the extension `.mcap` in place of its own."""
-    path = PurePosixPath(name)
-    while path.suffix.lower() in _EXTENSIONS and path.stem:
-        path = path.with_suffix("")
-    return f"{path}.mcap"
 
 
 def download_slices(
@@ -216,7 +207,8 @@ class _Slicer:
         local = target.dest / target.relative
         is_there = regular_size(local) is not None
         if is_there and not self._overwrite:
-            raise DestinationDiffers(path=str(local))
+            reason = "it exists, and is not compared; use --overwrite to replace it, or another --dest"
+            raise DestinationRefused(path=str(local), reason=reason)
         part = partial_path(local, ".klein-slice") if is_there else local
         with self._client.recordings.open(target.recording) as recording:
             topics = self._matching([topic.name for topic in recording.topics])

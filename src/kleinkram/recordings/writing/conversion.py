@@ -20,7 +20,7 @@ from kleinkram.recordings.writing.mcap import McapOptions, McapResult, Ros1Messa
 if TYPE_CHECKING:
     from kleinkram.recordings.recording import OnProgress, Recording, Topics
 
-EXTENSIONS = (".active", ".zst", ".zstd", ".bag", ".mcap", ".db3", ".ulg")
+_EXTENSIONS = (".active", ".zst", ".zstd", ".bag", ".mcap", ".db3", ".ulg")
 _INDEX_PROBLEMS = frozenset(("index-damaged", "counts-disagree"))
 _SAMPLED_SEGMENTS = 8
 _TIMES = struct.Struct("<QQ")
@@ -116,7 +116,7 @@ def target_names(names: Sequence[str]) -> Iterator[str]:
 def without_extensions(name: str) -> str:
     """Return the name of a recording without the extensions of formats and compression."""
     path = PurePosixPath(name)
-    while path.suffix.lower() in EXTENSIONS and path.stem:
+    while path.suffix.lower() in _EXTENSIONS and path.stem:
         path = path.with_suffix("")
     return str(path)
 

@@ -37,6 +37,7 @@ from kleinkram.recordings.writing.message_copy import (
     LeftOut,
     MessageCopy,
     Route,
+    channels_of,
     re_encoding_of,
     share_reporter,
     with_definition,
@@ -266,9 +267,9 @@ def write_slice(
     """Write a slice of recordings to a stream, which need not be seekable, as `merge_to_mcap` does to a file."""
     sources = [source for source in sources if may_overlap(source.recording, selection)]
     recordings = [source.recording for source in sources]
-    channels = [channel for channel in _channels_of(recordings) if selection.has_topic(channel.topic)]
+    channels = [channel for channel in channels_of(recordings) if selection.has_topic(channel.topic)]
     for recording in recordings:
-        if any(channel.message_encoding == "ulog" for channel in _channels_of([recording])):
+        if any(channel.message_encoding == "ulog" for channel in channels_of([recording])):
             raise NotConvertible(recording.name, "it is a ULog, whose messages have no encoding that MCAP knows")
     share_read_ahead(recordings)
     writer = McapWriter(
@@ -304,13 +305,12 @@ def _is_partly_read(recordings: Sequence[Recording], selection: Selection) -> bo
 
 
 def share_read_ahead(recordings: Sequence[Recording]) -> None:
-    """Divide the memory for reading ahead between the recordings that are read at the same time."""
-    at_once = _most_at_once(recordings)
-    if at_once > 1:
-        for recording in recordings:
-            for member in recording.members:
-                if isinstance(member, ChunkedMember):
-                    member.max_ahead = min(member.max_ahead, MAX_AHEAD // at_once)
+    """Use all memory for reading ahead, divided between the recordings that are read at the same time."""
+    share = MAX_AHEAD // max(1, _most_at_once(recordings))
+    for recording in recordings:
+        for member in recording.members:
+            if isinstance(member, ChunkedMember):
+                member.first_ahead = member.max_ahead = min(member.max_ahead, share)
 
 
 def _most_at_once(recordings: Sequence[Recording]) -> int:
@@ -357,12 +357,6 @@ class _ThreadsZstd(threading.local):
 
     def compress(self, raw: bytes) -> bytes:
         return self._compressor.compress(raw)
-
-
-def _channels_of(recordings: Iterable[Recording]) -> Iterator[Channel]:
-    for recording in recordings:
-        for member in recording.members:
-            yield from member.contents.channels.values()
 
 
 def _profile_of(recordings: Iterable[Recording], channels: list[Channel], ros1: Ros1Messages) -> str:

@@ -107,10 +107,11 @@ class MessageCopy:
         self._left_out[topic] = so_far + count, first_reason
 
 
-def channels_of(recording: Recording, topics: frozenset[str]) -> list[Channel]:
-    """Return the channels of some topics of a recording, in the order of its files."""
-    channels = (channel for member in recording.members for channel in member.contents.channels.values())
-    return [channel for channel in channels if channel.topic in topics]
+def channels_of(recordings: Iterable[Recording]) -> Iterator[Channel]:
+    """Yield the channels of recordings, in the order of their files."""
+    for recording in recordings:
+        for member in recording.members:
+            yield from member.contents.channels.values()
 
 
 def share_reporter(start_ns: int, end_ns: int, on_progress: OnProgress | None) -> Callable[[int], None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import subprocess
@@ -63,6 +64,22 @@ def test_a_killed_writer_leaves_no_final_name_and_the_next_one_succeeds(tmp_path
     with Recording.open(tmp_path / "drive.mcap") as recording:
         assert recording.to_mcap(target).message_count == len(read_whole_mcap(target).messages)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.mcap", "made.mcap"]
+
+
+def test_a_file_that_was_just_completed_is_not_written_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another process opened the unfinished file, and gets its lock once the file has its final name."""
+    real = fcntl.flock
+
+    def complete_first(descriptor: int, operation: int) -> None:
+        monkeypatch.undo()
+        os.write(descriptor, b"complete")
+        (tmp_path / ".a.part").rename(tmp_path / "a")
+        real(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", complete_first)
+    with pytest.raises(CannotWrite, match="another process"), new_file(tmp_path / "a"):
+        pass
+    assert (tmp_path / "a").read_bytes() == b"complete"
 
 
 @pytest.mark.parametrize("kind", ["mcap", "to_bag", "parquet"])
