@@ -30,6 +30,10 @@ PROGRAMS = {
     "ip": "iproute2",
     "chromium": "chromium",
     "debootstrap": "debootstrap",
+    "nginx": "nginx",
+    "systemd-analyze": "systemd",
+    "systemd-sysusers": "systemd",
+    "systemd-tmpfiles": "systemd",
     "node": "nodejs npm",
 }
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")

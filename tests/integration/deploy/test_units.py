@@ -1,0 +1,251 @@
+"""systemd units: valid, hardened, and their processes work under the restrictions and report to systemd."""
+
+import os
+import re
+import secrets
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import urllib3
+
+from kleinkram.server.environment import known_variables
+from kleinkram.standalone.address import is_free
+from tests.integration.deploy.units import (
+    FOLDER,
+    NAMES,
+    ROOT,
+    Service,
+    Unit,
+    clean_environment,
+    example_settings,
+    load_unit,
+    running,
+)
+from tests.integration.runner_loop.conftest import ended
+from tests.integration.runner_loop.fake_http import RUNNER_TOKEN
+from tests.integration.runner_loop.fake_server import FakeServer
+from tests.requirements import missing, need
+from tests.services import RunningPostgres, RunningStore, fast_folder
+
+# The exposure that `systemd-analyze security` may report. A runner is root: its unit says why.
+_EXPOSURE = {"kleinkram-runner.service": 5.2}
+_MAX_EXPOSURE = 3.0
+_SERVER_UNITS = ("api@", "backup", "check", "migrate", "worker@")
+_WATCHDOG_S = 0.4
+
+
+@dataclass(frozen=True)
+class Host:
+    """A machine with the settings of a server, in a folder that units may not write to."""
+
+    folder: Path
+    settings: dict[str, str]
+
+    @property
+    def credentials(self) -> Path:
+        """The folder of secrets."""
+        return self.folder / "credentials"
+
+    def environment(self, unit: Unit, **more: str) -> dict[str, str]:
+        """Return the environment of the unit's process: its own, then of the environment files."""
+        return {**clean_environment(), **unit.environment(self.credentials), **self.settings, **more}
+
+    def restrict(self, unit: Unit, command: list[str], *writable: Path) -> list[str]:
+        """Return the command with the unit's restrictions."""
+        return unit.restrictions(shown=[self.folder, ROOT], writable=[*writable]).command(*command)
+
+    def run(self, name: str, *writable: Path, **more: str) -> str:
+        """Run a oneshot unit; return what it logs."""
+        unit = load_unit(name)
+        environment, log = self.environment(unit, **more), ""
+        for command in unit.commands(environment):
+            words = self.restrict(unit, command, *writable)
+            done = subprocess.run(words, env=environment, cwd=ROOT, check=False, capture_output=True, text=True)
+            log += done.stdout + done.stderr
+            assert done.returncode == 0, log
+        return log
+
+
+@pytest.fixture(scope="module")
+def host(postgres: RunningPostgres, store: RunningStore) -> Iterator[Host]:
+    if os.geteuid() != 0:
+        missing("only root can apply the restrictions of a unit")
+    need("systemd-analyze")
+    database = postgres.create_database()
+    with tempfile.TemporaryDirectory(prefix="klein-units-", dir=fast_folder()) as name:
+        host = Host(Path(name), example_settings("kleinkram"))
+        host.credentials.mkdir()
+        urls = {"": postgres.serve_url(database), "MIGRATION_": postgres.migrate_url(database)}
+        for prefix, url in urls.items():
+            user, password, rest = re.fullmatch(r"(postgresql://\w+):(\w+)(@.*)", url).groups()  # type: ignore[union-attr]  # it matches
+            host.settings[f"KLEINKRAM_{prefix}DATABASE_URL"] = user + rest
+            (host.credentials / f"{prefix.lower().replace('_', '-')}database-password").write_text(f"{password}\n")
+        (host.credentials / "s3-secret-key").write_text(f"{store.secret_key}\n")
+        (host.credentials / "runner-token").write_text(RUNNER_TOKEN)
+        (host.credentials / "runner-token").chmod(0o400)
+        host.settings |= {
+            "KLEINKRAM_S3_INTERNAL_URL": store.endpoint,
+            "KLEINKRAM_S3_PUBLIC_URL": store.endpoint,
+            "KLEINKRAM_S3_ACCESS_KEY": store.access_key,
+            "KLEINKRAM_S3_BUCKET": store.create_bucket(),
+        }
+        yield host
+    postgres.drop_database(database)
+
+
+@pytest.fixture(scope="module")
+def migrated(host: Host) -> Host:
+    host.run("kleinkram-migrate.service")
+    return host
+
+
+def test_systemd_understands_every_unit(tmp_path: Path) -> None:
+    need("systemd-analyze")
+    for path in FOLDER.iterdir():
+        if path.suffix in {".service", ".timer", ".target"}:
+            text = re.sub(r"/opt/kleinkram/bin/\w+", "/bin/true", path.read_text())
+            (tmp_path / path.name.replace("@", "@1000")).write_text(text)
+    units = [str(path) for path in tmp_path.iterdir()]
+    done = subprocess.run(["systemd-analyze", "verify", *units], check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_units_are_hardened() -> None:
+    need("systemd-analyze")
+    for name in NAMES:
+        command = ["systemd-analyze", "security", "--offline=true", str(FOLDER / name)]
+        done = subprocess.run(command, check=False, capture_output=True, text=True)
+        exposure = float(re.findall(r"Overall exposure level for .*: (\d+\.\d)", done.stdout)[0])
+        assert exposure <= _EXPOSURE.get(name, _MAX_EXPOSURE), f"{name}\n{done.stdout}"
+
+
+def test_units_of_a_server_have_the_same_restrictions() -> None:
+    blocks = set()
+    for name in _SERVER_UNITS:
+        text = (FOLDER / f"kleinkram-{name}.service").read_text()
+        blocks.add(text[text.index("# The account has no rights") : text.index("LimitCORE=0")])
+    assert len(blocks) == 1
+
+
+def test_accounts_and_folders_are_described() -> None:
+    need("systemd-sysusers", "systemd-tmpfiles")
+    done = subprocess.run(
+        ["systemd-sysusers", "--dry-run", str(FOLDER / "kleinkram.sysusers")], check=True, capture_output=True, text=True
+    )
+    assert "kleinkram" in done.stdout + done.stderr
+    with tempfile.TemporaryDirectory() as root:
+        command = ["systemd-tmpfiles", f"--root={root}", "--create", str(FOLDER / "kleinkram.tmpfiles")]
+        (Path(root) / "etc").mkdir()
+        shutil.copy("/etc/passwd", Path(root) / "etc")
+        shutil.copy("/etc/group", Path(root) / "etc")
+        subprocess.run(command, check=True)
+        assert (Path(root) / "etc/kleinkram/credentials").stat().st_mode & 0o777 == 0o700
+
+
+def test_examples_have_settings_of_the_server_and_no_secret() -> None:
+    variables = example_settings("kleinkram")
+    assert variables.keys() <= {*known_variables()}
+    assert not [name for name in variables if "PASSWORD" in name or "SECRET" in name]
+    assert not {name for name in example_settings("backup") if name.startswith("KLEINKRAM_")}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_credential_is_used(name: str) -> None:
+    text = (FOLDER / name).read_text()
+    for credential, source in re.findall(r"^LoadCredential=(.+):(.+)$", text, re.MULTILINE):
+        assert source == f"/etc/kleinkram/credentials/{credential}"
+        assert re.search(rf"(%d|\$\{{CREDENTIALS_DIRECTORY\}})/{credential}\b", text)
+
+
+def test_the_check_unit_finds_no_problem_and_reads_a_recording_in_a_child(migrated: Host) -> None:
+    # `check` of a server that does not run finds that its public address does not answer.
+    unit = load_unit("kleinkram-check.service")
+    environment = migrated.environment(unit)
+    (command,) = unit.commands(environment)
+    done = subprocess.run(
+        migrated.restrict(unit, [*command, "--json"]), env=environment, cwd=ROOT, check=False, capture_output=True, text=True
+    )
+    problems = re.findall(r'"name": "([^"]+)", "severity": "problem"', done.stdout)
+    assert problems == ["public address"], done.stdout + done.stderr
+
+
+def test_the_api_reports_to_systemd_and_stops_on_request(migrated: Host) -> None:
+    port = next(port for port in range(7000, 8000) if is_free(port) and is_free(10_000 + port))
+    unit = load_unit(f"kleinkram-api@{port}.service")
+    with _running(migrated, unit) as service:
+        service.wait_for("READY=1")
+        _is_alive_until_stopped(service)
+        assert urllib3.request("GET", f"http://127.0.0.1:{port}/health/ready").status == 200
+        metrics = urllib3.request("GET", f"http://127.0.0.1:1{port}/metrics").data
+        assert b"kleinkram_blobs" in metrics
+        assert service.stop() == 0
+        assert _remaining(service)[:1] == ["STOPPING=1"]
+
+
+def test_a_worker_reports_to_systemd_and_stops_on_request(migrated: Host) -> None:
+    with _running(migrated, load_unit("kleinkram-worker@1.service")) as service:
+        service.wait_for("READY=1")
+        _is_alive_until_stopped(service)
+        assert service.stop() == 0
+        assert _remaining(service)[:1] == ["STOPPING=1"]
+
+
+def test_a_backup_is_made_verified_and_pruned(migrated: Host) -> None:
+    location = migrated.folder / "backups"
+    location.mkdir()
+    variables = {**example_settings("backup"), "BACKUP_LOCATION": str(location), "BACKUP_KEEP": "1"}
+    migrated.run("kleinkram-backup.service", location, **variables)
+    migrated.run("kleinkram-backup.service", location, **variables)
+    assert [*location.iterdir()]
+
+
+def test_a_unit_cannot_write_outside_of_its_folders(migrated: Host) -> None:
+    (migrated.folder / "elsewhere").mkdir()
+    with pytest.raises(AssertionError, match="Read-only file system"):
+        variables = {**example_settings("backup"), "BACKUP_LOCATION": str(migrated.folder / "elsewhere")}
+        migrated.run("kleinkram-backup.service", **variables)
+
+
+def test_a_runner_executes_a_run_and_leaves_it_to_the_next_one(host: Host) -> None:
+    server = FakeServer()
+    unit = load_unit("kleinkram-runner.service")
+    state = host.folder / "runner"
+    state.mkdir()
+    options = {"RUNNER_SERVER": server.url, "RUNNER_OPTIONS": "--executor process --cores 2 --memory 1GB --disk 1GB"}
+    try:
+        with _running(host, unit, state, **options) as service:
+            service.wait_for("READY=1")
+            _is_alive_until_stopped(service)
+            run = server.launch("import os; print(os.getuid(), sorted(os.listdir('/root'))[:1])")
+            assert ended(run).finishes[0].exit_code == 0, service.log.read_text()
+            assert service.stop() == 0
+            assert _remaining(service)[:1] == ["STOPPING=1"]
+    finally:
+        server.close()
+
+
+def _running(host: Host, unit: Unit, *writable: Path, **more: str):  # type: ignore[no-untyped-def]
+    environment = host.environment(unit, **more)
+    folder = host.folder / secrets.token_hex(4)
+    folder.mkdir()
+    return running(
+        unit, folder, environment, watchdog_s=_WATCHDOG_S, restrict=lambda words: host.restrict(unit, words, *writable)
+    )
+
+
+def _is_alive_until_stopped(service: Service) -> None:
+    """Check that it pings in time: at least as often as systemd demands."""
+    service.wait_for("WATCHDOG=1", times=3)
+
+
+def _remaining(service: Service) -> list[str]:
+    """Return what else it has sent, without pings."""
+    lines: list[str] = []
+    while received := service.receive(timeout_s=0.1):
+        lines += [line for line in received if line != "WATCHDOG=1"]
+    return lines
