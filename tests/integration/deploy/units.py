@@ -138,7 +138,9 @@ class Service:
         deadline, remaining = time.monotonic() + _TIMEOUT_S, times
         while remaining:
             assert self.process.poll() is None, self.log.read_text()[-4000:]
-            assert time.monotonic() < deadline, f"{message} not received: {self.messages}\n{self.log.read_text()[-4000:]}"
+            assert time.monotonic() < deadline, (
+                f"{message} not received: {self.messages}\n{self.log.read_text()[-4000:]}"
+            )
             remaining -= message in self.receive(timeout_s=1)
 
     def receive(self, *, timeout_s: float) -> list[str]:
@@ -159,7 +161,12 @@ class Service:
 
 @contextmanager
 def running(
-    unit: Unit, folder: Path, environment: Mapping[str, str], *, watchdog_s: float, restrict: Callable[[list[str]], list[str]]
+    unit: Unit,
+    folder: Path,
+    environment: Mapping[str, str],
+    *,
+    watchdog_s: float,
+    restrict: Callable[[list[str]], list[str]],
 ) -> Iterator[Service]:
     """Run the unit's command with its environment, and a notification socket in `folder`."""
     address = folder / "notify"
