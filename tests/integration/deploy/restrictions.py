@@ -1,7 +1,7 @@
 """Runs a command under the restrictions that systemd would apply to a unit: `python -m … OPTIONS COMMAND…`, as root.
 
-Restrictions without an equivalent here (PrivateDevices, PrivateUsers, ProtectHome, ProtectHostname, RestrictRealtime and
-others) are not applied.
+Restrictions without an equivalent here (PrivateDevices, PrivateUsers, ProtectHome, ProtectHostname, RestrictRealtime
+and others) are not applied.
 """
 
 import ctypes

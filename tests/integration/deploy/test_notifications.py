@@ -13,18 +13,18 @@ import pytest
 
 from kleinkram.runner import loop
 from kleinkram.systemd import Watchdog, notify_ready, notify_stopping
-from tests.integration.runner_loop.conftest import Runners, runners, server  # noqa: F401  # fixtures
+from tests.integration.runner_loop.conftest import Runners
 from tests.integration.runner_loop.fake_server import FakeServer
 
 _PING_S = 0.05
 
 
-@pytest.fixture(params=["path", "abstract"])
-def manager(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
+@pytest.fixture
+def manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
     """A service manager that expects pings."""
-    name = str(tmp_path / "notify") if request.param == "path" else f"@klein-{os.getpid()}"
+    name = str(tmp_path / "notify")
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    listener.bind(name.replace("@", "\0"))
+    listener.bind(name)
     monkeypatch.setenv("NOTIFY_SOCKET", name)
     monkeypatch.setenv("WATCHDOG_USEC", str(round(_PING_S * 4e6)))
     with listener:
@@ -45,6 +45,15 @@ def test_messages_have_the_form_of_sd_notify(manager: socket.socket) -> None:
     notify_ready("serving")
     notify_stopping()
     assert _received(manager) == ["READY=1\nSTATUS=serving", "STOPPING=1\nSTATUS=stopping"]
+
+
+def test_the_socket_may_be_abstract(monkeypatch: pytest.MonkeyPatch) -> None:
+    name = f"klein-test-{os.getpid()}"
+    monkeypatch.setenv("NOTIFY_SOCKET", f"@{name}")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(f"\0{name}")
+        notify_stopping()
+        assert _received(listener) == ["STOPPING=1\nSTATUS=stopping"]
 
 
 def test_an_event_loop_that_hangs_does_not_ping(manager: socket.socket) -> None:
@@ -92,7 +101,7 @@ def test_a_runner_whose_requests_hang_does_not_ping(
     manager: socket.socket,
     server: FakeServer,
     runners: Runners,
-    monkeypatch: pytest.MonkeyPatch,  # noqa: F811  # the fixtures
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # No run comes, so that its request for one waits longer than this.
     monkeypatch.setattr(loop, "_HANGS_S", 0.5)

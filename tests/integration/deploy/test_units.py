@@ -221,22 +221,18 @@ def test_a_unit_cannot_write_outside_of_its_folders(migrated: Host) -> None:
         migrated.run("kleinkram-backup.service", **variables)
 
 
-def test_a_runner_executes_a_run_and_reports_to_systemd(host: Host) -> None:
-    server = FakeServer()
+def test_a_runner_executes_a_run_and_reports_to_systemd(host: Host, server: FakeServer) -> None:
     unit = load_unit("kleinkram-runner.service")
     state = host.folder / "runner"
     state.mkdir()
     options = {"RUNNER_SERVER": server.url, "RUNNER_OPTIONS": "--executor process --cores 2 --memory 1GB --disk 1GB"}
-    try:
-        with _running(host, unit, state, **options) as service:
-            service.wait_for("READY=1")
-            _is_alive_until_stopped(service)
-            run = server.launch("import os; print(os.getuid())")
-            assert ended(run).finishes[0].exit_code == 0, service.log.read_text()
-            assert service.stop() == 0
-            assert _remaining(service)[:1] == ["STOPPING=1"]
-    finally:
-        server.close()
+    with _running(host, unit, state, **options) as service:
+        service.wait_for("READY=1")
+        _is_alive_until_stopped(service)
+        run = server.launch("import os; print(os.getuid())")
+        assert ended(run).finishes[0].exit_code == 0, service.log.read_text()
+        assert service.stop() == 0
+        assert _remaining(service)[:1] == ["STOPPING=1"]
 
 
 def _running(host: Host, unit: Unit, *writable: Path, **more: str) -> AbstractContextManager[Service]:
