@@ -33,8 +33,8 @@ def nginx_command(folder: Path, changes: Mapping[str, str], ports: Mapping[str, 
     own_changes = {
         "listen 80;": f"listen {ports['http']};",
         "listen 443": f"listen {ports['https']}",
-        "https://$server_name": f"https://$server_name:{ports['https']}",
         "/var/log/nginx/kleinkram.log": f"{folder}/access.log",
+        "/var/log/nginx/error.log": f"{folder}/error.log",
         _NAME: "127.0.0.1",
     }
     site = _changed(_DEPLOY / "nginx" / "kleinkram.conf", {**changes, **own_changes})

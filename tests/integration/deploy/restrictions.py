@@ -56,7 +56,10 @@ def main() -> None:
     restrictions = Restrictions(**values)
     _restrict_files(restrictions)
     for name, limit in restrictions.limits.items():
-        resource.setrlimit(name, (limit, limit))
+        hard = resource.getrlimit(name)[1]
+        # This machine may not allow as much.
+        allowed = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+        resource.setrlimit(name, (allowed, allowed))
     for capability in range(int(Path("/proc/sys/kernel/cap_last_cap").read_text()) + 1):
         if capability not in restrictions.capabilities:
             _libc.prctl(_PR_CAPBSET_DROP, capability, 0, 0, 0)

@@ -211,7 +211,7 @@ def test_http_is_redirected_to_https(site: Site) -> None:
     plain = f"http://127.0.0.1:{site.backend.ports['http']}/projects?q=1"
     answer = urllib3.request("GET", plain, redirect=False)
     assert answer.status == 308
-    assert answer.headers["location"] == f"{site.api.url}/projects?q=1"
+    assert answer.headers["location"] == "https://127.0.0.1/projects?q=1", "the default port"
 
 
 def test_the_api_refuses_a_large_body_in_its_own_words(site: Site) -> None:
@@ -252,3 +252,13 @@ def test_requests_go_to_the_other_api_process_if_one_does_not_run(proxy: str, ba
     stopped = replace(backend.apis[0], url=f"http://127.0.0.1:{choose_port()}")
     with _serving(proxy, replace(backend, apis=[stopped, backend.apis[1]], ports=ports), tmp_path) as site:
         assert {site.get("/health/live").status for _ in range(8)} == {200}
+
+
+@pytest.mark.parametrize("proxy", ["nginx", "caddy"])
+def test_no_signature_is_logged_if_the_store_does_not_run(proxy: str, backend: Backend, tmp_path: Path) -> None:
+    ports = {name: choose_port() for name in backend.ports}
+    with _serving(proxy, replace(backend, store=f"127.0.0.1:{choose_port()}", ports=ports), tmp_path) as site:
+        answer = site.get(f"/{backend.bucket}/key?X-Amz-Signature=secret")
+        assert answer.status == 502
+        wait_until(lambda: f"/{backend.bucket}/key" in site.log())
+        assert "secret" not in site.log()
