@@ -27,7 +27,10 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 @dataclass(frozen=True)
 class Restrictions:
-    """What a unit restricts. `shown`: folders that stay visible below a private /tmp; `writable`: as systemd's."""
+    """What a unit restricts. `shown`: folders that stay visible below a private /tmp; `writable`: as systemd's.
+
+    With a `uid` of its own, the command sees Python in the home of root, and nothing else there.
+    """
 
     shown: list[str]
     writable: list[str]
@@ -38,6 +41,7 @@ class Restrictions:
     address_families: list[int]
     refused_namespaces: int
     denies_write_execute: bool
+    uid: int = 0
     limits: dict[int, int] = field(default_factory=dict)
 
     def command(self, *command: str) -> list[str]:
@@ -63,6 +67,10 @@ def main() -> None:
     for capability in range(int(Path("/proc/sys/kernel/cap_last_cap").read_text()) + 1):
         if capability not in restrictions.capabilities:
             _libc.prctl(_PR_CAPBSET_DROP, capability, 0, 0, 0)
+    if restrictions.uid:
+        os.setgroups([])
+        os.setresgid(restrictions.uid, restrictions.uid, restrictions.uid)
+        os.setresuid(restrictions.uid, restrictions.uid, restrictions.uid)
     if restrictions.proc_options:
         linux_syscalls.mount("proc", Path("/proc"), "proc", 0, restrictions.proc_options)
     linux_syscalls.give_up_privileges()
@@ -83,6 +91,8 @@ def _restrict_files(restrictions: Restrictions) -> None:
         target = line.split()[4]
         if target not in kept and not target.startswith(tuple(f"{path}/" for path in _LEFT_WRITABLE)):
             linux_syscalls.make_read_only(Path(target), with_all_below=False)
+    if restrictions.uid:
+        _show_only_python(Path("/root"))
     if restrictions.has_private_tmp:
         folders = [(path, os.open(path, os.O_PATH)) for path in restrictions.shown]
         for tmp in ("/tmp", "/var/tmp"):
@@ -92,6 +102,17 @@ def _restrict_files(restrictions: Restrictions) -> None:
                 Path(path).mkdir(parents=True)
                 linux_syscalls.mount(f"/proc/self/fd/{descriptor}", Path(path), None, linux_syscalls.MS_BIND)
             os.close(descriptor)
+
+
+def _show_only_python(home: Path) -> None:
+    """Replace a home that others may not read, if Python is there."""
+    if not Path(sys.base_prefix).is_relative_to(home):
+        return
+    python = os.open(sys.base_prefix, os.O_PATH)
+    linux_syscalls.mount("tmpfs", home, "tmpfs", 0, "mode=755")
+    Path(sys.base_prefix).mkdir(parents=True)
+    linux_syscalls.mount(f"/proc/self/fd/{python}", Path(sys.base_prefix), None, linux_syscalls.MS_BIND)
+    os.close(python)
 
 
 def _refuse_system_calls(restrictions: Restrictions) -> None:

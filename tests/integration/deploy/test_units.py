@@ -30,6 +30,8 @@ from tests.integration.deploy.units import (
 from tests.integration.runner_loop.conftest import ended
 from tests.integration.runner_loop.fake_http import RUNNER_TOKEN
 from tests.integration.runner_loop.fake_server import FakeServer
+from tests.integration.upload_client import wait_until
+from tests.ports import choose_port
 from tests.requirements import missing, need
 from tests.services import RunningPostgres, RunningStore, fast_folder
 
@@ -38,6 +40,7 @@ _EXPOSURE = {"kleinkram-runner.service": 5.2}
 _MAX_EXPOSURE = 3.0
 _SERVER_UNITS = ("api@", "backup", "check", "migrate", "worker@")
 _WATCHDOG_S = 0.4
+_NOBODY = 65534
 
 
 @dataclass(frozen=True)
@@ -56,9 +59,9 @@ class Host:
         """Return the environment of the unit's process: its own, then of the environment files."""
         return {**clean_environment(), **unit.environment(self.credentials), **self.settings, **more}
 
-    def restrict(self, unit: Unit, command: list[str], *writable: Path) -> list[str]:
+    def restrict(self, unit: Unit, command: list[str], *writable: Path, uid: int = 0) -> list[str]:
         """Return the command with the unit's restrictions."""
-        return unit.restrictions(shown=[self.folder, ROOT], writable=[*writable]).command(*command)
+        return unit.restrictions(shown=[self.folder, ROOT], writable=[*writable], uid=uid).command(*command)
 
     def run(self, name: str, *writable: Path, **more: str) -> str:
         """Run a oneshot unit; return what it logs."""
@@ -223,7 +226,8 @@ def test_a_runner_executes_a_run_and_reports_to_systemd(host: Host, server: Fake
     unit = load_unit("kleinkram-runner.service")
     state = host.folder / "runner"
     state.mkdir()
-    options = {"RUNNER_SERVER": server.url, "RUNNER_OPTIONS": "--executor process --cores 2 --memory 1GB --disk 1GB"}
+    options = {"STATE_DIRECTORY": str(state), "RUNNER_SERVER": server.url}
+    options |= {"RUNNER_OPTIONS": "--executor process --cores 2 --memory 1GB --disk 1GB"}
     with _running(host, unit, state, **options) as service:
         service.wait_for("READY=1")
         _is_alive_until_stopped(service)
@@ -231,6 +235,32 @@ def test_a_runner_executes_a_run_and_reports_to_systemd(host: Host, server: Fake
         assert ended(run).finishes[0].exit_code == 0, service.log.read_text()
         assert service.stop() == 0
         assert _remaining(service)[:1] == ["STOPPING=1"]
+
+
+@pytest.mark.slow
+def test_klein_up_runs_as_an_account_of_its_own_with_sandboxes_for_scripts(host: Host) -> None:
+    unit = load_unit("kleinkram-up.service")
+    state = host.folder / "up"
+    state.mkdir()
+    os.chown(state, _NOBODY, _NOBODY)
+    host.folder.chmod(0o755)
+    ports = f"--port {choose_port()} --s3-port {choose_port()}"
+    environment = {**clean_environment(), **unit.environment(host.credentials), "HOME": str(state)}
+    environment |= {"STATE_DIRECTORY": str(state), "UP_OPTIONS": ports}
+    folder = host.folder / "notify"
+    folder.mkdir()
+    folder.chmod(0o755)
+    with running(
+        unit, folder, environment, watchdog_s=4, restrict=lambda words: host.restrict(unit, words, state, uid=_NOBODY)
+    ) as service:
+        (folder / "notify").chmod(0o666)
+        service.wait_for("READY=1")
+        _is_alive_until_stopped(service)
+        log = state / "logs" / "runner.log"
+        wait_until(lambda: log.exists() and "ready" in log.read_text(), limit_s=60)
+        assert "allows this user no namespaces" not in log.read_text()
+        assert service.stop() == 0
+        assert "STOPPING=1" in service.messages + _remaining(service)
 
 
 def _running(host: Host, unit: Unit, *writable: Path, **more: str) -> AbstractContextManager[Service]:

@@ -62,7 +62,7 @@ class Unit:
         """Return its command lines, with the programs of this virtual environment."""
         return [[*_words(line, environment)] for line in self.values("ExecStart")]
 
-    def restrictions(self, *, shown: list[Path], writable: list[Path]) -> Restrictions:
+    def restrictions(self, *, shown: list[Path], writable: list[Path], uid: int = 0) -> Restrictions:
         """Return what it restricts."""
         proc = ("subset=pid",) * (self.value("ProcSubset") == "pid")
         proc += ("hidepid=invisible",) * (self.value("ProtectProc") == "invisible")
@@ -79,6 +79,7 @@ class Unit:
             system_calls=sorted(_allowed_calls(self.values("SystemCallFilter"))),
             address_families=[int(getattr(socket, name, 16)) for name in self.value("RestrictAddressFamilies").split()],
             refused_namespaces=sum(flag for name, flag in _NAMESPACES.items() if name not in names),
+            uid=uid,
             denies_write_execute=self.value("MemoryDenyWriteExecute") == "yes",
             limits={name: int(limit) for name, limit in limits.items() if limit},
         )
