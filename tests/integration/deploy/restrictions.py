@@ -86,10 +86,10 @@ def _restrict_files(restrictions: Restrictions) -> None:
     linux_syscalls.mount("none", Path("/"), None, linux_syscalls.MS_REC | linux_syscalls.MS_PRIVATE)
     for folder in restrictions.writable:
         linux_syscalls.mount(folder, Path(folder), None, linux_syscalls.MS_BIND)
-    kept = {*restrictions.writable, *_LEFT_WRITABLE}
+    left_writable = {*restrictions.writable, *_LEFT_WRITABLE}
     for line in Path("/proc/self/mountinfo").read_text().splitlines():
         target = line.split()[4]
-        if target not in kept and not target.startswith(tuple(f"{path}/" for path in _LEFT_WRITABLE)):
+        if target not in left_writable and not target.startswith(tuple(f"{path}/" for path in _LEFT_WRITABLE)):
             linux_syscalls.make_read_only(Path(target), with_all_below=False)
     if restrictions.uid:
         _show_only_python(Path("/root"))
