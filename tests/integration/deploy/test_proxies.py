@@ -23,6 +23,8 @@ from tests.ports import choose_port
 from tests.services import RunningPostgres, RunningStore
 
 _MIB = 2**20
+# nginx is a package of the system, which only slow tests install.
+_PROXIES = [pytest.param("nginx", marks=pytest.mark.slow), "caddy"]
 _FORGED, _CLIENT = "203.0.113.7", "127.0.0.9"
 
 
@@ -89,7 +91,7 @@ def backend(
         yield Backend(apis, store.endpoint.removeprefix("http://"), bucket, ports, certificate, key)
 
 
-@pytest.fixture(scope="module", params=["nginx", "caddy"])
+@pytest.fixture(scope="module", params=_PROXIES)
 def site(request: pytest.FixtureRequest, backend: Backend, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     with _serving(request.param, backend, tmp_path_factory.mktemp(request.param)) as site:
         yield site
@@ -246,7 +248,7 @@ def test_a_slow_client_is_served_beside_others(site: Site) -> None:
         assert line.recv(4096).startswith(b"HTTP/1.1 201")
 
 
-@pytest.mark.parametrize("proxy", ["nginx", "caddy"])
+@pytest.mark.parametrize("proxy", _PROXIES)
 def test_requests_go_to_the_other_api_process_if_one_does_not_run(proxy: str, backend: Backend, tmp_path: Path) -> None:
     ports = {name: choose_port() for name in backend.ports}
     stopped = replace(backend.apis[0], url=f"http://127.0.0.1:{choose_port()}")
@@ -254,7 +256,7 @@ def test_requests_go_to_the_other_api_process_if_one_does_not_run(proxy: str, ba
         assert {site.get("/health/live").status for _ in range(8)} == {200}
 
 
-@pytest.mark.parametrize("proxy", ["nginx", "caddy"])
+@pytest.mark.parametrize("proxy", _PROXIES)
 def test_no_signature_is_logged_if_the_store_does_not_run(proxy: str, backend: Backend, tmp_path: Path) -> None:
     ports = {name: choose_port() for name in backend.ports}
     with _serving(proxy, replace(backend, store=f"127.0.0.1:{choose_port()}", ports=ports), tmp_path) as site:
