@@ -11,24 +11,25 @@ APP_SOURCES := $(shell find web \( -name node_modules -o -name dist \) -prune -o
 unexport PYTHONDONTWRITEBYTECODE
 export KLEINKRAM_RECORDINGS ?= $(abspath ../shared/recordings)
 
-.PHONY: setup demo story test-unit test test-all soak check bench pictures dev requirements generated clean
+.PHONY: setup demo story test-unit test test-all soak check check-python check-web-sources check-web-tests bench pictures dev requirements generated clean
 
 setup: $(STAMP) $(APP)
 
-$(STAMP): requirements/dev.txt pyproject.toml
+$(BIN)/python:
+	@if command -v uv >/dev/null 2>&1; then uv venv --quiet --python $(PYTHON) $(VENV); else $(PYTHON) -m venv $(VENV); fi
+
+$(STAMP): requirements/dev.txt pyproject.toml | $(BIN)/python
 	@if command -v uv >/dev/null 2>&1; then \
-	  test -x $(BIN)/python || uv venv --quiet --python $(PYTHON) $(VENV); \
 	  uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements/dev.txt \
 	  && uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .; \
 	else \
-	  test -x $(BIN)/python || $(PYTHON) -m venv $(VENV); \
 	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt \
 	  && $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .; \
 	fi
 	@touch $@
 
 # The web interface, built with the system's Node or one from a wheel (docs/decisions/0018-web.md).
-$(MODULES): web/package.json web/package-lock.json web/.npmrc | $(STAMP)
+$(MODULES): web/package.json web/package-lock.json web/.npmrc | $(BIN)/python
 	@web/npm ci --silent
 	@touch $@
 
@@ -58,16 +59,27 @@ soak: setup
 	@$(BIN)/python -m tests.requirements
 	@HYPOTHESIS_PROFILE=soak $(BIN)/python -m pytest -m soak -q --timeout=0
 
-check: setup
+# Two at a time, from their installation on: pip, mypy and ESLint use one core each.
+check:
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=line check-web-sources check-python check-web-tests
+	@echo "check: all good"
+
+check-python: $(STAMP)
 	@$(BIN)/ruff format --check --quiet . && $(BIN)/ruff check --quiet .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-cache | tail -n 4
 	@$(BIN)/python -m tools.check_names
 	@$(BIN)/python docs/generate.py --check
-	@web/npm run --silent check
 	@$(BIN)/python -m pytest -q tests/integration/test_migrations.py
 	@$(BIN)/python -m requirements.audit
-	@echo "check: all good"
+
+check-web-sources: $(MODULES)
+	@web/npm run --silent generate -- --check
+	@web/npm run --silent types
+	@web/npm run --silent lint
+
+check-web-tests: $(MODULES)
+	@web/npm run --silent test -- --reporter dot --silent
 
 bench: setup
 	@$(BIN)/python -m benchmarks

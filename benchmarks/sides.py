@@ -143,8 +143,9 @@ def _hash(path: Path) -> None:
             sha256.update(memoryview(piece)[:length])
 
 
-def _link(mission: str, path: str) -> DownloadLink:
-    with connect() as client:
+def link_of(mission: str, path: str, url: str | None = None, token: str | None = None) -> DownloadLink:
+    """Return a signed URL of a file; url and token are those of the environment by default."""
+    with connect(url, token) as client:
         read = next(client.files.list(FileFilter(mission=mission, path=[path])))
         return client.files.links([read.id]).items[0]
 
@@ -192,7 +193,7 @@ def download_raw(mission: str, destination: str) -> Facts:
 
 def summary_remote(mission: str, path: str) -> Facts:
     """Summarise a stored recording through a presigned URL."""
-    link = _link(mission, path)
+    link = link_of(mission, path)
     started = time.perf_counter()
     source = CountingSource(HttpSource(link.url, size_bytes=link.size_bytes, name=path))
     summary = summarise(source)
@@ -202,7 +203,7 @@ def summary_remote(mission: str, path: str) -> Facts:
 
 def summary_raw(mission: str, path: str) -> Facts:
     """Request the ranges that a summary reads, eight at a time, by plain sockets, without processing them."""
-    link = _link(mission, path)
+    link = link_of(mission, path)
     ranges = _ranges_of_summary(link, path)
     url = urlsplit(link.url)
     head = f"GET {url.path}?{url.query} HTTP/1.1\r\nHost: {url.netloc}\r\n"

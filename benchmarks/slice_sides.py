@@ -96,12 +96,13 @@ def cut_remote(url: str, size_bytes: str, target: str, topic: str, start_ns: str
 def fetch_alone(url: str, ranges: str) -> Facts:
     """Fetch ranges over HTTP, as many at a time as we do, and throw them away: the time that the store takes."""
     spans: list[tuple[int, int]] = json.loads(ranges)
-    address = urlsplit(url).netloc
+    parts = urlsplit(url)
+    target = f"{parts.path}?{parts.query}"
 
     def fetch(part: list[tuple[int, int]]) -> int:
-        connection, size = HTTPConnection(address), 0
+        connection, size = HTTPConnection(parts.netloc), 0
         for start, length in part:
-            connection.request("GET", "/", headers={"Range": f"bytes={start}-{start + length - 1}"})
+            connection.request("GET", target, headers={"Range": f"bytes={start}-{start + length - 1}"})
             size += len(connection.getresponse().read())
         connection.close()
         return size

@@ -2,6 +2,7 @@
 
 import json
 import statistics
+from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.reader import SeekingReader
@@ -16,7 +17,8 @@ _SIDES = "benchmarks.slice_sides"
 _PUBLIC = {"cut_mcap": "mcap", "cut_small_mcap": "small-mcap"}
 _IMU, _SECONDS = "/imu/data", 20
 _MOST_MB, _MB = 200, 10**6
-_ROUNDS = 3
+_REMOTE_ROUNDS = 5
+_LINK_BYTES_PER_S = 125_000_000
 _MOST_BYTES, _MOST_TIME = 1.2, 1.3
 _MISSION_BYTES = 50 * 10**9
 _RECORDINGS = 20
@@ -25,34 +27,86 @@ _WINDOW_MB = 0.25
 
 
 def cut_remote_row(path: Path) -> dict[str, object]:
-    """One topic of 20 s out of an MCAP over HTTP, against the store alone."""
+    """One topic of 20 s out of an MCAP behind a link of 1 Gbit/s, which is emulated, against the store alone.
+
+    The store alone: the same chunks, fetched by as many connections and thrown away. Without a limit, a server on the
+    same machine answers from memory, which no store behind a network does; that figure is shown, too.
+    """
+    with serving(path, _LINK_BYTES_PER_S) as url:
+        linked = _cut_in_turn(path, url)
+    with serving(path) as url:
+        unlimited = _cut_in_turn(path, url)
+    also = (
+        f"{linked.needed_bytes / _MB:.0f} MB; {linked.peak_mb:.0f} MB of memory (bar {_MOST_MB}); without the limit, "
+        f"from memory over loopback, {unlimited.seconds:.2f} s, {unlimited.time_ratio:.1f}x"
+    )
+    return _remote_row("behind a link of 1 Gbit/s (emulated)", linked, also)
+
+
+def cut_stored_row(path: Path, url: str) -> dict[str, object]:
+    """The same out of an object of the store.
+
+    The time has no bar: store and client alone keep both of two processors busy, so that decompression, which a store
+    on another machine leaves time for, comes on top. That store is what `cut_remote_row` emulates.
+    """
+    cut = _cut_in_turn(path, url)
+    also = f"{cut.needed_bytes / _MB:.0f} MB; {cut.peak_mb:.0f} MB of memory (bar {_MOST_MB})"
+    return _remote_row("in SeaweedFS on the same processors", cut, also, most_time=None)
+
+
+@dataclass(frozen=True)
+class _RemoteCut:
+    """Runs of our side and of the store alone, in turn."""
+
+    ours: list[Run]
+    alone: list[Run]
+    needed_bytes: int
+
+    @property
+    def seconds(self) -> float:
+        return statistics.median(run.seconds for run in self.ours)
+
+    @property
+    def time_ratio(self) -> float:
+        return self.seconds / statistics.median(run.seconds for run in self.alone)
+
+    @property
+    def peak_mb(self) -> float:
+        return max(run.peak_mb for run in self.ours)
+
+
+def _cut_in_turn(path: Path, url: str) -> _RemoteCut:
+    """Cut a file, and fetch the chunks needed alone; `path`: where the bytes behind the URL are."""
     start_ns, end_ns = _middle(path, _SECONDS)
-    needed = needed_bytes(path, _IMU, start_ns, end_ns)
     ranges = json.dumps(_chunk_ranges(path, _IMU, start_ns, end_ns))
     target = path.with_name("cut.mcap")
-    ours: list[Run] = []
-    alone: list[Run] = []
-    with serving(path) as url:
-        for _ in range(_ROUNDS):
-            target.unlink(missing_ok=True)
-            span = str(start_ns), str(end_ns)
-            ours.append(_side("cut_remote", url, str(path.stat().st_size), str(target), _IMU, *span))
-            alone.append(_side("fetch_alone", url, ranges))
+    cut = _RemoteCut([], [], needed_bytes(path, _IMU, start_ns, end_ns))
+    for _ in range(_REMOTE_ROUNDS):
+        target.unlink(missing_ok=True)
+        arguments = str(path.stat().st_size), str(target), _IMU, str(start_ns), str(end_ns)
+        cut.ours.append(_side("cut_remote", url, *arguments))
+        cut.alone.append(_side("fetch_alone", url, ranges))
     target.unlink()
-    bytes_ratio = max(run.facts["bytes"] for run in ours) / needed
-    time_ratio = statistics.median(run.seconds for run in ours) / statistics.median(run.seconds for run in alone)
-    peak_mb = max(run.peak_mb for run in ours)
+    return cut
+
+
+def _remote_row(where: str, cut: _RemoteCut, also: str, most_time: float | None = _MOST_TIME) -> dict[str, object]:
+    bytes_ratio = max(run.facts["bytes"] for run in cut.ours) / cut.needed_bytes
+    is_fast = most_time is None or cut.time_ratio <= most_time
+    time_bar = "no bar for the time" if most_time is None else f"<= {most_time}x of the time"
     return {
-        "what": f"cut one topic of {_SECONDS} s out of a 1 GB MCAP over HTTP, opening included",
-        "measured": f"{bytes_ratio:.2f}x of the bytes of the chunks needed and the index",
-        "also": (
-            f"{statistics.median(run.seconds for run in ours):.2f} s, {time_ratio:.2f}x of the store alone for "
-            f"these chunks; {needed / _MB:.0f} MB; {peak_mb:.0f} MB of memory (bar {_MOST_MB})"
+        "what": f"cut one topic of {_SECONDS} s out of a 1 GB MCAP {where}, opening included",
+        "measured": (
+            f"{bytes_ratio:.2f}x of the bytes of the chunks needed and the index; {cut.seconds:.2f} s, "
+            f"{cut.time_ratio:.2f}x of plain requests for these chunks"
         ),
-        "bar": f"<= {_MOST_BYTES}x of the bytes, <= {_MOST_TIME}x of the time",
-        "met": bytes_ratio <= _MOST_BYTES and time_ratio <= _MOST_TIME and peak_mb <= _MOST_MB,
+        "also": also,
+        "bar": f"<= {_MOST_BYTES}x of the bytes, {time_bar}",
+        "met": bytes_ratio <= _MOST_BYTES and is_fast and cut.peak_mb <= _MOST_MB,
         "bytes_ratio": bytes_ratio,
-        "time_ratio": time_ratio,
+        "time_ratio": cut.time_ratio,
+        "ours_s": [run.seconds for run in cut.ours],
+        "alone_s": [run.seconds for run in cut.alone],
     }
 
 

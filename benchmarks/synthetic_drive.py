@@ -10,7 +10,8 @@ from io import BytesIO
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.sources import check_range
-from kleinkram.recordings.writing.mcap_writer import McapWriter, counted_bytes
+from kleinkram.recordings.writing.chunked_writer import counted_bytes
+from kleinkram.recordings.writing.mcap_writer import McapWriter
 
 PERIOD_NS = 10**8
 IMU_PER_CHUNK = 10

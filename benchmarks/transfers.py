@@ -10,9 +10,11 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.index_bytes import index_bytes
-from benchmarks.instance import GB, STAGE, klein, settle
+from benchmarks.instance import DATA, GB, STAGE, endpoint_info, klein, settle
 from benchmarks.measure import Pairing, Run, pair, run_side
 from benchmarks.scale.rows import small_files
+from benchmarks.sides import link_of
+from benchmarks.slices import cut_stored_row
 from kleinkram.recordings.sample import generate_bag, generate_mcap
 
 _SMALL_ROUNDS = 3
@@ -120,7 +122,7 @@ def ratio_row(what: str, pairing: Pairing, bar: float) -> dict[str, object]:
 
 
 def summary_rows(environment: dict[str, str]) -> list[dict[str, object]]:
-    """The summaries of a 1 GB MCAP and a 1 GB bag over HTTP."""
+    """The summaries of a 1 GB MCAP and a 1 GB bag over HTTP, and a slice of the MCAP."""
     folder = STAGE / "recordings"
     folder.mkdir(exist_ok=True)
     generate_mcap(folder / "large.mcap", size_bytes=GB, seed=1)
@@ -149,7 +151,11 @@ def summary_rows(environment: dict[str, str]) -> list[dict[str, object]]:
                 "bytes_read": read,
             }
         )
-    return rows
+    token = (DATA / "owner-token").read_text().strip()
+    return [
+        *rows,
+        cut_stored_row(folder / "large.mcap", link_of("summaries", "large.mcap", endpoint_info()["url"], token).url),
+    ]
 
 
 def many_small_rows(label: str, environment: dict[str, str]) -> Iterator[dict[str, object]]:

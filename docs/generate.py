@@ -12,7 +12,7 @@ from plots import plots
 from pydantic_core import PydanticUndefined
 
 from kleinkram.checks.document import json_schema
-from kleinkram.cli.errors import EXIT_CODES, ExitCode
+from kleinkram.cli.errors import EXIT_CODES, RECORDING_CODES, ExitCode
 from kleinkram.cli.main import app as cli
 from kleinkram.contract.access import Scope
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS, Permission, ResourceKind
@@ -138,7 +138,8 @@ def _exit_codes() -> list[str]:
         "|---|---|---|",
     ]
     for code in ExitCode:
-        failures = ", ".join(sorted(error.__name__ for error, its in EXIT_CODES.items() if its is code))
+        errors = [error for error, its in (EXIT_CODES | RECORDING_CODES).items() if its is code]
+        failures = ", ".join(sorted(error.__name__ for error in errors))
         lines.append(f"| {code.value} | {code.name.replace('_', ' ')} | {failures} |")
     return lines
 

@@ -144,13 +144,14 @@ def upload_and_find(story: Story) -> None:
     with story.step("Download it, and compare every byte"):
         klein("download", "-p", "alpine", "-m", "jungfraujoch-1", "--dest", "back")
         compare(STAGE / "field-day", STAGE / "back")
-    with story.step("Take just two topics of two seconds, as one MCAP"):
+    with story.step("Take just two topics of two seconds: as one MCAP, and as tables"):
         klein(
             *("cut", "-p", "alpine", "-m", "jungfraujoch-1", "field-day/drive.mcap"),
             *("--topics", "/imu/data,/odom"),
             *("--start", "+1s", "--end", "+3s", "-o", "slice.mcap"),
         )
         klein("inspect", "slice.mcap")
+        klein("export", "slice.mcap", "--to", "parquet", "-o", "tables")
     check_missions(story)
     run_an_action(story)
     kill_and_resume(story)

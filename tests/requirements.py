@@ -29,6 +29,7 @@ PROGRAMS = {
     "iptables": "iptables",
     "ip": "iproute2",
     "chromium": "chromium",
+    "curl": "curl",
     "debootstrap": "debootstrap",
     "nginx": "nginx",
     "systemd-analyze": "systemd",

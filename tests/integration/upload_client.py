@@ -100,6 +100,11 @@ def upload_all(api: Api, mission_id: str, files: Mapping[str, bytes]) -> dict[st
     uploads = {path: decision["upload"] for path, decision in decisions.items() if path not in ready}
     if not uploads:
         return ready
+    return ready | complete_all(api, uploads, files)
+
+
+def complete_all(api: Api, uploads: Mapping[str, Any], files: Mapping[str, bytes]) -> dict[str, Any]:
+    """Send and finish many uploads with few requests; returns what became of each, by path."""
     parts = [(uploads[path], part) for path in uploads for part in parts_of(uploads[path], files[path])]
     requested = [
         {"upload_id": upload["id"], "number": number, "checksum": checksum(upload["checksum"], body)}
@@ -115,7 +120,7 @@ def upload_all(api: Api, mission_id: str, files: Mapping[str, bytes]) -> dict[st
     ]
     outcomes = api.post("/uploads/complete", {"uploads": finished}).ok()["items"]
     assert {decision["outcome"] for decision in outcomes} <= {"completed"}, outcomes
-    return ready | {path: decision["file"] for path, decision in zip(uploads, outcomes, strict=True)}
+    return {path: decision["file"] for path, decision in zip(uploads, outcomes, strict=True)}
 
 
 def fetch(url: str, **headers: str) -> tuple[int, bytes]:

@@ -11,14 +11,18 @@ import pytest
 
 from tests.conftest import RECORDINGS
 
+MESSAGE_FORMATS = "MCAP", "ROS1 bag 2.0", "ROS2 sqlite3 db3", "file-zstd of ROS2 sqlite3 db3", "file-zstd of MCAP"
+"""Formats of which independent libraries read the messages."""
+
 
 @dataclass(frozen=True)
 class Entry:
-    """One file of the manifest."""
+    """One file of the manifest; `made_from`: the file that it is a changed copy of."""
 
     name: str
     broken: str | None
     expected: dict[str, Any]
+    made_from: str | None = None
 
     @property
     def format(self) -> str:
@@ -32,7 +36,7 @@ def entries() -> tuple[Entry, ...]:
     if not path.is_file():
         return ()
     return tuple(
-        Entry(item["file"], item.get("broken"), item.get("expected") or {})
+        Entry(item["file"], item.get("broken"), item.get("expected") or {}, item.get("derived_from"))
         for item in json.loads(path.read_text())["files"]
     )
 

@@ -15,11 +15,11 @@ from tests.recording_files.memory_source import MemorySource
 from tests.recording_files.writers import McapWriter
 
 
-def json_mcap(values: Iterable[object]) -> MemorySource:
-    """Return an MCAP with one JSON message each nanosecond, on /state."""
+def json_mcap(values: Iterable[object], *, name: str = "State") -> MemorySource:
+    """Return an MCAP with one JSON message of a type each nanosecond, on /state."""
     out = BytesIO()
     writer = McapWriter(out)
-    channel = writer.add_channel("/state", writer.add_schema("State", "jsonschema", b"{}"), "json")
+    channel = writer.add_channel("/state", writer.add_schema(name, "jsonschema", b"{}"), "json")
     for number, value in enumerate(values):
         writer.add_message(channel, T0 + number, json.dumps(value).encode())
     writer.finish()

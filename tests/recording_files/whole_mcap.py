@@ -12,6 +12,7 @@ from mcap.stream_reader import StreamReader
 
 from kleinkram.recordings import Content, FileSource, scan
 from kleinkram.recordings.sources import SourceReader
+from tests.recording_files import mcap_doctor
 
 IndependentMessage = tuple[str, int, int, int, bytes]
 """Topic, log time, publish time, sequence, data."""
@@ -40,10 +41,12 @@ def read_whole_mcap(path: Path) -> WholeMcap:
     The rules are those of `mcap doctor`: definitions before messages, chunks and indexes that are true, statistics that
     count, messages in the order of log time.
     """
+    mcap_doctor.examine(path)
     with path.open("rb") as stream:
         all_records = list(StreamReader(stream, validate_crcs=True, emit_chunks=False).records)
     header = all_records[0]
     assert isinstance(header, records.Header)
+    assert header.library
     end = next(number for number, record in enumerate(all_records) if isinstance(record, records.DataEnd))
     data_section, summary = all_records[:end], all_records[end + 1 :]
     channels: dict[int, records.Channel] = {}

@@ -27,6 +27,7 @@ from pathlib import Path
 
 from kleinkram.action.launch import find_missing
 from kleinkram.action.run_files import IN_VARIABLE, OUT_VARIABLE, PACKAGES_VARIABLE
+from kleinkram.checks.document import read_checks, reference_of
 from kleinkram.client.actions import MANIFEST, read_manifest
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.access import Right
@@ -95,10 +96,12 @@ def try_out(
     """Run a script on files, given by their paths in the mission, in an empty directory.
 
     The manifest is `action.yaml` beside the script, or the script's header. All files are inputs, whatever `inputs` the
-    manifest declares. `metadata` is that of the mission, `checks` the text of its project's `checks.yaml`.
+    manifest declares. `metadata` is that of the mission, `checks` the text of its project's `checks.yaml`; they name
+    the reference that the run reads, if the manifest declares it.
 
     Raises:
         InvalidInput: the manifest or a parameter is invalid, or its dependencies cannot be installed.
+        YamlInvalid: the text of the checks is wrong, and names the reference.
         subprocess.TimeoutExpired: it took too long.
     """
     code = Path(script).resolve()
@@ -120,6 +123,9 @@ def try_out(
         topics=[],
         recordings=[],
         checks=None if checks is None else _checks(checks),
+        reference=reference_of(read_checks(checks) if checks else None, metadata or {})
+        if definition.inputs.reference
+        else None,
     )
     (in_dir / CONTEXT_FILE).write_text(context.model_dump_json())
     variables = {IN_VARIABLE: str(in_dir), OUT_VARIABLE: str(out), "TMPDIR": str(scratch)}

@@ -29,6 +29,7 @@ from kleinkram.contract import units
 from kleinkram.contract.base import Request
 from kleinkram.contract.checks import MAX_CHECKS_CHARACTERS, CheckSeverity
 from kleinkram.contract.errors import YamlInvalid
+from kleinkram.contract.names import check_trajectory_name
 from kleinkram.contract.problems import message_of
 from kleinkram.recordings.model import span_text
 from kleinkram.untrusted_yaml import Document, Path, read_yaml
@@ -116,6 +117,7 @@ SizeBytes = Annotated[
 ]
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 Glob = Annotated[str, Field(min_length=1, max_length=1024), AfterValidator(check_rule_glob)]
+TrajectoryName = Annotated[str, Field(max_length=1024), AfterValidator(check_trajectory_name)]
 
 
 class CountRange(Request):
@@ -346,7 +348,7 @@ When = dict[Annotated[str, Field(max_length=200)], JsonValue]
 
 
 class Profile(Request):
-    """Rules for the missions whose metadata match `when`.
+    """Rules for the missions whose metadata match `when`, and the reference of their trajectories.
 
     `when` maps a metadata field to the value that it must have, to a glob for a text, or to a list of them of which
     one must match; without `when`, the profile applies to every mission.
@@ -354,6 +356,11 @@ class Profile(Request):
 
     name: Annotated[str, Field(min_length=1, max_length=128)] = "checks"
     when: Annotated[When, Field(max_length=50)] = {}
+    reference: TrajectoryName | None = Field(
+        None,
+        description="The trajectory that estimates are compared with, unless the metadata of the mission name another.",
+        examples=["/vicon/pose", "tf:map->base_link", "ground_truth.tum"],
+    )
     files: RulesOf[FileRule] = {}
     recordings: RulesOf[RecordingRule] = {}
     topics: RulesOf[TopicRule] = {}
@@ -397,6 +404,19 @@ class MatchedMetadata:
         return any(_comparable(choice) in values_of_field for choice in plain) or any(
             map(texts_of_field.any_matches, globs)
         )
+
+
+def reference_of(document: "ChecksDocument | None", metadata: Mapping[str, JsonValue]) -> str | None:
+    """Return the name of the reference trajectory of a mission; None if there is none.
+
+    It is the metadata field `reference`, or else that of the first profile that applies to the mission and has one.
+    """
+    own = metadata.get("reference")
+    if own is not None and (name := str(own).strip()):
+        return name
+    mission = MatchedMetadata(metadata)
+    profiles = (profile for profile in document.profiles if profile.reference) if document is not None else ()
+    return next((profile.reference for profile in profiles if profile.mismatch(mission) is None), None)
 
 
 def _globs(values: Iterable[JsonValue]) -> Iterator[str]:

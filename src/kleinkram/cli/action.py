@@ -409,7 +409,8 @@ def _inputs(inputs: Inputs) -> str:
     files = "; ".join(f"{what} {', '.join(globs)}" for what, globs in lists if globs) or "all files"
     parts = [files, *(["also files that runs made"] if inputs.derived else [])]
     parts += [f"metadata {', '.join(inputs.metadata)}"] if inputs.metadata else []
-    return "; ".join([*parts, *(["checks.yaml of the project, with all metadata"] if inputs.checks else [])])
+    parts += ["checks.yaml of the project, with all metadata"] if inputs.checks else []
+    return "; ".join([*parts, *(["the reference of the mission"] if inputs.reference else [])])
 
 
 def _code(definition: ActionDefinition) -> str:

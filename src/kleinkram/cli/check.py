@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import JsonValue
 
-from kleinkram.checks.document import ChecksDocument, json_schema, read_checks
+from kleinkram.checks.document import ChecksDocument, json_schema, read_checks, reference_of
 from kleinkram.cli import options
 from kleinkram.cli.commands import Many, Subcommands, argument, flag, option
 from kleinkram.cli.errors import ExitCode
@@ -79,8 +79,15 @@ def check(
     values = mission_metadata(metadata, where)
     files = mission_files([as_contents(paths)] if len(paths) == 1 else paths, exclude or [])
     results = run_checks(loaded.document, files, values, CheckDepth.index if index_only else CheckDepth.content)
-    document = {"checks_file": loaded.source, **results.to_plain()}
-    return Output(document, lambda: show_results(results, loaded.source, list_all=all_), exit_code_of(results, strict))
+    reference = reference_of(loaded.document, values)
+    document = {"checks_file": loaded.source, "reference": reference, **results.to_plain()}
+
+    def show() -> None:
+        show_results(results, loaded.source, list_all=all_)
+        if reference is not None:
+            line(f"Reference: {reference}")
+
+    return Output(document, show, exit_code_of(results, strict))
 
 
 def as_contents(paths: Sequence[str]) -> str:

@@ -1,17 +1,16 @@
 """`klein convert`: local recordings as MCAPs or ROS 1 bags, without a server."""
 
-import contextlib
-import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated
 
 from kleinkram.cli import options
 from kleinkram.cli.commands import argument, flag, option
-from kleinkram.cli.errors import ExitCode, Interrupted
+from kleinkram.cli.cut import Watch, watch_shares
+from kleinkram.cli.errors import ExitCode, recording_code
 from kleinkram.cli.render import Output, note, table
-from kleinkram.cli.units import count, size
+from kleinkram.cli.units import size
 from kleinkram.client.errors import DestinationRefused, InvalidInput
 from kleinkram.recordings.errors import RecordingError
 from kleinkram.recordings.open_paths import LocalRecordingPath, find_recordings
@@ -44,7 +43,9 @@ def convert(
     level: Annotated[
         int | None, option("--level", "N", "Set the level: 1 to 22 for zstd, 0 to 16 for lz4 in an MCAP.")
     ] = None,
-    output: Annotated[Path, option("--output -o", "DIR", "The folder to write to.")] = Path(),
+    output: Annotated[
+        Path, option("--output -o", "PATH", "The folder to write to, or, for one recording, the file.")
+    ] = Path(),
     dry_run: options.DryRun = False,
 ) -> Output:
     """Convert, recompress or repair recordings: each becomes one whole MCAP, or one ROS 1 bag.
@@ -54,7 +55,7 @@ def convert(
     No file is replaced.
 
     The exit code is 0 also if messages were lost or left out, which is printed; it is 8 if a recording could not be
-    converted.
+    read or converted, 11 if a file could not be written, and 10 for both.
     """
     how = _options(to, compression, level, keep_ros1)
     jobs = _jobs(sources, output, how)
@@ -64,7 +65,7 @@ def convert(
         if job.path.exists() or job.path.is_symlink():
             reason = "there is such a file or folder, and it is not replaced: choose another folder with -o"
             raise DestinationRefused(path=str(job.path), reason=reason)
-    with _watching() as watch:
+    with watch_shares("The files that were written are complete.") as watch:
         return _converted([_convert(job, how, watch) for job in jobs])
 
 
@@ -85,9 +86,7 @@ class _Outcome:
     plan: ConversionPlan | None = None
     result: ConversionResult | None = None
     error: str | None = None
-
-
-_Watch = Callable[[str], Callable[[float], None] | None]
+    exit_code: int = 0
 
 
 def _options(to: str, compression: str | None, level: int | None, keep_ros1: bool) -> ConversionOptions:
@@ -109,15 +108,18 @@ def _options(to: str, compression: str | None, level: int | None, keep_ros1: boo
         raise InvalidInput(what="The command", reason=reason) from None
 
 
-def _jobs(sources: Sequence[str], folder: Path, how: ConversionOptions) -> list[_Job]:
-    try:
-        recordings = find_recordings(sources)
-    except FileNotFoundError as error:
-        raise InvalidInput(what="SOURCE", reason=str(error)) from None
-    names = [str(PurePosixPath(*_inside(item.name))) for item in recordings]
+def _jobs(sources: Sequence[str], output: Path, how: ConversionOptions) -> list[_Job]:
+    """Return what each recording becomes: a file in the folder `output`, or the file of this name."""
+    recordings = find_recordings(sources)
     extension = _EXTENSIONS[type(how)]
+    if output.suffix in _EXTENSIONS.values() and not output.is_dir():
+        if len(recordings) > 1 or output.suffix != extension:
+            what = f"a folder, or, for one recording, a file with the extension {extension}"
+            raise InvalidInput(what="--output", reason=f"it is {what}, not {output}")
+        return [_Job(recordings[0], output)]
+    names = [str(PurePosixPath(*_inside(item.name))) for item in recordings]
     return [
-        _Job(item, folder / f"{target}{extension}")
+        _Job(item, output / f"{target}{extension}")
         for item, target in zip(recordings, target_names(names), strict=True)
     ]
 
@@ -133,10 +135,10 @@ def _plan(job: _Job, how: ConversionOptions) -> _Outcome:
             plan = plan_conversion(recording, how)
             return _Outcome(job, plan.size_bytes, plan)
     except RecordingError as error:
-        return _Outcome(job, error=str(error))
+        return _Outcome(job, error=str(error), exit_code=recording_code(error))
 
 
-def _convert(job: _Job, how: ConversionOptions, watch: _Watch) -> _Outcome:
+def _convert(job: _Job, how: ConversionOptions, watch: Watch) -> _Outcome:
     try:
         with job.recording.open() as recording:
             if is_as_wanted(recording, how):
@@ -145,31 +147,9 @@ def _convert(job: _Job, how: ConversionOptions, watch: _Watch) -> _Outcome:
             result = convert_recording(recording, job.path, how, on_progress=watch(job.recording.name))
             return _Outcome(job, recording.size_bytes, result=result)
     except OSError as error:
-        return _Outcome(job, error=f"{job.path.parent}: {error.strerror or error}")
+        return _Outcome(job, error=f"{job.path.parent}: {error.strerror or error}", exit_code=ExitCode.destination)
     except RecordingError as error:
-        return _Outcome(job, error=str(error))
-
-
-@contextlib.contextmanager
-def _watching() -> Iterator[_Watch]:
-    """Show a bar for each recording on a terminal. Ctrl-C raises Interrupted; no incomplete file is left then."""
-    try:
-        if not sys.stderr.isatty():
-            yield lambda _name: None
-            return
-        from rich.console import Console
-        from rich.markup import escape
-        from rich.progress import Progress
-
-        with Progress(console=Console(stderr=True), transient=True) as progress:
-
-            def watch(name: str) -> Callable[[float], None]:
-                task = progress.add_task(escape(name), total=1.0)
-                return lambda share: progress.update(task, completed=share)
-
-            yield watch
-    except KeyboardInterrupt:
-        raise Interrupted from None
+        return _Outcome(job, error=str(error), exit_code=recording_code(error))
 
 
 def _planned(outcomes: Sequence[_Outcome]) -> Output:
@@ -246,11 +226,12 @@ def _note_outcome(one: _Outcome) -> None:
         note(f"{name}: nothing to do, it is already as wanted.")
     else:
         for loss in one.result.losses:
-            lost = "" if loss.messages is None else f" ({count(loss.messages, 'message')} lost)"
-            note(f"Lost: {loss.file}: {loss.reason}{lost}")
+            note(f"Lost: {loss.file}: {loss.reason}")
         for sentence in sentences(one.result.left_out):
             note(f"{name}: {sentence}")
 
 
 def _exit_code(outcomes: Sequence[_Outcome]) -> int:
-    return ExitCode.local_file if any(one.error for one in outcomes) else 0
+    """Return the exit code that all failures have, otherwise `several`; 0 for no failures."""
+    codes = {one.exit_code for one in outcomes if one.error}
+    return ExitCode.several if len(codes) > 1 else next(iter(codes), 0)

@@ -14,23 +14,24 @@ from kleinkram.cli import options
 from kleinkram.cli.commands import Many, flag, option
 from kleinkram.cli.commands import argument as positional
 from kleinkram.cli.errors import Interrupted
-from kleinkram.cli.render import Output, details, note
+from kleinkram.cli.render import Output, details, escape, note
 from kleinkram.cli.units import count, instant, size, span
 from kleinkram.client import Client, connect
 from kleinkram.client.errors import InvalidInput, NothingToDo
+from kleinkram.client.transfer.slices import time_range_errors
 from kleinkram.contract.errors import FileUnavailable, NotFound
+from kleinkram.contract.files import RecordingRead
 from kleinkram.recordings import (
     ChunkCompression,
-    EmptyRange,
     McapOptions,
     McapResult,
     NotARecording,
     Recording,
 )
 from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME
-from kleinkram.recordings.messages import END_OF_TIME_NS, Selection
+from kleinkram.recordings.messages import END_OF_TIME_NS, Selection, Time
 from kleinkram.recordings.open_paths import find_recordings
-from kleinkram.recordings.writing.mcap import merge_to_mcap, select_slice
+from kleinkram.recordings.writing.mcap import may_overlap, merge_to_mcap, select_range, select_slice
 
 
 def cut(
@@ -63,37 +64,28 @@ def cut(
         raise InvalidInput(what="The command", reason="specify the file to write: -o out.mcap")
     how = McapOptions(compression, attachments=attachments, metadata=metadata, latched=latched)
     with ExitStack() as stack:
+        times: tuple[Time | None, Time | None] = start, end
         if mission is not None:
             client = stack.enter_context(connect())
-            recordings = _open_remote(client, stack, mission, project, sources or [])
+            rows = _find_remote(client, mission, project, sources or [])
+            times, rows = _in_range(rows, times)
+            recordings = _open_all(stack, (partial(client.recordings.open, row) for row in rows))
         elif project is not None or not sources:
             raise InvalidInput(what="The command", reason="specify files or folders, or a mission with -m")
         else:
             recordings = _open_all(stack, (item.open for item in find_recordings(sources)))
-        selection = _select(recordings, options.topic_names(topics), start, end)
+        selection = _select(recordings, options.topic_names(topics), *times)
         if dry_run or output is None:
             return _estimate(recordings, selection)
-        with watch_share(output.name) as on_progress:
-            names = None if selection.topics is None else sorted(selection.topics)
-            result = merge_to_mcap(
-                recordings,
-                output,
-                names,
-                start=selection.start_ns,
-                end=selection.end_ns,
-                options=how,
-                on_progress=on_progress,
-            )
+        result = _write(recordings, output, selection, how)
     return _output(recordings, selection, result)
 
 
 def _select(
-    recordings: Sequence[Recording], topics: Sequence[str] | None, start: str | None, end: str | None
+    recordings: Sequence[Recording], topics: Sequence[str] | None, start: Time | None, end: Time | None
 ) -> Selection:
-    try:
+    with time_range_errors():
         selection = select_slice(recordings, topics, start, end)
-    except (ValueError, EmptyRange) as error:
-        raise InvalidInput(what="The time range", reason=str(error)) from None
     if selection.topics is not None and not selection.topics:
         raise NothingToDo(reason=f"No topic matches {', '.join(topics or [])}")
     return selection
@@ -119,10 +111,8 @@ def open_readable(opener: Callable[[], Recording]) -> Recording | NotARecording 
         return error
 
 
-def _open_remote(
-    client: Client, stack: ExitStack, mission: str, project: str | None, names: Sequence[str]
-) -> list[Recording]:
-    """Open recordings of a mission: those of these names, globs or paths, else all that no run made."""
+def _find_remote(client: Client, mission: str, project: str | None, names: Sequence[str]) -> list[RecordingRead]:
+    """Return recordings of a mission: those of these names, globs or paths, else all that no run made."""
     rows = [*client.recordings.list(client.missions.get(mission, project=project).id)]
     selected = [row for row in rows if not row.is_derived]
     if names:
@@ -130,7 +120,19 @@ def _open_remote(
         for name in names:
             if not any(_is_named(name, [row.name, *row.paths]) for row in rows):
                 raise NotFound(resource_type="recording", ref=name)
-    return _open_all(stack, (partial(client.recordings.open, row) for row in selected))
+    return selected
+
+
+def _in_range(
+    rows: list[RecordingRead], times: tuple[Time | None, Time | None]
+) -> tuple[tuple[Time | None, Time | None], list[RecordingRead]]:
+    """Return the log times of a range, and the recordings that may have messages in it: only these are opened."""
+    if not rows or times == (None, None):
+        return times, rows
+    name = rows[0].name if len(rows) == 1 else f"the {len(rows)} recordings"
+    with time_range_errors():
+        start_ns, end_ns = select_range(rows, *times, name=name)
+    return (start_ns, end_ns), [row for row in rows if may_overlap(row, Selection(None, start_ns, end_ns))]
 
 
 def _is_named(name: str, names: Iterable[str]) -> bool:
@@ -153,21 +155,40 @@ def _estimate(recordings: Sequence[Recording], selection: Selection) -> Output:
     return Output({"dry_run": True, "items": items}, text)
 
 
+def _write(recordings: Sequence[Recording], output: Path, selection: Selection, how: McapOptions) -> McapResult:
+    topics = None if selection.topics is None else sorted(selection.topics)
+    start_ns, end_ns = selection.start_ns, selection.end_ns
+    with watch_shares() as watch:
+        return merge_to_mcap(
+            recordings, output, topics, start=start_ns, end=end_ns, options=how, on_progress=watch(output.name)
+        )
+
+
+Watch = Callable[[str], Callable[[float], None] | None]
+"""Shows a bar of this name; returns what takes the share that is done, None where there is no terminal."""
+
+
 @contextlib.contextmanager
-def watch_share(name: str) -> Iterator[Callable[[float], None] | None]:
-    """Show a bar on a terminal. Ctrl-C raises Interrupted; nothing is left of the file then."""
+def watch_shares(remedy: str = "Nothing was written.") -> Iterator[Watch]:
+    """Show bars on a terminal. Ctrl-C raises Interrupted, which names a remedy; no incomplete file is left then."""
     try:
         if not sys.stderr.isatty():
-            yield None
+            yield lambda _name: None
             return
         from rich.console import Console
-        from rich.progress import Progress
+        from rich.progress import Progress, TextColumn
 
-        with Progress(console=Console(stderr=True), transient=True) as progress:
-            task = progress.add_task(name, total=1.0)
-            yield lambda share: progress.update(task, completed=share)
+        name_column = TextColumn("{task.description}", markup=False)  # names may have brackets
+        columns = name_column, *Progress.get_default_columns()[1:]
+        with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+
+            def watch(name: str) -> Callable[[float], None]:
+                task = progress.add_task(escape(name), total=1.0)
+                return lambda share: progress.update(task, completed=share)
+
+            yield watch
     except KeyboardInterrupt:
-        raise Interrupted from None
+        raise Interrupted(remedy) from None
 
 
 def _name_of(recording: Recording) -> str:

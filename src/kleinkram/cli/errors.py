@@ -15,7 +15,13 @@ from kleinkram.contract import errors as remote
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.problems import first_message
 from kleinkram.failures import code_of, failure_line
-from kleinkram.recordings.errors import RecordingError
+from kleinkram.recordings.errors import (
+    CannotWrite,
+    NoSuchTopic,
+    NotConvertible,
+    OutsideRecording,
+    RecordingError,
+)
 
 
 class ExitCode(enum.IntEnum):
@@ -41,7 +47,9 @@ class ExitCode(enum.IntEnum):
 
 
 class Interrupted(local.ClientError):
-    """Stopped. Run the same command again to continue."""
+    """Stopped. {remedy}"""
+
+    remedy: str = "Run the same command again to continue."
 
 
 class NotConfirmed(local.ClientError):
@@ -139,6 +147,14 @@ _CLASSES: dict[ExitCode, tuple[type[KleinkramError], ...]] = {
     ExitCode.interrupted: (Interrupted,),
 }
 EXIT_CODES = {error: code for code, errors in _CLASSES.items() for error in errors}
+RECORDING_CODES: dict[type[RecordingError], ExitCode] = {
+    NoSuchTopic: ExitCode.not_found,
+    OutsideRecording: ExitCode.not_found,
+    NotConvertible: ExitCode.local_file,
+    CannotWrite: ExitCode.destination,
+    RecordingError: ExitCode.local_file,
+}
+"""The first class that an error has decides."""
 
 
 def explain(error: Exception) -> int | None:
@@ -157,7 +173,7 @@ def explain(error: Exception) -> int | None:
         usage.show()
         return int(usage.exit_code)
     if isinstance(error, RecordingError | FileNotFoundError):
-        return fail(_code_of(error), str(error), ExitCode.local_file)
+        return fail(_code_of(error), str(error), recording_code(error))
     if not isinstance(error, KleinkramError):
         return None
     if is_json_requested():
@@ -171,6 +187,11 @@ def explain(error: Exception) -> int | None:
     if (request_id := request_id_of(error)) is not None and not isinstance(error, remote.InternalError):
         note(f"Request id: {request_id}")
     return EXIT_CODES[type(error)]
+
+
+def recording_code(error: RecordingError | FileNotFoundError) -> ExitCode:
+    """Return the exit code of a failure with a recording on this machine."""
+    return next((code for kind, code in RECORDING_CODES.items() if isinstance(error, kind)), ExitCode.local_file)
 
 
 def fail(code: str, message: str, exit_code: int, fields: Mapping[str, object] | None = None) -> int:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from kleinkram.cli import options
 from kleinkram.cli.commands import Many, argument, flag, option
-from kleinkram.cli.cut import open_readable, watch_share
+from kleinkram.cli.cut import open_readable, watch_shares
 from kleinkram.cli.errors import ExitCode
 from kleinkram.cli.filters import Choice, select_files, with_choice
 from kleinkram.cli.render import Output, note, table
@@ -21,16 +21,19 @@ from kleinkram.client.exports import (
     MissionRecordings,
     OpenedRecordings,
     export_missions,
+    in_range,
     open_recordings,
     plan_export,
     plan_exports,
     refuse_existing_folder,
 )
-from kleinkram.recordings import Recording
+from kleinkram.recordings import Recording, RecordingError
 from kleinkram.recordings.open_paths import find_recordings
 from kleinkram.recordings.writing.export import ExportFormat, ExportOptions, ExportPlan, export_recordings
 from kleinkram.recordings.writing.image_files import ImageOptions
 from kleinkram.recordings.writing.topic_rows import NamedRecording
+
+_REMEDY = "Run the same command with --continue to continue."
 
 
 @dataclass(frozen=True)
@@ -95,15 +98,18 @@ def _export_local(sources: Sequence[str], request: _ExportRequest) -> Output:
         if not request.resume:
             refuse_existing_folder(request.output)
         if not plan.files and not plan.left_out:
-            raise NothingToDo(reason="The recordings have no such topics")
-        with watch_share(request.output.name) as on_progress:
+            topics = ", ".join(request.options.topics or [])
+            raise NothingToDo(
+                reason=f"No topic matches {topics}" if topics else f"There is no topic to export as {request.to.value}"
+            )
+        with watch_shares(_REMEDY) as watch:
             result = export_recordings(
                 opened.recordings,
                 request.output,
                 request.to,
                 request.options,
                 resume=request.resume,
-                on_progress=on_progress,
+                on_progress=watch(request.output.name),
             )
     error = None if result.files else "none of the topics can be exported"
     return _show_exports([MissionExport("", "", request.output, result, opened.unread, error)], request.output)
@@ -128,8 +134,9 @@ def _export_remote(client: Client, choice: Choice, sources: Sequence[str], reque
         client, select_files(client, choice, sources), request.output, nested=not _is_one_mission(choice)
     )
     if request.dry_run:
-        return _show_plans([*_plans(client, missions, request)])
-    with watch_share(request.output.name) as on_share:
+        return _show_plans(_plans(client, missions, request))
+    with watch_shares(_REMEDY) as watch:
+        on_share = watch(request.output.name)
         shares = {(mission.project, mission.mission): 0.0 for mission in missions}
 
         def show(mission: MissionRecordings, share: float) -> None:
@@ -152,10 +159,25 @@ def _is_one_mission(choice: Choice) -> bool:
 _Planned = tuple[MissionRecordings | None, OpenedRecordings, ExportPlan]
 
 
-def _plans(client: Client, missions: Sequence[MissionRecordings], request: _ExportRequest) -> Iterator[_Planned]:
-    for mission in missions:
-        with open_recordings(client, mission) as opened:
-            yield mission, opened, plan_export(opened.recordings, request.to, request.options)
+def _plans(client: Client, missions: Sequence[MissionRecordings], request: _ExportRequest) -> list[_Planned]:
+    """Plan each mission; note those of which nothing would be exported, if there are others."""
+    results = [(mission, _plan(client, mission, request)) for mission in missions]
+    plans = [plan for _, plan in results if not isinstance(plan, RecordingError)]
+    failures = [(mission, plan) for mission, plan in results if isinstance(plan, RecordingError)]
+    if not plans:
+        raise failures[0][1]
+    for mission, error in failures:
+        note(f"Would leave out {mission.project}/{mission.mission}: {error}")
+    return plans
+
+
+def _plan(client: Client, mission: MissionRecordings, request: _ExportRequest) -> _Planned | RecordingError:
+    try:
+        near, what = in_range(mission, request.options)
+        with open_recordings(client, near) as opened:
+            return near, opened, plan_export(opened.recordings, request.to, what)
+    except RecordingError as error:
+        return error
 
 
 def _show_plans(plans: Sequence[_Planned]) -> Output:
@@ -192,12 +214,14 @@ def _show_exports(exports: Sequence[MissionExport], output: Path) -> Output:
         items.append({**names, "error": one.error, "unread": dict(one.unread), **plain})
         _note_missing(one)
         files = one.result.files if one.result is not None else ()
-        rows += [(file.topic, file.row_count, size(file.size_bytes), str(file.path)) for file in files]
+        rows += [
+            (file.topic, file.message_type, file.row_count, size(file.size_bytes), str(file.path)) for file in files
+        ]
     failed = [one for one in exports if one.error is not None]
     if len(failed) == len(exports):
         raise NothingToDo(reason=f"Nothing was exported: {failed[0].error}")
     code = ExitCode.several if failed else 0
-    return Output({"items": items}, lambda: table(["topic", "rows", "size", "file"], rows), code)
+    return Output({"items": items}, lambda: table(["topic", "type", "rows", "size", "file"], rows), code)
 
 
 def _note_missing(one: MissionExport) -> None:

@@ -87,14 +87,12 @@ Connections = Annotated[int, option("--connections", "N", "Run N transfers at th
 
 
 TopicsOption = Annotated[
-    Many, option("--topics", "TOPICS", "Select topics by name or glob; repeatable, or separated by commas.")
+    Many, option("--topics", "TOPICS", "Take only these topics, by name or glob; repeatable, or separated by commas.")
 ]
 _START = "Begin at this log time, inclusive: 2026-05-01T10:00:00Z, 10:00 (UTC), or +20s after the start."
 _END = "End before this log time, written like the start."
-StartOption = Annotated[Text, option("--start", "TIME", _START)]
-EndOption = Annotated[Text, option("--end", "TIME", _END)]
-StartTimeOption = Annotated[Text, option("--start-time", "TIME", _START)]
-EndTimeOption = Annotated[Text, option("--end-time", "TIME", _END)]
+StartOption = Annotated[Text, option("--start --start-time", "TIME", _START)]
+EndOption = Annotated[Text, option("--end --end-time", "TIME", _END)]
 SetOption = Annotated[Many, option("--set", "NAME=VALUE", "Set a parameter; repeatable.")]
 
 

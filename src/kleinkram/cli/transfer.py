@@ -213,10 +213,10 @@ def _wait_for_summaries(client: Client, mission_id: uuid.UUID, seconds: float) -
 def download(
     choice: Choice,
     filters: Annotated[Many, argument("FILTERS", "Paths, globs or ids of files; or the address of a link.")] = None,
-    dest: Annotated[Path, option("--dest", "D", "Write to this folder.")] = Path(),
+    dest: Annotated[Path, option("--dest --output -o", "DIR", "Write to this folder.")] = Path(),
     topics: options.TopicsOption = None,
-    start_time: options.StartTimeOption = None,
-    end_time: options.EndTimeOption = None,
+    start: options.StartOption = None,
+    end: options.EndOption = None,
     nested: Annotated[bool, flag("--nested", "Write to PROJECT/MISSION/PATH below the folder.")] = False,
     overwrite: options.Overwrite = False,
     exclude: options.ExcludeOption = None,
@@ -226,8 +226,9 @@ def download(
 ) -> Output:
     """Download files, and verify each before it gets its final name. Running the same command again resumes.
 
-    With --topics, --start-time or --end-time, a slice of each recording is downloaded as one MCAP instead: only the
-    chunks that are needed are fetched. `klein cut` makes one file of several recordings.
+    With --topics, --start or --end, a slice of each recording is downloaded as one MCAP instead: only the chunks that
+    are needed are fetched. A slice that exists is refused, not resumed. `klein cut` makes one file of several
+    recordings.
     """
     bytes_per_s = parse_rate(limit_rate)
     links = [value for value in filters or [] if is_link(value)]
@@ -238,10 +239,10 @@ def download(
         raise InvalidInput(what="The command", reason="specify files: -p, -m, a path, a glob ('*' for all) or an id")
     with connect(*links) as client:
         files = [file for file in select_files(client, choice, refs) if not is_excluded(file.path, exclude or [])]
-        if (topics, start_time, end_time) != (None, None, None):
+        if (topics, start, end) != (None, None, None):
             if bytes_per_s is not None:
                 raise InvalidInput(what="--limit-rate", reason="it does not limit slices of recordings")
-            what = transfer.SliceRange(options.topic_names(topics), start_time, end_time)
+            what = transfer.SliceRange(options.topic_names(topics), start, end)
             return _download_slices(
                 client,
                 transfer.plan_slices(client, files, dest, nested=nested),
@@ -274,7 +275,8 @@ def _download_slices(client: Client, plan: SlicePlan, what: SliceRange, *, overw
     if not plan.targets and not plan.left_out:
         raise NothingToDo(reason="No recording matches")
     if dry_run:
-        rows = [(target.name, str(target.dest / target.relative)) for target in plan.targets]
+        _, targets = transfer.select_targets(plan, what)
+        rows = [(target.name, str(target.dest / target.relative)) for target in targets]
         note(f"Would read {count(len(rows), 'recording')}.")
         items = [{"recording": name, "local": local} for name, local in rows]
         document = {"dry_run": True, "items": items, "left_out": [str(error) for error in plan.left_out]}

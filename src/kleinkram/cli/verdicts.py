@@ -143,6 +143,7 @@ def _show_checks(mission: MissionRead, result: MissionChecksRead, *, list_all: b
             ("rules", f"version {result.checks_number}" if result.checks_number else None),
             ("profiles", ", ".join(result.profiles_applied) or None),
             *((f"not {one.name}", one.reason) for one in result.profiles_left_out),
+            ("reference", result.reference),
         ]
     )
     failed = (CheckStatus.error, CheckStatus.warning, CheckStatus.not_made)

@@ -6,6 +6,7 @@ The bytes of files go straight to the store (`transfer/`).
 import copy
 import datetime
 import enum
+import functools
 import json
 import logging
 import math
@@ -16,7 +17,7 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from email.utils import parsedate_to_datetime
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import urlencode
 
 import urllib3
@@ -29,6 +30,9 @@ from kleinkram.client.config import TOKEN_VARIABLE, Endpoint
 from kleinkram.client.errors import AnswerNotUnderstood, ServerUnreachable, StoreUnreachable, remember_request
 from kleinkram.contract.errors import KleinkramError, NotAuthenticated
 from kleinkram.contract.problems import ProblemDocument, first_problem, from_problem
+
+if TYPE_CHECKING:
+    from kleinkram.recordings.http_source import HttpConnections
 
 T = TypeVar("T", bound=BaseModel)
 _log = logging.getLogger("kleinkram.http")
@@ -128,6 +132,14 @@ class Api:
         other = copy.copy(self)
         other._retry_timeout_s, other._wait = timeout_s, wait
         return other
+
+    @functools.cached_property
+    def store_connections(self) -> "HttpConnections":
+        """Connections for reading from the store: the same for all recordings, so that few are open."""
+        from kleinkram.recordings.http_source import HttpConnections  # only reading needs it
+        from kleinkram.recordings.limits import PARALLEL_READS
+
+        return HttpConnections(PARALLEL_READS)
 
     def now(self) -> datetime.datetime:
         """Return the time at the server (aware), by its last answer: its clock decides what has expired."""

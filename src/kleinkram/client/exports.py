@@ -6,13 +6,13 @@ Fetches indexes and the chunks that are needed, in ranges, straight from the sto
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 from uuid import UUID
 
 from kleinkram.client.errors import DestinationRefused, InvalidInput, NothingToDo
-from kleinkram.client.transfer.slices import recordings_of
+from kleinkram.client.transfer.slices import recordings_of, time_range_errors
 from kleinkram.contract.errors import FileUnavailable
 from kleinkram.contract.files import ContentState, FileRead, RecordingRead
 from kleinkram.contract.names import check_name
@@ -102,6 +102,25 @@ def _folder_of(dest: Path, project: str, mission: str) -> Path:
         raise DestinationRefused(path=f"{project}/{mission}", reason=f"the server's name for it {error}") from None
 
 
+def in_range(mission: MissionRecordings, options: "ExportOptions") -> tuple[MissionRecordings, "ExportOptions"]:
+    """Return what of a mission may have messages in the time range, and options with its log times. Opens nothing.
+
+    Raises:
+        InvalidInput: the time range is empty, or a text is no time.
+        OutsideRecording: nothing was recorded in it.
+    """
+    from kleinkram.recordings.messages import Selection
+    from kleinkram.recordings.writing.mcap import may_overlap, select_range
+
+    if (options.start, options.end) == (None, None):
+        return mission, options
+    with time_range_errors():
+        start_ns, end_ns = select_range(mission.recordings, options.start, options.end, name=mission.mission)
+    selection = Selection(None, start_ns, end_ns)
+    recordings = [one for one in mission.recordings if may_overlap(one, selection)]
+    return replace(mission, recordings=recordings), replace(options, start=start_ns, end=end_ns)
+
+
 @contextmanager
 def open_recordings(client: "Client", mission: MissionRecordings) -> Iterator[OpenedRecordings]:
     """Open the recordings of a mission for reading, for the duration of a `with`.
@@ -160,13 +179,10 @@ def plan_export(recordings: Sequence["NamedRecording"], to: "ExportFormat", opti
         InvalidInput: the time range is empty, or a text is no time.
         RecordingError: NoSuchTopic, OutsideRecording.
     """
-    from kleinkram.recordings.errors import EmptyRange
     from kleinkram.recordings.writing import export
 
-    try:
+    with time_range_errors():
         return export.plan_export(recordings, to, options)
-    except (EmptyRange, TypeError, ValueError) as error:
-        raise InvalidInput(what="The time range", reason=str(error)) from None
 
 
 def refuse_existing_folder(folder: Path) -> None:
@@ -189,9 +205,11 @@ def _export(
     from kleinkram.recordings.errors import CannotWrite, RecordingError
     from kleinkram.recordings.writing.export import export_recordings
 
-    result, error = None, None
-    with open_recordings(client, mission) as opened:
-        try:
+    result, error, unread = None, None, dict[str, str]()
+    try:
+        mission, options = in_range(mission, options)
+        with open_recordings(client, mission) as opened:
+            unread.update(opened.unread)
             if opened.recordings:
                 plan_export(opened.recordings, to, options)
                 result = export_recordings(
@@ -199,10 +217,10 @@ def _export(
                 )
             else:
                 error = "none of its recordings can be read"
-        except CannotWrite:
-            raise
-        except RecordingError as failure:
-            error = str(failure)
+    except CannotWrite:
+        raise
+    except RecordingError as failure:
+        error = str(failure)
     if result is not None and not result.files:
         error = "none of its topics can be exported" if result.left_out else "it has no such topics"
-    return MissionExport(mission.project, mission.mission, mission.folder, result, opened.unread, error)
+    return MissionExport(mission.project, mission.mission, mission.folder, result, unread, error)

@@ -207,12 +207,9 @@ class RemoteFiles:
     """
 
     def __init__(self, files: Files, file_ids: Sequence[uuid.UUID]) -> None:
-        from kleinkram.recordings.http_source import HttpConnections  # only reading needs it
-        from kleinkram.recordings.limits import PARALLEL_READS
-
         self._files = files
         self._file_ids = file_ids
-        self._connections = HttpConnections(PARALLEL_READS)
+        self._connections = files._api.store_connections
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle the ids of the files, without connections and signed URLs."""
@@ -226,7 +223,7 @@ class RemoteFiles:
         return [self._source(link) for link in links]
 
     def close(self) -> None:
-        """Close the connections to the store."""
+        """Close the idle connections to the store; another recording that still needs them opens new ones."""
         self._connections.close()
 
     def _source(self, link: DownloadLink) -> "HttpSource":

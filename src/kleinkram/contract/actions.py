@@ -132,7 +132,8 @@ class Inputs(Request):
 
     Files that runs made are inputs only with `derived`. `metadata` names the metadata fields of the mission that the
     action reads; with `checks`, it reads the `checks.yaml` of the project, and all metadata, by which its profiles are
-    chosen. Results depend on the values of what is declared: if one changes, they are outdated.
+    chosen. With `reference`, it reads the reference trajectory that the metadata or the `checks.yaml` name, and nothing
+    else of them. Results depend on the values of what is declared: if one changes, they are outdated.
     """
 
     paths: Globs = []
@@ -141,6 +142,7 @@ class Inputs(Request):
     derived: bool = False
     metadata: Annotated[list[MetadataKey], Field(max_length=50)] = []
     checks: bool = False
+    reference: bool = False
 
 
 def _size(value: object) -> object:

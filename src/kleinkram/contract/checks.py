@@ -314,8 +314,10 @@ class MissionChecksRead(Response):
     `next` is the cursor of the next page, null on the last; acceptances, notes and reports come with the first one.
     `evaluated_at` is null while nothing was checked.
     `is_current`: the checks are of the present files and by the present `checks.yaml`, whose version is `checks_number`
-    (0 for none). `bad_since` is when the mission became bad. With `all`, acceptances that ended are listed too. Without
-    an account, there are no notes and no reports, and only acceptances that apply.
+    (0 for none). `reference` is the trajectory that estimates are compared with: of the mission's metadata, or else of
+    the first profile that applies and names one; it comes with the first page. `bad_since` is when the mission became
+    bad. With `all`, acceptances that ended are listed too. Without an account, there are no notes and no reports, and
+    only acceptances that apply.
     """
 
     verdict: Verdict
@@ -325,6 +327,7 @@ class MissionChecksRead(Response):
     checks_number: int
     profiles_applied: list[str]
     profiles_left_out: list[ProfileLeftOut]
+    reference: str | None = None
     is_current: bool
     evaluated_at: datetime.datetime | None
     bad_since: datetime.datetime | None

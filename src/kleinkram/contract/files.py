@@ -5,11 +5,11 @@ import enum
 import uuid
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from kleinkram.contract.base import ETag, NamedRef, Request, Response, etag_of
 from kleinkram.contract.missions import MissionCriteria, MissionRef
-from kleinkram.contract.names import FilePath, Label, Term, Terms
+from kleinkram.contract.names import FilePath, Label, Term, Terms, check_text
 from kleinkram.contract.people import PersonRef
 
 
@@ -261,8 +261,16 @@ class DownloadLinks(Response):
     items: list[DownloadLink]
 
 
-LogTime = Annotated[str, Field(min_length=1, max_length=64)]
-TopicPattern = Annotated[str, Field(min_length=1, max_length=4096)]
+def _split_topics(texts: list[str]) -> list[str]:
+    """Return the names and globs in texts that separate them by commas or spaces."""
+    names = [name for text in texts for name in text.replace(",", " ").split()]
+    if texts and not names:
+        raise ValueError("names no topic; without this parameter, all topics are selected")
+    return names
+
+
+LogTime = Annotated[str, AfterValidator(check_text), Field(min_length=1, max_length=64)]
+TopicPattern = Annotated[str, AfterValidator(check_text), Field(min_length=1, max_length=4096)]
 
 
 class SliceQuery(Request):
@@ -272,7 +280,7 @@ class SliceQuery(Request):
     2026-05-01T10:00:00Z, 10:00 (UTC), +20s after the start, or nanoseconds since 1970.
     """
 
-    topics: Annotated[list[TopicPattern], Field(max_length=1000)] = []
+    topics: Annotated[list[TopicPattern], Field(max_length=1000), BeforeValidator(_split_topics)] = []
     start: LogTime | None = None
     end: LogTime | None = None
 

@@ -21,6 +21,7 @@ MAX_TERM_CHARACTERS = 1024
 
 _BIDI_CONTROLS = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 _UNSTORABLE = re.compile("[\x00\ud800-\udfff]")
+_OF_RECORDING = re.compile(r"(?!tf:)(?P<recording>[^:].*?):(?P<rest>(/|tf:).+)", re.DOTALL)
 _UUID = re.compile(r"[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}", re.IGNORECASE)
 
 
@@ -96,6 +97,34 @@ def check_text(text: str) -> str:
         code, position = f"U+{ord(unstorable[0]):04X}", unstorable.start()
         raise ValueError(f"contains the character {code} at position {position}, which cannot be stored")
     return text
+
+
+def split_trajectory_name(name: str) -> tuple[str | None, str]:
+    """Return the recording that the name of a trajectory begins with, as in `nuc/nuc.mcap:/odom`, and the rest."""
+    match = _OF_RECORDING.fullmatch(name)
+    return (match["recording"], match["rest"]) if match else (None, name)
+
+
+def read_frames(name: str) -> tuple[str, str] | None:
+    """Return parent and child frame of `tf:map->base_link`; None for another name. Raises ValueError."""
+    if not name.startswith("tf:"):
+        return None
+    parent, _, child = (part.strip() for part in name.removeprefix("tf:").partition("->"))
+    if not (parent and child):
+        raise ValueError("transforms are named like tf:map->base_link")
+    return parent, child
+
+
+def check_trajectory_name(name: str) -> str:
+    """Return the name of a trajectory without spaces around it. Raises ValueError.
+
+    It is a file of a mission or a glob of its path, a topic of poses, or transforms; of one recording, if it is named.
+    """
+    name = check_text(name).strip()
+    if not name:
+        raise ValueError("write a file, a topic such as /odom, or transforms such as tf:map->base_link")
+    read_frames(split_trajectory_name(name)[1])
+    return name
 
 
 def is_id(reference: str) -> bool:

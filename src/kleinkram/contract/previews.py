@@ -44,7 +44,7 @@ class MissionPreview(Response):
     """An artifact that the latest run of an action shows of its mission.
 
     `run_id` is the run that made it at `made_at`, which a later one may reuse. `outdated`: what the action reads has
-    changed since: files, or the metadata and checks that it declares.
+    changed since: files, or the metadata, checks and reference that it declares.
     """
 
     run_id: uuid.UUID

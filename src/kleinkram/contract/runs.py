@@ -86,8 +86,9 @@ class RunContext(Response):
     """The content of `/in/mission.json`: the mission, the input files with their topics, the parameters.
 
     `run_id` is null for a local run. `topics` belong to the files, `recordings` to the mission. Metadata that the
-    action declares as inputs have their values at the launch. `checks` is null unless the action declares to read it,
-    and where the project has none.
+    action declares as inputs have their values at the launch; with `checks` or `reference`, all have. `checks` and
+    `reference` are null unless the action declares to read them, and where there is none. `reference` is the name of
+    the trajectory with which estimates are compared: of the mission's metadata, or else of the `checks.yaml`.
     """
 
     contract: Literal[1] = 1
@@ -100,13 +101,14 @@ class RunContext(Response):
     topics: list[TopicRead]
     recordings: list[RecordingRead]
     checks: RunChecks | None = None
+    reference: str | None = None
 
 
 class RunsCreate(Request):
     """An action to run on each of some missions: a published one by id, or an unpublished definition.
 
     Without `version`, the latest version runs. Results of an earlier successful run with the same version, image,
-    parameters and inputs (files, and the metadata and checks that it declares) are reused unless `force`.
+    parameters and inputs (files, and the metadata, checks and reference that it declares) are reused unless `force`.
     """
 
     mission_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=MAX_LAUNCHED)]

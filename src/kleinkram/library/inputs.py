@@ -8,7 +8,6 @@ A trajectory is named by a text:
 * `nuc/*.mcap:/odom`, `nuc/nuc.mcap:tf:map->base_link`: the same, of the recording with this path.
 """
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from pathlib import Path
 
 from kleinkram.action import context, report
 from kleinkram.action.run_files import in_dir
+from kleinkram.contract.names import read_frames, split_trajectory_name
 from kleinkram.recordings import FileSource, Recording, RecordingError, Topic
 from kleinkram.recordings.recording_groups import read_folder
 from kleinkram.recordings.trajectories import (
@@ -28,7 +28,6 @@ from kleinkram.recordings.trajectories import (
 )
 
 _TRANSFORM_TYPES = ("TFMessage", "tfMessage")
-WITH_RECORDING = re.compile(r"(?!tf:)(?P<recording>[^:].*?):(?P<rest>(/|tf:).+)", re.DOTALL)
 _SHOWN = 10
 
 
@@ -128,20 +127,21 @@ def _input_paths() -> list[str]:
 
 
 def _from_recording(source: str, recordings: Sequence[InputRecording]) -> InputTrajectory:
-    match = WITH_RECORDING.fullmatch(source)
-    name, rest = (match["recording"], match["rest"]) if match else ("*", source)
-    selected = [recording for recording in recordings if recording.name == name or fnmatchcase(recording.name, name)]
-    if match and not selected:
+    name, rest = split_trajectory_name(source)
+    glob = "*" if name is None else name
+    selected = [recording for recording in recordings if recording.name == glob or fnmatchcase(recording.name, glob)]
+    if name is not None and not selected:
         raise TrajectoryRefused(
             source, f"no recording is called {name}; there are {_shown([r.name for r in recordings])}"
         )
-    if rest.startswith("tf:"):
-        parent, arrow, child = rest.removeprefix("tf:").partition("->")
-        if not (arrow and parent.strip() and child.strip()):
-            raise TrajectoryRefused(source, "transforms are named like tf:map->base_link")
+    try:
+        frames = read_frames(rest)
+    except ValueError as error:
+        raise TrajectoryRefused(source, str(error)) from None
+    if frames is not None:
         recording = only_recording(source, selected, has_transforms)
         with recording.open() as reader:
-            return InputTrajectory(read_transforms(reader, parent.strip(), child.strip()), recording.paths)
+            return InputTrajectory(read_transforms(reader, *frames), recording.paths)
     recording = only_recording(source, selected, lambda topic: topic.name == rest)
     with recording.open() as reader:
         return InputTrajectory(read_topic(reader, rest), recording.paths)

@@ -42,7 +42,7 @@
 #
 # [tool.kleinkram.inputs]
 # derived = true
-# metadata = ["reference"]
+# reference = true
 # paths = [
 #   "*.tum", "*.txt", "*.csv",
 #   "*.mcap", "*.bag", "*.db3", "*.mcap.zst*", "*.db3.zst*", "*.bag.zst*", "*metadata.yaml",
@@ -58,7 +58,7 @@
 # name = "reference"
 # type = "string"
 # default = ""
-# description = "One file, topic or pair of frames; by default the metadata field `reference` of the mission."
+# description = "One file, topic or pair of frames; by default the reference of the mission or its project."
 #
 # [[tool.kleinkram.parameters]]
 # name = "alignment"
@@ -206,16 +206,17 @@ def read_options() -> EvaluationOptions:
 
 
 def read_reference(recordings: Sequence[InputRecording]) -> InputTrajectory:
-    """Return the reference that the parameter or else the mission names. Raises TrajectoryRefused."""
-    source = parameters()["reference"] or context().mission.metadata.get("reference")
-    if not isinstance(source, str) or not source.strip():
+    """Return the reference that the parameter, or else the mission or its project names. Raises TrajectoryRefused."""
+    source = str(parameters()["reference"]).strip() or context().reference
+    if source is None:
         raise TrajectoryRefused(
             "reference",
-            f"the mission {context().mission.name} names none: set its metadata field reference, or the parameter, "
-            "to a file, a topic such as /odom, or transforms such as tf:map->base_link",
+            f"the mission {context().mission.name} names none: set its metadata field reference, the key reference of "
+            "a profile in the project's checks.yaml, or the parameter, to a file, a topic such as /odom, or transforms "
+            "such as tf:map->base_link",
         )
     try:
-        return read_trajectory(source.strip(), recordings)
+        return read_trajectory(source, recordings)
     except TrajectoryRefused as refusal:
         raise TrajectoryRefused(f"reference {refusal.name}", refusal.reason) from None
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         FailureKind,
         NoSuchTopic,
         NotARecording,
+        NotConvertible,
         OutsideRecording,
         RecordingError,
         SeveralRecordings,
@@ -70,8 +71,8 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "combine_summaries": "combine",
-    "errors": "CannotWrite EmptyRange FailureKind NoSuchTopic NotARecording OutsideRecording RecordingError "
-    "SeveralRecordings SourceError SummaryFailed TooCostly TooDisordered",
+    "errors": "CannotWrite EmptyRange FailureKind NoSuchTopic NotARecording NotConvertible OutsideRecording "
+    "RecordingError SeveralRecordings SourceError SummaryFailed TooCostly TooDisordered",
     "messages": "Channel Message RawMessage Schema Topic",
     "model": "Content Depth Fact Lost Problem RecordingFormat RecordingSummary TopicSummary",
     "recording": "Recording",

@@ -72,7 +72,8 @@ class ChunkedMember:
 
     `summary`: if it was scanned to be opened. `is_part`: of a damaged chunk. `with_index_check`: the table comes from
     the file's own index, which may be wrong. `claimed_span`: by the statistics. `max_ahead`: bytes of chunks that one
-    iteration fetches and decompresses ahead; lower it where several files are read at the same time.
+    iteration fetches and decompresses ahead; lower it where several files are read at the same time. `first_ahead`: at
+    the start of an iteration, after which it doubles; set it to `max_ahead` where all that is selected will be read.
     """
 
     def __init__(
@@ -91,6 +92,7 @@ class ChunkedMember:
         self.source, self.format, self.table, self.problem_log = source, chunk_format, table, problem_log
         self.summary, self.is_part, self._contents = summary, is_part, contents
         self.max_ahead = MAX_AHEAD if getattr(source, "parallel_reads", 1) > 1 else _AHEAD_ON_DISK
+        self.first_ahead = 0
         self.check: IndexCheck | None = None
         if with_index_check:
             self.check = IndexCheck(source, table, problem_log, chunk_format.read_message_index)
@@ -185,21 +187,21 @@ class _ChunkReader:
 
     def load_ahead(self, numbers: Iterable[int]) -> Iterator[Loaded]:
         parallel: int = getattr(self._file.source, "parallel_reads", 1)
-        tasks = self._tasks(numbers, together=parallel > 1)
-        for group in read_ahead(tasks, workers=max(_MIN_WORKERS, parallel), max_bytes=self._file.max_ahead):
+        tasks, file = self._tasks(numbers, together=parallel > 1), self._file
+        workers = max(_MIN_WORKERS, parallel)
+        for group in read_ahead(tasks, workers=workers, max_bytes=file.max_ahead, first_bytes=file.first_ahead):
             yield from group
 
     def _tasks(self, numbers: Iterable[int], *, together: bool) -> Iterator[ReadAheadTask[list[Loaded]]]:
         """Yield what to fetch; over a network, adjacent chunks are fetched together."""
         group: list[Row] = []
-        size, previous, alone = 0, -1, True
+        size, previous, may_join = 0, -1, together and self._file.first_ahead > 0
         group_bytes = min(_GROUP_BYTES, self._file.max_ahead // 4)
         for number in numbers:
             row = self._file.table.rows[number]
-            joins = together and not alone and number == previous + 1 and row.start - group[0].start < group_bytes
-            if group and not joins:
+            if group and not (may_join and number == previous + 1 and row.start - group[0].start < group_bytes):
                 yield ReadAheadTask(size, partial(self._load_group, group))
-                alone = False
+                may_join = together
                 group, size = [], 0
             group.append(row)
             size += min(row.length + row.uncompressed_bytes, 2 * MAX_CHUNK_BYTES)

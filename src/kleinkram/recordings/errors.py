@@ -115,6 +115,10 @@ class CannotWrite(RecordingError):
         self.reason = reason
 
 
+class NotConvertible(CannotWrite):
+    """An output format cannot hold the messages of a recording: its `name`, and why."""
+
+
 class EmptyRange(RecordingError):
     """The end of a time range, exclusive, is not after its start. Both in nanoseconds since 1970."""
 

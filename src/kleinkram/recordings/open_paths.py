@@ -26,13 +26,18 @@ class LocalRecordingPath(NamedTuple):
 def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[LocalRecordingPath]:
     """Return the recordings of files and folders, in the given order; of a folder, each in it and below it.
 
-    Names are those of files, or paths in their folder; where two would be the same, they are the whole paths.
+    A recording that is named twice is returned once. Names are those of files, or paths in their folder; where two
+    would be the same, they are the whole paths.
 
     Raises:
         FileNotFoundError: a path does not exist.
         NotARecording: there is no recording in a folder.
     """
-    recordings = [(path, item) for path in map(Path, paths) for item in _recordings_in(path)]
+    by_place: dict[Path, tuple[Path, LocalRecordingPath]] = {}
+    for path in map(Path, paths):
+        for place, item in _recordings_in(path):
+            by_place.setdefault(place.resolve(), (path, item))
+    recordings = by_place.values()
     counts = Counter(item.name for _, item in recordings)
     return [
         item if counts[item.name] == 1 else item._replace(name=str(path / item.name if path.is_dir() else path))
@@ -40,18 +45,21 @@ def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[LocalRecord
     ]
 
 
-def _recordings_in(path: Path) -> Iterator[LocalRecordingPath]:
+def _recordings_in(path: Path) -> Iterator[tuple[Path, LocalRecordingPath]]:
+    """Yield the file or folder of each recording, and what opens it."""
     if not path.exists():
         raise FileNotFoundError(f"{path}: there is no such file or folder")
     if not path.is_dir():
-        name = path.resolve().parent.name if path.name == METADATA_NAME else path.name
-        yield LocalRecordingPath(name, partial(Recording.open, path))
+        is_metadata = path.name == METADATA_NAME
+        place = path.resolve().parent if is_metadata else path
+        yield place, LocalRecordingPath(place.name, partial(Recording.open, path))
         return
     groups = read_folder(path).groups
     if not groups:
         raise NotARecording(str(path), "there is no recording in it")
     for group in groups:
-        yield LocalRecordingPath(path.resolve().name if group.name == "." else group.name, _opener(path, group))
+        name = path.resolve().name if group.name == "." else group.name
+        yield path / group.name, LocalRecordingPath(name, _opener(path, group))
 
 
 def _opener(folder: Path, group: RecordingGroup) -> Callable[[], Recording]:

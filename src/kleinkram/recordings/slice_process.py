@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass
 
 from typing_extensions import Buffer
 
-from kleinkram.recordings.errors import NoSuchTopic, OutsideRecording, RecordingError, SourceError
+from kleinkram.recordings.errors import EmptyRange, NoSuchTopic, OutsideRecording, RecordingError, SourceError
 from kleinkram.recordings.isolation import limit_this_process
 
 SLICE_COMMAND: tuple[str, ...] = (sys.executable, "-I", "-m", "kleinkram.recordings.slice_process")
@@ -43,6 +43,7 @@ _KINDS: dict[type[Exception], RefusalKind] = {
     NoSuchTopic: RefusalKind.topic,
     SourceError: RefusalKind.source,
     OutsideRecording: RefusalKind.range,
+    EmptyRange: RefusalKind.range,
 }
 
 

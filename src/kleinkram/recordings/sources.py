@@ -6,10 +6,12 @@ Sources are safe to share between threads, hold no more than the bytes they retu
 from __future__ import annotations
 
 import os
+import resource
 import stat
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -44,33 +46,96 @@ def check_range(source: Source, offset: int, length: int) -> None:
         raise SourceError(f"{source.name}: bytes {offset}+{length} lie outside its {source.size_bytes} bytes")
 
 
+class _OpenFiles:
+    """Counts the files that stay open between reads: at most a quarter of what the process may open, and 256."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._count = 0
+
+    def take(self) -> bool:
+        """Return whether one more may stay open."""
+        allowed, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+        limit = MAX_OPEN_FILES if allowed == resource.RLIM_INFINITY else min(MAX_OPEN_FILES, allowed // 4)
+        with self._lock:
+            if self._count >= limit:
+                return False
+            self._count += 1
+            return True
+
+    def give_back(self) -> None:
+        """Have one less open."""
+        with self._lock:
+            self._count -= 1
+
+
+MAX_OPEN_FILES = 256
+_open_files = _OpenFiles()
+
+
 class FileSource:
-    """A local file. Close it, or use it in a `with`. `SourceError` if it cannot be opened."""
+    """A local file. Close it, or use it in a `with`. `SourceError` if it cannot be opened.
+
+    Beyond a number of sources, those opened later open their file for each read, so that a mission of any size can be
+    read at once.
+    """
 
     parallel_reads = 1
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         self.name = self.path.name
+        self._absolute = self.path.absolute()
+        self._descriptor = -1
+        self._is_closed = False
+        descriptor = self._open()
+        try:
+            status = os.fstat(descriptor)
+            if not stat.S_ISREG(status.st_mode):
+                raise SourceError(f"{path}: is not a regular file")
+            self._file = status.st_dev, status.st_ino
+            self.size_bytes = status.st_size
+            self._modified_ns = status.st_mtime_ns
+            if _open_files.take():
+                self._descriptor, descriptor = descriptor, -1
+        finally:
+            if descriptor >= 0:
+                os.close(descriptor)
+
+    def _open(self) -> int:
         try:
             # Without O_NONBLOCK, opening a pipe would wait here for a writer.
-            self._descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+            return os.open(self._absolute, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
-            raise SourceError(f"{path}: cannot be opened: {error.strerror}") from error
-        status = os.fstat(self._descriptor)
-        self.size_bytes = status.st_size
-        self._modified_ns = status.st_mtime_ns
-        if not stat.S_ISREG(status.st_mode):
-            self.close()
-            raise SourceError(f"{path}: is not a regular file")
+            raise SourceError(f"{self.path}: cannot be opened: {error.strerror}") from error
+
+    @contextmanager
+    def _opened_again(self) -> Iterator[int]:
+        """Open the file for one read; `SourceError` if another has its name now."""
+        if self._is_closed:
+            raise SourceError(f"{self.name}: is closed")
+        descriptor = self._open()
+        try:
+            status = os.fstat(descriptor)
+            if (status.st_dev, status.st_ino) != self._file:
+                raise SourceError(f"{self.name}: was replaced while it was read")
+            yield descriptor
+        finally:
+            os.close(descriptor)
 
     def read(self, offset: int, length: int) -> bytes:
         """Return exactly `length` bytes from `offset`."""
         check_range(self, offset, length)
+        if self._descriptor >= 0:
+            return self._read(self._descriptor, offset, length)
+        with self._opened_again() as descriptor:
+            return self._read(descriptor, offset, length)
+
+    def _read(self, descriptor: int, offset: int, length: int) -> bytes:
         pieces: list[bytes] = []
         while length:
             try:
-                piece = os.pread(self._descriptor, length, offset)
+                piece = os.pread(descriptor, length, offset)
             except OSError as error:
                 raise SourceError(f"{self.name}: cannot be read at byte {offset}: {error.strerror}") from error
             if not piece:
@@ -82,15 +147,21 @@ class FileSource:
 
     def check_unchanged(self) -> None:
         """Raise `SourceError` if something was written to the file since it was opened."""
-        status = os.fstat(self._descriptor)
+        if self._descriptor >= 0:
+            status = os.fstat(self._descriptor)
+        else:
+            with self._opened_again() as descriptor:
+                status = os.fstat(descriptor)
         if (status.st_size, status.st_mtime_ns) != (self.size_bytes, self._modified_ns):
             raise SourceError(f"{self.name}: changed while it was read; wait until no program writes to it")
 
     def close(self) -> None:
         """Close the file; a second call does nothing."""
+        self._is_closed = True
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
+            _open_files.give_back()
 
     def __enter__(self) -> FileSource:
         return self
@@ -152,23 +223,28 @@ class ReadAheadTask(NamedTuple, Generic[T]):
     run: Callable[[], T]
 
 
-def read_ahead(tasks: Iterator[ReadAheadTask[T]], *, workers: int, max_bytes: int) -> Iterator[T]:
+def read_ahead(tasks: Iterator[ReadAheadTask[T]], *, workers: int, max_bytes: int, first_bytes: int = 0) -> Iterator[T]:
     """Yield the results of tasks, in order, while threads run the next ones; an exception is raised in this order.
+
+    Results of `first_bytes` are read ahead at first, and twice as much with each result, up to `max_bytes`; by default
+    the first task runs alone, because its result may be all that is wanted.
 
     Closed early, it returns at once: tasks that have begun run to their end, without effect.
     """
     from concurrent.futures import Future, ThreadPoolExecutor  # slow to import
 
-    first = next(tasks, None)
-    if first is None:
+    upcoming = next(tasks, None)
+    if upcoming is None:
         return
     raise_malloc_threshold()
-    yield first.run()
+    allowance = first_bytes
+    if not allowance:
+        yield upcoming.run()
+        allowance, upcoming = max(1, upcoming.size_bytes), next(tasks, None)
     pool = ThreadPoolExecutor(workers, thread_name_prefix="read-ahead")
     try:
         running: deque[tuple[int, Future[T]]] = deque()
-        allowance, buffered_bytes = max(1, first.size_bytes), 0
-        upcoming = next(tasks, None)
+        buffered_bytes = 0
         while upcoming is not None or running:
             allowance = min(max_bytes, 2 * allowance)
             while upcoming is not None and (not running or buffered_bytes + upcoming.size_bytes <= allowance):
@@ -193,11 +269,12 @@ def raise_malloc_threshold() -> None:
     """Make malloc keep up to 48 MB of freed memory for reuse, because fresh pages cost as much as decompression.
 
     glibc raises its threshold when a large allocation is freed, even an untouched one; other libraries ignore it. Once
-    per process: a second such allocation would reuse memory and first fill it with zeros, which takes 1 ms.
+    per process: a second such allocation would reuse memory and first fill it with zeros, which takes 1 ms. A
+    `bytearray` always does, which takes 15 ms.
 
     Source: mallopt(3), M_MMAP_THRESHOLD, "dynamic mmap threshold".
     """
-    bytearray(_LARGE_ALLOCATION)
+    bytes(_LARGE_ALLOCATION)
 
 
 class SequentialReader(Protocol):

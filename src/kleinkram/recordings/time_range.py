@@ -71,7 +71,8 @@ def resolve_time(time: Time, first_ns: int | None, last_ns: int | None) -> int:
 def _on_its_day(clock: re.Match[str], text: str, first_ns: int, last_ns: int) -> int:
     """Return a time of day on the day on which a recording starts, or on the next one if that is nearer to it."""
     hour, minute, second, fraction, sign, zone_hours, zone_minutes = clock.groups()
-    if int(hour) > 23 or int(minute) > 59 or int(second or 0) > 59:
+    is_zone = int(zone_hours or 0) < 24 and int(zone_minutes or 0) < 60
+    if int(hour) > 23 or int(minute) > 59 or int(second or 0) > 59 or not is_zone:
         raise ValueError(f"{text!r} is no time of day")
     zone_ns = (int(zone_hours or 0) * 60 + int(zone_minutes or 0)) * _UNITS_NS["min"] * (-1 if sign == "-" else 1)
     after_midnight_ns = (int(hour) * 3600 + int(minute) * 60 + int(second or 0)) * _SECOND_NS

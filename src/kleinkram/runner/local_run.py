@@ -11,10 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from kleinkram.checks.document import read_checks, reference_of
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.transfer import Watcher, download, plan_download
-from kleinkram.contract.actions import ActionDefinition, ParameterValues
+from kleinkram.contract.actions import ActionDefinition, Inputs, ParameterValues
+from kleinkram.contract.errors import YamlInvalid
 from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.runs import ActionRef, Cause, EndReason, RunChecks, RunContext
@@ -67,6 +69,7 @@ def run_locally(
         directory.chmod(0o711)
         (directory / "in").mkdir()
         files = _download_inputs(client, action, mission, directory / "in", watcher)
+        checks = _checks_of(client, mission, action.inputs)
         context = RunContext(
             run_id=None,
             action=ActionRef(name=action.name, version=None),
@@ -76,7 +79,8 @@ def run_locally(
             files=files,
             topics=[topic for file in files for topic in client.files.topics(file.id)],
             recordings=list(client.recordings.list(mission.id)),
-            checks=_checks_of(client, mission) if action.inputs.checks else None,
+            checks=checks if action.inputs.checks else None,
+            reference=_reference_of(checks, mission) if action.inputs.reference else None,
         )
         write_context(directory / "in", context, action.script)
         command = command_of(action, in_image=action.image is not None)
@@ -94,9 +98,18 @@ def run_locally(
     return LocalRun(ending, results, out)
 
 
-def _checks_of(client: Client, mission: MissionRead) -> RunChecks | None:
+def _checks_of(client: Client, mission: MissionRead, inputs: Inputs) -> RunChecks | None:
+    if not (inputs.checks or inputs.reference):
+        return None
     checks = client.checks.get(mission.project.id)
     return RunChecks(version=checks.number, sha256=checks.sha256, text=checks.text) if checks.text else None
+
+
+def _reference_of(checks: RunChecks | None, mission: MissionRead) -> str | None:
+    try:
+        return reference_of(read_checks(checks.text) if checks else None, mission.metadata)
+    except YamlInvalid as error:
+        raise InvalidInput(what=f"The checks.yaml of {mission.project.name}", reason=error.sentence()) from error
 
 
 def _download_inputs(

@@ -55,6 +55,16 @@ def test_a_good_mission(drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: Ca
     assert "ok      topic.rate     /imu/data" in capsys.readouterr().out
 
 
+def test_the_reference_of_a_mission_is_shown(drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
+    rules = drive.parent / "checks.yaml"
+    rules.write_text(RULES + "  reference: ground_truth.tum\n")
+    for more, reference in (([], "ground_truth.tum"), (["-w", "reference=/gps/odom"], "/gps/odom")):
+        assert klein(monkeypatch, "check", drive, *more) == 0
+        assert capsys.readouterr().out.endswith(f"{rules} (profile: vehicle)\nReference: {reference}\n")
+        klein(monkeypatch, "check", drive, *more, "--json")
+        assert json.loads(capsys.readouterr().out)["reference"] == reference
+
+
 def test_an_error_is_listed_and_ends_with_2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
     folder = _mission(tmp_path, dropped_topic="/imu/data")
     assert klein(monkeypatch, "check", folder) == 2

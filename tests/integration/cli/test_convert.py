@@ -142,6 +142,17 @@ def test_recompression_is_a_reason(drives: Path, tmp_path: Path, convert: Conver
     assert (code, items[0]["status"]) == (0, "converted")
 
 
+def test_output_names_the_file_of_one_recording(drives: Path, tmp_path: Path, convert: Convert) -> None:
+    code, items = convert.json(drives / "nuc" / "drive.bag", "-o", tmp_path / "new" / "walk.mcap")
+    assert (code, items[0]["path"]) == (0, str(tmp_path / "new" / "walk.mcap"))
+    assert read_whole_mcap(tmp_path / "new" / "walk.mcap").messages
+    for sources, name in (([drives], "all.mcap"), ([drives / "drive.mcap"], "drive.bag")):
+        code, _, err = convert(*sources, "-o", tmp_path / name)
+        assert code == 2
+        assert "it is a folder, or, for one recording, a file with the extension .mcap, not" in err
+        assert not (tmp_path / name).exists()
+
+
 def test_what_exists_is_not_replaced_and_nothing_is_written(drives: Path, tmp_path: Path, convert: Convert) -> None:
     (tmp_path / "ros2.mcap").write_text("mine")
     code, out, err = convert(drives, "-o", tmp_path)
@@ -171,7 +182,7 @@ def test_options_that_do_not_exist_are_refused(
 
 def test_a_missing_source_is_refused(tmp_path: Path, convert: Convert) -> None:
     code, _, err = convert(tmp_path / "no.bag")
-    assert (code, "there is no such file or folder" in err) == (2, True)
+    assert (code, "there is no such file or folder" in err) == (8, True)
 
 
 def test_one_bad_recording_does_not_stop_the_others(drives: Path, tmp_path: Path, convert: Convert) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -54,6 +55,15 @@ def test_the_files_are_printed(
     assert len([*(out / "camera.image.compressed").glob("*.jpg")]) == 4
 
 
+def test_nothing_is_left_where_the_extra_is_missing(
+    mission: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert run(monkeypatch, mission, "--to", "csv", "-o", tmp_path / "tables") == 8
+    assert "this needs pyarrow: run `pip install 'open-kleinkram[reading]'`" in capsys.readouterr().err
+    assert not (tmp_path / "tables").exists()
+
+
 def test_a_dry_run_writes_nothing(
     mission: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -76,11 +86,11 @@ def test_a_dry_run_writes_nothing(
         (["--to", "csv", "-o", "out", "--start", "yesterday"], 2, "'yesterday' is no time"),
         (["--to", "csv", "-o", "out", "--start", "+2s", "--end", "+1s"], 2, "The time range is invalid"),
         (["--to", "csv", "-o", "out", "--start", "2001-01-01"], 0, ""),
-        (["--to", "csv", "-o", "out", "--end", "2001-01-01"], 8, "nothing was recorded"),
-        (["--to", "csv", "-o", "out", "--topics", "/nothing"], 8, "there is no topic /nothing"),
-        (["--to", "csv", "-o", "out", "--topics", "/no*"], 3, "no such topics"),
+        (["--to", "csv", "-o", "out", "--end", "2001-01-01"], 3, "nothing was recorded"),
+        (["--to", "csv", "-o", "out", "--topics", "/nothing"], 3, "there is no topic /nothing"),
+        (["--to", "csv", "-o", "out", "--topics", "/no*"], 3, "No topic matches /no*"),
         (["--to", "csv", "-o", "."], 11, "there is such a file or folder"),
-        (["--to", "csv", "-o", ".", "--continue"], 8, "there is no export in it"),
+        (["--to", "csv", "-o", ".", "--continue"], 11, "there is no export in it"),
         (["--to", "xml", "-o", "out"], 2, "xml"),
     ],
 )

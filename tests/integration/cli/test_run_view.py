@@ -109,9 +109,9 @@ def test_an_action_shows_its_parameters() -> None:
 
 def test_an_action_shows_the_inputs_that_it_declares_beside_files() -> None:
     action = action_read("verify")
-    inputs = Inputs(paths=["*.mcap"], metadata=["reference", "robot"], checks=True)
+    inputs = Inputs(paths=["*.mcap"], metadata=["place", "robot"], checks=True, reference=True)
     definition = action.latest.definition.model_copy(update={"inputs": inputs})
     declaring = action.model_copy(update={"latest": action.latest.model_copy(update={"definition": definition})})
     with scripted(Page(items=[declaring], next=None), declaring.latest) as script:
         text = shown(script, "action", "info", "verify")
-    assert "files *.mcap; metadata reference, robot; checks.yaml of the project, with all metadata" in text
+    assert "files *.mcap; metadata place, robot; checks.yaml of the project, with all metadata; the reference" in text

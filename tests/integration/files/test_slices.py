@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import random
+import socket
 import threading
 import uuid
 from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 import urllib3
@@ -47,7 +49,7 @@ def _recording(*, messages: int = 40, message_bytes: int = 100) -> bytes:
     return out.getvalue()
 
 
-def _store(api: Api, mission_id: str, body: bytes, **columns: Any) -> str:
+def _store(api: Api, mission_id: str, body: bytes, *, path: str = "day/drive.mcap", **columns: Any) -> str:
     """Put a recording with its bytes; returns the id of the file."""
     key = f"blobs/{uuid.uuid4()}"
 
@@ -57,7 +59,7 @@ def _store(api: Api, mission_id: str, body: bytes, **columns: Any) -> str:
 
     asyncio.run(put())
     span: dict[str, Any] = {"start_ns": T0, "end_ns": T0 + 39 * SECOND}
-    return Sample(api).file(mission_id, "day/drive.mcap", key=key, size_bytes=len(body), **{**span, **columns})
+    return Sample(api).file(mission_id, path, key=key, size_bytes=len(body), **{**span, **columns})
 
 
 def _get(api: Api, file_id: str, *query: tuple[str, str]) -> urllib3.BaseHTTPResponse:
@@ -117,6 +119,15 @@ def test_a_slice_is_recorded_as_a_download_of_what_was_selected(lab: Api, missio
     assert event["after"] == {"topics": ["/a", "/b"], "start": "+1s", "end": None}
 
 
+def test_a_file_name_cannot_change_the_headers_and_ranges_are_ignored(lab: Api, mission: str) -> None:
+    file_id = _store(lab, mission, _recording(), path='day/a"; filename="bé.mcap')
+    headers = {"Authorization": f"Bearer {lab.token}", "Range": "bytes=0-9"}
+    answer = _POOL.request("GET", f"{lab.url}/api/v1/files/{file_id}/slice.mcap", headers=headers)
+    assert (answer.status, answer.headers["accept-ranges"]) == (200, "none")
+    assert answer.data[:8] == answer.data[-8:] == b"\x89MCAP0\r\n"
+    assert answer.headers["content-disposition"] == 'attachment; filename="a_; filename=_b_.slice.mcap"'
+
+
 def test_only_readers_of_the_mission_get_a_slice(lab: Api, mission: str) -> None:
     file_id = _store(lab, mission, _recording())
     path = f"/files/{file_id}/slice.mcap"
@@ -128,8 +139,11 @@ def test_only_readers_of_the_mission_get_a_slice(lab: Api, mission: str) -> None
 def test_a_link_gives_slices_of_its_files_and_counts_them(lab: Api, mission: str) -> None:
     file_id = _store(lab, mission, _recording())
     made = people.share(lab, mission, file_ids=[file_id])
-    sliced = _get(lab.as_(made.secret), file_id, ("topics", "/a")).read()
+    guest = lab.as_(made.secret)
+    sliced = _get(guest, file_id, ("topics", "/a")).read()
     assert sliced
+    other = _store(lab, lab.mission(lab.project()["id"])["id"], _recording())
+    guest.get(f"/files/{other}/slice.mcap").refused(404, "not_found")
 
     def counted() -> tuple[int, int]:
         ((count, size_bytes),) = lab.sql("SELECT download_count, download_bytes FROM share WHERE id = %s", made.id)
@@ -145,6 +159,13 @@ def test_a_link_gives_slices_of_its_files_and_counts_them(lab: Api, mission: str
         ({"end": "yesterday"}, "end", "is no time"),
         ({"start": "+20s", "end": "+20s"}, "end", "is not after the start"),
         ({"start": "+1h"}, "start", "nothing was recorded"),
+        ({"start": "nan"}, "start", "is no time"),
+        ({"start": "-5"}, "start", "is no time"),
+        ({"start": "+" + "9" * 60}, "start", "the time range is empty"),
+        ({"end": "1970-01-01"}, "start", "the time range is empty"),
+        ({"end": "+10s\0"}, "query.end", "U+0000"),
+        ({"topics": ", ,"}, "query.topics", "names no topic"),
+        ({"topics": "/a," * 1001}, "query.topics", "1000"),
         ({"topics": "/c"}, "topics", "there is no topic /c"),
         ({"topics": "/c*"}, "topics", "there is no topic /c*"),
     ],
@@ -197,6 +218,19 @@ def test_a_store_that_fails_later_cuts_the_connection(lab: Api, mission: str, mi
     wait_until(lambda: lab.app.state.slice_slots.taken == 0)
 
 
+def test_a_client_that_leaves_before_the_first_bytes_ends_the_process_and_frees_its_slot(
+    lab: Api, mission: str, middleman: Middleman
+) -> None:
+    body = _recording(message_bytes=500_000)
+    file_id = _store(lab, mission, body)
+    with _Barrier() as barrier:
+        middleman.rule = _beyond(0, barrier.wait, tail=len(body) + 1)
+        with socket.create_connection(("127.0.0.1", _port(lab))) as client:
+            client.sendall(_request(lab, file_id))
+            wait_until(lambda: lab.app.state.slice_slots.taken == 1)
+        wait_until(lambda: lab.app.state.slice_slots.taken == 0)
+
+
 def test_a_client_that_leaves_ends_the_process_and_frees_its_slot(lab: Api, mission: str, middleman: Middleman) -> None:
     body = _recording(message_bytes=500_000)
     file_id = _store(lab, mission, body)
@@ -227,17 +261,30 @@ def test_slices_at_once_are_limited_for_an_account_and_in_total(lab: Api, missio
     wait_until(lambda: lab.app.state.slice_slots.taken == 0)
 
 
-def test_a_slice_that_takes_too_long_is_cut_off(start_api: StartApi, store: RunningStore, middleman: Middleman) -> None:
-    lab = start_api(s3_internal_url=middleman.url, slice_timeout_s=3)
+def test_a_slice_that_takes_too_long_is_cut_off_also_for_a_client_that_does_not_read(
+    start_api: StartApi, middleman: Middleman
+) -> None:
+    lab = start_api(s3_internal_url=middleman.url, slice_timeout_s=4)
     body = _recording(message_bytes=500_000)
     file_id = _store(lab, lab.mission(lab.project()["id"])["id"], body)
-    with _Barrier() as barrier:
-        middleman.rule = _beyond(len(body) // 2, barrier.wait, tail=len(body) - 100_000)
+    with _Barrier() as barrier, socket.create_connection(("127.0.0.1", _port(lab))) as client:
+        middleman.rule = _beyond(len(body) * 3 // 4, barrier.wait, tail=len(body) - 100_000)
+        client.sendall(_request(lab, file_id))
         answer = _get(lab, file_id)
         assert answer.status == 200
+        assert lab.app.state.slice_slots.taken == 2
         with pytest.raises(urllib3.exceptions.HTTPError):
             answer.read()
         wait_until(lambda: lab.app.state.slice_slots.taken == 0)
+
+
+def _port(api: Api) -> int:
+    return urlsplit(api.url).port or 80
+
+
+def _request(api: Api, file_id: str) -> bytes:
+    head = f"GET /api/v1/files/{file_id}/slice.mcap HTTP/1.1\r\nHost: {urlsplit(api.url).netloc}\r\n"
+    return f"{head}Authorization: Bearer {api.token}\r\n\r\n".encode()
 
 
 class _Barrier:

@@ -92,7 +92,28 @@ def test_the_reference_is_not_compared_with_itself(tmp_path: Path, estimate: str
 
 def test_a_mission_without_a_reference_fails_and_says_how_to_name_one(tmp_path: Path) -> None:
     refusal = refusal_of(evaluate(tmp_path, {ESTIMATE: GOOD}, reference=None))
-    assert refusal.startswith("reference: the mission mission names none: set its metadata field reference, or the")
+    assert refusal.startswith("reference: the mission mission names none: set its metadata field reference, the key ")
+
+
+@pytest.mark.parametrize(
+    ("parameter", "metadata", "named"),
+    [("run.tum", "mission.tum", "run.tum"), ("", "mission.tum", "mission.tum"), ("", None, "project.tum")],
+)
+def test_the_parameter_comes_before_the_mission_and_the_mission_before_the_project(
+    tmp_path: Path, parameter: str, metadata: str | None, named: str
+) -> None:
+    checks = "version: 1\nprofiles: [{reference: project.tum}]\n"
+    refusal = refusal_of(
+        try_out(
+            SLAM_EVALUATE,
+            tmp_path,
+            files={ESTIMATE: GOOD},
+            parameters={"reference": parameter},
+            metadata={"reference": metadata},
+            checks=checks,
+        )
+    )
+    assert refusal.startswith(f"reference {named}: the inputs have no such file or topic")
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from kleinkram.contract.access import Scope, TokenKind
 from tests.integration import people
 from tests.integration.api_server import Answer, Api
 from tests.integration.conftest import StartApi
-from tests.integration.upload_client import crc64, md5, send, sha256, upload
+from tests.integration.upload_client import complete_all, crc64, md5, sha256, upload
 
 _POOL = urllib3.PoolManager(retries=False, timeout=30)
 GB = 10**9
@@ -82,19 +82,22 @@ class FakeRunner:
 
     def begin(self, claim: Mapping[str, Any], path: str, data: bytes) -> Any:
         """Open the upload of an artifact."""
-        expected = {"path": path, "size_bytes": len(data), "sha256": sha256(data)}
-        body = {"attempt": claim["attempt"], "files": [expected]}
-        (decision,) = self.api.post(f"/runner/runs/{claim['run_id']}/uploads", body).ok()["items"]
-        assert decision["decision"] == "upload", decision
-        return decision["upload"]
+        return self._begin(claim, {path: data})[path]
+
+    def _begin(self, claim: Mapping[str, Any], files: Mapping[str, bytes]) -> dict[str, Any]:
+        expected = [{"path": path, "size_bytes": len(data), "sha256": sha256(data)} for path, data in files.items()]
+        body = {"attempt": claim["attempt"], "files": expected}
+        decisions = self.api.post(f"/runner/runs/{claim['run_id']}/uploads", body).ok()["items"]
+        assert {decision["decision"] for decision in decisions} == {"upload"}, decisions
+        return {path: decision["upload"] for path, decision in zip(files, decisions, strict=True)}
 
     def upload_artifact(self, claim: Mapping[str, Any], path: str, data: bytes) -> None:
         """Upload an artifact."""
-        begun = self.begin(claim, path, data)
-        send(self.api, begun, data)
-        finish = {"upload_id": begun["id"], "sha256": sha256(data), "crc64nvme": crc64(data)}
-        (outcome,) = self.api.post("/uploads/complete", {"uploads": [finish]}).ok()["items"]
-        assert outcome["outcome"] == "completed", outcome
+        self.upload_artifacts(claim, {path: data})
+
+    def upload_artifacts(self, claim: Mapping[str, Any], files: Mapping[str, bytes]) -> None:
+        """Upload artifacts with few requests."""
+        complete_all(self.api, self._begin(claim, files), files)
 
     def finish(self, claim: Mapping[str, Any], reason: str = "done", **values: Any) -> Answer:
         """Report the end of a run."""

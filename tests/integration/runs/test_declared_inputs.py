@@ -136,13 +136,81 @@ def test_a_run_reads_rules_and_metadata_as_at_its_launch(lab: Api, runner: FakeR
     assert reading["checks"] is plain["checks"] is None
 
 
+REFERENCES = """
+version: 1
+profiles:
+- {name: vicon, when: {place: hall}, reference: /vicon/pose}
+- {name: others, reference: truth.tum}
+"""
+
+
+def test_only_another_reference_starts_an_evaluation_again(lab: Api, runner: FakeRunner, place: Place) -> None:
+    add(lab, place.project, publish(lab, runner, place.project, inputs={"reference": True}))
+    complete(lab, place.mission)
+    run_jobs(lab)
+    finish(runner, verdict="good")
+
+    set_rules(lab, place.project, RULES)
+    set_metadata(lab, place.mission, operator="Ada")
+    assert started(lab, place.mission) == 1, "neither names a reference"
+    assert verdict(lab, place.mission)[0] == "good"
+
+    set_rules(lab, place.project, REFERENCES)
+    assert (started(lab, place.mission), verdict(lab, place.mission)[0]) == (2, "running")
+    finish(runner, verdict="good")
+    set_rules(lab, place.project, REFERENCES.replace("name: others", "name: every mission"))
+    set_metadata(lab, place.mission, operator="Grace", reference=" ")
+    assert (started(lab, place.mission), verdict(lab, place.mission)[0]) == (2, "good")
+
+    set_metadata(lab, place.mission, place="hall")
+    assert started(lab, place.mission) == 3, "another profile"
+    finish(runner, verdict="good")
+    set_metadata(lab, place.mission, reference="/odom")
+    assert started(lab, place.mission) == 4, "the mission comes first"
+    finish(runner, verdict="bad")
+    set_rules(lab, place.project, REFERENCES.replace("/vicon/pose", "/vicon/other"))
+    assert (started(lab, place.mission), verdict(lab, place.mission)[0]) == (4, "bad"), "which it still does"
+    set_rules(lab, place.project, "")
+    set_metadata(lab, place.mission, reference=None)
+    assert (started(lab, place.mission), verdict(lab, place.mission)[0]) == (4, "good"), "as at first"
+
+
+def test_a_run_reads_the_reference_as_at_its_launch(lab: Api, runner: FakeRunner, place: Place) -> None:
+    set_rules(lab, place.project, REFERENCES)
+    set_metadata(lab, place.mission, place="hall")
+    shown = f"/missions/{place.mission['id']}/checks"
+    assert lab.get(shown).ok()["reference"] == "/vicon/pose"
+    launch(lab, runner, place.mission, inputs={"reference": True})
+    launch(lab, runner, place.mission)
+    set_metadata(lab, place.mission, reference="/odom")
+    assert lab.get(shown).ok()["reference"] == "/odom"
+    launch(lab, runner, place.mission, inputs={"reference": True, "checks": True})
+    set_metadata(lab, place.mission, reference=None, place="field")
+    set_rules(lab, place.project, OTHER_RULES)
+    assert lab.get(shown).ok()["reference"] is None
+    of_profile, undeclared, of_mission = (context_of(runner, runner.claim()) for _ in range(3))
+    assert (of_profile["reference"], of_profile["checks"]) == ("/vicon/pose", None)
+    assert of_profile["mission"]["metadata"] == {"place": "hall"}, "which chose the profile"
+    assert undeclared["reference"] is None
+    assert (of_mission["reference"], of_mission["checks"]["text"]) == ("/odom", REFERENCES)
+
+
+def test_rules_that_cannot_be_read_any_more_name_no_reference(lab: Api, runner: FakeRunner, place: Place) -> None:
+    set_rules(lab, place.project, REFERENCES + "# of this project alone\n")
+    lab.sql("UPDATE project_checks SET text = 'version: 0' WHERE project_id = %s", place.project["id"])
+    launch(lab, runner, place.mission, inputs={"reference": True})
+    assert context_of(runner, runner.claim())["reference"] is None
+
+
 def test_a_project_without_rules_gives_none(lab: Api, runner: FakeRunner, place: Place) -> None:
     launch(lab, runner, place.mission, inputs={"checks": True})
     set_rules(lab, place.project, RULES)
     assert context_of(runner, runner.claim())["checks"] is None
 
 
-@pytest.mark.parametrize(("inputs", "count"), [({"metadata": ["robot"]}, 1), ({"checks": True}, 1), ({}, 3)])
+@pytest.mark.parametrize(
+    ("inputs", "count"), [({"metadata": ["robot"]}, 1), ({"checks": True}, 1), ({"reference": True}, 1), ({}, 3)]
+)
 def test_runs_that_change_metadata_start_no_circle(
     lab: Api, runner: FakeRunner, place: Place, inputs: Any, count: int
 ) -> None:

@@ -105,6 +105,18 @@ function pageText(page) {
   });
 }
 
+/** Returns the texts that a page does not show. Repeats the check, because rows that came in sight may not be rendered yet. */
+async function findMissingTexts(page, expectedTexts, colorScheme) {
+  let missing = [];
+  for (let tries = 0; tries < MAX_TRIES; tries += 1) {
+    const shownText = await pageText(page);
+    missing = expectedTexts.filter((text) => !shownText.includes(text.replaceAll(/\s+/g, " ")));
+    if (missing.length === 0) break;
+    await waitUntilSettled(page, colorScheme);
+  }
+  return missing;
+}
+
 async function checkPage(page, name, { path = null, ready = null, expectedTexts = [], allowedErrors = NO_ERRORS, fullPage = true } = {}) {
   currentPage = name;
   expectedErrors = allowedErrors;
@@ -130,8 +142,7 @@ async function checkPage(page, name, { path = null, ready = null, expectedTexts 
     }
     if (WITH_PICTURES) await page.screenshot({ path: `${pictures}/page-${name}-${view}.png` });
     if (view === "desktop") {
-      const shownText = await pageText(page);
-      results.missingTexts.push(...expectedTexts.filter((text) => !shownText.includes(text.replaceAll(/\s+/g, " "))).map((text) => `${name}: ${text}`));
+      results.missingTexts.push(...(await findMissingTexts(page, expectedTexts, colorScheme)).map((text) => `${name}: ${text}`));
     }
   }
   await page.emulateMedia({ colorScheme: "light" });
@@ -300,6 +311,7 @@ await page.goto(`${address}/`);
 await page.locator("h1").waitFor();
 await page.keyboard.press("Shift+?");
 await checkPage(page, "dialog-keys", { ...dialogOnly, ready: "dialog[open]" });
+await checkPage(page, "dialog-slice", { ...dialogOnly, path: `/files/${ids.drive}?slice=1`, ready: "dialog[open] [data-estimate]" });
 
 // Pages of the server, not of the app, for a signed-in person.
 await checkPage(page, "device", { path: `/sign-in/device?user_code=${encodeURIComponent(texts.value)}`, expectedTexts: [texts.value] });

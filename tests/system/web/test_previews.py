@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from kleinkram.client import connect
 from tests.acceptance.conftest import Terminal
 from tests.system.cluster import Cluster
 from tests.system.web.conftest import RunBrowser
@@ -59,7 +60,7 @@ def test_previews_are_shown_at_the_mission_and_in_lists(
 ) -> None:
     cluster.start()
     terminal = cluster.terminal
-    _create_objects(terminal, tmp_path)
+    _create_objects(cluster, terminal, tmp_path)
 
     results = run_browser("previews.mjs", cluster, pictures)
 
@@ -100,13 +101,15 @@ def _check_lists(lists: dict[str, Any]) -> None:
     assert lists["far"]["alts"] == [_MARKUP, _MARKUP], "pictures are shown again after scrolling"
 
 
-def _create_objects(terminal: Terminal, tmp_path: Path) -> None:
+def _create_objects(cluster: Cluster, terminal: Terminal, tmp_path: Path) -> None:
     script = tmp_path / "preview.py"
     script.write_text(_SCRIPT)
     terminal.run("project", "create", "Alps")
     terminal.run("action", "create", script, "-p", "Alps")
-    for number in range(70):
-        terminal.run("mission", "create", f"planned {number:02}", "-p", "Alps")
+    with connect(cluster.runtime_info()["url"], (cluster.data_dir / "owner-token").read_text().strip()) as client:
+        alps = client.projects.get("Alps")
+        for number in range(70):
+            client.missions.create(f"planned {number:02}", project=alps)
     for name in ("day", "night"):
         terminal.run("sample", tmp_path / name, "--size", "1MB", "--format", "mcap")
         terminal.run("upload", "-p", "Alps", "-m", name, "--create", "--wait", tmp_path / name)

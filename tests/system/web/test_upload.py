@@ -20,8 +20,10 @@ fields:
   - {name: operator, type: string, pattern: '(?x) [a-z]+', required: true, description: In small letters.}
   - {name: temperature, type: number, unit: degC}
 """
-_LARGE_BYTES = 120_000_000
+_LARGE_BYTES = 80_000_000
 _PARTS = -(-_LARGE_BYTES // (5 << 20))
+_MEDIUM_BYTES = 40_000_000  # more parts than connections
+_SMALL_FILES, _SMALL_BYTES = 100, 250_000
 
 
 @pytest.mark.slow
@@ -79,9 +81,12 @@ def test_an_upload_survives_a_killed_api_an_expired_session_and_a_second_tab(
     cluster.start()
     day = tmp_path / "day"
     day.mkdir()
-    (day / "camera.raw").write_bytes(random.Random(6).randbytes(_LARGE_BYTES))
+    contents = random.Random(6)
+    for number in range(_SMALL_FILES):
+        (day / f"a{number:03}.raw").write_bytes(contents.randbytes(_SMALL_BYTES))
+    (day / "camera.raw").write_bytes(contents.randbytes(_MEDIUM_BYTES))
     changing = tmp_path / "changing.raw"
-    changing.write_bytes(random.Random(7).randbytes(_LARGE_BYTES))
+    changing.write_bytes(random.Random(7).randbytes(_MEDIUM_BYTES))
     terminal = cluster.terminal
     terminal.run("project", "create", "Alps")
 
@@ -90,8 +95,9 @@ def test_an_upload_survives_a_killed_api_an_expired_session_and_a_second_tab(
     )
 
     assert "The server does not respond" in results["unreachable"]
+    assert results["reachable"] == "running"
     assert "signed out" in results["signedOut"]
-    assert "File uploaded." in results["finished"]
+    assert f"All {_SMALL_FILES + 1} files uploaded." in results["finished"]
     terminal.run("verify", "-p", "Alps", "-m", "descent", day)
     assert "The file was changed, moved, or deleted after you selected it." in results["changed"]
     assert "changing.raw" not in terminal.run("file", "list", "-p", "Alps").out

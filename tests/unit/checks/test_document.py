@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.checks.document import MatchedMetadata, Profile, json_schema, read_checks
+from kleinkram.checks.document import MatchedMetadata, Profile, json_schema, read_checks, reference_of
 from kleinkram.checks.facts import MissionFacts
 from kleinkram.checks.globs import MAX_MATCHED_CHARACTERS
 from kleinkram.checks.results import choose_profiles, evaluate_index
@@ -140,6 +140,18 @@ def test_a_name_has_one_rule_or_several_or_only_the_defaults() -> None:
             "max_gap: a duration may be at most 146.1 years",
             id="duration",
         ),
+        pytest.param(HEAD + "reference: ' '\n", 3, 3, "reference: write a file, a topic such as /odom, or", id="blank"),
+        pytest.param(HEAD + "reference: tf:map\n", 3, 3, "transforms are named like tf:map->base_link", id="one frame"),
+        pytest.param(HEAD + "reference: nuc.mcap:tf:->a\n", 3, 3, "transforms are named like", id="in a recording"),
+        pytest.param(HEAD + "reference: [/odom]\n", 3, 3, "reference: it must be text", id="several references"),
+        pytest.param(
+            HEAD + f"reference: {'a' * 1025}\n",
+            3,
+            3,
+            "reference: it has more than 1024 characters",
+            id="long reference",
+        ),
+        pytest.param("version: 1\nreference: /odom\nprofiles:\n- {}\n", 2, 1, "no such field", id="of no profile"),
     ],
 )
 def test_an_error_has_line_column_and_what_is_allowed(text: str, line: int, column: int, reason: str) -> None:
@@ -181,6 +193,42 @@ def test_too_many_rules_are_refused() -> None:
 def test_when_chooses_by_metadata(when: str, metadata: dict[str, Any], applies: bool) -> None:
     document = read_checks(f"{HEAD}when: {when}\n")
     assert bool(choose_profiles(document, metadata).applied) is applies
+
+
+REFERENCES = """
+version: 1
+profiles:
+- {name: rules only}
+- {name: vicon, when: {place: vicon-*}, reference: " /vicon/pose "}
+- {name: field, when: {gnss: rtk}, reference: "nuc/*:tf:/map->/antenna"}
+- {name: others, reference: "truth_*.tum"}
+"""
+
+
+@pytest.mark.parametrize(
+    ("metadata", "reference"),
+    [
+        ({"place": "vicon-hall", "gnss": "rtk"}, "/vicon/pose"),
+        ({"gnss": "rtk"}, "nuc/*:tf:/map->/antenna"),
+        ({}, "truth_*.tum"),
+        ({"place": "vicon-hall", "reference": " /odom "}, "/odom"),
+        ({"gnss": "rtk", "reference": " "}, "nuc/*:tf:/map->/antenna"),
+        ({"gnss": "rtk", "reference": None}, "nuc/*:tf:/map->/antenna"),
+        ({"reference": 7}, "7"),
+    ],
+)
+def test_the_reference_is_that_of_the_mission_or_of_the_first_profile_with_one(
+    metadata: dict[str, Any], reference: str
+) -> None:
+    assert reference_of(read_checks(REFERENCES), metadata) == reference
+
+
+def test_without_rules_only_the_mission_names_a_reference() -> None:
+    assert reference_of(None, {"reference": "/odom"}) == "/odom"
+    assert reference_of(None, {"robot": "spot"}) is None
+    assert (
+        reference_of(read_checks(f"{HEAD}{{when: {{robot: anymal}}, reference: /odom}}\n"), {"robot": "spot"}) is None
+    )
 
 
 def value_matches(value: Any, expected: Any) -> bool:
@@ -245,6 +293,7 @@ def test_the_schema_allows_one_rule_or_several_and_refuses_unknown_keys() -> Non
     profile = schema["$defs"]["Profile"]
     assert profile["additionalProperties"] is False
     assert set(profile["properties"]) == set(Profile.model_fields)
+    assert profile["properties"]["reference"]["anyOf"][0] == {"maxLength": 1024, "type": "string"}
     rules = profile["properties"]["topics"]["additionalProperties"]["anyOf"]
     assert rules[0] == {"$ref": "#/$defs/TopicRule"}
     assert rules[1]["items"] == {"$ref": "#/$defs/TopicRule"}
@@ -272,6 +321,6 @@ def test_the_example_of_a_legged_robot_is_valid() -> None:
     path = Path(__file__).parents[3] / "examples" / "checks" / "legged-robot.yaml"
     (profile,) = read_checks(path.read_text(encoding="utf-8")).profiles
     sections = [name for name, rules in profile if isinstance(rules, dict) and rules and name != "when"]
-    assert set(sections) == set(Profile.model_fields) - {"name", "when"}
+    assert set(sections) == set(Profile.model_fields) - {"name", "when", "reference"}
     cameras = [name for name in profile.topics if name.startswith("/camera/") and "*" not in name]
     assert (len(profile.recordings), len(cameras)) == (4, 12)

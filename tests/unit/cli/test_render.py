@@ -1,8 +1,12 @@
 """Rendering of text for terminals."""
 
+import io
+
 import pytest
 import typer
 
+from kleinkram.cli.cut import watch_shares
+from kleinkram.cli.errors import Interrupted
 from kleinkram.cli.render import Output, details, escape, line, note, show_json, table
 from kleinkram.client.transfer import Outcome
 
@@ -70,3 +74,21 @@ def test_output_is_a_document_or_text_and_sets_the_exit_code(capsys: pytest.Capt
     assert capsys.readouterr() == ('{\n  "moved": 1\n}\n', "")
     Output({}, lambda: line("a table")).show(as_json=False)
     assert capsys.readouterr().out == "a table\n"
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_bars_have_any_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also one with brackets, which are markup elsewhere, and with control characters."""
+    terminal = _Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    with watch_shares() as watch:
+        show = watch("a[/b].\x1bmcap")
+        assert show is not None
+        show(0.5)
+    assert "a[/b].\\x1bmcap" in terminal.getvalue()
+    with pytest.raises(Interrupted), watch_shares():
+        raise KeyboardInterrupt

@@ -2,8 +2,9 @@
 
 import pytest
 
+from kleinkram.contract.names import split_trajectory_name
 from kleinkram.library import inputs
-from kleinkram.library.inputs import WITH_RECORDING, InputRecording, only_recording
+from kleinkram.library.inputs import InputRecording, only_recording
 from kleinkram.recordings import Schema, Topic
 from kleinkram.recordings.trajectories import TrajectoryRefused
 
@@ -34,15 +35,15 @@ def test_of_two_originals_one_must_be_named() -> None:
 @pytest.mark.parametrize(
     ("source", "name", "rest"),
     [
-        ("tf:/map->/base_link", None, None),
-        ("tf:map->base_link", None, None),
+        ("tf:/map->/base_link", None, "tf:/map->/base_link"),
+        ("tf:map->base_link", None, "tf:map->base_link"),
+        ("truth.tum", None, "truth.tum"),
         ("nuc/nuc.mcap:tf:/map->/base", "nuc/nuc.mcap", "tf:/map->/base"),
         ("nuc.mcap:/odom", "nuc.mcap", "/odom"),
     ],
 )
-def test_a_frame_with_a_slash_is_no_recording(source: str, name: str | None, rest: str | None) -> None:
-    match = WITH_RECORDING.fullmatch(source)
-    assert (match and match["recording"], match and match["rest"]) == (name, rest)
+def test_a_frame_with_a_slash_is_no_recording(source: str, name: str | None, rest: str) -> None:
+    assert split_trajectory_name(source) == (name, rest)
 
 
 def test_a_path_with_the_letters_of_a_glob_is_that_file(monkeypatch: pytest.MonkeyPatch) -> None:

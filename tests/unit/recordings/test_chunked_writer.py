@@ -10,6 +10,7 @@ from io import BytesIO
 
 import pytest
 
+from kleinkram.recordings import CannotWrite
 from kleinkram.recordings.writing.bag_writer import BagWriter
 from kleinkram.recordings.writing.mcap_writer import McapWriter
 
@@ -101,3 +102,12 @@ def test_an_error_in_a_thread_ends_the_writer() -> None:
         write_all()
     writer.close()
     assert writer_threads() == 0
+
+
+def test_more_schemas_than_an_mcap_can_have_are_refused() -> None:
+    writer = McapWriter(BytesIO())
+    for number in range(2**16 - 1):
+        writer.add_schema(str(number), "", b"")
+    assert writer.add_schema("7", "", b"") == 8
+    with pytest.raises(CannotWrite, match="at most 65535 schemas"):
+        writer.add_schema("one more", "", b"")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import threading
 from io import BytesIO
 from pathlib import Path
 
@@ -24,9 +25,10 @@ from kleinkram.recordings.messages import Channel, Schema
 from kleinkram.recordings.writing.latched import publisher_count
 from kleinkram.recordings.writing.mcap import MADE_FROM
 from tests.recording_files.builders import T0, Stamped, Watched, bag_of, mcap_of
+from tests.recording_files.databases import make_database
 from tests.recording_files.memory_source import MemorySource
 from tests.recording_files.whole_mcap import WholeMcap, read_whole_mcap
-from tests.recording_files.writers import McapWriter
+from tests.recording_files.writers import BagWriter, McapWriter
 
 PROFILE = "- history: 1\n  depth: 1\n  durability: {}\n"
 NOISE = random.Random(1).randbytes(50_000)
@@ -158,6 +160,53 @@ def test_latched_messages_of_a_bag(tmp_path: Path) -> None:
     assert [publish_ns - T0 for _, _, publish_ns, _, _ in whole.messages] == [0, 50]
 
 
+def test_each_publisher_of_a_latched_topic_has_its_last_message(tmp_path: Path) -> None:
+    """Also where a later chunk already has one of another publisher."""
+    out = BytesIO()
+    writer = BagWriter(out, chunk_bytes=2**40)
+    publishers = [
+        writer.add_connection(
+            "/map", "a/B", md5sum="*", definition="", properties=(("callerid", name), ("latching", "1"))
+        )
+        for name in ("/lower", "/upper")
+    ]
+    for number, data in enumerate((b"lower", b"upper", b"upper again")):
+        writer.add_message(publishers[min(number, 1)], T0 + 10 * number, data)
+        writer._flush()
+    writer.finish()
+    with Recording.open(MemorySource(out.getvalue(), "two.bag")) as recording:
+        whole = cut(recording, tmp_path / "a.mcap", start=T0 + 20)
+    assert stamped(whole) == [("/map", 20, b"lower"), ("/map", 20, b"upper"), ("/map", 20, b"upper again")]
+
+
+@pytest.mark.parametrize("chunk_bytes", [1, 2**20], ids=["several chunks", "one chunk"])
+def test_latched_messages_of_one_time_keep_their_order(tmp_path: Path, chunk_bytes: int) -> None:
+    """As in a slice, where all of them have its start as log time: the last one of a frame must stay the last."""
+    out = BytesIO()
+    writer = McapWriter(out, chunk_bytes=chunk_bytes)
+    schema = writer.add_schema("tf2_msgs/msg/TFMessage", "ros2msg", TRANSFORMS.encode())
+    channel = writer.add_channel("/tf_static", schema, "cdr")
+    both, again = transforms("lidar", "camera"), transforms("lidar") + b"\0"
+    for time_ns, data in ((T0, both), (T0, again), (T0 + 9, both)):
+        writer.add_message(channel, time_ns, data)
+    writer.finish()
+    with Recording.open(MemorySource(out.getvalue(), "one_time.mcap")) as recording:
+        whole = cut(recording, tmp_path / "a.mcap", start=T0 + 5)
+    assert [data for _, _, data in stamped(whole)] == [both, again, both]
+
+
+def test_a_topic_that_only_has_the_name_of_static_transforms(tmp_path: Path) -> None:
+    out = BytesIO()
+    writer = McapWriter(out)
+    channel = writer.add_channel("/tf_static", writer.add_schema("a/msg/B", "ros2msg", b"uint32 transforms"), "cdr")
+    for number in range(3):
+        writer.add_message(channel, T0 + number, b"\0\1\0\0" + bytes([number, 0, 0, 0]))
+    writer.finish()
+    with Recording.open(MemorySource(out.getvalue(), "other.mcap")) as recording:
+        whole = cut(recording, tmp_path / "a.mcap", start=T0 + 2)
+    assert [data[4] for _, _, data in stamped(whole)] == [1, 2]
+
+
 # Bytes
 
 
@@ -179,6 +228,30 @@ def test_only_the_chunks_needed_are_read_over_a_network(tmp_path: Path) -> None:
     assert source.bytes_read <= 1.2 * sum(segment.size_bytes for segment in needed) + outside
 
 
+class FetchedTogether(Watched):
+    """A source that answers requests for some offsets once all of them have come."""
+
+    def __init__(self, source: MemorySource) -> None:
+        super().__init__(source, parallel_reads=8)
+        self.offsets: list[int] = []
+        self.together = threading.Barrier(1)
+
+    def read(self, offset: int, length: int) -> bytes:
+        if offset in self.offsets:
+            self.together.wait(20)
+        return super().read(offset, length)
+
+
+def test_the_first_chunks_of_a_slice_are_fetched_together(tmp_path: Path) -> None:
+    source = FetchedTogether(mcap_of(CHUNKS))
+    with Recording.open(source) as recording:
+        (member,) = recording.members
+        assert isinstance(member, ChunkedMember)
+        source.offsets = [row.start for row in member.table.rows][20:40:4]
+        source.together = threading.Barrier(len(source.offsets))
+        cut(recording, tmp_path / "a.mcap", "/camera", start=T0 + 2000, end=T0 + 4000)
+
+
 def test_the_start_is_inclusive_and_the_end_exclusive(tmp_path: Path) -> None:
     with Recording.open(mcap_of(CHUNKS)) as recording:
         whole = cut(recording, tmp_path / "a.mcap", start=T0 + 101, end=T0 + 202)
@@ -190,10 +263,16 @@ def test_the_start_is_inclusive_and_the_end_exclusive(tmp_path: Path) -> None:
 # Bad input
 
 
+def test_a_start_behind_all_times_of_a_database(tmp_path: Path) -> None:
+    database = make_database(tmp_path / "a.db3", schema="crystal", messages=[(1, T0, b"\0\1\0\0")])
+    with Recording.open(database) as recording:
+        assert not list(recording.raw_messages(start=2**63))
+
+
 def test_ranges_and_topics_that_are_wrong_are_named(tmp_path: Path) -> None:
     target = tmp_path / "a.mcap"
     with Recording.open(mcap_of(CHUNKS)) as recording:
-        with pytest.raises(EmptyRange, match=r"empty: its end, 2023-11-14T22:13:20.000Z, is not after its start"):
+        with pytest.raises(EmptyRange, match=r"the end, 2023-11-14T22:13:20.000Z, is not after the start"):
             recording.to_mcap(target, start=T0 + 5, end=T0 + 5)
         with pytest.raises(OutsideRecording, match=r"nothing was recorded from .*: the messages are from .* to "):
             recording.to_mcap(target, start=T0 + 10**6)

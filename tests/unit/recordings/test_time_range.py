@@ -53,7 +53,22 @@ def test_numbers_and_datetimes_stay_what_they_are() -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "soon", "10", "1714557600", "25:00", "10:60", "10:00:60", "+", "+20x", "-20s", "+s"]
+    "text",
+    [
+        "",
+        "soon",
+        "10",
+        "1714557600",
+        "25:00",
+        "10:60",
+        "10:00:60",
+        "+",
+        "+20x",
+        "-20s",
+        "+s",
+        "10:00+24:00",
+        "10:00+01:60",
+    ],
 )
 def test_other_texts_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match="no time"):

@@ -3028,6 +3028,7 @@ export interface components {
              *       "message_types": [],
              *       "metadata": [],
              *       "paths": [],
+             *       "reference": false,
              *       "topics": []
              *     }
              */
@@ -4810,7 +4811,8 @@ export interface components {
          *
          *     Files that runs made are inputs only with `derived`. `metadata` names the metadata fields of the mission that the
          *     action reads; with `checks`, it reads the `checks.yaml` of the project, and all metadata, by which its profiles are
-         *     chosen. Results depend on the values of what is declared: if one changes, they are outdated.
+         *     chosen. With `reference`, it reads the reference trajectory that the metadata or the `checks.yaml` name, and nothing
+         *     else of them. Results depend on the values of what is declared: if one changes, they are outdated.
          */
         Inputs: {
             /**
@@ -4838,6 +4840,11 @@ export interface components {
              * @default []
              */
             paths: string[];
+            /**
+             * Reference
+             * @default false
+             */
+            reference: boolean;
             /**
              * Topics
              * @default []
@@ -5473,8 +5480,10 @@ export interface components {
          *     `next` is the cursor of the next page, null on the last; acceptances, notes and reports come with the first one.
          *     `evaluated_at` is null while nothing was checked.
          *     `is_current`: the checks are of the present files and by the present `checks.yaml`, whose version is `checks_number`
-         *     (0 for none). `bad_since` is when the mission became bad. With `all`, acceptances that ended are listed too. Without
-         *     an account, there are no notes and no reports, and only acceptances that apply.
+         *     (0 for none). `reference` is the trajectory that estimates are compared with: of the mission's metadata, or else of
+         *     the first profile that applies and names one; it comes with the first page. `bad_since` is when the mission became
+         *     bad. With `all`, acceptances that ended are listed too. Without an account, there are no notes and no reports, and
+         *     only acceptances that apply.
          */
         MissionChecksRead: {
             /** Acceptances */
@@ -5498,6 +5507,8 @@ export interface components {
             profiles_applied: string[];
             /** Profiles Left Out */
             profiles_left_out: components["schemas"]["ProfileLeftOut"][];
+            /** Reference */
+            reference?: string | null;
             /** Reports */
             reports: components["schemas"]["CheckReportRead"][];
             verdict: components["schemas"]["Verdict"];
@@ -5585,7 +5596,7 @@ export interface components {
          * @description An artifact that the latest run of an action shows of its mission.
          *
          *     `run_id` is the run that made it at `made_at`, which a later one may reuse. `outdated`: what the action reads has
-         *     changed since: files, or the metadata and checks that it declares.
+         *     changed since: files, or the metadata, checks and reference that it declares.
          */
         MissionPreview: {
             action: components["schemas"]["ActionRef"];
@@ -6874,8 +6885,9 @@ export interface components {
          * @description The content of `/in/mission.json`: the mission, the input files with their topics, the parameters.
          *
          *     `run_id` is null for a local run. `topics` belong to the files, `recordings` to the mission. Metadata that the
-         *     action declares as inputs have their values at the launch. `checks` is null unless the action declares to read it,
-         *     and where the project has none.
+         *     action declares as inputs have their values at the launch; with `checks` or `reference`, all have. `checks` and
+         *     `reference` are null unless the action declares to read them, and where there is none. `reference` is the name of
+         *     the trajectory with which estimates are compared: of the mission's metadata, or else of the `checks.yaml`.
          */
         RunContext: {
             action: components["schemas"]["ActionRef"];
@@ -6896,6 +6908,8 @@ export interface components {
             };
             /** Recordings */
             recordings: components["schemas"]["RecordingRead"][];
+            /** Reference */
+            reference?: string | null;
             /** Run Id */
             run_id: string | null;
             /** Topics */
@@ -7260,7 +7274,7 @@ export interface components {
          * @description An action to run on each of some missions: a published one by id, or an unpublished definition.
          *
          *     Without `version`, the latest version runs. Results of an earlier successful run with the same version, image,
-         *     parameters and inputs (files, and the metadata and checks that it declares) are reused unless `force`.
+         *     parameters and inputs (files, and the metadata, checks and reference that it declares) are reused unless `force`.
          */
         RunsCreate: {
             /** Action Id */

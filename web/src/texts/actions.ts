@@ -33,7 +33,7 @@ export const texts = {
     inputs: "Inputs", all: "all files of the mission", resources: "Resources", network: "Network", right: "Required right", parameters: "Parameters",
     locked: (count: number) => ` (${counted(count, "package")} locked)`, noParameters: "No parameters.", showScript: "Show script",
     paths: (globs: string) => `files ${globs}`, topics: (globs: string) => `with topics ${globs}`, types: (globs: string) => `with messages of ${globs}`,
-    metadata: (names: string) => `metadata ${names}`, checks: "the project's checks.yaml, with all metadata",
+    metadata: (names: string) => `metadata ${names}`, checks: "the project's checks.yaml, with all metadata", reference: "the reference of the mission",
     cores: (count: number) => counted(count, "core"), gpus: (count: number) => counted(count, "GPU"), memory: (size: string) => `${size} memory`,
     disk: (size: string) => `${size} disk`, time: (span: string) => `up to ${span}`, labels: (labels: string) => `on runners labelled ${labels}`,
     networks: { none: "none", api: "this server only, with its own token", open: "unrestricted" },

@@ -79,6 +79,7 @@ export const texts = {
   notCurrent: "These results are of earlier files or an earlier checks.yaml.",
   applied: "Profiles applied",
   noneApplied: "None",
+  reference: "Reference",
   leftOut: "Profiles not applied",
   leftOutProfile: (name: string, reason: string) => `${name}: ${reason}`,
   history: "Show history",

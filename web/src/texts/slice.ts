@@ -4,6 +4,8 @@ import { counted, formatSize } from "@/components/format";
 export const texts = {
   title: "Download selection",
   why: "Choose topics and a time range. You get them as an MCAP file; only the parts of the recording that contain them are read.",
+  partOf: (name: string, files: number) => `This is one of the ${files} files of the recording ${name}, and the selection is of this file alone. To select from all of them, run:`,
+  several: "To take topics or a time range out of them as one MCAP file, run:",
   topics: "Topics of the selection",
   topic: "Topic",
   count: "Messages",

@@ -5,6 +5,7 @@ Fetches the indexes and the chunks that are needed, in ranges, straight from the
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
@@ -13,7 +14,6 @@ from uuid import UUID
 from kleinkram.client._client import Client
 from kleinkram.client.errors import (
     ClientError,
-    DestinationDiffers,
     DestinationRefused,
     FileUnreadable,
     InvalidInput,
@@ -28,11 +28,9 @@ from kleinkram.contract.files import FileRead, RecordingRead
 from kleinkram.contract.names import check_file_path
 
 if TYPE_CHECKING:
-    from kleinkram.recordings.messages import Time
+    from kleinkram.recordings.messages import Selection, Time
     from kleinkram.recordings.recording import Topics
     from kleinkram.recordings.writing.mcap import McapOptions
-
-_EXTENSIONS = (".active", ".zst", ".zstd", ".bag", ".mcap", ".db3")
 
 
 @dataclass(frozen=True)
@@ -60,13 +58,6 @@ class SliceTarget:
         """The name of the recording, or the path of the file."""
         return self.recording.name if isinstance(self.recording, RecordingRead) else self.recording.path
 
-    @property
-    def span(self) -> tuple[int | None, int | None]:
-        """First and last log time; None: unknown."""
-        if isinstance(self.recording, RecordingRead):
-            return self.recording.start_ns, self.recording.end_ns
-        return None, None
-
 
 @dataclass(frozen=True)
 class SlicePlan:
@@ -81,6 +72,8 @@ def plan_slices(client: Client, files: Iterable[FileRead], dest: Path, *, nested
 
     If only some files of a recording are among them, each of these is a slice of its own. Other files are left out.
     """
+    from kleinkram.recordings.writing.conversion import without_extensions
+
     by_mission: dict[UUID, list[FileRead]] = defaultdict(list)
     for file in files:
         by_mission[file.mission.id].append(file)
@@ -91,7 +84,7 @@ def plan_slices(client: Client, files: Iterable[FileRead], dest: Path, *, nested
         above = f"{mission.project.name}/{mission.name}/" if nested else ""
         for recording in recordings_of(client, mission_id, mission_files):
             name = recording.name if isinstance(recording, RecordingRead) else recording.path
-            relative = above + _slice_name(name if name != "." else mission.name)
+            relative = f"{above}{without_extensions(name if name != '.' else mission.name)}.mcap"
             if relative in targets:
                 relative = f"{relative.removesuffix('.mcap')}-{PurePosixPath(name).suffix.strip('.') or 'slice'}.mcap"
             try:
@@ -117,14 +110,6 @@ def recordings_of(client: Client, mission_id: UUID, files: Sequence[FileRead]) -
             yield recording
         else:
             yield from own
-
-
-def _slice_name(name: str) -> str:
-    """Return the name of a recording with the extension `.mcap` in place of its own."""
-    path = PurePosixPath(name)
-    while path.suffix.lower() in _EXTENSIONS and path.stem:
-        path = path.with_suffix("")
-    return f"{path}.mcap"
 
 
 def download_slices(
@@ -169,17 +154,16 @@ class _Slicer:
     ) -> None:
         topics = what.topics
         self._patterns = None if topics is None else [topics] if isinstance(topics, str) else [*topics]
-        self._client, self._targets, self._options = client, plan.targets, options
+        self._client, self._options = client, options
         self._overwrite, self._watcher = overwrite, watcher
-        self._start_ns, self._end_ns = _resolve(what, plan.targets)
+        self._range, self._targets = select_targets(plan, what)
         self._matched: set[str] = set()
         self._read_count = 0
         self.results: list[TransferResult] = []
 
     def run(self) -> None:
-        targets = [target for target in self._targets if self._may_overlap(target)]
-        self._watcher.began(len(targets), sum(target.recording.size_bytes for target in targets))
-        for target in targets:
+        self._watcher.began(len(self._targets), sum(target.recording.size_bytes for target in self._targets))
+        for target in self._targets:
             result = self._result(target)
             if result is not None:
                 self.results.append(result)
@@ -192,19 +176,23 @@ class _Slicer:
             return []
         return [pattern for pattern in self._patterns or () if pattern not in self._matched]
 
-    def _may_overlap(self, target: SliceTarget) -> bool:
-        first_ns, last_ns = target.span
-        return first_ns is None or last_ns is None or (first_ns < self._end_ns and last_ns >= self._start_ns)
-
     def _result(self, target: SliceTarget) -> TransferResult | None:
-        from kleinkram.recordings.errors import CannotWrite, OutsideRecording, RecordingError, SourceError
+        from kleinkram.recordings.errors import (
+            CannotWrite,
+            NotConvertible,
+            OutsideRecording,
+            RecordingError,
+            SourceError,
+        )
 
         try:
             return self._write(target)
         except OutsideRecording:
             return None
+        except NotConvertible as error:
+            failure: KleinkramError = FileUnreadable(path=target.name, reason=error.reason)
         except CannotWrite as error:
-            failure: KleinkramError = DestinationRefused(path=str(target.dest / target.relative), reason=error.reason)
+            failure = DestinationRefused(path=str(target.dest / target.relative), reason=error.reason)
         except SourceError as error:
             failure = TransferFailed(path=target.name, reason=str(error))
         except RecordingError as error:
@@ -219,7 +207,8 @@ class _Slicer:
         local = target.dest / target.relative
         is_there = regular_size(local) is not None
         if is_there and not self._overwrite:
-            raise DestinationDiffers(path=str(local))
+            reason = "it exists, and is not compared; use --overwrite to replace it, or another --dest"
+            raise DestinationRefused(path=str(local), reason=reason)
         part = partial_path(local, ".klein-slice") if is_there else local
         with self._client.recordings.open(target.recording) as recording:
             topics = self._matching([topic.name for topic in recording.topics])
@@ -238,7 +227,12 @@ class _Slicer:
                 moved = int(share * size_bytes)
 
             written = recording.to_mcap(
-                part, topics, start=self._start_ns, end=self._end_ns, options=self._options, on_progress=show
+                part,
+                topics,
+                start=self._range.start_ns,
+                end=self._range.end_ns,
+                options=self._options,
+                on_progress=show,
             )
         part.replace(local)
         losses = tuple(f"{loss.file}: {loss.reason}" for loss in written.losses)
@@ -274,17 +268,33 @@ def _make_dest(dest: Path) -> None:
         raise DestinationRefused(path=str(dest), reason=error.strerror or str(error)) from None
 
 
-def _resolve(what: SliceRange, targets: Iterable[SliceTarget]) -> tuple[int, int]:
-    """Return the log times of a range, or raise InvalidInput."""
-    from kleinkram.recordings.time_range import resolve_range
+def select_targets(plan: SlicePlan, what: SliceRange) -> "tuple[Selection, list[SliceTarget]]":
+    """Return the log times of a range, and what of a plan may have messages in it. Opens nothing.
 
-    spans = [target.span for target in targets]
-    first_ns = min((first_ns for first_ns, _ in spans if first_ns is not None), default=None)
-    last_ns = max((last_ns for _, last_ns in spans if last_ns is not None), default=None)
+    Raises:
+        InvalidInput: the time range is empty, or a text is no time.
+        NothingToDo: nothing was recorded in it.
+    """
+    from kleinkram.recordings.errors import OutsideRecording
+    from kleinkram.recordings.messages import Selection
+    from kleinkram.recordings.writing.mcap import may_overlap, select_range
+
+    recordings = [target.recording for target in plan.targets]
     try:
-        start_ns, end_ns = resolve_range(what.start, what.end, first_ns, last_ns)
-    except (TypeError, ValueError) as error:
+        with time_range_errors():
+            times = select_range(recordings, what.start, what.end, name="The selected recordings")
+    except OutsideRecording as error:
+        raise NothingToDo(reason=str(error)) from None
+    selection = Selection(None, *times)
+    return selection, [target for target in plan.targets if may_overlap(target.recording, selection)]
+
+
+@contextmanager
+def time_range_errors() -> Iterator[None]:
+    """Raise InvalidInput where a time range is empty, or a text in it is no time."""
+    from kleinkram.recordings.errors import EmptyRange
+
+    try:
+        yield
+    except (EmptyRange, TypeError, ValueError) as error:
         raise InvalidInput(what="The time range", reason=str(error)) from None
-    if end_ns <= start_ns:
-        raise InvalidInput(what="The time range", reason="its end is not after its start")
-    return start_ns, end_ns

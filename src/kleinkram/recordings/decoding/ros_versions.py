@@ -37,6 +37,8 @@ from kleinkram.recordings.decoding.wire import CDR_LE, ROS1
 _RULE = "=" * 80
 _NO_FIELDS = "# no fields"  # an empty definition would pass for a missing one
 _TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*\Z")
+_PACKAGE_NAME = re.compile(r"[a-z][a-z0-9_]*\Z")
+_ROS1_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*\Z")
 _CONSTANT_NAME = re.compile(r"[A-Z](?:_?[A-Z0-9]+)*\Z")
 _RENAMED = {"tf/tfMessage": "tf2_msgs/TFMessage", "roslib/Header": "std_msgs/Header"}
 _ROS2_TIMES = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
@@ -252,7 +254,7 @@ def _ros2_name(name: str) -> str:
     package, _, base = name.rpartition("/")
     if not _TYPE_NAME.match(base):
         base = "".join(part[:1].upper() + part[1:] for part in base.split("_"))
-    if not legal_name(package) or not _TYPE_NAME.match(base):
+    if not _PACKAGE_NAME.match(legal_name(package)) or not _TYPE_NAME.match(base):
         raise SchemaError(f"'{name[:100]}' is not a name that a type of ROS 2 can have")
     return f"{legal_name(package)}/{base}"
 
@@ -282,7 +284,7 @@ class _Ros1Types(_Types):
         name = short_name(struct.name)
         if name in _ROS1_TIMES or name in _ROS2_TIMES:
             return _ROS1_TIMES.get(name, name)
-        if "/" not in name:
+        if not _ROS1_NAME.match(name):
             raise SchemaError(f"'{name[:100]}' is not a name that a type of ROS 1 can have")
         fields = [*self._fields(struct)]
         own = self._known.get(name)
@@ -313,7 +315,7 @@ def full_definition(root: str, texts: Mapping[str, str]) -> str:
     """Return the definition of a type with all that it needs, as a bag and an MCAP have it; `texts` by short name."""
     needed = [root]
     for owner in needed:  # which grows
-        nested_types = (_nested_type(line, owner) for line in texts[owner].splitlines())
+        nested_types = (_nested_type(line, owner) for line in texts[owner].split("\n"))
         needed += [nested for nested in dict.fromkeys(nested_types) if nested in texts and nested not in needed]
     definitions = [f"{_RULE}\nMSG: {nested}\n{texts[nested]}\n" for nested in needed[1:]]
     return "".join([f"{texts[root] or _NO_FIELDS}\n", *definitions])
@@ -321,7 +323,7 @@ def full_definition(root: str, texts: Mapping[str, str]) -> str:
 
 def md5sum_of(root: str, texts: Mapping[str, str]) -> str:
     """Return the md5 sum by which ROS 1 identifies a type: constants first, nested types by their own sums."""
-    lines = texts[root].splitlines()
+    lines = [line for line in texts[root].split("\n") if line]  # a text constant may hold other line separators
     parts = [line for line in lines if "=" in line]
     for line in lines:
         if "=" not in line:

@@ -98,7 +98,7 @@ def write_bag(
             copy = MessageCopy(_Connections(writer).define, _adder(writer))
             report = share_reporter(recording.start_ns or 0, recording.end_ns or 0, on_progress)
             copy.copy(recording.raw_messages(topics), report)
-            copy.define_silent(channels_of(recording, selected))
+            copy.define_silent(one for one in channels_of([recording]) if one.topic in selected)
             copy.check_any(recording.name, "no message of it can be in a bag")
             writer.finish()
         losses = find_losses(recording)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from kleinkram.recordings.errors import CannotWrite
+from kleinkram.recordings.errors import NotConvertible
 from kleinkram.recordings.formats.base import Segment
 from kleinkram.recordings.model import Content, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.writing.bag import BagOptions, BagResult, bag_compressor
@@ -20,7 +20,7 @@ from kleinkram.recordings.writing.mcap import McapOptions, McapResult, Ros1Messa
 if TYPE_CHECKING:
     from kleinkram.recordings.recording import OnProgress, Recording, Topics
 
-EXTENSIONS = (".active", ".zst", ".zstd", ".bag", ".mcap", ".db3", ".ulg")
+_EXTENSIONS = (".active", ".zst", ".zstd", ".bag", ".mcap", ".db3", ".ulg")
 _INDEX_PROBLEMS = frozenset(("index-damaged", "counts-disagree"))
 _SAMPLED_SEGMENTS = 8
 _TIMES = struct.Struct("<QQ")
@@ -49,11 +49,11 @@ def plan_conversion(recording: Recording, options: ConversionOptions) -> Convers
     """Return what a conversion would do. Reads the index and a few parts of the recording.
 
     Raises:
-        CannotWrite: it is a ULog.
+        NotConvertible: it is a ULog.
         SourceError: the bytes cannot be read.
     """
     if any(topic.message_encoding == "ulog" for topic in recording.topics):
-        raise CannotWrite(recording.name, "it is a ULog, whose messages neither MCAPs nor bags can hold")
+        raise NotConvertible(recording.name, "it is a ULog, whose messages neither MCAPs nor bags can hold")
     reasons = tuple(_reasons(recording, options))
     estimated_bytes = _estimate(recording, options) if reasons else recording.size_bytes
     return ConversionPlan(reasons, recording.size_bytes, estimated_bytes)
@@ -81,7 +81,8 @@ def convert_recording(
     """Write a recording as one MCAP or bag. Errors are those of `Recording.to_mcap` and `Recording.to_bag`.
 
     Raises:
-        CannotWrite: nothing of the recording can be read, or the file cannot be written.
+        NotConvertible: nothing of the recording can be read.
+        CannotWrite: the file cannot be written.
     """
     result: ConversionResult
     if isinstance(options, McapOptions):
@@ -90,7 +91,7 @@ def convert_recording(
         result = recording.to_bag(path, topics, options=options, on_progress=on_progress)
     if result.losses and not result.message_count:
         path.unlink()
-        raise CannotWrite(PurePosixPath(recording.name).name, "nothing of it can be read")
+        raise NotConvertible(PurePosixPath(recording.name).name, "nothing of it can be read")
     return result
 
 
@@ -115,7 +116,7 @@ def target_names(names: Sequence[str]) -> Iterator[str]:
 def without_extensions(name: str) -> str:
     """Return the name of a recording without the extensions of formats and compression."""
     path = PurePosixPath(name)
-    while path.suffix.lower() in EXTENSIONS and path.stem:
+    while path.suffix.lower() in _EXTENSIONS and path.stem:
         path = path.with_suffix("")
     return str(path)
 

@@ -9,7 +9,6 @@ continue after it was interrupted. Memory: that of one topic (`topic_rows`, `csv
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import shutil
@@ -28,7 +27,7 @@ from kleinkram.recordings.recording import OnProgress, Recording, Topics
 from kleinkram.recordings.writing.csv_file import write_csv
 from kleinkram.recordings.writing.image_files import ImageOptions, why_no_images, write_images
 from kleinkram.recordings.writing.mcap import select_slice, share_read_ahead
-from kleinkram.recordings.writing.new_file import new_file, refuse_existing
+from kleinkram.recordings.writing.new_file import lock, new_file, refuse_existing
 from kleinkram.recordings.writing.parquet import column_units, write_parquet
 from kleinkram.recordings.writing.topic_rows import (
     NamedRecording,
@@ -215,11 +214,13 @@ def export_recordings(
     plan = plan_export(recordings, to, options)
     if not plan.files:
         return ExportResult((), plan.left_out, _problems_of(recordings))
+    load_pyarrow()  # where it is missing, no folder is made
     request = _request_of(recordings, plan, options)
     if resume and (folder / INDEX_NAME).exists() and not (folder / JOURNAL_NAME).exists():
         return _read_index(folder, request)
     with _open_journal(folder, request, resume=resume) as journal:
         result = write_plan(plan, folder, options.images, journal=journal, on_progress=on_progress)
+        (folder / INDEX_NAME).unlink(missing_ok=True)  # written just before it was interrupted
         with new_file(folder / INDEX_NAME) as stream:
             index = {"kleinkram": __version__, **request, **result.to_plain(folder)}
             stream.write(json.dumps(index, indent=2, ensure_ascii=False).encode())
@@ -247,6 +248,7 @@ def _request_of(recordings: Sequence[NamedRecording], plan: ExportPlan, options:
         "to": plan.to.value,
         "recordings": [one.name for one in recordings],
         "sources": sources_of(recordings),
+        "source_bytes": {one.name: one.recording.size_bytes for one in recordings},
         "topics": None if topics is None else [*topics],
         "start_ns": start_ns or None,
         "end_ns": None if end_ns == END_OF_TIME_NS else end_ns,
@@ -294,6 +296,9 @@ class ExportJournal:
         text = self._stream.read()
         whole = text[: text.rfind(b"\n") + 1]  # the last line may be cut
         self._stream.truncate(len(whole))
+        if not whole:  # it was interrupted before anything was written
+            self.begin(request)
+            return
         with _reading(self._folder / JOURNAL_NAME):
             first, *lines = [json.loads(line) for line in whole.splitlines()] or [{}]
             if first.get("request") != request:
@@ -333,7 +338,7 @@ def _open_journal(folder: Path, request: Mapping[str, object], *, resume: bool) 
         if not is_continued:
             folder.mkdir(parents=True)
         with path.open("a+b") as stream:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(stream.fileno(), path)
             journal = ExportJournal(folder, stream)
             if is_continued:
                 journal.read(request)

@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 import re
 import shutil
 import struct
 import zlib
 from bisect import bisect_right
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -28,7 +30,7 @@ from kleinkram.recordings.decoding.tables import TimedMessage
 from kleinkram.recordings.decoding.values import NS, part, type_name
 from kleinkram.recordings.errors import CannotWrite
 from kleinkram.recordings.messages import END_OF_TIME_NS, Selection
-from kleinkram.recordings.writing.new_file import refuse_existing, sync_folder
+from kleinkram.recordings.writing.new_file import lock, refuse_existing, sync_folder
 from kleinkram.recordings.writing.topic_rows import FrameNames, NamedRecording, OnRows, TopicGroup, Written, messages_of
 
 if TYPE_CHECKING:
@@ -100,19 +102,41 @@ def write_images(
     partial = folder.with_name(f".{folder.name}.part")
     try:
         refuse_existing(folder)
-        shutil.rmtree(partial, ignore_errors=True)  # what a killed process left
-        partial.mkdir()
-        try:
+        with _locked_folder(partial):
             written = _fill(group, partial, selection, options, on_rows)
             if written.row_count:
                 sync_folder(partial)
                 partial.rename(folder)
                 sync_folder(folder.parent)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
+            else:
+                shutil.rmtree(partial)
+    except BlockingIOError:
+        raise CannotWrite(str(folder), "another process is writing it") from None
     except OSError as error:
         raise CannotWrite(str(folder), f"cannot be written: {error.strerror or error}") from error
     return written
+
+
+@contextmanager
+def _locked_folder(path: Path) -> Iterator[None]:
+    """Make a folder, or empty one that a killed process left; after an error, remove it.
+
+    Raises:
+        BlockingIOError: another process has it.
+    """
+    path.mkdir(exist_ok=True)
+    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        lock(descriptor, path)
+        try:
+            for left in path.iterdir():
+                left.unlink()
+            yield
+        except BaseException:
+            shutil.rmtree(path, ignore_errors=True)
+            raise
+    finally:
+        os.close(descriptor)
 
 
 def _fill(group: TopicGroup, folder: Path, selection: Selection, options: ImageOptions, on_rows: OnRows) -> Written:
@@ -126,12 +150,12 @@ def _fill(group: TopicGroup, folder: Path, selection: Selection, options: ImageO
             try:
                 value = _decode(group.decoder, data)
                 made = image_file(value, as_jpeg=options.as_jpeg)
-                stamp = stamp_ns(value)
+                stamp = _stamp_of(value)
             except _BROKEN as error:
                 failed += 1
                 failure = failure or str(error)
                 continue
-            frame, encoding = _frame_of(value), str(part(value, "encoding") or part(value, "format") or "")
+            frame, encoding = _frame_of(value), _text(part(value, "encoding") or part(value, "format") or "")
             file_name = _write(folder, log_ns if stamp is None else stamp, made)
             index.writerow([stamp, log_ns, file_name, made.width, made.height, encoding, frame, one.name])
             frames.add(frame)
@@ -149,7 +173,19 @@ def _decode(decoder: Decoder | Undecodable, data: bytes) -> object:
 
 def _frame_of(value: object) -> str | None:
     frame = part(part(value, "header"), "frame_id") if part(value, "header") is not None else part(value, "frame_id")
-    return None if frame is None else str(frame)
+    return None if frame is None else _text(frame)
+
+
+def _text(value: object) -> str:
+    """Return a value as a text that UTF-8 can express: JSON may have half of a surrogate pair."""
+    return str(value).encode("utf-8", "replace").decode()
+
+
+def _stamp_of(value: object) -> int | None:
+    stamp = stamp_ns(value)
+    if stamp is not None and abs(stamp) >= END_OF_TIME_NS:
+        raise DecodeError(type_name(value), "its stamp is beyond all times")
+    return stamp
 
 
 def _write(folder: Path, stamp: int, made: ImageFile) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from kleinkram.recordings.chunk_reader import ChunkedMember
@@ -76,7 +77,8 @@ def _losses(
     places = (*(LostPlace(problem.where, problem.message) for problem in unnamed), *others)
     if places:
         reason = f"{places[0].where}: {places[0].reason}"
-        losses.append(MemberLoss(recording.name, reason, 0, 0, None if unnamed else 0, places))
+        name = recording.files[0] if len(recording.files) == 1 else PurePosixPath(recording.name).name
+        losses.append(MemberLoss(name, reason, 0, 0, None if unnamed else 0, places))
     return tuple(losses)
 
 

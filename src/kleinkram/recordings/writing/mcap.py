@@ -14,14 +14,14 @@ from enum import Enum
 from itertools import chain
 from os import PathLike
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Protocol
 
 import lz4.frame
 import zstandard
 
 from kleinkram import __version__
 from kleinkram.recordings.chunk_reader import MAX_AHEAD, ChunkedMember
-from kleinkram.recordings.errors import CannotWrite, EmptyRange, Malformed, OutsideRecording
+from kleinkram.recordings.errors import EmptyRange, Malformed, NotConvertible, OutsideRecording
 from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.limits import WINDOW
 from kleinkram.recordings.messages import END_OF_TIME_NS, Channel, Properties, RawMessage, Schema, Selection, Time
@@ -37,6 +37,7 @@ from kleinkram.recordings.writing.message_copy import (
     LeftOut,
     MessageCopy,
     Route,
+    channels_of,
     re_encoding_of,
     share_reporter,
     with_definition,
@@ -186,43 +187,60 @@ def select_slice(
 ) -> Selection:
     """Return the topics and log times of a slice of recordings; errors are those of `merge_to_mcap`."""
     names = sorted({topic.name for recording in recordings for topic in recording.topics})
-    return Selection(select_names(topics, names), *_time_range(recordings, start, end))
+    name = recordings[0].name if len(recordings) == 1 else f"the {len(recordings)} recordings"
+    return Selection(select_names(topics, names), *select_range(recordings, start, end, name=name))
 
 
-def _time_range(recordings: Sequence[Recording], start: Time | None, end: Time | None) -> tuple[int, int]:
-    """Return the log times of a range.
+class RecordedTime(Protocol):
+    """A recording, opened or as the server knows it. None: unknown, or no messages."""
+
+    @property
+    def start_ns(self) -> int | None:
+        """Earliest log time."""
+
+    @property
+    def end_ns(self) -> int | None:
+        """Latest log time, inclusive."""
+
+    @property
+    def message_count(self) -> int | None:
+        """The number of its messages."""
+
+
+def select_range(
+    recordings: Sequence[RecordedTime], start: Time | None, end: Time | None, *, name: str
+) -> tuple[int, int]:
+    """Return the log times of a range; `name`: of the recordings, for messages.
 
     Raises:
         EmptyRange: the end is not after the start.
         OutsideRecording: nothing was recorded in it.
+        ValueError: a text is no time.
     """
     first_ns = min((one.start_ns for one in recordings if one.start_ns is not None), default=None)
     last_ns = max((one.end_ns for one in recordings if one.end_ns is not None), default=None)
     start_ns, end_ns = resolve_range(start, end, first_ns, last_ns)
     if end_ns <= start_ns:
-        message = f"the time range is empty: its end, {utc_text(end_ns)}, is not after its start, {utc_text(start_ns)}"
+        message = f"the end, {utc_text(end_ns)}, is not after the start, {utc_text(start_ns)}"
         raise EmptyRange(message, start_ns=start_ns, end_ns=end_ns)
     selection = Selection(None, start_ns, end_ns)
-    if selection.has_range and not any(_overlaps(recording, selection) for recording in recordings):
+    if selection.has_range and not any(may_overlap(recording, selection) for recording in recordings):
         raise OutsideRecording(
-            _why_outside(recordings, selection, first_ns, last_ns), first_ns=first_ns, last_ns=last_ns
+            f"{name}: {_why_outside(selection, first_ns, last_ns)}", first_ns=first_ns, last_ns=last_ns
         )
     return start_ns, end_ns
 
 
-def _why_outside(
-    recordings: Sequence[Recording], selection: Selection, first_ns: int | None, last_ns: int | None
-) -> str:
-    name = recordings[0].name if len(recordings) == 1 else f"the {len(recordings)} recordings"
+def _why_outside(selection: Selection, first_ns: int | None, last_ns: int | None) -> str:
     after = f"from {utc_text(selection.start_ns)}" if selection.start_ns else ""
     before = "" if selection.end_ns == END_OF_TIME_NS else f"before {utc_text(selection.end_ns)}"
     nothing = f"nothing was recorded {' and '.join(filter(None, (after, before)))}"
     if first_ns is None or last_ns is None:
-        return f"{name}: {nothing}: there are no messages"
-    return f"{name}: {nothing}: the messages are from {utc_text(first_ns)} to {utc_text(last_ns)}"
+        return f"{nothing}: there are no messages"
+    return f"{nothing}: the messages are from {utc_text(first_ns)} to {utc_text(last_ns)}"
 
 
-def _overlaps(recording: Recording, selection: Selection) -> bool:
+def may_overlap(recording: RecordedTime, selection: Selection) -> bool:
     """Return whether a recording may have messages in a time range, by its index."""
     if not selection.has_range:
         return True
@@ -247,12 +265,12 @@ def write_slice(
     on_progress: OnProgress | None = None,
 ) -> WrittenMcap:
     """Write a slice of recordings to a stream, which need not be seekable, as `merge_to_mcap` does to a file."""
-    sources = [source for source in sources if _overlaps(source.recording, selection)]
+    sources = [source for source in sources if may_overlap(source.recording, selection)]
     recordings = [source.recording for source in sources]
-    channels = [channel for channel in _channels_of(recordings) if selection.has_topic(channel.topic)]
+    channels = [channel for channel in channels_of(recordings) if selection.has_topic(channel.topic)]
     for recording in recordings:
-        if any(channel.message_encoding == "ulog" for channel in _channels_of([recording])):
-            raise CannotWrite(recording.name, "it is a ULog, whose messages have no encoding that MCAP knows")
+        if any(channel.message_encoding == "ulog" for channel in channels_of([recording])):
+            raise NotConvertible(recording.name, "it is a ULog, whose messages have no encoding that MCAP knows")
     share_read_ahead(recordings)
     writer = McapWriter(
         stream,
@@ -287,13 +305,12 @@ def _is_partly_read(recordings: Sequence[Recording], selection: Selection) -> bo
 
 
 def share_read_ahead(recordings: Sequence[Recording]) -> None:
-    """Divide the memory for reading ahead between the recordings that are read at the same time."""
-    at_once = _most_at_once(recordings)
-    if at_once > 1:
-        for recording in recordings:
-            for member in recording.members:
-                if isinstance(member, ChunkedMember):
-                    member.max_ahead = min(member.max_ahead, MAX_AHEAD // at_once)
+    """Use all memory for reading ahead, divided between the recordings that are read at the same time."""
+    share = MAX_AHEAD // max(1, _most_at_once(recordings))
+    for recording in recordings:
+        for member in recording.members:
+            if isinstance(member, ChunkedMember):
+                member.first_ahead = member.max_ahead = min(member.max_ahead, share)
 
 
 def _most_at_once(recordings: Sequence[Recording]) -> int:
@@ -340,12 +357,6 @@ class _ThreadsZstd(threading.local):
 
     def compress(self, raw: bytes) -> bytes:
         return self._compressor.compress(raw)
-
-
-def _channels_of(recordings: Iterable[Recording]) -> Iterator[Channel]:
-    for recording in recordings:
-        for member in recording.members:
-            yield from member.contents.channels.values()
 
 
 def _profile_of(recordings: Iterable[Recording], channels: list[Channel], ros1: Ros1Messages) -> str:

@@ -24,6 +24,7 @@ from kleinkram.recordings.writing.chunked_writer import Chunk, ChunkedWriter, Pa
 
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MAX_CHANNELS = 2**16
+_MAX_SCHEMAS = 2**16 - 1  # 0 is that of channels without schema
 _INDEX_OF: dict[int, Opcode] = {Opcode.ATTACHMENT: Opcode.ATTACHMENT_INDEX, Opcode.METADATA: Opcode.METADATA_INDEX}
 
 
@@ -58,6 +59,8 @@ class McapWriter(ChunkedWriter):
         """Define a message type; returns its id, to be used for channels."""
         schema = name, encoding, text
         if schema not in self._schemas:
+            if len(self._schemas) >= _MAX_SCHEMAS:
+                raise CannotWrite(name, f"an MCAP has at most {_MAX_SCHEMAS} schemas")
             self._schemas[schema] = len(self._schemas) + 1
             body = struct.pack("<H", self._schemas[schema]) + _text(name) + _text(encoding) + counted_bytes(text)
             self._define(_mcap_record(Opcode.SCHEMA, body))

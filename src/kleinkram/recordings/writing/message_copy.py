@@ -14,7 +14,7 @@ from kleinkram.recordings.decoding.msg_definitions import well_known_definitions
 from kleinkram.recordings.decoding.ros_versions import ReEncoding, to_ros1, to_ros2
 from kleinkram.recordings.decoding.transcode import Transcode
 from kleinkram.recordings.decoding.types import SchemaError
-from kleinkram.recordings.errors import CannotWrite
+from kleinkram.recordings.errors import NotConvertible
 from kleinkram.recordings.messages import Channel, RawMessage, Schema
 from kleinkram.recordings.model import counted
 
@@ -87,11 +87,11 @@ class MessageCopy:
                 self._route(channel, b"")
 
     def check_any(self, name: str, what: str) -> None:
-        """Raise `CannotWrite` if messages were left out, and none was copied."""
+        """Raise `NotConvertible` if messages were left out, and none was copied."""
         if not self.message_count:
             for part in self.left_out:
                 if part.message_count:
-                    raise CannotWrite(name, f"{what}: {part.reason}")
+                    raise NotConvertible(name, f"{what}: {part.reason}")
 
     def _route(self, channel: Channel, data: bytes) -> Route | None:
         try:
@@ -107,10 +107,11 @@ class MessageCopy:
         self._left_out[topic] = so_far + count, first_reason
 
 
-def channels_of(recording: Recording, topics: frozenset[str]) -> list[Channel]:
-    """Return the channels of some topics of a recording, in the order of its files."""
-    channels = (channel for member in recording.members for channel in member.contents.channels.values())
-    return [channel for channel in channels if channel.topic in topics]
+def channels_of(recordings: Iterable[Recording]) -> Iterator[Channel]:
+    """Yield the channels of recordings, in the order of their files."""
+    for recording in recordings:
+        for member in recording.members:
+            yield from member.contents.channels.values()
 
 
 def share_reporter(start_ns: int, end_ns: int, on_progress: OnProgress | None) -> Callable[[int], None]:

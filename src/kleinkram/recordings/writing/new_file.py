@@ -55,12 +55,27 @@ def refuse_existing(path: Path) -> None:
 def _open_locked(path: Path, part: Path) -> BinaryIO:
     descriptor = os.open(part, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(descriptor, part)
         os.ftruncate(descriptor, 0)
-    except BlockingIOError:
+    except BaseException as error:
         os.close(descriptor)
-        raise CannotWrite(str(path), "another process is writing it") from None
+        if isinstance(error, BlockingIOError):
+            raise CannotWrite(str(path), "another process is writing it") from None
+        raise
     return io.BufferedWriter(_EarlyWriteback(descriptor, "wb"))
+
+
+def lock(descriptor: int, path: Path) -> None:
+    """Lock what was opened at a path, for one process, until it is closed.
+
+    Raises:
+        BlockingIOError: another process has it locked, or has removed or renamed it since it was opened.
+    """
+    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    with suppress(FileNotFoundError):
+        if os.path.samestat(os.fstat(descriptor), path.lstat()):
+            return
+    raise BlockingIOError
 
 
 class _EarlyWriteback(io.FileIO):

@@ -40,7 +40,7 @@ _ACTION_ORDER = Order([action.c.name, action.c.id])
 # Latest first.
 _VERSION_ORDER = Order([action_version.c.number, action_version.c.id], descending=True)
 _publisher = person.alias("publisher")
-_ADDED = ("metadata", "checks")
+_ADDED = ("metadata", "checks", "reference")
 
 
 async def list_actions(db: Connection, actor: Actor, *, matching: ActionFilter, page: PageRequest) -> Page[ActionRead]:

@@ -3,12 +3,11 @@
 import asyncio
 import hashlib
 import uuid
-from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import Row, Select, func, insert, select, update
 
-from kleinkram.checks.document import ChecksDocument, read_checks
+from kleinkram.checks.document import read_checks
 from kleinkram.contract.base import Page
 from kleinkram.contract.checks import ChecksVersionRead, ProjectChecksRead
 from kleinkram.contract.errors import NotFound
@@ -90,20 +89,6 @@ async def get_version(db: Connection, actor: Actor, *, project_id: uuid.UUID, nu
     if row is None:
         raise NotFound(resource_type="version of checks", ref=str(number))
     return _to_checks(row)
-
-
-async def document_of(db: Connection, project_id: uuid.UUID, number: int) -> tuple[ChecksDocument, bytes]:
-    """Return a version of a project's rules, and the hash of its text. Raises YamlInvalid."""
-    columns = (project_checks.c.text, project_checks.c.sha256)
-    stored = select(*columns).where(project_checks.c.project_id == project_id, project_checks.c.number == number)
-    row = (await db.execute(stored)).one()
-    return await asyncio.to_thread(_parsed, row.text), row.sha256
-
-
-@lru_cache(maxsize=8)
-def _parsed(text: str) -> ChecksDocument:
-    """A long text takes a second, and is needed for each batch of missions, while these are locked."""
-    return read_checks(text)
 
 
 async def _current(db: Connection, project_id: uuid.UUID) -> ProjectChecksRead:

@@ -34,12 +34,12 @@ from kleinkram.server.checks.combine import (
     combine,
     is_content_outdated,
 )
-from kleinkram.server.checks.documents import document_of
 from kleinkram.server.checks.facts import JudgedMission, read_missions
 from kleinkram.server.checks.queries import AppliedRules, counting_reports, reporting_runs
 from kleinkram.server.db import Connection, among
 from kleinkram.server.jobs.rejudge import lock_what_projects_name
 from kleinkram.server.missions import service as missions
+from kleinkram.server.projects.checks_documents import document_of
 from kleinkram.server.runs.project_results import ActionResult, ResultState, project_results
 from kleinkram.server.tables import check_acceptance, check_report, mission_checks
 

@@ -42,6 +42,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.jobs.rejudge import judge_again
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pagination import PageRequest, Rows, fetch_page
+from kleinkram.server.runs.declared_inputs import present_reference
 from kleinkram.server.tables import check_acceptance, check_note, check_report, mission_checks
 
 _MAX_NOTES = 1000
@@ -87,6 +88,7 @@ async def get_mission_checks(
         checks_number=row.checks_number or 0 if is_shown else 0,
         profiles_applied=row.profiles_applied if is_shown else [],
         profiles_left_out=[ProfileLeftOut.model_validate(one) for one in row.profiles_left_out] if is_shown else [],
+        reference=await present_reference(db, mission_id) if has_additions else None,
         is_current=bool(row.is_current) and is_shown,
         evaluated_at=row.evaluated_at if is_shown else None,
         bad_since=row.bad_since if is_shown else None,

@@ -109,8 +109,7 @@ async def slice_file(
     has no footer and is no whole MCAP.
     """
     mark_as_stream(request.scope)
-    topics = tuple(name for text in query.topics for name in text.replace(",", " ").split())
-    selection = SliceSelection(topics or None, query.start, query.end)
+    selection = SliceSelection(tuple(query.topics) or None, query.start, query.end)
     return await open_slice(context, request.app.state.slice_slots, actor, file_id=file_id, selection=selection)
 
 

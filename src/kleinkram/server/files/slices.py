@@ -96,12 +96,17 @@ class SliceSlots:
 
 
 class _Child:
-    """The process that makes one slice; it is killed after the time limit."""
+    """The process that makes one slice, and its slot; it is killed after the time limit."""
 
-    def __init__(self, process: asyncio.subprocess.Process, timeout_s: float) -> None:
-        self._process = process
+    def __init__(self, process: asyncio.subprocess.Process, slot: contextlib.ExitStack, timeout_s: float) -> None:
+        self._process, self._slot = process, slot
         self._is_late = False
         self._timer = asyncio.get_running_loop().call_later(timeout_s, self._kill_late)
+
+    @property
+    def seconds_left(self) -> float:
+        """Time until it is killed."""
+        return self._timer.when() - asyncio.get_running_loop().time()
 
     async def request(self, line: bytes) -> SliceRefusal | None:
         """Return why the child refuses the request; None once its first bytes can be read."""
@@ -138,14 +143,16 @@ class _Child:
         return "reading it failed"
 
     async def end(self) -> None:
-        """Kill it, if it still runs."""
+        """Kill it, if it still runs, and free its slot."""
         self._timer.cancel()
-        self._kill()
-        await self._process.communicate()
+        with self._slot:
+            self._kill()
+            await self._process.communicate()
 
     def _kill_late(self) -> None:
         self._is_late = True
-        self._kill()
+        with self._slot:
+            self._kill()
 
     def _kill(self) -> None:
         with contextlib.suppress(ProcessLookupError):
@@ -157,13 +164,14 @@ class SliceCutOff(Exception):
 
 
 class SliceResponse(StreamingResponse):
-    """The bytes of a slice. Its child ends, and its slot is free, once the response is over, however it ends."""
+    """The bytes of a slice. Its child ends once the response is over, however it ends; so does a slow response."""
 
-    def __init__(self, context: AppContext, actor: Actor, child: _Child, slot: contextlib.ExitStack, path: str) -> None:
-        self._context, self._actor, self._child, self._slot = context, actor, child, slot
+    def __init__(self, context: AppContext, actor: Actor, child: _Child, path: str) -> None:
+        self._context, self._actor, self._child = context, actor, child
         self._sent_bytes = 0
         headers = {
             "Content-Disposition": f'attachment; filename="{_file_name(path)}"',
+            "Accept-Ranges": "none",
             "X-Accel-Buffering": "no",  # nginx: do not buffer
             "Cache-Control": "private, no-store",
         }
@@ -175,12 +183,13 @@ class SliceResponse(StreamingResponse):
             yield piece
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the slice."""
+        """Send the slice. Raises SliceCutOff."""
         try:
-            await super().__call__(scope, receive, send)
+            await asyncio.wait_for(super().__call__(scope, receive, send), self._child.seconds_left)
+        except asyncio.TimeoutError:  # a client that does not read holds the response, not only its child
+            raise SliceCutOff("the client takes longer than is allowed") from None
         finally:
-            with self._slot:
-                await self._child.end()
+            await self._child.end()
             async with self._context.database.begin() as db:
                 await count_downloads(db, self._actor, files=0, size_bytes=self._sent_bytes)
 
@@ -199,12 +208,12 @@ async def open_slice(
         StoreUnavailable: the store does not return its bytes.
     """
     with contextlib.ExitStack() as on_failure:
-        slot = on_failure.enter_context(slots.take(account_of(actor)))
         async with context.database.begin() as db:
             read, _, key = await record_slice(db, actor, file_id=file_id, selection=selection.for_audit())
             start_ns, end_ns = _resolve_range(selection, read)
             if read.format not in _READABLE_FORMATS:
                 raise CannotSlice(path=read.path, reason="only MCAP files and ROS 1 bags are sliced here")
+            slot = on_failure.enter_context(slots.take(account_of(actor)))
         timeout_s = context.settings.slice_timeout_s
         request = SliceRequest(
             url=context.storage.sign_internal_get(key, expires_s=timeout_s + _URL_MARGIN_S),
@@ -218,7 +227,7 @@ async def open_slice(
             memory_bytes=context.settings.slice_memory_bytes,
             cpu_s=timeout_s,
         )
-        child = await _start(context.settings)
+        child = await _start(context.settings, slot)
         try:
             refusal = await child.request(slice_request_bytes(request))
             if refusal is not None:
@@ -226,9 +235,8 @@ async def open_slice(
         except BaseException:
             await child.end()
             raise
-        response = SliceResponse(context, actor, child, slot, read.path)
         on_failure.pop_all()
-        return response
+        return SliceResponse(context, actor, child, read.path)
 
 
 def _resolve_range(selection: SliceSelection, read: FileRead) -> tuple[int | None, int | None]:
@@ -246,7 +254,7 @@ def _resolve(field: str, text: str, read: FileRead) -> int:
         raise InvalidRequest(problems=[FieldProblem(field=field, message=str(error))]) from None
 
 
-async def _start(settings: Settings) -> _Child:
+async def _start(settings: Settings, slot: contextlib.ExitStack) -> _Child:
     process = await asyncio.create_subprocess_exec(
         *SLICE_COMMAND,
         stdin=asyncio.subprocess.PIPE,
@@ -255,7 +263,7 @@ async def _start(settings: Settings) -> _Child:
         env=CHILD_ENVIRONMENT,
         limit=_LINE_LIMIT_BYTES,
     )
-    return _Child(process, settings.slice_timeout_s)
+    return _Child(process, slot, settings.slice_timeout_s)
 
 
 def _error_of(refusal: SliceRefusal, path: str) -> CannotSlice | InvalidRequest | StoreUnavailable:

@@ -45,9 +45,11 @@ async def decide_again_by_metadata(
 
 
 def _reads_metadata(definition: ColumnElement[Any], names: Collection[str] | None = None) -> ColumnElement[bool]:
-    """Whether an action declares that it reads one of these fields, or any."""
-    declared = definition["inputs"]["metadata"]
+    """Whether an action declares that it reads one of these fields, or any. All choose the profiles of checks."""
+    inputs = definition["inputs"]
+    declared = inputs["metadata"]
     is_declared = func.jsonb_array_length(declared) > 0
     if names is not None:
         is_declared = declared.has_any(literal([*names], ARRAY(Text)))
-    return or_(func.coalesce(definition["inputs"]["checks"].as_boolean(), False), func.coalesce(is_declared, False))
+    reads_all = (func.coalesce(inputs[name].as_boolean(), False) for name in ("checks", "reference"))
+    return or_(*reads_all, func.coalesce(is_declared, False))

@@ -50,7 +50,7 @@ from kleinkram.server.db import Connection, among
 from kleinkram.server.files import queries as files
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings import queries as recordings
-from kleinkram.server.runs.declared_inputs import checks_at_launch, mission_at_launch
+from kleinkram.server.runs.declared_inputs import checks_at_launch, mission_at_launch, reference_at_launch
 from kleinkram.server.runs.lifecycle import EndedRun, RunArtifact, create_mission_files, end_run
 from kleinkram.server.s3.storage import PartTarget
 from kleinkram.server.tables import (
@@ -255,16 +255,18 @@ async def get_context(db: Connection, actor: Actor, *, run_id: uuid.UUID, attemp
     seen = visible_files(starter).where(file.c.id.in_(input_ids)).order_by(file.c.path)
     topics = await db.execute(files.topic_rows(visible_files(starter).where(file.c.id.in_(input_ids))))
     named = recordings.recordings_of(starter, row.mission_id)
+    declared = row.definition.inputs
     return RunContext(
         run_id=run_id,
         action=ActionRef(id=row.action_id, name=row.definition.name, version=row.version_number),
         parameters=row.parameters,
         cause=Cause(person=starter.ref, retry_of_id=row.retry_of_id),
-        mission=mission_at_launch(row.definition.inputs, row.input_metadata, visible_mission),
+        mission=mission_at_launch(declared, row.input_metadata, visible_mission),
         files=files.to_files((await db.execute(files.file_rows(seen))).all()),
         topics=files.to_topics(topics.all()),
         recordings=[recordings.to_recording(entry) for entry in await db.execute(named)],
-        checks=await checks_at_launch(db, row.project_id, row.checks_sha256),
+        checks=await checks_at_launch(db, declared, row.project_id, row.checks_sha256),
+        reference=await reference_at_launch(db, declared, row.input_metadata, row.checks_sha256),
     )
 
 

@@ -199,7 +199,7 @@ def _due_actions() -> Select[Any]:
     is_undecided = or_(
         decided.c.mission_id.is_(None),
         decided.c.files_revision != mission.c.files_revision,
-        and_(decided.c.checks_number.is_distinct_from(project.c.checks_number), _latest_reads("checks")),
+        and_(decided.c.checks_number.is_distinct_from(project.c.checks_number), _latest_reads("checks", "reference")),
         decided.c.retry_at <= func.now(),
     )
     is_due = case(
@@ -211,9 +211,9 @@ def _due_actions() -> Select[Any]:
     return stmt.where(is_live, is_undecided, _is_read(), is_due, ~waits)
 
 
-def _latest_reads(name: str) -> ColumnElement[bool]:
-    """Whether the latest version of an action reads what this field of its inputs declares: `derived` or `checks`."""
-    latest = select(_declares(name)).where(action_version.c.action_id == action.c.id)
+def _latest_reads(*names: str) -> ColumnElement[bool]:
+    """Whether the latest version of an action reads what one of these fields of its inputs declares."""
+    latest = select(or_(*map(_declares, names))).where(action_version.c.action_id == action.c.id)
     return latest.order_by(action_version.c.number.desc()).limit(1).correlate(action).scalar_subquery()
 
 

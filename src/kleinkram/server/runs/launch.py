@@ -349,8 +349,8 @@ def inputs_fingerprint(
 ) -> bytes:
     """Return the hash of everything that determines the results, except the image; inputs are in order of paths."""
     parts: list[object] = [str(version_id), parameters, [[entry.path, entry.sha256.hex()] for entry in inputs]]
-    if declared.metadata is not None:  # results of actions that declare nothing stay valid
-        parts.append([declared.metadata, declared.checks_sha256.hex() if declared.checks_sha256 else None])
+    if declared.decisive is not None:  # results of actions that declare nothing stay valid
+        parts.append(declared.decisive)
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).digest()
 
 

@@ -1,7 +1,7 @@
 """What the actions that a project names say of its missions: of each, the result that counts.
 
 That is the latest run that has ended, of the latest version, with the parameters of the project, on the present inputs:
-bytes of files, and the metadata and checks that the action declares. Older results are history.
+bytes of files, and the metadata, checks and reference that the action declares. Older results are history.
 """
 
 import enum

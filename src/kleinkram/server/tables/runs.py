@@ -103,6 +103,7 @@ run = sa.Table(
     # SHA-256 of everything that determines its results, except the image.
     sa.Column("inputs_fingerprint", sa.LargeBinary, nullable=False),
     # What its action declares to read beside files, as it was at the launch: metadata by name, and the `checks.yaml`.
+    # All metadata and the `checks.yaml`, if they name the reference that it reads.
     sa.Column("input_metadata", JSONB(none_as_null=True)),
     sa.Column("checks_sha256", sa.LargeBinary),
     sa.Column("reuses_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
@@ -274,7 +275,7 @@ automatic_run = sa.Table(
     sa.Column(
         "version_id", sa.Uuid, sa.ForeignKey("action_version.id", ondelete="CASCADE"), nullable=False, index=True
     ),
-    # Of the parameters, the paths and bytes of the recorded inputs, and the metadata and checks that it declares.
+    # Of the parameters, the paths and bytes of the recorded inputs, and what it declares to read beside files.
     sa.Column("inputs_sha256", sa.LargeBinary, nullable=False),
     sa.Column("run_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
     created_at_column(),

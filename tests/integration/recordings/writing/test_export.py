@@ -36,6 +36,7 @@ from tests.recording_files.ros_messages import SECOND, TimedMessage, ros1_bag, r
 from tests.recording_files.tables import json_mcap
 
 MAX_MB = 200
+REQUEST = ("to", "recordings", "sources", "source_bytes", "topics", "start_ns", "end_ns")
 
 
 def imu(*numbers: int, topic: str = "/imu", values: dict[str, object] | None = None) -> list[TimedMessage]:
@@ -197,6 +198,8 @@ def test_an_export_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert export({"a": source}, tmp_path / "out", resume=True) == result, "a complete export is left alone"
     with pytest.raises(CannotWrite, match="other recordings or options"):
         export({"b": source}, tmp_path / "out", resume=True)
+    with pytest.raises(CannotWrite, match="other recordings or options"):
+        export({"a": ros2_mcap(imu(1, 2))}, tmp_path / "out", resume=True)
 
 
 def test_a_cut_line_of_the_journal_is_ignored(tmp_path: Path) -> None:
@@ -204,7 +207,7 @@ def test_a_cut_line_of_the_journal_is_ignored(tmp_path: Path) -> None:
     export({"a": source}, tmp_path / "out")
     folder = tmp_path / "out"
     index = json.loads((folder / "index.json").read_bytes())
-    request = {name: index[name] for name in ("to", "recordings", "sources", "topics", "start_ns", "end_ns")}
+    request = {name: index[name] for name in REQUEST}
     first, second = index["files"]
     lines = [{"request": request}, {"file": first, "problems": []}, {"file": second, "problems": []}]
     (folder / "index.json").unlink()
@@ -213,12 +216,26 @@ def test_a_cut_line_of_the_journal_is_ignored(tmp_path: Path) -> None:
     assert [file.topic for file in result.files] == ["/imu", "/second"]
 
 
-@pytest.mark.parametrize("text", ["no JSON\n", "[1]\n", '{"request": null}\n{"file": {}}\n', ""])
+@pytest.mark.parametrize("text", ["no JSON\n", "[1]\n", '{"request": null}\n{"file": {}}\n'])
 def test_a_journal_that_says_something_else_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / ".export.jsonl").write_text(text)
     with pytest.raises(CannotWrite, match=r"cannot be read|other recordings or options"):
         export({"a": ros2_mcap(imu(1))}, tmp_path / "out", resume=True)
+
+
+def test_an_export_that_was_interrupted_at_its_very_start_or_end_continues(tmp_path: Path) -> None:
+    """Before the journal has its first line, and after the index is written."""
+    source, folder = ros2_mcap(imu(1)), tmp_path / "out"
+    folder.mkdir()
+    (folder / ".export.jsonl").write_text('{"request": {"to')
+    result = export({"a": source}, folder, resume=True)
+    index = json.loads((folder / "index.json").read_bytes())
+    request = {name: index[name] for name in REQUEST}
+    lines = [{"request": request}, {"file": index["files"][0], "problems": []}]
+    (folder / ".export.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    assert export({"a": source}, folder, resume=True) == result
+    assert sorted(path.name for path in folder.iterdir()) == ["imu.parquet", "index.json"]
 
 
 _WRITE = r"""
@@ -265,9 +282,8 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("to", [ExportFormat.csv, ExportFormat.images])
-def test_memory_is_bounded(tmp_path: Path, to: ExportFormat) -> None:
-    generate_mcap(tmp_path / "drive.mcap", size_bytes=150_000_000)
-    process = start(str(tmp_path / "drive.mcap"), str(tmp_path / "out"), to.value, "2")
+def test_memory_is_bounded(tmp_path: Path, large_mcap: Path, to: ExportFormat) -> None:
+    process = start(str(large_mcap), str(tmp_path / "out"), to.value, "2")
     output, errors = process.communicate(timeout=110)
     assert process.returncode == 0, errors
     assert int(output) / 1024 < MAX_MB

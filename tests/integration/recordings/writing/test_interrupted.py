@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import subprocess
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings import CannotWrite, Recording
-from kleinkram.recordings.sample import generate_bag, generate_mcap
+from kleinkram.recordings.sample import generate_mcap
 from kleinkram.recordings.writing.new_file import new_file
 from tests.recording_files.whole_mcap import read_whole_mcap
 
@@ -26,15 +27,15 @@ if int(limit):
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(limit), int(limit)))
 
 def show(share):
-    if share > 0.3 and kind == "killed":
+    if share > 0.3 and kind.endswith("killed"):
         print("far enough", flush=True)
         sys.stdin.read()
 
 with Recording.open(source) as recording:
     if kind == "parquet":
         recording.to_parquet(target)
-    elif kind == "to_bag":
-        recording.to_bag(target)
+    elif kind.startswith("to_bag"):
+        recording.to_bag(target, on_progress=show)
     elif kind == "reencode":
         recording.to_mcap(target, options=McapOptions(ros1=Ros1Messages.reencode))
     else:
@@ -48,10 +49,11 @@ def start(*arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def test_a_killed_writer_leaves_no_final_name_and_the_next_one_succeeds(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["to_mcap killed", "to_bag killed"])
+def test_a_killed_writer_leaves_no_final_name_and_the_next_one_succeeds(tmp_path: Path, kind: str) -> None:
     generate_mcap(tmp_path / "drive.mcap", size_bytes=8_000_000, duration_s=20)
     target = tmp_path / "made.mcap"
-    process = start(str(tmp_path / "drive.mcap"), str(target), "killed", "0")
+    process = start(str(tmp_path / "drive.mcap"), str(target), kind, "0")
     with process:
         assert process.stdout is not None
         assert process.stdout.readline() == "far enough\n"
@@ -62,6 +64,22 @@ def test_a_killed_writer_leaves_no_final_name_and_the_next_one_succeeds(tmp_path
     with Recording.open(tmp_path / "drive.mcap") as recording:
         assert recording.to_mcap(target).message_count == len(read_whole_mcap(target).messages)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.mcap", "made.mcap"]
+
+
+def test_a_file_that_was_just_completed_is_not_written_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another process opened the unfinished file, and gets its lock once the file has its final name."""
+    real = fcntl.flock
+
+    def complete_first(descriptor: int, operation: int) -> None:
+        monkeypatch.undo()
+        os.write(descriptor, b"complete")
+        (tmp_path / ".a.part").rename(tmp_path / "a")
+        real(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", complete_first)
+    with pytest.raises(CannotWrite, match="another process"), new_file(tmp_path / "a"):
+        pass
+    assert (tmp_path / "a").read_bytes() == b"complete"
 
 
 @pytest.mark.parametrize("kind", ["mcap", "to_bag", "parquet"])
@@ -95,9 +113,8 @@ def test_a_full_disk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("kind", ["mcap", "bag", "reencode", "to_bag", "parquet"])
-def test_memory_is_bounded(tmp_path: Path, kind: str) -> None:
-    source = tmp_path / "drive"
-    (generate_bag if kind in ("bag", "reencode") else generate_mcap)(source, size_bytes=150_000_000)
+def test_memory_is_bounded(tmp_path: Path, large_mcap: Path, large_bag: Path, kind: str) -> None:
+    source = large_bag if kind in ("bag", "reencode") else large_mcap
     process = start(str(source), str(tmp_path / "made"), kind, "0")
     output, errors = process.communicate(timeout=110)
     assert process.returncode == 0, errors

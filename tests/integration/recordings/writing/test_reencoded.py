@@ -10,15 +10,16 @@ from typing import Any
 import pytest
 from rosbags.interfaces import Connection, ConnectionExtRosbag1
 from rosbags.rosbag1 import Reader as BagReader
+from rosbags.rosbag2 import Reader as Rosbag2Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from kleinkram.recordings import (
     BagCompression,
     BagOptions,
-    BagResult,
     CannotWrite,
     Content,
     McapOptions,
+    NotConvertible,
     Recording,
     Ros1Messages,
     is_whole_mcap,
@@ -28,38 +29,25 @@ from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mca
 from kleinkram.recordings.writing.mcap import MADE_FROM, ChunkCompression
 from tests.recording_files.builders import T0
 from tests.recording_files.corpus import Entry, params
+from tests.recording_files.independent import (
+    Values,
+    independent_recording,
+    independent_values,
+    read_recording,
+    values_of,
+)
 from tests.recording_files.memory_source import MemorySource
 from tests.recording_files.plain_values import plain, rosbags_decoder
 from tests.recording_files.ros_messages import TimedMessage, ros1_bag, ros2_mcap
 from tests.recording_files.whole_mcap import WholeMcap, read_whole_mcap
 from tests.recording_files.writers import BagWriter, McapWriter
 
-Values = list[tuple[str, int, str]]
-MANY_MESSAGES = 5000
 REENCODE = McapOptions(ros1=Ros1Messages.reencode)
-
-
-def with_slow(parameters: list[Any]) -> list[Any]:
-    """Mark recordings of many messages, which take seconds, as slow."""
-    return [
-        pytest.param(*one.values, id=one.id, marks=pytest.mark.slow)
-        if one.values[0].expected.get("messages", 0) > MANY_MESSAGES
-        else one
-        for one in parameters
-    ]
 
 
 def bag_values(path: Path) -> Values:
     """Return topic, log time and values of all messages of a bag, by rosbags."""
-    with BagReader(path) as reader:
-        return [
-            (
-                connection.topic,
-                stamp,
-                repr(rosbags_decoder("ros1", connection.msgtype, connection.msgdef.data)(bytes(data))),
-            )
-            for connection, stamp, data in reader.messages()
-        ]
+    return values_of(read_recording(path))
 
 
 def mcap_values(whole: WholeMcap) -> Values:
@@ -71,17 +59,18 @@ def mcap_values(whole: WholeMcap) -> Values:
     return [(topic, log_ns, repr(decoders[topic](data))) for topic, log_ns, _, _, data in whole.messages]
 
 
-def our_values(recording: Recording, left_out: set[str]) -> Values:
-    """Return topic, log time and values of a recording, except some topics, by our decoders."""
+def our_values(recording: Recording) -> Values:
+    """Return topic, log time and values of a recording by our decoders."""
     return [
-        (message.topic, message.log_time_ns, repr(plain(to_plain(message.value))))
-        for message in recording.messages()
-        if message.topic not in left_out
+        (message.topic, message.log_time_ns, repr(plain(to_plain(message.value)))) for message in recording.messages()
     ]
 
 
-@pytest.mark.parametrize("entry", with_slow(params("ROS1 bag 2.0")))
-def test_every_bag_has_the_same_values_in_ros_2(entry: Entry, recordings_dir: Path, tmp_path: Path) -> None:
+ROS_1 = [*params("ROS1 bag 2.0"), *(one for one in params("MCAP") if "ros1profile" in str(one.id))]
+
+
+@pytest.mark.parametrize("entry", ROS_1)
+def test_every_ros_1_recording_has_the_same_values_in_ros_2(entry: Entry, recordings_dir: Path, tmp_path: Path) -> None:
     source = recordings_dir / entry.name
     with Recording.open(source) as recording:
         result = recording.to_mcap(tmp_path / "made.mcap", options=REENCODE)
@@ -89,28 +78,49 @@ def test_every_bag_has_the_same_values_in_ros_2(entry: Entry, recordings_dir: Pa
     whole = read_whole_mcap(tmp_path / "made.mcap")
     assert {channel.message_encoding for channel in whole.channels} <= {"cdr"}
     assert {schema.encoding for schema in whole.schemas.values()} <= {"ros2msg"}
-    assert mcap_values(whole) == bag_values(source)
-    if whole.channels:
-        assert whole.header.profile == "ros2"
+    assert mcap_values(whole) == independent_values(source)
+    if not whole.channels:
+        return
+    assert whole.header.profile == "ros2"
+    with Rosbag2Reader(tmp_path / "made.mcap") as reader:
+        read = {(connection.topic, stamp, bytes(data)) for connection, stamp, data in reader.messages()}
+    assert read == {(topic, log_ns, data) for topic, log_ns, _, _, data in whole.messages}
 
 
-@pytest.mark.parametrize("entry", with_slow(params("ROS1 bag 2.0")))
+@pytest.mark.parametrize("entry", ROS_1)
+def test_every_ros_1_recording_has_the_same_bytes_in_a_bag(entry: Entry, recordings_dir: Path, tmp_path: Path) -> None:
+    """Recompressed, or from an MCAP."""
+    source = recordings_dir / entry.name
+    with Recording.open(source) as recording:
+        result = recording.to_bag(tmp_path / "made.bag", options=BagOptions(BagCompression.bz2))
+    assert (result.left_out, result.losses) == ((), ())
+    made = read_recording(tmp_path / "made.bag")
+    original = independent_recording(source)
+    assert made.messages == original.messages
+    assert {topic: kind.name.replace("/msg/", "/") for topic, kind in made.types.items()} == {
+        topic: kind.name.replace("/msg/", "/") for topic, kind in original.types.items()
+    }
+
+
+@pytest.mark.parametrize("entry", params("ROS1 bag 2.0"))
 def test_ros_1_to_ros_2_and_back_is_the_same(entry: Entry, recordings_dir: Path, tmp_path: Path) -> None:
     """Except sequence numbers, which a second conversion no longer sees."""
     with Recording.open(recordings_dir / entry.name) as recording:
         recording.to_mcap(tmp_path / "there.mcap", options=REENCODE)
     with Recording.open(tmp_path / "there.mcap") as recording:
         assert recording.to_bag(tmp_path / "back.bag").left_out == ()
-    assert bag_values(tmp_path / "back.bag") == bag_values(recordings_dir / entry.name)
+    assert bag_values(tmp_path / "back.bag") == independent_values(recordings_dir / entry.name)
     with Recording.open(tmp_path / "back.bag") as recording:
         recording.to_mcap(tmp_path / "again.mcap", options=REENCODE)
-    assert read_whole_mcap(tmp_path / "again.mcap").messages == read_whole_mcap(tmp_path / "there.mcap").messages
+    with Recording.open(tmp_path / "again.mcap") as again, Recording.open(tmp_path / "there.mcap") as there:
+        assert [one[:5] for one in again.raw_messages()] == [one[:5] for one in there.raw_messages()]
 
 
 ROS_2 = [
     param
     for param in params("MCAP", "ROS2 sqlite3 db3", "file-zstd of MCAP", "file-zstd of ROS2 sqlite3 db3")
     if not str(param.id).startswith(("conformance/", "derived/magic_only", "broken/", "ros2-db3/old_schema"))
+    and param not in ROS_1
 ]
 
 
@@ -121,38 +131,39 @@ REFUSED = frozenset(
         "ros2-db3/vicon_test6/rosbag2_2025_12_05-14_46_48_0.db3",
     )
 )
-"""Recordings of which no message can be in a bag."""
+"""Recordings of which no message can be in a bag. Of all others, each message is."""
 
 
-def bag_of_recording(recording: Recording, path: Path) -> BagResult | None:
-    """Write a bag; return None if no message of the recording can be in one."""
-    try:
-        return recording.to_bag(path)
-    except CannotWrite:
-        return None
-
-
-@pytest.mark.parametrize("entry", with_slow(ROS_2))
+@pytest.mark.parametrize("entry", ROS_2)
 def test_every_ros_2_recording_has_the_same_values_in_a_bag(entry: Entry, recordings_dir: Path, tmp_path: Path) -> None:
-    with Recording.open(recordings_dir / entry.name) as recording:
-        encodings = {topic.message_encoding for topic in recording.topics}
-        if recording.topics and not encodings & {"cdr", "ros1"}:
-            with pytest.raises(CannotWrite, match="none of ROS"):
-                recording.to_bag(tmp_path / "made.bag")
-            return
-        result = bag_of_recording(recording, tmp_path / "made.bag")
-        if result is None:
-            assert entry.name in REFUSED
+    source, target = recordings_dir / entry.name, tmp_path / "made.bag"
+    original = independent_recording(source)
+    is_ros = {kind.encoding for kind in original.types.values()} <= {"cdr", "ros1"}
+    with Recording.open(source) as recording:
+        if not is_ros or entry.name in REFUSED:
+            with pytest.raises(NotConvertible, match="can be in a bag: "):
+                recording.to_bag(target)
             assert not [*tmp_path.iterdir()]
             return
-        left_out = {part.topic for part in result.left_out}
-        assert all(part.reason for part in result.left_out)
-        expected = our_values(recording, left_out)
-    assert len(expected) == result.message_count
-    assert sorted(bag_values(tmp_path / "made.bag")) == sorted(expected)  # rosbags has its own order of equal times
-    with Recording.open(tmp_path / "made.bag") as made:
-        assert [(one.topic, one.log_time_ns) for one in made.raw_messages()] == [one[:2] for one in expected]
-    assert_true_md5_sums(tmp_path / "made.bag")
+        assert recording.to_bag(target).left_out == ()
+    made = read_recording(target)
+    assert sorted(values_of(made)) == sorted(values_of(original))  # rosbags has its own order of equal times
+    with Recording.open(target) as bag:
+        stamps = [(one.topic, one.log_time_ns) for one in bag.raw_messages()]
+    assert stamps == [message[:2] for message in original.messages]
+    assert_true_md5_sums(target)
+
+
+@pytest.mark.parametrize("entry", [one for one in params("ROS1 bag 2.0", broken=True) if one.values[0].made_from])
+def test_what_is_left_of_a_damaged_bag_has_the_values_of_the_original(
+    entry: Entry, recordings_dir: Path, tmp_path: Path
+) -> None:
+    with Recording.open(recordings_dir / entry.name) as recording:
+        result = recording.to_mcap(tmp_path / "made.mcap", options=REENCODE)
+    assert result.losses
+    saved = mcap_values(read_whole_mcap(tmp_path / "made.mcap"))
+    intact = independent_values(recordings_dir / str(entry.made_from))
+    assert saved == intact[: len(saved)] != []
 
 
 def assert_true_md5_sums(path: Path) -> None:
@@ -169,11 +180,11 @@ def assert_true_md5_sums(path: Path) -> None:
 def test_bags_are_indexed_and_the_same_each_time(compression: BagCompression, kind: str, tmp_path: Path) -> None:
     make = {"mcap": generate_mcap, "bag": generate_bag, "db3": generate_db3}[kind]
     source = tmp_path / ("drive" if kind == "db3" else f"drive.{kind}")
-    make(source, size_bytes=2_000_000)
+    make(source, size_bytes=600_000, duration_s=2)
     with Recording.open(source) as recording:
         for name in ("one.bag", "other.bag"):
             result = recording.to_bag(tmp_path / name, options=BagOptions(compression))
-        expected = our_values(recording, set())
+        expected = our_values(recording)
     assert result.size_bytes == (tmp_path / "one.bag").stat().st_size
     assert (tmp_path / "one.bag").read_bytes() == (tmp_path / "other.bag").read_bytes()
     assert bag_values(tmp_path / "one.bag") == expected

@@ -2,68 +2,16 @@
 
 from __future__ import annotations
 
-import sqlite3
-from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import pytest
-import zstandard
-from mcap.stream_reader import StreamReader
-from rosbags.rosbag1 import Reader as BagReader
 
-from kleinkram.recordings import McapOptions, OutsideRecording, Recording, merge_to_mcap
+from kleinkram.recordings import ChunkCompression, McapOptions, OutsideRecording, Recording, merge_to_mcap
 from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mcap
 from tests.recording_files.agreement import ParallelSource
-from tests.recording_files.corpus import Entry, params
+from tests.recording_files.corpus import MESSAGE_FORMATS, Entry, params
+from tests.recording_files.independent import Stamped, independent_recording
 from tests.recording_files.whole_mcap import WholeMcap, read_whole_mcap
-
-Stamped = tuple[str, int, bytes]
-FORMATS = "MCAP", "ROS1 bag 2.0", "ROS2 sqlite3 db3", "file-zstd of ROS2 sqlite3 db3", "file-zstd of MCAP"
-QUICK = (
-    *("ros1/turtlesim_lz4.bag", "ros1/diagnostics_rosout.bag", "mcap/SO_bag/SO_bag_0.mcap"),
-    *(
-        "mcap/all_types_94_topics/test_bag_mcap.mcap",
-        "derived/auv_clock_jump_back.mcap",
-        "derived/auv_zstd_no_index.mcap",
-    ),
-    *("ros2-db3/vicon_test6/rosbag2_2025_12_05-14_46_48_0.db3", "mcap/diagnostics_rosout_ros2.mcap.zstd"),
-    *("conformance/TenMessages.mcap", "conformance/NoData.mcap", "mcap/rosbag2_all_sensor_msgs_none.mcap"),
-)
-"""Recordings of each format for the standard suite; `make test-all` takes all."""
-
-
-def every_recording() -> list[Any]:
-    return [
-        param if param.id in QUICK else pytest.param(*param.values, id=param.id, marks=pytest.mark.slow)
-        for param in params(*FORMATS)
-    ]
-
-
-def independent_messages(path: Path, tmp_path: Path) -> list[Stamped]:
-    """Return the messages as `mcap`, `rosbags` or SQLite read them, by log time."""
-    if path.suffix == ".zstd":
-        unpacked = tmp_path / path.stem
-        with path.open("rb") as source, unpacked.open("wb") as target:
-            zstandard.ZstdDecompressor().copy_stream(source, target)
-        return independent_messages(unpacked, tmp_path)
-    if path.suffix == ".bag":
-        with BagReader(path) as reader:
-            return [(connection.topic, stamp, bytes(data)) for connection, stamp, data in reader.messages()]
-    if path.suffix == ".db3":
-        joined = "messages JOIN topics ON topics.id = topic_id"
-        query = f"SELECT name, timestamp, data FROM {joined} ORDER BY timestamp, messages.id"
-        with closing(sqlite3.connect(path)) as database:
-            return database.execute(query).fetchall()
-    topics: dict[int, str] = {}
-    messages: list[Stamped] = []
-    with path.open("rb") as stream:
-        for record in StreamReader(stream, validate_crcs=True).records:
-            if type(record).__name__ == "Channel":
-                topics[record.id] = record.topic  # type: ignore[attr-defined]  # by its name
-            elif type(record).__name__ == "Message":
-                messages.append((topics[record.channel_id], record.log_time, record.data))  # type: ignore[attr-defined]
-    return sorted(messages, key=lambda message: message[1])
 
 
 def stamped(whole: WholeMcap) -> list[Stamped]:
@@ -76,13 +24,12 @@ def middle_third(messages: list[Stamped]) -> tuple[int, int]:
     return start_ns, max(start_ns + 1, first_ns + 2 * (last_ns - first_ns) // 3)
 
 
-@pytest.mark.parametrize("entry", every_recording())
+@pytest.mark.parametrize("entry", params(*MESSAGE_FORMATS))
 def test_slices_have_exactly_the_messages_of_independent_readers(
     entry: Entry, recordings_dir: Path, tmp_path: Path
 ) -> None:
     source = recordings_dir / entry.name
-    expected = independent_messages(source, tmp_path)
-    options = McapOptions(latched=False)
+    expected = independent_recording(source).messages
     with Recording.open(source) as recording:
         if not expected:
             with pytest.raises(OutsideRecording):
@@ -91,32 +38,19 @@ def test_slices_have_exactly_the_messages_of_independent_readers(
         names = sorted({topic for topic, _, _ in expected})
         half = names[: max(1, len(names) // 2)]
         start, end = middle_third(expected)
-        all_of_it = recording.to_mcap(tmp_path / "all.mcap", start=expected[0][1], end=expected[-1][1] + 1)
+        lz4, no_latched = McapOptions(ChunkCompression.lz4), McapOptions(latched=False)
+        whole = recording.to_mcap(tmp_path / "all.mcap", start=expected[0][1], end=expected[-1][1] + 1, options=lz4)
         recording.to_mcap(tmp_path / "half.mcap", half)
-        recording.to_mcap(tmp_path / "third.mcap", start=start, end=end, options=options)
-        recording.to_mcap(tmp_path / "both.mcap", half, start=start, end=end, options=options)
+        third = recording.to_mcap(tmp_path / "third.mcap", start=start, end=end)
+        recording.to_mcap(tmp_path / "both.mcap", half, start=start, end=end, options=no_latched)
     inside = [message for message in expected if start <= message[1] < end]
-    assert all_of_it.losses == ()
+    assert whole.losses == ()
     assert stamped(read_whole_mcap(tmp_path / "all.mcap")) == expected
     assert stamped(read_whole_mcap(tmp_path / "half.mcap")) == [one for one in expected if one[0] in half]
-    assert stamped(read_whole_mcap(tmp_path / "third.mcap")) == inside
     assert stamped(read_whole_mcap(tmp_path / "both.mcap")) == [one for one in inside if one[0] in half]
-
-
-@pytest.mark.parametrize("entry", every_recording())
-def test_latched_messages_come_first_and_are_of_the_original(
-    entry: Entry, recordings_dir: Path, tmp_path: Path
-) -> None:
-    source = recordings_dir / entry.name
-    expected = independent_messages(source, tmp_path)
-    if not expected:
-        return
-    start, end = middle_third(expected)
-    with Recording.open(source) as recording:
-        result = recording.to_mcap(tmp_path / "third.mcap", start=start, end=end)
     made = stamped(read_whole_mcap(tmp_path / "third.mcap"))
-    latched, rest = made[: result.latched_count], made[result.latched_count :]
-    assert rest == [message for message in expected if start <= message[1] < end]
+    latched, rest = made[: third.latched_count], made[third.latched_count :]
+    assert rest == inside
     earlier = {(topic, data) for topic, log_ns, data in expected if log_ns < start}
     assert {(topic, data) for topic, _, data in latched} <= earlier
     assert {log_ns for _, log_ns, _ in latched} <= {start}

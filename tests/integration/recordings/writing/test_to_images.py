@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import csv
+import fcntl
 import io
+import os
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +23,7 @@ from kleinkram.recordings.sample import generate_bag, generate_mcap
 from tests.recording_files.builders import T0, Watched
 from tests.recording_files.corpus import Entry, params
 from tests.recording_files.ros_messages import SECOND, TimedMessage, ros2_mcap
+from tests.recording_files.tables import json_mcap
 
 CAMERA = "/camera/image/compressed"
 FORMATS = "MCAP", "ROS1 bag 2.0", "ROS2 sqlite3 db3"
@@ -148,6 +152,20 @@ def test_broken_images_are_counted(tmp_path: Path) -> None:
     assert "its image cannot be read" in file.failure
 
 
+def test_texts_and_stamps_of_json_may_be_anything(tmp_path: Path) -> None:
+    data = base64.b64encode(jpeg()).decode()
+    images = [
+        {"timestamp": {"sec": sec, "nsec": 0}, "frame_id": "\ud800", "format": "../\udc00", "data": data}
+        for sec in (5, 10**300, -5)
+    ]
+    source = json_mcap(images, name="foxglove.CompressedImage")
+    with Recording.open(source) as recording:
+        (file,) = recording.to_images(tmp_path).files
+    assert (file.row_count, file.failed_count, file.frame_id) == (2, 1, "?")
+    assert "its stamp is beyond all times" in file.failure
+    assert [row["encoding"] for row in index_of(file.path)] == ["../?"] * 2
+
+
 def test_topics_without_images_are_named(tmp_path: Path) -> None:
     imu = TimedMessage("/imu", "sensor_msgs/Imu", T0, {}, T0)
     with Recording.open(ros2_mcap([*camera(1, data=b"no image"), imu])) as recording:
@@ -165,6 +183,21 @@ def test_a_folder_is_not_replaced(tmp_path: Path) -> None:
         with pytest.raises(CannotWrite, match="there is such a file or folder"):
             recording.to_images(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["cam"]
+
+
+def test_two_processes_do_not_write_the_same_folder(tmp_path: Path) -> None:
+    part = tmp_path / ".cam.part"
+    part.mkdir()
+    (part / "1.png").write_bytes(b"of the other process")
+    descriptor = os.open(part, os.O_RDONLY)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    with Recording.open(ros2_mcap(camera(1))) as recording:
+        with pytest.raises(CannotWrite, match="another process is writing it"):
+            recording.to_images(tmp_path)
+        assert (part / "1.png").exists()
+        os.close(descriptor)  # as if it were killed
+        (file,) = recording.to_images(tmp_path).files
+    assert sorted(path.name for path in file.path.iterdir()) == [f"{T0 + 5:019d}.jpg", "index.csv"]
 
 
 def test_an_error_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

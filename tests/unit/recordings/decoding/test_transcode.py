@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import random
 import struct
 from typing import Any
@@ -11,7 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from kleinkram.recordings.decoding import DecodeError, Decoder, decoder_for, to_plain
 from kleinkram.recordings.decoding.msg_definitions import Ros, known_definitions, parse_msg, well_known_definitions
-from kleinkram.recordings.decoding.ros_versions import to_ros1, to_ros2
+from kleinkram.recordings.decoding.ros_versions import ros1_md5sum, to_ros1, to_ros2
 from kleinkram.recordings.decoding.types import Array, SchemaError, Struct, Type
 from tests.recording_files.plain_values import plain, rosbags_decoder
 
@@ -183,6 +184,21 @@ def test_names_become_legal() -> None:
 def test_what_has_no_type_in_ros_2_has_a_reason(name: str, text: str, reason: str) -> None:
     with pytest.raises(SchemaError, match=reason):
         to_ros2(name, text.encode())
+
+
+@pytest.mark.parametrize("name", ["my_msgs/T); import os#", "my_msgs/T\nuint8 b", "my msgs/T", "my_msgs/T\0"])
+def test_names_that_no_type_can_have_are_refused(name: str) -> None:
+    with pytest.raises(SchemaError, match="is not a name that a type of ROS 2 can have"):
+        to_ros2(name, b"int8 a\n")
+    with pytest.raises(SchemaError, match="is not a name that a type of ROS 1 can have"):
+        to_ros1(name, "ros2msg", b"int8 a\n")
+
+
+def test_a_constant_may_contain_other_line_separators() -> None:
+    text = f"string A=one\u2028my_msgs/B\nB b\n{RULE}\nMSG: my_msgs/B\nint8 a\n"
+    nested = hashlib.md5(b"int8 a", usedforsecurity=False).hexdigest()
+    expected = f"string A=one\u2028my_msgs/B\n{nested} b".encode()
+    assert ros1_md5sum("my_msgs/T", text.encode()) == hashlib.md5(expected, usedforsecurity=False).hexdigest()
 
 
 def test_old_names_of_types_are_those_of_ros_2() -> None:

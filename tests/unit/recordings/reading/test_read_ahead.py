@@ -52,3 +52,10 @@ def test_closing_waits_for_no_thread() -> None:
     assert is_closed
     closing.join(_S)
     assert list(_jobs(source))  # a new iteration is complete
+
+
+def test_the_first_tasks_run_at_once_where_all_are_wanted() -> None:
+    together = threading.Barrier(4)
+    tasks = iter([ReadAheadTask(1, partial(together.wait, _S))] * 4)
+
+    assert sorted(read_ahead(tasks, workers=4, max_bytes=4, first_bytes=4)) == [0, 1, 2, 3]

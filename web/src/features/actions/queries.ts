@@ -88,7 +88,7 @@ export function lockedOf(packages: readonly string[]): string {
   return names.size > 0 ? texts.locked(names.size) : "";
 }
 
-/** The input files, metadata and checks as text. */
+/** The input files, metadata, checks and reference as text. */
 export function inputsOf({ inputs }: Definition): string {
   const parts = [
     inputs.paths.length > 0 ? texts.paths(inputs.paths.join(", ")) : "",
@@ -98,6 +98,7 @@ export function inputsOf({ inputs }: Definition): string {
   const others = [
     inputs.metadata.length > 0 ? texts.metadata(inputs.metadata.join(", ")) : "",
     inputs.checks ? texts.checks : "",
+    inputs.reference ? texts.reference : "",
   ].filter((item) => item !== "");
   return [parts.length === 0 ? texts.all : parts.join(", "), ...others].join("; ");
 }

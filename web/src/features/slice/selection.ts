@@ -1,6 +1,6 @@
 // What is selected of a recording: its times, its estimated size, the name of the file, and the equivalent command.
-import type { File, Topic } from "@/api/types";
-import { fileArguments, missionArguments, quoted } from "@/components/commands";
+import type { File, Recording, Topic } from "@/api/types";
+import { missionArguments, quoted } from "@/components/commands";
 import type { Span } from "@/recordings/formats/recording";
 
 const MS_NS = 1_000_000n;
@@ -40,12 +40,41 @@ export function sliceName(path: string): string {
   return `${dot > 0 ? name.slice(0, dot) : name}.slice.mcap`;
 }
 
+interface Removable {
+  remove?: () => Promise<void>;
+}
+
+/** Removes the empty file that a browser makes when its place is chosen, after a slice failed or was stopped. */
+export async function removeEmpty(handle: FileSystemFileHandle & Removable): Promise<void> {
+  try {
+    if ((await handle.getFile()).size === 0) await handle.remove?.();
+  } catch {
+    // It may be gone, or the browser may not allow it: nothing is in it.
+  }
+}
+
+/** Returns the recording of several files that a file is a part of; null for a file that is a recording by itself. */
+export function wholeRecording(file: File, recordings: readonly Recording[]): Recording | null {
+  return recordings.find(({ file_ids: ids }) => ids.length > 1 && ids.includes(file.id)) ?? null;
+}
+
+/** A recording as `klein cut` takes it: a glob that matches its name or path alone, and is no option. */
+const recordingArgument = (name: string): string => quoted(name.replace(/[*?[]/g, "[$&]").replace(/^-/, "[-]"));
+
+/** Returns the command that makes a slice of recordings of a mission, to be completed with topics and times. */
+export function commandOfSeveral(names: readonly string[], mission: Parameters<typeof missionArguments>[0]): string {
+  return ["klein cut", ...names.map(recordingArgument), missionArguments(mission), "--topics /TOPIC --start +10s --end +20s -o selection.mcap"].join(" ");
+}
+
+/** Topics as `--topics` takes them: it separates names by commas and spaces, which a glob can stand for. */
+const topicArgument = (topic: string): string => quoted(topic.replace(/[\s,]/g, "?"));
+
 /** Returns the command that makes the same file; `topics`: null for all. */
 export function commandOf(file: File, topics: readonly string[] | null, { startNs, endNs }: Times): string {
   const options = [
-    ...(topics ?? []).flatMap((topic) => ["--topics", quoted(topic)]),
+    ...(topics ?? []).flatMap((topic) => ["--topics", topicArgument(topic)]),
     ...(startNs === null ? [] : ["--start", String(startNs)]),
     ...(endNs === null ? [] : ["--end", String(endNs)]),
   ];
-  return ["klein cut", ...fileArguments([file]), missionArguments(file.mission), ...options, "-o", quoted(sliceName(file.path))].join(" ");
+  return ["klein cut", recordingArgument(file.path), missionArguments(file.mission), ...options, "-o", quoted(sliceName(file.path))].join(" ");
 }

@@ -156,6 +156,7 @@ class BagRecording implements Recording {
   readonly topics: readonly RecordedTopic[];
   readonly channels: readonly Channel[];
   readonly profile = "";
+  readonly isIndexContradictory: boolean;
 
   constructor(
     readonly source: Source,
@@ -166,6 +167,7 @@ class BagRecording implements Recording {
     const [first] = chunks;
     const latest = chunks.reduce((most, chunk) => (chunk.toNs > most ? chunk.toNs : most), 0n);
     this.span = first === undefined ? null : { fromNs: first.fromNs, toNs: latest };
+    this.isIndexContradictory = chunks.some(({ fromNs, toNs }) => fromNs > toNs);
     this.channels = [...connections.values()];
     const named = this.channels.map(({ topic, schema }) => [topic, { name: topic, schema }] as const);
     this.topics = [...new Map(named).values()];
@@ -220,7 +222,7 @@ class BagRecording implements Recording {
       const channel = this.connections.get(id);
       if (channel === undefined || !ids.has(id)) continue;
       const logTimeNs = timeAt(inside.fields.get("time"));
-      messages.push({ logTimeNs, publishTimeNs: logTimeNs, sequence: 0, channel, data: inside.data });
+      messages.push({ logTimeNs, publishTimeNs: logTimeNs, sequence: 0, channel, data: inside.data, chunkSpan: chunk });
     }
     return { messages, retainedBytes: unpacked.length };
   }

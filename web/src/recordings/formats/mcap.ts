@@ -72,6 +72,7 @@ class McapRecording implements Recording {
   readonly span: Span | null;
   readonly topics: readonly RecordedTopic[];
   readonly profile: string;
+  readonly isIndexContradictory: boolean;
   private readonly channelsById = new Map<number, Channel>();
 
   constructor(
@@ -81,6 +82,7 @@ class McapRecording implements Recording {
   ) {
     this.span = spanOf(reader.chunkIndexes);
     this.profile = reader.header.profile;
+    this.isIndexContradictory = contradictsItself(reader, this.span);
     for (const channel of reader.channelsById.values()) {
       const schema = reader.schemasById.get(channel.schemaId);
       this.channelsById.set(channel.id, {
@@ -143,6 +145,7 @@ class McapRecording implements Recording {
     const content = unpack(compression, record.bytes(Number(record.uint64())), size);
     if (crc !== 0 && crc32(content) !== crc) throw new ReadFailure("chunk_damaged", "its checksum differs");
     const messages: Message[] = [];
+    const chunkSpan = { fromNs: index.messageStartTime, toNs: index.messageEndTime };
     const records = new Fields(content);
     while (records.left > 0) {
       const op = records.uint8();
@@ -152,7 +155,7 @@ class McapRecording implements Recording {
       const channel = this.channelsById.get(fields.uint16());
       if (channel === undefined || !topics.has(channel.topic)) continue;
       const [sequence, logTimeNs, publishTimeNs] = [fields.uint32(), fields.uint64(), fields.uint64()];
-      messages.push({ logTimeNs, publishTimeNs, sequence, channel, data: fields.bytes(fields.left) });
+      messages.push({ logTimeNs, publishTimeNs, sequence, channel, data: fields.bytes(fields.left), chunkSpan });
     }
     return { messages, retainedBytes: content.length };
   }
@@ -185,6 +188,12 @@ class McapRecording implements Recording {
 function byStart(a: ChunkIndex, b: ChunkIndex): number {
   if (a.messageStartTime === b.messageStartTime) return Number(a.chunkStartOffset - b.chunkStartOffset);
   return a.messageStartTime < b.messageStartTime ? -1 : 1;
+}
+
+function contradictsItself({ chunkIndexes, statistics }: McapIndexedReader, span: Span | null): boolean {
+  if (chunkIndexes.some((chunk) => chunk.messageStartTime > chunk.messageEndTime)) return true;
+  if (statistics === undefined || statistics.messageEndTime === 0n || span === null) return false;
+  return statistics.messageStartTime !== span.fromNs || statistics.messageEndTime !== span.toNs;
 }
 
 function spanOf(chunks: readonly ChunkIndex[]): Span | null {

@@ -42,6 +42,8 @@ export interface Message {
   sequence: number;
   channel: Channel;
   data: Uint8Array;
+  /** The times that the index gives its chunk. */
+  chunkSpan: Span;
 }
 
 /** An attachment or metadata record of an MCAP. `length`: with its head. `indexFields`: what its index repeats. */
@@ -81,6 +83,8 @@ export interface Recording {
   readonly channels: readonly Channel[];
   /** Of an MCAP, such as "ros2". */
   readonly profile: string;
+  /** Whether the times of the index cannot be true. */
+  readonly isIndexContradictory: boolean;
   /** The pieces that may hold messages of the topics within the span, in order of time. */
   pieces(topics: readonly string[], span: Span): Piece[];
   /** The messages of the topics within the span, by log time; of equal times, in the order of the chunks and in them.

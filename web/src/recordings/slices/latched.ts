@@ -7,6 +7,7 @@
 import { decoderOf } from "../decoding/decoder";
 import { ReadFailure } from "../failures";
 import type { Channel, Message, Piece, Recording } from "../formats/recording";
+import { checkTime } from "./index_check";
 import { sameSchema } from "./mcap_writer";
 
 const TRANSIENT_LOCAL = /\bdurability"?:\s*(1|transient_local)\b/gi;
@@ -16,10 +17,17 @@ const STATIC_TRANSFORMS = "tf_static";
 const MAX_PIECES = 64;
 
 interface Collector {
-  add(message: Message): void;
+  add(placed: Placed): void;
   /** Whether messages up to a log time cannot be among the last ones. */
   isComplete(lastNs: bigint): boolean;
-  messages(): readonly Message[];
+  messages(): readonly Placed[];
+}
+
+/** A message, where its piece begins in the file, and its number in it: what orders messages of equal times. */
+interface Placed {
+  message: Message;
+  at: number;
+  number: number;
 }
 
 const lastPart = (topic: string): string => topic.slice(topic.lastIndexOf("/") + 1);
@@ -50,26 +58,29 @@ export async function latchedBefore(recording: Recording, topics: readonly strin
   if (collectors.size === 0 || span === null || span.fromNs >= startNs) return [];
   const before = recording.pieces([...collectors.keys()], { fromNs: 0n, toNs: startNs - 1n }).filter(({ fromNs }) => fromNs < startNs);
   await readBackwards(recording, before, collectors, startNs);
-  return sortedByTime([...collectors.values()].flatMap((one) => one.messages()));
+  return inOrder([...collectors.values()].flatMap((one) => one.messages())).map(({ message }) => message);
 }
 
 function collectorsOf(channels: readonly Channel[]): Map<string, Collector> {
-  const counts = new Map<string, number>();
+  const byTopic = new Map<string, Channel[]>();
   for (const channel of channels) {
-    const count = publisherCount(channel);
-    if (count > 0) counts.set(channel.topic, Math.max(count, counts.get(channel.topic) ?? 0));
+    const own = byTopic.get(channel.topic) ?? [];
+    if (!own.some((other) => sameChannel(channel, other))) byTopic.set(channel.topic, [...own, channel]);
   }
-  return new Map([...counts].map(([topic, count]) => [topic, lastPart(topic) === STATIC_TRANSFORMS ? new LastTransforms() : new LastMessages(count)]));
+  const latched = [...byTopic].filter(([, own]) => own.some((channel) => publisherCount(channel) > 0));
+  return new Map(latched.map(([topic, own]) => [topic, lastPart(topic) === STATIC_TRANSFORMS ? new LastTransforms() : new LastMessages(own)]));
 }
 
 async function readBackwards(recording: Recording, pieces: readonly Piece[], collectors: ReadonlyMap<string, Collector>, startNs: bigint): Promise<void> {
-  const latestFirst = pieces.toSorted((a, b) => (a.toNs === b.toNs ? 0 : a.toNs > b.toNs ? -1 : 1));
+  const latestFirst = pieces.toSorted((a, b) => (a.toNs === b.toNs ? b.at - a.at : a.toNs > b.toNs ? -1 : 1));
   const toRead = new Map([...collectors.keys()].map((topic) => [topic, outermost(latestFirst, topic)]));
   for (const piece of latestFirst) {
     const topics = [...collectors].filter(([topic, one]) => toRead.get(topic)?.has(piece) === true && !one.isComplete(piece.toNs)).map(([topic]) => topic);
     if (topics.length === 0) continue;
-    for (const message of sortedByTime(await recording.readPiece(piece, topics))) {
-      if (message.logTimeNs < startNs) collectors.get(message.channel.topic)?.add(message);
+    for (const [number, message] of sortedByTime(await recording.readPiece(piece, topics)).entries()) {
+      if (message.logTimeNs >= startNs) continue;
+      checkTime(message);
+      collectors.get(message.channel.topic)?.add({ message, at: piece.at, number });
     }
   }
 }
@@ -84,38 +95,52 @@ function sortedByTime(messages: readonly Message[]): Message[] {
   return messages.toSorted((a, b) => (a.logTimeNs === b.logTimeNs ? 0 : a.logTimeNs < b.logTimeNs ? -1 : 1));
 }
 
+function inOrder(placed: readonly Placed[]): Placed[] {
+  return placed.toSorted((a, b) => (isBefore(a, b) ? -1 : isBefore(b, a) ? 1 : 0));
+}
+
+function isBefore(one: Placed, other: Placed): boolean {
+  const [time, otherTime] = [one.message.logTimeNs, other.message.logTimeNs];
+  if (time !== otherTime) return time < otherTime;
+  return one.at === other.at ? one.number < other.number : one.at < other.at;
+}
+
 /** The last messages of each channel of a topic. */
 class LastMessages implements Collector {
-  private readonly channels: { channel: Channel; last: Message[] }[] = [];
+  private readonly channels: { channel: Channel; last: Placed[] }[] = [];
+  private readonly count: number;
 
-  constructor(private readonly count: number) {}
+  constructor(private readonly known: readonly Channel[]) {
+    this.count = Math.max(...known.map(publisherCount));
+  }
 
-  add(message: Message): void {
-    const own = copied(message);
-    const known = this.channels.find(({ channel }) => sameChannel(channel, message.channel));
-    if (known === undefined) this.channels.push({ channel: message.channel, last: [own] });
-    else known.last = sortedByTime([...known.last, own]).slice(-this.count);
+  add(placed: Placed): void {
+    const own = copied(placed);
+    const { channel } = placed.message;
+    const known = this.channels.find((one) => sameChannel(one.channel, channel));
+    if (known === undefined) this.channels.push({ channel, last: [own] });
+    else known.last = inOrder([...known.last, own]).slice(-this.count);
   }
 
   isComplete(lastNs: bigint): boolean {
-    const isLate = ({ last }: { last: Message[] }): boolean => last.length === this.count && (last[0]?.logTimeNs ?? 0n) >= lastNs;
-    return this.channels.length > 0 && this.channels.every(isLate);
+    const isLate = ({ last }: { last: Placed[] }): boolean => last.length === this.count && (last[0]?.message.logTimeNs ?? 0n) >= lastNs;
+    return this.channels.length === this.known.length && this.channels.every(isLate);
   }
 
-  messages(): readonly Message[] {
+  messages(): readonly Placed[] {
     return this.channels.flatMap(({ last }) => last);
   }
 }
 
 /** The last message for each child frame. */
 class LastTransforms implements Collector {
-  private readonly byFrame = new Map<string, Message>();
+  private readonly byFrame = new Map<string, Placed>();
 
-  add(message: Message): void {
-    const own = copied(message);
-    for (const frame of childFrames(message)) {
+  add(placed: Placed): void {
+    const own = copied(placed);
+    for (const frame of childFrames(placed.message)) {
       const known = this.byFrame.get(frame);
-      if (known === undefined || known.logTimeNs <= own.logTimeNs) this.byFrame.set(frame, own);
+      if (known === undefined || isBefore(known, own)) this.byFrame.set(frame, own);
     }
   }
 
@@ -123,14 +148,14 @@ class LastTransforms implements Collector {
     return false; // any earlier message may have another frame
   }
 
-  messages(): readonly Message[] {
+  messages(): readonly Placed[] {
     return [...new Set(this.byFrame.values())];
   }
 }
 
 /** A copy that does not keep its chunk in memory. */
-function copied(message: Message): Message {
-  return { ...message, data: message.data.slice() };
+function copied({ message, ...place }: Placed): Placed {
+  return { ...place, message: { ...message, data: message.data.slice() } };
 }
 
 function childFrames({ channel, data }: Message): string[] {

@@ -38,7 +38,7 @@ function inMemory(): Target {
   return {
     write: (bytes) => {
       size += bytes.length;
-      if (size > MAX_SLICE_IN_MEMORY) return Promise.reject(new ReadFailure("too_large", String(size)));
+      if (size > MAX_SLICE_IN_MEMORY) return Promise.reject(new ReadFailure("not_sliceable", "the selection does not fit in memory"));
       parts.push(new Blob([bytes])); // which the browser may move to the disk
       return Promise.resolve();
     },

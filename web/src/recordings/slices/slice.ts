@@ -1,13 +1,14 @@
 /** Writes a slice of a recording as MCAP: the bytes that `write_slice` in recordings/writing/mcap.py makes.
  *
- * Only whole, indexed recordings are sliced here: of a damaged one, `klein cut` saves what can be read, and says what is
- * lost. Memory: the messages that are being merged, one chunk, and the records of the summary.
+ * Only whole recordings with a true index are sliced here: of a damaged one, `klein cut` saves what can be read, and
+ * says what is lost; it also corrects a wrong index. Memory: the messages that are being merged, one chunk, and the records of the summary.
  */
 
-import { ReadFailure } from "../failures";
+import { ReadFailure, type FailureCode } from "../failures";
 import type { Channel, Message, Recording, Span } from "../formats/recording";
 import { READ_AHEAD } from "../limits";
 import { yieldToEvents } from "../session";
+import { checkEmptySelection, checkTime } from "./index_check";
 import { latchedBefore, sameChannel } from "./latched";
 import { McapWriter, type Compression } from "./mcap_writer";
 
@@ -45,9 +46,25 @@ const MADE_FROM = "kleinkram:made_from";
 const PROFILES: Readonly<Record<string, string>> = { ros1: "ros1", cdr: "ros2" };
 const WRITE_BYTES = 2 ** 20;
 const END_OF_TIME = 2n ** 64n;
+/** Failures that are not those of the network, but of the recording. */
+const REFUSED: Readonly<Partial<Record<FailureCode, string>>> = {
+  chunk_damaged: "a part of it is damaged",
+  index_damaged: "its index is damaged",
+  too_large: "a part of it is too large",
+};
 
-/** @throws ReadFailure not_sliceable, range_outside, cancelled, and whatever reading may. */
+/** @throws ReadFailure not_sliceable, range_outside, cancelled, and what requests to the store throw. */
 export async function writeSlice(recording: Recording, request: SliceRequest, output: SliceOutput): Promise<SliceResult> {
+  try {
+    return await copySlice(recording, request, output);
+  } catch (thrown) {
+    const failure = thrown instanceof RangeError ? new ReadFailure("chunk_damaged", thrown.message) : thrown;
+    const reason = failure instanceof ReadFailure ? REFUSED[failure.code] : undefined;
+    throw reason === undefined ? failure : new ReadFailure("not_sliceable", reason);
+  }
+}
+
+async function copySlice(recording: Recording, request: SliceRequest, output: SliceOutput): Promise<SliceResult> {
   const topics = request.topics ?? recording.topics.map(({ name }) => name);
   const channels = recording.channels.filter(({ topic }) => topics.includes(topic));
   checkSliceable(recording, topics, channels);
@@ -74,6 +91,7 @@ function checkSliceable(recording: Recording, topics: readonly string[], channel
   const unknown = topics.find((topic) => !known.has(topic));
   if (unknown !== undefined) throw new ReadFailure("topic_unknown", unknown);
   if (recording.indexedUntil !== null) throw new ReadFailure("not_sliceable", "it was not closed and has no index");
+  if (recording.isIndexContradictory) throw new ReadFailure("not_sliceable", "its index contradicts itself");
   const undefinedOne = channels.find(({ schema }) => isUndefined(schema));
   if (undefinedOne !== undefined) {
     throw new ReadFailure("not_sliceable", `it lacks the message definition of ${undefinedOne.topic}`);
@@ -156,15 +174,14 @@ interface Copying {
 async function copyMessages(recording: Recording, topics: readonly string[], span: Span, { writer, defined, drain, output }: Copying): Promise<number> {
   const shareOf = shareWithin(recording, span);
   const pieces = recording.pieces(topics, span);
+  if (pieces.length === 0) await checkEmptySelection(recording);
   const isDense = pieces.length > 1 && pieces.every(({ at, bytes }, number) => number === 0 || at <= (pieces[number - 1]?.at ?? 0) + bytes + READ_AHEAD);
   recording.source.ahead = isDense ? READ_AHEAD : 0;
   let count = 0;
-  let latestNs = 0n;
   let written = 0;
   try {
     for await (const message of recording.messages(topics, span, "forward", ({ failure }) => { throw failure; })) {
-      if (message.logTimeNs < latestNs) throw new ReadFailure("index_damaged", "messages earlier than their chunk");
-      latestNs = message.logTimeNs;
+      checkTime(message);
       writer.addMessage({ ...message, channelId: defined.idOf(message.channel) });
       count += 1;
       if (writer.bytesWritten - written < WRITE_BYTES) continue;

@@ -10,27 +10,44 @@ import { pythonJson, writeSlice, type SliceRequest } from "./slice";
 const START = 1_700_000_000_000_000_000n;
 const SECOND = 1_000_000_000n;
 const COUNT = 200;
+/** The opcode of the record. */
+const STATISTICS = 0x0b;
 const text = (words: string): Uint8Array => new TextEncoder().encode(words);
 const WHOLE: SliceRequest = { topics: null, startNs: null, endNs: null, fileName: "drive.mcap", sha256: "ab", version: "1" };
 
-async function drive(): Promise<TestStore> {
+/** `size`: of the padding of each message. */
+async function drive(size = 200, chunkSize = 4096): Promise<TestStore> {
   const topic = (name: string) => ({ name, schema: { name: "Words", encoding: "jsonschema", data: text("{}") }, messageEncoding: "json" });
   const messages = Array.from({ length: COUNT }, (_, number) => {
     const logTimeNs = START + BigInt(number) * SECOND;
-    const own = ["/a", "/b"].map((name) => ({ topic: name, logTimeNs, data: text(`${name} ${number} ${"x".repeat(200)}`) }));
+    const own = ["/a", "/b"].map((name) => ({ topic: name, logTimeNs, data: text(`${name} ${number} ${"x".repeat(size)}`) }));
     return number % 50 === 0 ? [...own, { topic: "/robot_description", logTimeNs, data: text(`robot ${number}`) }] : own;
   });
-  return storeOf(await madeMcap(["/a", "/b", "/silent", "/robot_description"].map(topic), messages.flat()));
+  return storeOf(await madeMcap(["/a", "/b", "/silent", "/robot_description"].map(topic), messages.flat(), { chunkSize }));
 }
 
-async function sliceOf(store: TestStore, request: Partial<SliceRequest>, format: "mcap" | "rosbag1" = "mcap"): Promise<Uint8Array> {
+/** Some megabytes, which are read by several requests and written in several parts. */
+const longDrive = (): Promise<TestStore> => drive(20_000, 2 ** 18);
+
+interface SliceOptions {
+  format?: "mcap" | "rosbag1";
+  /** Called after each part that is written. */
+  onWrite?: (count: number) => void;
+  signal?: AbortSignal;
+}
+
+async function sliceOf(store: TestStore, request: Partial<SliceRequest>, { format = "mcap", onWrite, signal }: SliceOptions = {}): Promise<Uint8Array> {
   const parts: Uint8Array[] = [];
   const recording = await openRecording(format, store.ranges);
   await writeSlice(recording, { ...WHOLE, ...request }, {
     compression: { name: "", compress: (raw) => raw },
-    write: (bytes) => Promise.resolve(void parts.push(bytes)),
+    write: (bytes) => {
+      parts.push(bytes);
+      onWrite?.(parts.length);
+      return Promise.resolve();
+    },
     onProgress: () => undefined,
-    signal: new AbortController().signal,
+    signal: signal ?? new AbortController().signal,
   });
   return joined(parts);
 }
@@ -75,6 +92,15 @@ describe("a slice", () => {
     expect(madeFrom.get("latched")).toBe(`{"/robot_description": [${START + 100n * SECOND}]}`);
   });
 
+  it("begins with latched messages of one time in their order, so that the last one of a frame stays the last", async () => {
+    const schema = { name: "Transforms", encoding: "jsonschema", data: text("{}") };
+    const transforms = (...frames: string[]) => text(JSON.stringify({ transforms: frames.map((name) => ({ child_frame_id: name })) }));
+    const both = { topic: "/tf_static", logTimeNs: START, data: transforms("a", "b") };
+    const store = storeOf(await madeMcap([{ name: "/tf_static", schema, messageEncoding: "json" }], [both, { ...both, data: transforms("a") }, { ...both, logTimeNs: START + 9n }]));
+    const { messages } = await read(await sliceOf(store, { startNs: START + 5n }));
+    expect(messages.map((message) => message.length)).toEqual([both, { data: transforms("a") }, both].map(({ data }) => data.length));
+  });
+
   it("reads only the chunks that are needed", async () => {
     const store = await drive();
     await sliceOf(store, { topics: ["/b"], startNs: START + 20n * SECOND, endNs: START + 21n * SECOND });
@@ -84,7 +110,7 @@ describe("a slice", () => {
   it("of a bag has the profile and the properties of its connections", async () => {
     const data = text("12345678");
     const store = storeOf(madeBag([{ topic: "/x", type: "a/B", definition: "float64 x\n" }], [[{ connection: 0, timeNs: START, data }]]));
-    const { reader } = await read(await sliceOf(store, {}, "rosbag1"));
+    const { reader } = await read(await sliceOf(store, {}, { format: "rosbag1" }));
     expect(reader.header.profile).toBe("ros1");
     expect([...reader.channelsById.values()][0]).toMatchObject({ topic: "/x", messageEncoding: "ros1", metadata: new Map([["md5sum", "*"]]) });
   });
@@ -100,8 +126,79 @@ describe("a slice", () => {
     const whole = await drive();
     const bytes = (await whole.ranges.read(0, whole.ranges.sizeBytes)).slice();
     bytes[Math.floor(bytes.length / 3)] = (bytes[Math.floor(bytes.length / 3)] ?? 0) ^ 0xff;
-    await expect(sliceOf(storeOf(bytes), {})).rejects.toMatchObject({ code: "chunk_damaged" });
+    await expect(sliceOf(storeOf(bytes), {})).rejects.toMatchObject({ code: "not_sliceable", detail: "a part of it is damaged" });
     await expect(sliceOf(storeOf(bytes.slice(0, bytes.length / 4)), {})).rejects.toMatchObject({ code: "not_sliceable" });
+  });
+});
+
+describe("a slice that is disturbed", () => {
+  it("has the same bytes if URLs expire meanwhile, which are renewed", async () => {
+    const store = await longDrive();
+    const sliced = await sliceOf(store, {}, { onWrite: store.expire });
+    expect(store.renewals()).toBeGreaterThan(1);
+    const undisturbed = await sliceOf(await longDrive(), {});
+    expect(sliced.length).toBe(undisturbed.length);
+    expect(sliced.every((byte, at) => byte === undisturbed[at])).toBe(true);
+  });
+
+  it("fails if the file changes meanwhile", async () => {
+    const store = await longDrive();
+    const bytes = await store.ranges.read(0, store.ranges.sizeBytes);
+    const fresh = storeOf(bytes);
+    await expect(sliceOf(fresh, {}, { onWrite: () => fresh.change(bytes) })).rejects.toMatchObject({ code: "file_changed" });
+  });
+
+  it("fails if no URL is given any more, as after the person signed out", async () => {
+    const store = await longDrive();
+    const onWrite = (): void => {
+      store.expire();
+      store.refuse();
+    };
+    await expect(sliceOf(store, {}, { onWrite })).rejects.toMatchObject({ code: "link_refused" });
+  });
+
+  it("ends soon after it is cancelled", async () => {
+    const controller = new AbortController();
+    let written = 0;
+    const onWrite = (count: number): void => {
+      written = count;
+      controller.abort();
+    };
+    await expect(sliceOf(await longDrive(), {}, { onWrite, signal: controller.signal })).rejects.toMatchObject({ code: "cancelled" });
+    expect(written).toBe(1);
+  });
+});
+
+describe("a slice of a recording with a wrong index", () => {
+  const second = (number: number): bigint => START + BigInt(number) * SECOND;
+  const messages = [0, 1, 2].map((number) => ({ connection: 0, timeNs: second(number), data: text("12345678") }));
+  const late = { connection: 0, timeNs: second(20), data: text("12345678") };
+  const connections = [{ topic: "/x", type: "a/B", definition: "float64 x\n" }];
+  const wrongBag = (...spans: [bigint, bigint][]): TestStore => storeOf(madeBag(connections, [messages, [late]], undefined, { spans }));
+  const refused = { code: "not_sliceable" };
+
+  it.each([
+    ["says that its messages end earlier", [second(0), second(1)]],
+    ["says that they begin later", [second(1), second(2)]],
+    ["contradicts itself", [second(2), second(0)]],
+  ] as [string, [bigint, bigint]][])("is refused: it %s", async (_, span) => {
+    await expect(sliceOf(wrongBag(span), {}, { format: "rosbag1" })).rejects.toMatchObject(refused);
+  });
+
+  it("is refused if the index hides all that is selected", async () => {
+    const request = { startNs: second(1), endNs: second(3) };
+    await expect(sliceOf(wrongBag([second(0), second(0)]), request, { format: "rosbag1" })).rejects.toMatchObject(refused);
+  });
+
+  it("is refused if the statistics of an MCAP contradict it", async () => {
+    const { ranges } = await drive();
+    const bytes = await ranges.read(0, ranges.sizeBytes);
+    const view = new DataView(bytes.buffer);
+    let at = Number(view.getBigUint64(bytes.length - 28, true)); // where the summary starts
+    while (bytes[at] !== STATISTICS) at += 9 + Number(view.getBigUint64(at + 1, true));
+    view.setBigUint64(at + 35, START - SECOND, true); // the time of the first message
+    view.setUint32(bytes.length - 12, 0, true); // no checksum of the summary
+    await expect(sliceOf(storeOf(bytes), {})).rejects.toMatchObject({ detail: "its index contradicts itself" });
   });
 });
 

@@ -1,5 +1,6 @@
 /** Small recordings for tests: ROS 1 bags (wiki.ros.org/Bags/Format/2.0), MCAP files, and a store that serves them. */
 
+import { ReadFailure } from "../failures";
 import { joined } from "../formats/recording";
 import { McapWriter } from "@mcap/core";
 import { Ranges } from "../ranges";
@@ -24,11 +25,12 @@ interface MadeChunk {
 const TEXT = new TextEncoder();
 const HEADER_LENGTH = 4096;
 
-/** `chunks`: messages by chunk; `compress` packs a chunk's records and names how. */
+/** `chunks`: messages by chunk; `compress` packs a chunk's records and names how; `spans`: false times of the index. */
 export function madeBag(
   connections: readonly BagConnection[],
   chunks: readonly (readonly BagMessage[])[],
   compress: (bytes: Uint8Array) => { name: string; bytes: Uint8Array } = (bytes) => ({ name: "none", bytes }),
+  { spans = [] }: { spans?: readonly (readonly [bigint, bigint])[] } = {},
 ): Uint8Array {
   const parts: Uint8Array[] = [TEXT.encode("#ROSBAG V2.0\n"), new Uint8Array(HEADER_LENGTH)];
   const made: MadeChunk[] = [];
@@ -39,7 +41,7 @@ export function madeBag(
   }
   const indexAt = joined(parts).length;
   connections.forEach((connection, id) => parts.push(connectionRecord(connection, id)));
-  for (const chunk of made) parts.push(chunkInfo(chunk));
+  for (const [number, chunk] of made.entries()) parts.push(chunkInfo(chunk, spans[number]));
   parts[1] = bagHeader(indexAt, connections.length, chunks.length);
   return joined(parts);
 }
@@ -66,7 +68,7 @@ function chunkRecords(
   return [chunk, ...indexes];
 }
 
-function chunkInfo({ at, messages }: MadeChunk): Uint8Array {
+function chunkInfo({ at, messages }: MadeChunk, span?: readonly [bigint, bigint]): Uint8Array {
   const times = messages.map(({ timeNs }) => timeNs).sort((a, b) => (a < b ? -1 : 1));
   const counts = new Map<number, number>();
   for (const { connection } of messages) counts.set(connection, (counts.get(connection) ?? 0) + 1);
@@ -75,8 +77,8 @@ function chunkInfo({ at, messages }: MadeChunk): Uint8Array {
       op: byte(6),
       ver: u32(1),
       chunk_pos: u64(at),
-      start_time: time(times[0] ?? 0n),
-      end_time: time(times.at(-1) ?? 0n),
+      start_time: time(span?.[0] ?? times[0] ?? 0n),
+      end_time: time(span?.[1] ?? times.at(-1) ?? 0n),
       count: u32(counts.size),
     },
     joined([...counts].map(([connection, count]) => joined([u32(connection), u32(count)]))),
@@ -165,6 +167,8 @@ export interface TestStore {
   renewals: () => number;
   /** From now on, addresses given before are refused. */
   expire: () => void;
+  /** From now on, no URL is given. */
+  refuse: () => void;
   change: (bytes: Uint8Array) => void;
 }
 
@@ -173,6 +177,7 @@ export function storeOf(bytes: Uint8Array, { lifeMs = 3_600_000 } = {}): TestSto
   let etag = '"1"';
   let renewals = 0;
   let valid = 0;
+  let isRefusing = false;
   const answers: number[] = [];
   const answer: typeof fetch = (url, options) => {
     options?.signal?.throwIfAborted();
@@ -187,6 +192,7 @@ export function storeOf(bytes: Uint8Array, { lifeMs = 3_600_000 } = {}): TestSto
     sizeBytes: bytes.length,
     renew: () => {
       renewals += 1;
+      if (isRefusing) return Promise.reject(new ReadFailure("link_refused"));
       return Promise.resolve({ url: `http://store.test/file?n=${renewals}`, expiresAtMs: Date.now() + lifeMs });
     },
     fetch: answer,
@@ -196,6 +202,7 @@ export function storeOf(bytes: Uint8Array, { lifeMs = 3_600_000 } = {}): TestSto
     answers,
     renewals: () => renewals,
     expire: () => (valid = renewals + 1),
+    refuse: () => (isRefusing = true),
     change: (changed) => {
       stored = changed;
       etag = '"2"';

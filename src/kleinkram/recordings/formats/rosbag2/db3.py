@@ -335,7 +335,7 @@ class DatabaseMember:
             yield block
 
     def _rows(self, database: sqlite3.Connection, channels: dict[int, Channel], selection: Selection) -> Iterator[_Row]:
-        span = (max(0, selection.start_ns), min(selection.end_ns, _LATEST_NS))
+        span = (min(max(0, selection.start_ns), _LATEST_NS), min(selection.end_ns, _LATEST_NS))
         if self._has_index:
             some = len(channels) < len(self.contents.channels)
             numbers = ", ".join(str(number) for number in channels)

@@ -1,0 +1,46 @@
+import { describe, expect, it } from "vitest";
+import { commandOf, commandOfSeveral, removeEmpty, wholeRecording } from "./selection";
+import type { File, Recording } from "@/api/types";
+
+const MISSION = { id: "m", name: "day", project: { id: "p", name: "Alps" } };
+const FILE = { id: "f", path: "nuc/drive_0.mcap", mission: MISSION } as File;
+const TIMES = { startNs: 5n, endNs: null };
+
+describe("the command", () => {
+  it("makes the same file", () => {
+    expect(commandOf(FILE, ["/imu"], TIMES)).toBe("klein cut nuc/drive_0.mcap -p Alps -m day --topics /imu --start 5 -o drive_0.slice.mcap");
+  });
+
+  it("names topics with spaces and commas by a glob, because the command separates topics by them", () => {
+    expect(commandOf(FILE, ["/GPS fix, raw"], TIMES)).toContain("--topics '/GPS?fix??raw' ");
+  });
+
+  it("of several files names each of them, whatever characters its name has", () => {
+    expect(commandOfSeveral(["a.mcap", "-b[1].bag"], MISSION)).toBe("klein cut a.mcap '[-]b[[]1].bag' -p Alps -m day --topics /TOPIC --start +10s --end +20s -o selection.mcap");
+  });
+});
+
+it("finds the recording of several files that a file is a part of", () => {
+  const split = { name: "nuc", file_ids: ["e", "f"] } as unknown as Recording;
+  const alone = { name: "drive", file_ids: ["f"] } as unknown as Recording;
+  expect(wholeRecording(FILE, [alone, split])).toBe(split);
+  expect(wholeRecording(FILE, [alone])).toBeNull();
+});
+
+describe("the file of a slice that was not made", () => {
+  const removalOf = async (size: number, remove: () => Promise<void>): Promise<void> =>
+    removeEmpty({ getFile: () => Promise.resolve({ size }), remove } as unknown as FileSystemFileHandle);
+
+  it("is removed if it is empty", async () => {
+    let removals = 0;
+    const remove = (): Promise<void> => Promise.resolve(void (removals += 1));
+    await removalOf(3, remove);
+    expect(removals).toBe(0);
+    await removalOf(0, remove);
+    expect(removals).toBe(1);
+  });
+
+  it("stays where the browser does not allow that", async () => {
+    await expect(removalOf(0, () => Promise.reject(new DOMException("", "NoModificationAllowedError")))).resolves.toBeUndefined();
+  });
+});
