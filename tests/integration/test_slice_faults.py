@@ -159,7 +159,8 @@ def test_what_a_damaged_recording_has_lost_is_in_every_result(
     assert (code, loss["file"]) == (0, "damaged.mcap")
     assert err.startswith("Lost: damaged.mcap: chunk at byte ")
     whole = len(read_whole_mcap(drives / "drive.mcap").messages)
-    (result,) = client.download(mission, tmp_path, start="+0s", path="damaged.mcap").results
+    report = client.download(client.missions.get(mission), tmp_path, start="+0s", path="damaged.mcap")
+    (result,) = report.results
     assert result.losses == (f"damaged.mcap: {loss['reason']}",)
     assert 0 < len(read_whole_mcap(result.local).messages) < whole
     code, out, err = klein("download", "-m", mission, "damaged.mcap", "--start", "+0s", "-o", tmp_path / "d", "--json")

@@ -21,7 +21,13 @@ def test_the_package_exports_its_public_names() -> None:
 
 def test_a_client_has_one_attribute_per_resource() -> None:
     with kleinkram.client.Client(Endpoint("x", "http://127.0.0.1:9", "t", EndpointSource.argument)) as client:
-        names = {name for name in dir(client) if not name.startswith("_")} - {"endpoint", "close", "upload", "download"}
+        names = {name for name in dir(client) if not name.startswith("_")} - {
+            "endpoint",
+            "close",
+            "upload",
+            "download",
+            "export",
+        }
         assert all(getattr(client, name) is getattr(client, name) for name in names)
         with pytest.raises(AttributeError, match="robots"):
             client.robots  # type: ignore[attr-defined]  # noqa: B018  that is what is tried
