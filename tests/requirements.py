@@ -31,6 +31,10 @@ PROGRAMS = {
     "chromium": "chromium",
     "curl": "curl",
     "debootstrap": "debootstrap",
+    "nginx": "nginx",
+    "systemd-analyze": "systemd",
+    "systemd-sysusers": "systemd",
+    "systemd-tmpfiles": "systemd",
     "node": "nodejs npm",
 }
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")

@@ -1,7 +1,8 @@
 """The runner loop: claims runs while capacity is free, runs them, and sends heartbeats.
 
 Threads: one claims runs, one sends heartbeats for all of them, one enforces leases, and each run has its own. Jobs do
-not depend on any of them: they continue without this process, and the next one re-attaches.
+not depend on any of them: they continue without this process, and the next one re-attaches. The third also tells
+systemd that this process is alive, unless one of the first two hangs.
 """
 
 import contextlib
@@ -34,6 +35,7 @@ from kleinkram.runner.active_run import ActiveRun
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.supervision import boot_time_s
 from kleinkram.runner.state_directory import LEASE_MARGIN_S, Attempt, Lease, RunnerContext, StateDirectory, StopRequest
+from kleinkram.systemd import Watchdog, notify_ready, notify_status, notify_stopping
 
 _log = logging.getLogger("kleinkram.runner")
 _HEARTBEAT_TIMEOUT_S = 10.0
@@ -48,6 +50,8 @@ _MIN_CORES = 0.01
 _MIN_BYTES = 2**20
 _STORE_CONNECTIONS = 8
 _DEFAULT_IMAGE_RETRY_S = 300.0
+# A thread without progress for this long hangs: longer than any request with its retries.
+_HANGS_S = 240.0
 _REFUSALS = (NotAuthenticated, Forbidden, ScopeMissing)
 
 
@@ -82,6 +86,8 @@ class Runner:
         self._has_changes = threading.Event()
         self._has_capacity = threading.Event()
         self._active: dict[uuid.UUID, ActiveRun] = {}
+        # When each of the threads that talk to the server last went through its loop.
+        self._progress_s = dict.fromkeys(("claims", "heartbeats"), time.monotonic())
         self._lock = threading.Lock()
         self._threads = [
             threading.Thread(target=work, daemon=True) for work in (self._send_heartbeats, self._enforce_leases)
@@ -107,7 +113,9 @@ class Runner:
         self._continue_runs()
         for thread in self._threads:
             thread.start()
+        notify_ready("waiting for the server to accept this runner")
         self._register_until_accepted()
+        notify_status("claiming runs")
         if self._options.default_image is not None and self._executor.abilities.images:
             threading.Thread(target=self._find_default_image, name="default image", daemon=True).start()
         capacity = self._executor.capacity
@@ -133,6 +141,7 @@ class Runner:
 
     def close(self, *, kill: bool) -> None:
         """End all threads, and with `kill` the jobs; the next runner continues the runs."""
+        notify_stopping()
         active = self._active_runs()
         for run in active:
             run.stop.send(StopRequest.detach)
@@ -165,6 +174,7 @@ class Runner:
 
     def _register_until_accepted(self) -> None:
         while not self._is_stopping.is_set():
+            self._progress_s["claims"] = time.monotonic()
             try:
                 self._register()
                 return
@@ -207,6 +217,7 @@ class Runner:
     def _claim(self) -> ActiveRun | None:
         """Wait for a run and start it; None where there is none."""
         self._has_capacity.clear()
+        self._progress_s["claims"] = time.monotonic()
         active = self._active_runs()
         capacity, used = self._executor.capacity, [run.assignment.resources for run in active]
         free = Capacity(
@@ -271,6 +282,7 @@ class Runner:
         while not self._is_closed.is_set():
             self._has_changes.wait(HEARTBEAT_S)
             self._has_changes.clear()
+            self._progress_s["heartbeats"] = time.monotonic()
             try:
                 self._send_heartbeat(runners)
                 backoff = None
@@ -301,6 +313,9 @@ class Runner:
                 run.on_reply(heartbeats[reply.run_id], reply, requested_s=requested_s, lease_s=replies.lease_s)
 
     def _enforce_leases(self) -> None:
+        watchdog = Watchdog()
         while not self._is_closed.wait(_ENFORCE_EVERY_S):
+            if time.monotonic() - min(self._progress_s.values()) < _HANGS_S:
+                watchdog.ping()
             for run in self._active_runs():
                 run.enforce()

@@ -34,6 +34,7 @@ from kleinkram.server.runs import jobs as _run_jobs
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.uploads import jobs as _upload_jobs
+from kleinkram.systemd import Watchdog, notify_ready, notify_status, notify_stopping
 
 _log = logging.getLogger("kleinkram.worker")
 _AT_ONCE = 3
@@ -57,13 +58,19 @@ async def run_worker(settings: Settings) -> None:
     def stop() -> None:
         # Cancelling is not enough: if the database is away, its error may replace the cancellation.
         stopping.set()
+        notify_stopping()
         if task is not None:
             task.cancel()
 
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, stop)
-    with contextlib.suppress(asyncio.CancelledError):
-        await _open_and_run(settings, stopping)
+    # Until the end: running jobs are finished after the signal.
+    pings = asyncio.create_task(Watchdog().ping_from_event_loop())
+    try:
+        with contextlib.suppress(asyncio.CancelledError):
+            await _open_and_run(settings, stopping)
+    finally:
+        pings.cancel()
 
 
 async def _open_and_run(settings: Settings, stopping: asyncio.Event) -> None:
@@ -78,6 +85,7 @@ async def _open_and_run(settings: Settings, stopping: asyncio.Event) -> None:
                 async with app.open_async():
                     await _run(app, settings)
             except _DATABASE_AWAY as error:
+                notify_status("waiting for the database")
                 await pauses.wait("the worker", error)
 
 
@@ -127,6 +135,7 @@ async def _run_queues(app: App, settings: Settings, database: Database) -> None:
             "attempts": attempts,
         }
         queues = ((DEFAULT, _AT_ONCE), (VERIFICATION, 1), (SMALL_BLOBS, 1), (DERIVATION, 1))
+        notify_ready("working")
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
         tasks = [
             *(
