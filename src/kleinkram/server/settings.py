@@ -286,7 +286,7 @@ class Settings(BaseSettings):
         default=600, description="Verification requests for files per token, session or link; 0: no limit."
     )
     exports_per_minute: PerMinute = Field(
-        default=6, description="Exports of the audit log per token, session or link; 0: no limit."
+        default=6, description="Exports of the audit log and of people's data per token, session or link; 0: no limit."
     )
     upload_lease_s: Seconds = Field(
         default=60, description="Seconds for which an upload reserves its name after the last part was signed."

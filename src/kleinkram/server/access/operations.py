@@ -190,6 +190,10 @@ OPERATIONS: dict[str, Permission] = {
     "unmake_admin": Permission(ResourceKind.server, None, _ADMIN),
     "deactivate_person": Permission(ResourceKind.server, None, _ADMIN),
     "reactivate_person": Permission(ResourceKind.server, None, _ADMIN),
+    "erase_person": Permission(ResourceKind.server, None, _ADMIN, fresh=True),
+    "get_erasure": Permission(ResourceKind.server, None, _ADMIN),
+    # One's own data; admins export everybody's.
+    "export_person": Permission(ResourceKind.none, None, _ADMIN, unrestricted=True),
     # Trash
     "list_trash": Permission(ResourceKind.visible, Right.delete, _READ),
     "restore_from_trash": Permission(ResourceKind.mission, Right.delete, _WRITE),
