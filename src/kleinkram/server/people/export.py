@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import JsonValue
 from pydantic_core import to_jsonable_python
-from sqlalchemy import ColumnElement, Select, Table, func, literal, or_, select
+from sqlalchemy import ColumnElement, Select, Table, case, func, literal, or_, select
 
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.people import DataSection, PersonalData
@@ -47,6 +47,7 @@ from kleinkram.server.tables import (
 )
 
 _BATCH = 500
+_ORIGIN = ("token_id", "session_id", "address")
 
 
 @dataclass(frozen=True)
@@ -186,7 +187,9 @@ def _work(person_id: uuid.UUID) -> list[_Source]:
 
 
 def _history(person_id: uuid.UUID) -> list[_Source]:
-    """Return the events of a person, and those about their account."""
+    """Return the events of a person, and those about their account, without the credentials and addresses of others."""
+    is_own = audit_event.c.actor_id == person_id
     is_about = (audit_event.c.resource_type == "person") & (audit_event.c.resource_id == person_id)
-    events = select(*audit_event.c).where(or_(audit_event.c.actor_id == person_id, is_about))
+    origin = [case((is_own, audit_event.c[name])).label(name) for name in _ORIGIN]
+    events = select(*_columns(audit_event, *_ORIGIN), *origin).where(is_own | is_about)
     return [_Source(DataSection.audit_events, events, audit_event.c.id)]
