@@ -79,6 +79,11 @@ class OidcProvider(BaseModel):
             raise ValueError("must be an https address (http only on this machine), without query and fragment")
         return issuer
 
+    @property
+    def is_refreshable(self) -> bool:
+        """Whether it grants refresh tokens that outlive the person's session there."""
+        return "offline_access" in self.scopes
+
     def trusts(self, domain: str) -> bool:
         """Return whether it is trusted to verify addresses in exactly this domain."""
         return "*" in self.trusted_domains or domain in self.trusted_domains
@@ -192,6 +197,19 @@ class Settings(BaseSettings):
     )
     session_s: Seconds = Field(
         default=90 * 86_400, description="Seconds after sign-in after which a browser is signed out."
+    )
+    provider_session_days: int = Field(
+        default=30,
+        ge=0,
+        le=3650,
+        description="Days after which browser sessions and tokens of `klein login` stop working until the provider with "
+        "which the person signed in confirms their account again; 0: never.",
+    )
+    provider_check_hours: float = Field(
+        default=24,
+        ge=0,
+        description="Hours between checks of an account at its provider by a refresh token, if its `scopes` have "
+        "`offline_access`; 0: never.",
     )
     login_token_days: int = Field(
         default=90, ge=1, le=3650, description="Lifetime of tokens from `klein login`, in days."
@@ -309,6 +327,16 @@ class Settings(BaseSettings):
         default=1024 * 1024 * 1024, ge=256 * 1024 * 1024, description="Address space of the process that makes a slice."
     )
     share_days_max: int = Field(default=90, ge=1, le=3650, description="Maximum lifetime of share links, in days.")
+    audit_days: int = Field(
+        default=0,
+        ge=0,
+        description="Days for which events of the audit log are kept, at least 30; 0: forever. `migrate` applies it.",
+    )
+    audit_archive: Path | None = Field(
+        default=None,
+        description="A folder to which the worker writes events of the audit log before they are deleted. "
+        "Default: they are not kept.",
+    )
     trash_days: int = Field(default=30, ge=0, description="Days for which deleted objects can be restored.")
     garbage_grace_s: float = Field(
         default=3600,

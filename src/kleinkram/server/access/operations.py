@@ -216,6 +216,8 @@ OPERATIONS: dict[str, Permission] = {
     "bootstrap_admin": _public_endpoint(),
     "begin_provider_sign_in": _public_endpoint(),
     "end_provider_sign_in": _public_endpoint(),
+    # By the provider itself, with a token that it has signed.
+    "end_provider_sessions": _public_endpoint(),
     "begin_device_login": _public_endpoint(),
     "exchange_device_code": _public_endpoint(),
     "exchange_cli_code": _public_endpoint(),

@@ -21,7 +21,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.auth.local_accounts import PasswordHasher
 from kleinkram.server.auth.one_time_codes import describe_code
 from kleinkram.server.auth.provider_accounts import REQUEST_LIFETIME_S
-from kleinkram.server.auth.sessions import Browser, start_session
+from kleinkram.server.auth.sessions import Browser, SignInMethod, start_session
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, session_cookie
 from kleinkram.server.http.rate_limit import Count, enforce_limits, reserve_slot, subscriber_network
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 # An account may be tried this many times as often as one address may try, before attempts must wait for slots.
 _ADDRESSES_PER_ACCOUNT = 3
+# As many as a lab has browsers; each costs the check of a signature.
+_PROVIDER_LOGOUTS_PER_MINUTE = 600
 # 32 random bytes.
 _BROWSER_SECRET = re.compile(r"[A-Za-z0-9_-]{43}")
 
@@ -72,6 +74,12 @@ class SignInContext:
             count = Count("sign-ins", account.lower(), _ADDRESSES_PER_ACCOUNT * limit)
             await asyncio.sleep(await reserve_slot(self.database, count))
 
+    async def count_provider_logout(self) -> None:
+        """Count a logout token for the client's address: a provider sends many at once. Raises RateLimited."""
+        if self.actor.address:
+            client = subscriber_network(self.actor.address)
+            await enforce_limits(self.database, Count("logouts by providers", client, _PROVIDER_LOGOUTS_PER_MINUTE))
+
     async def hash_with_code(self, password: str, *, code: str, about: tuple[str | None, ...] = ()) -> str:
         """Hash a new password, if a one-time code is valid; the code is not used up.
 
@@ -86,9 +94,10 @@ class SignInContext:
         return await self.hasher.hash_new(password, field=field, about=(*about, self.settings.lab_name))
 
     async def start_session(
-        self, db: Connection, response: Response, *, person_id: uuid.UUID, method: str
+        self, db: Connection, response: Response, *, person_id: uuid.UUID, method: str | SignInMethod
     ) -> BrowserSignedIn:
         """Sign the browser in, as part of the caller's transaction. Raises SignInRefused."""
+        method = SignInMethod(method) if isinstance(method, str) else method
         cookie = session_cookie(self.settings)
         browser = Browser(self.request.headers.get("user-agent"), self.request.cookies.get(cookie))
         session = await start_session(
