@@ -31,6 +31,9 @@ Seconds = Annotated[float, Field(gt=0)]
 PerMinute = Annotated[int, Field(ge=0)]
 
 
+# The database refuses fewer: a mistake must not delete what happened last week.
+MIN_AUDIT_DAYS = 30
+
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
@@ -360,6 +363,13 @@ class Settings(BaseSettings):
         default=1024**3, ge=128 * 1024**2, description="Address space of the child process that reads recordings."
     )
     summary_timeout_s: Seconds = Field(default=300, description="Maximum seconds for the summary of one recording.")
+
+    @field_validator("audit_days")
+    @classmethod
+    def _is_not_short(cls, days: int) -> int:
+        if 0 < days < MIN_AUDIT_DAYS:
+            raise ValueError(f"must be 0, or at least {MIN_AUDIT_DAYS}")
+        return days
 
     @model_validator(mode="before")
     @classmethod

@@ -7,8 +7,6 @@ import asyncio
 import re
 import secrets
 import uuid
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -110,27 +108,6 @@ class SignInContext:
         """Check that this server has local accounts. Raises NotFound."""
         if not self.settings.local_accounts:
             raise NotFound(resource_type="sign-in method", ref="password")
-
-
-@asynccontextmanager
-async def open_providers(settings: Settings) -> "AsyncIterator[dict[str, OpenIdProvider]]":
-    """Open clients of the providers in the settings; a provider is contacted only when somebody signs in."""
-    if not settings.oidc_providers:
-        yield {}
-        return
-    import aiohttp
-
-    from kleinkram.server.auth.oidc import OpenIdProvider  # 10 MB with its libraries
-
-    async with aiohttp.ClientSession(cookie_jar=aiohttp.DummyCookieJar(), trust_env=True) as http:
-        providers: dict[str, OpenIdProvider] = {}
-        for provider in settings.oidc_providers:
-            secret = None if provider.client_secret is None else provider.client_secret.get_secret_value()
-            if provider.client_secret_file is not None:
-                secret = (await asyncio.to_thread(provider.client_secret_file.read_text, encoding="utf-8")).strip()
-            redirect_url = f"{settings.public_url.rstrip('/')}/sign-in/callback/{provider.name}"
-            providers[provider.name] = OpenIdProvider(provider, http, redirect_url=redirect_url, secret=secret)
-        yield providers
 
 
 async def _sign_in_context(

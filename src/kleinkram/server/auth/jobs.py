@@ -2,8 +2,8 @@
 
 from procrastinate import JobContext
 
-from kleinkram.server.auth.dependencies import open_providers
 from kleinkram.server.auth.provider_checks import check_accounts
+from kleinkram.server.auth.providers import open_providers
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.execution import app_context
 from kleinkram.server.jobs.queue import Job, queue
