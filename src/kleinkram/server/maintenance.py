@@ -1,4 +1,4 @@
-"""Periodic jobs that concern several features: maintenance of runs, garbage collection, and the audit log's retention."""
+"""Periodic jobs that concern several features: maintenance of runs, garbage collection, expiry of the audit log."""
 
 from procrastinate import JobContext
 from sqlalchemy import delete, func, or_, select, text

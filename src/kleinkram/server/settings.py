@@ -205,8 +205,8 @@ class Settings(BaseSettings):
         default=30,
         ge=0,
         le=3650,
-        description="Days after which browser sessions and tokens of `klein login` stop working until the provider with "
-        "which the person signed in confirms their account again; 0: never.",
+        description="Days after which browser sessions and tokens of `klein login` stop working, until the provider "
+        "with which the person signed in confirms their account again; 0: never.",
     )
     provider_check_hours: float = Field(
         default=24,

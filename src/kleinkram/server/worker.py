@@ -49,7 +49,16 @@ _STEADY_S = 30.0
 # The database is away, refuses connections, or closed one. psycopg's own errors come from opening the pool.
 _DATABASE_AWAY = (ConnectorException, psycopg.OperationalError)
 # Importing the jobs of a feature registers them with the queue.
-JOB_MODULES = (_blob_jobs, _maintenance, _run_jobs, _derivation_jobs, _check_jobs, _upload_jobs, _people_jobs, _auth_jobs)
+JOB_MODULES = (
+    _blob_jobs,
+    _maintenance,
+    _run_jobs,
+    _derivation_jobs,
+    _check_jobs,
+    _upload_jobs,
+    _people_jobs,
+    _auth_jobs,
+)
 
 
 async def run_worker(settings: Settings) -> None:

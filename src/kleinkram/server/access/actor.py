@@ -117,7 +117,7 @@ def unexpired(expires_at: ColumnElement[Any]) -> ColumnElement[bool]:
 async def find_actor(db: Connection, secret: str, *, provider_days: int = 0) -> Actor | None:
     """Return the actor of a token or link; None if it is unknown, expired or revoked, or its owner is deactivated.
 
-    Nor is the token of a `klein login` usable if its provider account was not confirmed within `provider_days` (0: any).
+    Nor is a token of `klein login` usable whose provider account was not confirmed within `provider_days` (0: any).
     """
     parameters = {"hashed": secret_hash(secret)}
     row = (await db.execute(_by_token(), {**parameters, "provider_days": provider_days})).one_or_none()

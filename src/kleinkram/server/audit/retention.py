@@ -36,7 +36,9 @@ async def expire_events(context: AppContext) -> int:
             await db.execute(_REPEATABLE)
             up_to_id = _LARGEST_ID
             if context.settings.audit_archive is not None:
-                rows = (await db.execute(select(audit_event).where(_is_expired()).order_by(audit_event.c.id).limit(BATCH))).all()
+                rows = (
+                    await db.execute(select(audit_event).where(_is_expired()).order_by(audit_event.c.id).limit(BATCH))
+                ).all()
                 if not rows:
                     return total
                 await asyncio.to_thread(_archive, context.settings.audit_archive, rows)
@@ -60,7 +62,7 @@ def _archive(folder: Path, rows: Sequence[Row[Any]]) -> None:
     """Write events as gzipped JSON lines to a file that is named after their ids, complete or not at all."""
     path = folder / f"audit-{rows[0].id}-{rows[-1].id}.jsonl.gz"
     partial = path.with_name(f".{path.name}.partial")
-    with open(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as file:
+    with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as file:
         with gzip.GzipFile(fileobj=file, mode="wb", mtime=0) as packed:
             packed.writelines(to_json(dict(row._mapping)) + b"\n" for row in rows)
         file.flush()

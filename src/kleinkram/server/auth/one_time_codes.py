@@ -144,6 +144,6 @@ def _is_valid_code(secret: str) -> tuple[ColumnElement[bool], ...]:
 
 
 async def delete_expired_codes(db: Connection) -> None:
-    """Delete codes a month after their end, device logins after a day, and expired sign-ins and logouts by providers."""
+    """Delete codes a month after their end, device logins after a day, and what expired of sign-ins by providers."""
     for table, days in ((one_time_code, 30), (login_request, 1), (oidc_login, 0), (used_logout_token, 0)):
         await db.execute(delete(table).where(table.c.expires_at < func.now() - datetime.timedelta(days=days)))

@@ -1,8 +1,8 @@
 """What ends access when a provider ends it: checks of accounts by refresh tokens, and back-channel logout.
 
-Browser sessions and the tokens of `klein login` depend on the account with which the person signed in. When the provider
-refuses it, they end; other credentials stay until an admin deactivates the person. A logout at the provider ends browser
-sessions alone, as it does not say that the account is gone; the account is checked soon after it.
+Browser sessions and the tokens of `klein login` depend on the account with which the person signed in. When the
+provider refuses it, they end; other credentials stay until an admin deactivates the person. A logout at the provider
+ends browser sessions alone, as it does not say that the account is gone; the account is checked soon after it.
 """
 
 import datetime
@@ -81,9 +81,7 @@ async def end_provider_sessions(db: Connection, provider: Actor, *, logout: Logo
     return await _end_sessions(db, provider, is_named, reason=f"logout at {logout.provider}")
 
 
-async def check_accounts(
-    context: AppContext, provider: "OpenIdProvider", *, limit: int = _BATCH
-) -> None:
+async def check_accounts(context: AppContext, provider: "OpenIdProvider", *, limit: int = _BATCH) -> None:
     """Check the accounts of a provider whose check is due, and end the access of those that it refuses.
 
     If the provider does not answer properly, the rest waits for the next round.

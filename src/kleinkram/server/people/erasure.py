@@ -1,7 +1,7 @@
 """Erasing a person: their data is deleted, and a pseudonym replaces their name wherever it is shown.
 
 What they did stays on record: rows refer to the person by an id, and the audit log, whose entries repeat some names, is
-redacted by a job. Texts that people wrote, such as notes and metadata, stay as they are; they are searched and reported.
+redacted by a job. Texts that people wrote, such as notes and metadata, stay as they are; erasing reports them.
 """
 
 import uuid
@@ -142,6 +142,4 @@ async def _replace_names(db: Connection, person_id: uuid.UUID, pseudonym: str) -
     await db.execute(update(session).where(session.c.person_id == person_id).values(of_session))
     await db.execute(update(token).where(token.c.person_id == person_id).values(name=pseudonym))
     await db.execute(update(runner).where(runner.c.person_id == person_id).values(name=pseudonym))
-    await db.execute(
-        update(person).where(person.c.id == person_id).values(name=pseudonym, erased_at=func.now())
-    )
+    await db.execute(update(person).where(person.c.id == person_id).values(name=pseudonym, erased_at=func.now()))

@@ -92,9 +92,7 @@ async def find_mentions(db: Connection, terms: Sequence[str]) -> list[Mention]:
         for row in (await db.execute(stmt)).mappings():
             fields = [field for field in matches if row[field]]
             mentions.append(
-                Mention(
-                    resource_type=place.resource_type, id=row["object_id"], name=row["object_name"], fields=fields
-                )
+                Mention(resource_type=place.resource_type, id=row["object_id"], name=row["object_name"], fields=fields)
             )
     return mentions
 

@@ -85,7 +85,7 @@ async def get_erasure(person_id: uuid.UUID, db: Transaction, actor: CurrentActor
     responses={200: {"description": "One record a line.", "content": {_JSON_LINES: {"schema": {"type": "string"}}}}},
 )
 async def export_person(person_id: uuid.UUID, database: CurrentDatabase, actor: CurrentActor) -> StreamingResponse:
-    """Return all that is kept of a person, without secrets, one JSON object a line: yours, or as an admin, anybody's."""
+    """Return all that is kept of a person, one JSON object a line: for yourself, or as an admin for anybody."""
     async with database.begin() as db:
         await export.begin_export(db, actor, person_id)
 

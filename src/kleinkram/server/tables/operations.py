@@ -1,8 +1,8 @@
 """Tables of the audit log, the last errors of jobs, and the worker processes.
 
-The serving role can only add to the audit log and read it; beyond that, it may call two functions of the migrations: one
-replaces the names of an erased person, the other deletes events that are older than `audit_retention` says. A row of
-`job_error` is deleted with its job, by a foreign key that only the migration declares.
+The serving role can only add to the audit log and read it. Beyond that, it may call two functions of the migrations:
+one replaces the names of an erased person, the other deletes events that are older than `audit_retention` says. A row
+of `job_error` is deleted with its job, by a foreign key that only the migration declares.
 """
 
 import sqlalchemy as sa
