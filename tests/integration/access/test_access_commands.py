@@ -133,8 +133,10 @@ def test_an_admin_erases_a_person_after_typing_their_name(
         klein(None, "person", "erase", ada.id)  # nothing is typed
     with pytest.raises(InvalidRequest, match="is not the name"):
         klein(None, "person", "erase", ada.id, "--confirm", "yes")
+    colleague = person(api)
+    group(api, members=[ada, colleague])
     with pytest.raises(Forbidden):
-        klein(person(api), "person", "erase", ada.id, "--confirm", ada.name)
+        klein(colleague, "person", "erase", ada.id, "--confirm", ada.name)
     shown = klein(None, "person", "erase", ada.id, "--confirm", ada.name, as_json=False)
     assert "A worker will redact the audit log" in shown
     assert mission["name"] in shown
@@ -162,6 +164,8 @@ def test_people_write_their_own_data_to_a_file(api: Api, klein: Klein, tmp_path:
     with pytest.raises(DestinationRefused):
         klein(ada, "person", "export", "-o", str(tmp_path / "missing" / "ada.json"))
     klein(None, "person", "export", ada.id, "-o", str(tmp_path / "by-admin.json"))
+    colleague = person(api)
+    group(api, members=[ada, colleague])
     with pytest.raises(NotFound):
-        klein(person(api), "person", "export", ada.id, "-o", str(tmp_path / "stranger.json"))
-    assert not (tmp_path / "stranger.json").exists()
+        klein(colleague, "person", "export", ada.id, "-o", str(tmp_path / "colleague.json"))
+    assert not (tmp_path / "colleague.json").exists()
