@@ -55,7 +55,7 @@ def test_no_name_and_no_address_remains_in_the_database(api: Api, ada: Person) -
     project = hers.project()
     shared, team = api.project(), group(api, members=[ada])
     api.post(f"/projects/{shared['id']}/grants", {"email": email, "right": "READ"}).ok(201)
-    api.post(f"/projects/{project['id']}/grants", {"person_id": ada.id, "right": "WRITE"}).ok(201)
+    api.post(f"/projects/{shared['id']}/grants", {"person_id": ada.id, "right": "WRITE"}).ok(201)
     api.call("PUT", f"/groups/{team}/members/{ada.id}", {"is_editor": True}).ok()
     hers.post("/tokens", {"name": f"laptop of {ada.name}"}).ok(201)
     api.post("/people/invitations", {"email": any_email(), "name": ada.name}).ok(201)
