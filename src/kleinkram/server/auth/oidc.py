@@ -176,13 +176,15 @@ class OpenIdProvider:
         return RefreshedAccount(self._kept_refresh_token(tokens) or refresh_token)
 
     async def verify_logout_token(self, logout_token: str) -> LogoutRequest:
-        """Return whose sessions a logout token ends. Raises LogoutTokenInvalid, SignInRefused or ProviderUnavailable.
+        """Return whose sessions a logout token ends. Raises LogoutTokenInvalid or ProviderUnavailable.
 
         Source: OpenID Connect Back-Channel Logout 1.0, section 2.6.
         """
-        token = await self._verify_signature(logout_token)
         try:
+            token = await self._verify_signature(logout_token)
             claims = _LogoutClaims.model_validate(token.claims)
+        except SignInRefused as error:
+            raise LogoutTokenInvalid("the logout token is malformed, or its signature is not valid") from error
         except ValidationError as error:
             raise LogoutTokenInvalid("the logout token lacks a claim, or one has another form") from error
         if problem := self._logout_problem(token, claims):

@@ -210,7 +210,7 @@ async def end_sessions_of_provider(provider: str, request: Request, context: Cur
         logout = await context.provider(provider).verify_logout_token(fields.get("logout_token", [""])[0])
         async with context.database.begin() as db:
             await end_provider_sessions(db, context.actor, logout=logout)
-    except (LogoutTokenInvalid, SignInRefused) as error:
+    except LogoutTokenInvalid as error:
         await audit_refusal(request, SignInRefused(reason=str(error)))
         problem = {"error": "invalid_request", "error_description": str(error)}
         return JSONResponse(problem, status_code=400, headers=headers)

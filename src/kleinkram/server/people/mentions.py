@@ -87,7 +87,7 @@ async def find_mentions(db: Connection, terms: Sequence[str]) -> list[Mention]:
     for place in _PLACES if terms else ():
         matches = {field: sa.or_(*(_contains(text, term) for term in terms)) for field, text in place.fields.items()}
         columns = [sa.func.coalesce(match, False).label(field) for field, match in matches.items()]
-        stmt = sa.select(place.id.label("object_id"), place.name.label("object_name"), *columns)
+        stmt = sa.select(place.id.label("object_id"), place.name.label("object_name"), *columns).distinct()
         stmt = stmt.select_from(place.rows).where(sa.or_(*matches.values())).order_by(place.id).limit(MOST)
         for row in (await db.execute(stmt)).mappings():
             fields = [field for field in matches if row[field]]
