@@ -62,8 +62,10 @@ def _deployment(node: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterato
     cluster = Cluster(tmp_path_factory.mktemp("oidc"))
     provider = RealProvider(node, f"http://127.0.0.1:{cluster.port}{_CALLBACK}")
     known = {"name": "lab", "title": "The Lab", "issuer": provider.url, "client_id": CLIENT_ID}
-    known["scopes"] = ["openid", "profile", "email", "offline_access"]
-    settings = [{**known, "client_secret": CLIENT_SECRET, "trusted_domains": ["lab.example"], "timeout_s": 3}]
+    scopes = ["openid", "profile", "email", "offline_access"]
+    settings = [
+        {**known, "scopes": scopes, "client_secret": CLIENT_SECRET, "trusted_domains": ["lab.example"], "timeout_s": 3}
+    ]
     cluster.settings["KLEINKRAM_OIDC_PROVIDERS"] = json.dumps(settings)
     cluster.settings["KLEINKRAM_SIGN_INS_PER_MINUTE"] = "0"
     provider.start()

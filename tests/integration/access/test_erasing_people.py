@@ -85,9 +85,9 @@ def test_what_they_did_stays_on_record_under_the_pseudonym(api: Api, ada: Person
     (created,) = (event for event in after if event["operation"] == "project.create")
     assert created["actor"] == {"id": ada.id, "name": f"erased person {ada.id[:8]}"}
     assert created["address"] is None
-    kept = ("id", "at", "operation", "resource_id", "resource_name", "project_id", "after", "request_id")
-    assert [{key: event[key] for key in kept} for event in before] == [
-        {key: event[key] for key in kept} for event in after if event["operation"] != "grant.create"
+    unchanged = ("id", "at", "operation", "resource_id", "resource_name", "project_id", "after", "request_id")
+    assert [{key: event[key] for key in unchanged} for event in before] == [
+        {key: event[key] for key in unchanged} for event in after if event["operation"] != "grant.create"
     ]
     operations = [event["operation"] for event in api.events(ada.id)]
     assert operations[:2] == ["audit.redact", "person.erase"]
@@ -182,9 +182,9 @@ def test_texts_that_mention_them_are_reported_and_stay(api: Api, ada: Person) ->
     mission = api.mission(project["id"], metadata={"operator": ada.name}, notes=f"Ask {email.upper()}")
     other = api.mission(project["id"], notes=f"x{email}, {ada.name}son")
     erased = erase(api, ada)
-    found = {(mention["resource_type"], mention["id"]): mention["fields"] for mention in erased["mentions"]}
-    assert found.pop(("mission", mission["id"])) == ["notes", "metadata"]
-    assert found == {("project", project["id"]): ["description"]}
+    fields = {(mention["resource_type"], mention["id"]): mention["fields"] for mention in erased["mentions"]}
+    assert fields.pop(("mission", mission["id"])) == ["notes", "metadata"]
+    assert fields == {("project", project["id"]): ["description"]}
     assert api.get(f"/missions/{mission['id']}").ok()["metadata"] == {"operator": ada.name}
     assert api.get(f"/missions/{other['id']}").ok()["notes"].endswith("son")
 

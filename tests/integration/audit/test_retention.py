@@ -56,19 +56,19 @@ def insert_events(api: Api, *, age_days: float, count: int = 1) -> list[int]:
     ]
 
 
-def kept_ids(api: Api) -> set[int]:
+def stored_ids(api: Api) -> set[int]:
     """Return the ids of all events."""
     return {row[0] for row in api.sql("SELECT id FROM audit_event")}
 
 
-def test_without_the_setting_events_are_kept_forever(api: Api) -> None:
+def test_without_the_setting_events_never_expire(api: Api) -> None:
     old = insert_events(api, age_days=5000)
     assert expire(api) == 0
-    assert set(old) <= kept_ids(api)
+    assert set(old) <= stored_ids(api)
     keep(api, 30)
     keep(api, 0)
     assert expire(api) == 0
-    assert set(old) <= kept_ids(api)
+    assert set(old) <= stored_ids(api)
 
 
 def test_events_expire_after_the_days_of_the_setting(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,7 +76,7 @@ def test_events_expire_after_the_days_of_the_setting(api: Api, monkeypatch: pyte
     old, young = insert_events(api, age_days=90.01, count=5), insert_events(api, age_days=89.99)
     keep(api, 90)
     assert expire(api) == 5
-    assert kept_ids(api) & {*old, *young} == set(young)
+    assert stored_ids(api) & {*old, *young} == set(young)
     expired = api.all("/audit", {"operation": "audit.expire"})
     assert sum(event["after"]["events"] for event in expired) == 5
     assert expire(api) == 0
@@ -110,7 +110,7 @@ def test_events_are_archived_before_they_are_deleted(api: Api, tmp_path: Path, m
         (event_id, f"old {number}", {"a": 1}) for number, event_id in enumerate(old)
     ]
     assert all((tmp_path / name).stat().st_mode & 0o077 == 0 for name in names)
-    assert set(young) <= kept_ids(api)
+    assert set(young) <= stored_ids(api)
 
 
 def test_what_cannot_be_archived_is_not_deleted(api: Api, tmp_path: Path) -> None:
@@ -118,7 +118,7 @@ def test_what_cannot_be_archived_is_not_deleted(api: Api, tmp_path: Path) -> Non
     keep(api, 30)
     with pytest.raises(FileNotFoundError):
         expire(api, tmp_path / "missing")
-    assert set(old) <= kept_ids(api)
+    assert set(old) <= stored_ids(api)
 
 
 def test_the_setting_is_off_or_at_least_a_month() -> None:

@@ -99,7 +99,7 @@ class FakeProvider:
     def logout_token(self, **claims: Any) -> str:
         """Return a logout token; claims that are None are left out."""
         now = int(time.time())
-        event = {"http://schemas.openid.net/event/backchannel-logout": {}}
+        event: dict[str, Any] = {"http://schemas.openid.net/event/backchannel-logout": {}}
         sent = {"iss": self.url, "aud": CLIENT_ID, "iat": now, "exp": now + 120, "jti": secrets.token_hex(8)}
         sent |= {"events": event, **claims}
         return self.sign({name: value for name, value in sent.items() if value is not None}, typ="logout+jwt")

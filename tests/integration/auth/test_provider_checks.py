@@ -160,7 +160,7 @@ def test_refresh_tokens_are_forgotten_when_nothing_depends_on_them(lab: Lab) -> 
     assert lab.api.sql("SELECT refresh_token FROM identity WHERE subject = 'gone home'") == [(None,)]
 
 
-def test_without_offline_access_no_refresh_token_is_kept(start_api: StartApi, provider: FakeProvider) -> None:
+def test_without_offline_access_no_refresh_token_is_stored(start_api: StartApi, provider: FakeProvider) -> None:
     provider.reset()
     api = start_api(oidc_providers=[provider_settings("lab", provider.url)])
     lab = Lab(api, provider)

@@ -149,7 +149,7 @@ class OpenIdProvider:
             name=claims.name or claims.preferred_username,
             auth_time=claims.auth_time,
             session_id=claims.sid,
-            refresh_token=self._kept_refresh_token(tokens),
+            refresh_token=self._refresh_token_of(tokens),
         )
 
     async def refresh(self, refresh_token: str, *, subject: str) -> RefreshedAccount | None:
@@ -173,7 +173,7 @@ class OpenIdProvider:
             claims = (await self._verify_signature(id_token)).claims
             if (claims.get("iss"), claims.get("sub")) != (self.settings.issuer, subject):
                 raise self._refused("it answered a refresh token with another person's ID token")
-        return RefreshedAccount(self._kept_refresh_token(tokens) or refresh_token)
+        return RefreshedAccount(self._refresh_token_of(tokens) or refresh_token)
 
     async def verify_logout_token(self, logout_token: str) -> LogoutRequest:
         """Return whose sessions a logout token ends. Raises LogoutTokenInvalid or ProviderUnavailable.
@@ -214,7 +214,7 @@ class OpenIdProvider:
             return "is not about a logout"
         return None if claims.sub or claims.sid else "names neither a person nor a session"
 
-    def _kept_refresh_token(self, tokens: Mapping[str, JsonValue]) -> str | None:
+    def _refresh_token_of(self, tokens: Mapping[str, JsonValue]) -> str | None:
         """Return the refresh token of a response, if the settings ask for ones that outlive the provider's session."""
         refresh_token = tokens.get("refresh_token")
         return refresh_token if self.settings.is_refreshable and isinstance(refresh_token, str) else None

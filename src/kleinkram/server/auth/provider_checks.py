@@ -10,9 +10,9 @@ import logging
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from sqlalchemy import ColumnElement, func, or_, select, update
+from sqlalchemy import ColumnElement, Table, Update, func, or_, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.errors import KleinkramError
@@ -73,7 +73,7 @@ async def end_provider_sessions(db: Connection, provider: Actor, *, logout: Logo
         accounts = accounts.where(identity.c.subject == logout.subject)
         # The account may be gone.
         await db.execute(update(identity).where(identity.c.id.in_(accounts)).values(checked_at=None))
-    is_named = session.c.identity_id.in_(accounts)
+    is_named: ColumnElement[bool] = session.c.identity_id.in_(accounts)
     if logout.session_id is not None:
         is_same = session.c.provider_session_id == logout.session_id
         # Without an id in the sign-in, it may be any session of the person.
@@ -139,10 +139,10 @@ async def _end_sessions(db: Connection, actor: Actor | None, condition: ColumnEl
     return len(rows)
 
 
-def _unchanged(account: _Account) -> Any:
+def _unchanged(account: _Account) -> Update:
     same = (identity.c.id == account.id) & (identity.c.refresh_token == account.refresh_token)
     return update(identity).where(same)
 
 
-def _is_live(table: Any) -> ColumnElement[bool]:
+def _is_live(table: Table) -> ColumnElement[bool]:
     return table.c.revoked_at.is_(None) & unexpired(table.c.expires_at)

@@ -190,9 +190,9 @@ def _rights_of_role(rights: _Rights) -> Diagnostic:
 
 
 def _retention(settings: Settings, stored_days: int) -> Diagnostic:
-    kept = f"Events are kept for {stored_days} days." if stored_days else "Events are kept forever."
+    message = f"Events are kept for {stored_days} days." if stored_days else "Events are kept forever."
     remedy = "Run `migrate`: it stores KLEINKRAM_AUDIT_DAYS, which differs."
-    return judge("audit log", stored_days == settings.audit_days, kept, remedy, otherwise=DiagnosticSeverity.warning)
+    return judge("audit log", stored_days == settings.audit_days, message, remedy, otherwise=DiagnosticSeverity.warning)
 
 
 async def _migrating_role(settings: Settings) -> AsyncIterator[Diagnostic]:
