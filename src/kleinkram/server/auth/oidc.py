@@ -282,9 +282,9 @@ class OpenIdProvider:
             return jwt.decode(token, keys, algorithms=_ALGORITHMS)
         except (InvalidKeyIdError, BadSignatureError) as error:
             if are_fresh:
-                raise self._refused("the signature of its token is not valid") from error
+                raise self._refused("the signature of its ID token is not valid") from error
         except (JoseError, ValueError) as error:
-            raise self._refused("its token is malformed") from error
+            raise self._refused("its ID token is malformed") from error
         self._keys = None  # the provider may have rotated its keys
         return await self._verify_signature(token)
 
