@@ -61,11 +61,12 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _migrate(settings: Settings) -> None:
-    from kleinkram.server.migrations.migrate import MigrationBlocked, SchemaUnsupported, migrate
+    from kleinkram.server.migrations.migrate import MigrationBlocked, SchemaUnsupported, migrate, set_audit_retention
 
     url = plain_dsn(settings.migration_database_url or settings.database_url).replace("://", "+psycopg://", 1)
     try:
         migrate(url, settings.serving_role)
+        set_audit_retention(url, settings.audit_days)
     except (MigrationBlocked, SchemaUnsupported) as error:
         sys.exit(str(error))
 

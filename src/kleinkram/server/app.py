@@ -15,9 +15,9 @@ from kleinkram.server.admin.routes import router as admin
 from kleinkram.server.audit.requests import AdminReads, Refusals
 from kleinkram.server.audit.routes import router as audit
 from kleinkram.server.auth.bootstrap import ensure_local_owner, log_bootstrap_code
-from kleinkram.server.auth.dependencies import open_providers
 from kleinkram.server.auth.local_accounts import PasswordHasher
 from kleinkram.server.auth.pages import router as sign_in_pages
+from kleinkram.server.auth.providers import open_providers
 from kleinkram.server.auth.routes import me_router, people_router
 from kleinkram.server.auth.routes import router as auth
 from kleinkram.server.checks.routes import router as checks

@@ -19,6 +19,7 @@ from procrastinate.jobs import Status
 
 import kleinkram
 from kleinkram.server import maintenance as _maintenance
+from kleinkram.server.auth import jobs as _auth_jobs
 from kleinkram.server.blobs import jobs as _blob_jobs
 from kleinkram.server.blobs.readers import ReaderProcesses
 from kleinkram.server.checks import jobs as _check_jobs
@@ -30,6 +31,7 @@ from kleinkram.server.jobs.execution import Attempts, BackPressure, record_failu
 from kleinkram.server.jobs.queue import DEFAULT, DERIVATION, SMALL_BLOBS, VERIFICATION, queue
 from kleinkram.server.overviews import jobs as _derivation_jobs
 from kleinkram.server.overviews.jobs import DerivationDebounce, MetadataCache
+from kleinkram.server.people import jobs as _people_jobs
 from kleinkram.server.runs import jobs as _run_jobs
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
@@ -47,7 +49,16 @@ _STEADY_S = 30.0
 # The database is away, refuses connections, or closed one. psycopg's own errors come from opening the pool.
 _DATABASE_AWAY = (ConnectorException, psycopg.OperationalError)
 # Importing the jobs of a feature registers them with the queue.
-JOB_MODULES = (_blob_jobs, _maintenance, _run_jobs, _derivation_jobs, _check_jobs, _upload_jobs)
+JOB_MODULES = (
+    _blob_jobs,
+    _maintenance,
+    _run_jobs,
+    _derivation_jobs,
+    _check_jobs,
+    _upload_jobs,
+    _people_jobs,
+    _auth_jobs,
+)
 
 
 async def run_worker(settings: Settings) -> None:

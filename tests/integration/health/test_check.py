@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -124,3 +125,18 @@ def test_missing_and_excessive_rights_of_the_serving_role_are_named(start_api: S
         assert (code, actual["rights of the serving role"]["severity"]) == (1, "problem"), change
         assert words in actual["rights of the serving role"]["message"]
         api.sql(undo)
+
+
+def test_a_retention_that_was_not_stored_and_an_unusable_archive_are_named(api: Api, tmp_path: Path) -> None:
+    environment = {**_environment(api), "KLEINKRAM_AUDIT_DAYS": "90", "KLEINKRAM_AUDIT_ARCHIVE": str(tmp_path / "no")}
+    code, actual = _check(environment)
+    assert (code, actual["audit archive"]["severity"]) == (1, "problem")
+    assert (actual["audit log"]["severity"], "migrate" in actual["audit log"]["remedy"]) == ("warning", True)
+    command = [sys.executable, "-m", "kleinkram.server", "migrate"]
+    subprocess.run(command, env={**os.environ, **environment}, check=True)
+    code, actual = _check({**environment, "KLEINKRAM_AUDIT_ARCHIVE": str(tmp_path)})
+    assert (code, actual["audit log"]["severity"], actual["audit archive"]["severity"]) == (0, "ok", "ok")
+    assert actual["audit log"]["message"] == "Events are kept for 90 days."
+    api.sql("DELETE FROM audit_retention")
+    _, actual = _check({**environment, "KLEINKRAM_AUDIT_DAYS": "29"})
+    assert "at least 30" in actual["settings"]["message"]

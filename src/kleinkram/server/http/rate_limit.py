@@ -52,6 +52,7 @@ _OPERATION_KINDS = {
     "begin_uploads": "uploads",
     "verify_file": "verifications",
     "export_audit_events": "exports",
+    "export_person": "exports",
 }
 _LIST_OPERATIONS = frozenset({"list_projects", "list_missions", "list_files"})
 

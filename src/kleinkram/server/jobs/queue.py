@@ -24,6 +24,9 @@ class Job(str, enum.Enum):
     maintain_runs = "maintain_runs"
     start_automatic_runs = "start_automatic_runs"
     collect_garbage = "collect_garbage"
+    redact_audit_log = "redact_audit_log"
+    expire_audit_log = "expire_audit_log"
+    check_provider_accounts = "check_provider_accounts"
     scrub = "scrub"
 
 

@@ -1,7 +1,8 @@
 """Tables of the audit log, the last errors of jobs, and the worker processes.
 
-The serving role can only add to the audit log and read it. A row of `job_error` is deleted with its job, by a foreign
-key that only the migration declares.
+The serving role can only add to the audit log and read it. Beyond that, it may call two functions of the migrations:
+one replaces the names of an erased person, the other deletes events that are older than `audit_retention` says. A row
+of `job_error` is deleted with its job, by a foreign key that only the migration declares.
 """
 
 import sqlalchemy as sa
@@ -39,6 +40,16 @@ audit_event = sa.Table(
     sa.Index("ix_audit_event_token_id", "token_id", "id"),
     sa.Index("ix_audit_event_at", "at", postgresql_using="brin"),
     sa.Index("ix_audit_event_as_admin", "id", postgresql_where=sa.text("as_admin")),
+)
+
+# How many days events are kept: at most one row, which `migrate` writes; without it, they are kept forever.
+audit_retention = sa.Table(
+    "audit_retention",
+    metadata,
+    sa.Column("is_set", sa.Boolean, primary_key=True, server_default=sa.true()),
+    sa.Column("days", sa.Integer, nullable=False),
+    sa.CheckConstraint("is_set", name="is_set"),
+    sa.CheckConstraint("days >= 30", name="days"),
 )
 
 
