@@ -143,6 +143,8 @@ async def get_run_log(
     actor: CurrentActor,
 ) -> runs.LogChunkRead:
     """Get a chunk of the log of a run. The next one starts at `next_offset`, until `is_over`."""
+    if query.wait_s:
+        mark_as_stream(request.scope)
     hub = request.app.state.hub
     return await logs.read_log(context, hub, actor, run_id=run_id, offset=query.offset, wait_s=query.wait_s)
 
