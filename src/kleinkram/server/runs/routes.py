@@ -12,6 +12,7 @@ from kleinkram.contract.metrics import MetricNameFilter, MetricNames, MetricTabl
 from kleinkram.contract.previews import MissionPictures, MissionPreviews, PicturesRequest
 from kleinkram.contract.project_actions import ProjectActionAdd, ProjectActionList, ProjectActionRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
+from kleinkram.server.http.middleware import mark_as_stream
 from kleinkram.server.pagination import CountedPageQuery, PageQuery
 from kleinkram.server.runs import launch, lifecycle, logs, metric_tables, previews, project_actions, service
 
