@@ -1,9 +1,12 @@
 """Reads and checks metrics in the text format of Prometheus."""
 
+import subprocess
+
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.samples import Sample
 
 from kleinkram.metric_definitions import DEFINITIONS, MetricDefinition, MetricKind, MetricSource
+from tests.requirements import need, path_of
 
 
 def value(text: str, definition: MetricDefinition, **labels: str) -> float:
@@ -34,3 +37,10 @@ def assert_defined(text: str, *sources: MetricSource) -> None:
                 assert sample.labels[definition.labels[-1]] in definition.values, sample
         if definition.kind is not MetricKind.gauge:
             assert sum(sample.value for sample in series) > 0, f"{definition.name} has not counted"
+
+
+def assert_accepted_by_promtool(text: str) -> None:
+    """Check that Prometheus can read the metrics, and that they follow its conventions."""
+    need("promtool")
+    linted = subprocess.run([path_of("promtool") or "", "check", "metrics"], input=text, capture_output=True, text=True)
+    assert (linted.returncode, linted.stdout, linted.stderr) == (0, "", "")

@@ -4,7 +4,6 @@ import asyncio
 import datetime
 import uuid
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 import urllib3
@@ -22,7 +21,7 @@ from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.event_client import listening
-from tests.integration.exposition import assert_defined, value
+from tests.integration.exposition import assert_accepted_by_promtool, assert_defined, value
 from tests.integration.jobs import run_jobs
 from tests.integration.runs.conftest import FakeRunner, launch
 from tests.integration.upload_client import upload, wait_until
@@ -84,6 +83,12 @@ def test_api_and_worker_export_every_metric_as_it_is_defined(lab: Api) -> None:
     shared = (MetricSource.process, MetricSource.server)
     assert_defined(lab.metrics(), *shared, MetricSource.api, MetricSource.instance)
     assert_defined(_worker_metrics(lab), *shared, MetricSource.worker)
+
+
+@pytest.mark.slow
+def test_promtool_accepts_the_metrics_of_api_and_worker(lab: Api) -> None:
+    assert_accepted_by_promtool(lab.metrics())
+    assert_accepted_by_promtool(_worker_metrics(lab))
 
 
 def test_bytes_in_and_out_are_counted(lab: Api) -> None:

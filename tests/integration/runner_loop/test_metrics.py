@@ -14,7 +14,7 @@ from kleinkram.metric_definitions import MetricSource
 from kleinkram.runner.__main__ import Arguments, _serve_metrics
 from kleinkram.runner.loop import Runner
 from kleinkram.runner.metrics_server import serve_metrics
-from tests.integration.exposition import assert_defined, value
+from tests.integration.exposition import assert_accepted_by_promtool, assert_defined, value
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_server import FakeServer
 
@@ -51,6 +51,12 @@ def test_a_runner_exports_every_metric_as_it_is_defined(server: FakeServer, runn
     ):
         assert value(text, definition, **labels) == expected, (definition.name, labels)
     assert time.time() - value(text, definitions.RUNNER_LAST_CONTACT) < 60
+
+
+@pytest.mark.slow
+def test_promtool_accepts_the_metrics_of_a_runner(runners: Runners, tmp_path: Path) -> None:
+    with serve_metrics(runners.start(), tmp_path, "127.0.0.1", 0) as port:
+        assert_accepted_by_promtool(_scrape(port))
 
 
 def test_a_run_that_another_runner_gets_is_lost(server: FakeServer, runners: Runners, tmp_path: Path) -> None:
