@@ -79,8 +79,8 @@ def metrics_reference() -> str:
     lines = [
         "# Prometheus metrics",
         "",
-        "The metrics of the server ([monitoring](../running.md#monitor)) and of [runners](../runner.md#metrics). This page",
-        "is generated.",
+        "The metrics of the server ([monitoring](../running.md#monitor)) and of [runners](../runner.md#metrics). This",
+        "page is generated.",
         "",
         "*From* says which processes have a metric. `instance`: one API or worker process at a time reports the whole",
         "installation; query such metrics with `max without (instance, job) (...)`, because the process may change.",
