@@ -64,7 +64,14 @@ def _histogram(
 
 # -- every process ----------------------------------------------------------------------------------------------------
 
-BUILD_INFO = _gauge("build_info", MetricSource.process, "1.", "version", "role", values=("api", "worker", "runner"))
+BUILD_INFO = _gauge(
+    "build_info",
+    MetricSource.process,
+    "Always 1, with the version and the kind of this process.",
+    "version",
+    "role",
+    values=("api", "worker", "runner"),
+)
 
 # -- requests ---------------------------------------------------------------------------------------------------------
 
