@@ -39,11 +39,14 @@ _VISIBLE = text(
     "  WHERE f.deleted_at IS NULL AND m.deleted_at IS NULL AND p.deleted_at IS NULL) AS files"
 )
 _TRASH = text("""
-WITH referred AS (
-  SELECT f.blob_id, f.deleted_at IS NULL AND m.deleted_at IS NULL AND p.deleted_at IS NULL AS is_live
-    FROM file f JOIN mission m ON m.id = f.mission_id JOIN project p ON p.id = m.project_id
-), dead AS (SELECT blob_id FROM referred GROUP BY blob_id HAVING NOT bool_or(is_live))
-SELECT coalesce(sum(b.size_bytes), 0) FROM dead JOIN blob b ON b.id = dead.blob_id
+WITH dead AS (
+  SELECT DISTINCT f.blob_id FROM file f JOIN mission m ON m.id = f.mission_id JOIN project p ON p.id = m.project_id
+    WHERE f.deleted_at IS NOT NULL OR m.deleted_at IS NOT NULL OR p.deleted_at IS NOT NULL
+)
+SELECT coalesce(sum(b.size_bytes), 0) FROM dead JOIN blob b ON b.id = dead.blob_id WHERE NOT EXISTS (
+  SELECT 1 FROM file f JOIN mission m ON m.id = f.mission_id JOIN project p ON p.id = m.project_id
+    WHERE f.blob_id = b.id AND f.deleted_at IS NULL AND m.deleted_at IS NULL AND p.deleted_at IS NULL
+)
 """)
 _QUOTAS = text("""
 WITH limited AS (
@@ -205,8 +208,8 @@ async def _backup_gauges(db: Connection) -> list[Metric]:
     last = (await db.execute(_BACKUP)).one_or_none()
     complete = (await db.execute(_BACKUP_COMPLETE)).one_or_none()
     return [
-        _time(definitions.BACKUP_LAST_SUCCESS, complete and complete.started_at),
-        _time(definitions.BACKUP_LAST_ATTEMPT, last and last.ended_at),
+        _time(definitions.BACKUP_LAST_SUCCESS, None if complete is None else complete.started_at),
+        _time(definitions.BACKUP_LAST_ATTEMPT, None if last is None else last.ended_at),
         _gauge(definitions.BACKUP_LAST_ATTEMPT_FAILED, int(last is not None and last.snapshot_id is None)),
         _gauge(definitions.BACKUP_DAMAGED_OBJECTS, 0 if complete is None else complete.damaged_objects),
     ]

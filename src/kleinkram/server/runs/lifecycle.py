@@ -80,6 +80,8 @@ async def _update(db: Connection, run_id: uuid.UUID, **values: object) -> Decima
     """Change a run; return the seconds since a runner claimed it, if one did."""
     claimed_s = func.extract("epoch", func.now() - run.c.claimed_at)
     stmt = update(run).where(run.c.id == run_id).values(**values).returning(run.c.mission_id, claimed_s)
+    mission_id: uuid.UUID
+    seconds: Decimal | None
     mission_id, seconds = (await db.execute(stmt)).one()
     await publish(db, [ChangeEvent("run", ChangeKind.changed, run_id, mission_id=mission_id)])
     await judge_again_for_run(db, run_id)
