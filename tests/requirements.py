@@ -32,6 +32,7 @@ PROGRAMS = {
     "curl": "curl",
     "debootstrap": "debootstrap",
     "nginx": "nginx",
+    "promtool": "prometheus",
     "systemd-analyze": "systemd",
     "systemd-sysusers": "systemd",
     "systemd-tmpfiles": "systemd",
