@@ -1,0 +1,156 @@
+"""Traces: spans of OpenTelemetry, exported by OTLP over HTTP if the environment names an endpoint.
+
+Otherwise nothing of OpenTelemetry is imported, and hot paths test `is_on` once. Attributes are ids, counts, names of
+operations and paths without queries: never a signed URL, a header, a body, or the text of an error, which may hold one.
+
+Source: OpenTelemetry specification, "Environment Variable Specification"; W3C Trace Context.
+"""
+
+import enum
+import logging
+import os
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from kleinkram.opentelemetry_spans import Tracer
+
+_log = logging.getLogger("kleinkram.tracing")
+_ENDPOINTS = ("OTEL_EXPORTER_OTLP_TRACES_ENDPOINT", "OTEL_EXPORTER_OTLP_ENDPOINT")
+# A collector that is away must not keep a command, or a process that stops, from ending.
+_STOP_TIMEOUT_S = 3.0
+
+Attributes = Mapping[str, str | int | float | bool]
+_NONE: Attributes = {}
+
+
+class Kind(enum.Enum):
+    """The role of a span, as in OpenTelemetry."""
+
+    internal = "INTERNAL"
+    server = "SERVER"
+    client = "CLIENT"
+    consumer = "CONSUMER"
+
+
+class Span(Protocol):
+    """A span that has begun."""
+
+    @property
+    def traceparent(self) -> str | None:
+        """The header `traceparent` for what is done under this span; None without traces."""
+
+    def set(self, attributes: Attributes) -> None:
+        """Set attributes."""
+
+    def rename(self, name: str) -> None:
+        """Set the name."""
+
+    def fail(self, error_type: str) -> None:
+        """Mark the span as failed; `error_type` has few values: the name of an error, or a status."""
+
+
+class _NoSpan:
+    """The span of a process without traces."""
+
+    traceparent = None
+
+    def set(self, attributes: Attributes) -> None:
+        """Do nothing."""
+
+    def rename(self, name: str) -> None:
+        """Do nothing."""
+
+    def fail(self, error_type: str) -> None:
+        """Do nothing."""
+
+
+_NO_SPAN = _NoSpan()
+_tracer: "Tracer | None" = None
+
+
+def is_configured() -> bool:
+    """Whether the environment asks for traces."""
+    if os.environ.get("OTEL_SDK_DISABLED", "").strip().lower() == "true":
+        return False
+    if os.environ.get("OTEL_TRACES_EXPORTER", "").strip().lower() == "none":
+        return False
+    return any(os.environ.get(name, "").strip() for name in _ENDPOINTS)
+
+
+def start(service: str) -> None:
+    """Begin to export spans of this process as those of `service`, if the environment asks for traces.
+
+    `OTEL_SERVICE_NAME` overrides the name. In a program that has set a tracer provider, spans go to that one.
+    """
+    global _tracer
+    if _tracer is not None or not is_configured():
+        return
+    try:
+        from kleinkram.opentelemetry_spans import Tracer
+    except ImportError as error:
+        _log.warning("no traces, although OTEL_EXPORTER_OTLP_ENDPOINT is set: %s (install open-kleinkram[otel])", error)
+        return
+    _tracer = Tracer(service)
+
+
+def stop() -> None:
+    """Export what is left, for some seconds at most, and end the traces of this process."""
+    global _tracer
+    tracer, _tracer = _tracer, None
+    if tracer is not None:
+        thread = threading.Thread(target=tracer.close, name="last spans", daemon=True)
+        thread.start()
+        thread.join(_STOP_TIMEOUT_S)
+
+
+def is_on() -> bool:
+    """Whether this process exports spans."""
+    return _tracer is not None
+
+
+def is_active() -> bool:
+    """Whether a span that is exported is under way here."""
+    return _tracer is not None and _tracer.is_active()
+
+
+@contextmanager
+def span(
+    name: str, attributes: Attributes = _NONE, *, kind: Kind = Kind.internal, parent: str | None = None
+) -> Iterator[Span]:
+    """Run a block as a span: what the block does belongs to it. No effect without traces.
+
+    `parent` is a `traceparent`, possibly of a stranger; without one, the parent is the span under way here. An error
+    that leaves the block marks the span as failed.
+    """
+    if _tracer is None:
+        yield _NO_SPAN
+        return
+    with _tracer.span(name, attributes, kind, parent) as started:
+        yield started
+
+
+@contextmanager
+def leaf_span(name: str, attributes: Attributes = _NONE) -> Iterator[Span]:
+    """Run a block as a span of kind client without children; the block may be in a generator.
+
+    No effect outside of another span: details of nothing are no trace.
+    """
+    if _tracer is None or not _tracer.is_active():
+        yield _NO_SPAN
+        return
+    with _tracer.leaf_span(name, attributes, Kind.client) as started:
+        yield started
+
+
+def traceparent() -> str | None:
+    """Return the header `traceparent` of the span under way here; None without one."""
+    return None if _tracer is None else _tracer.traceparent()
+
+
+def trace_id() -> str | None:
+    """Return the id of the trace under way here, in hexadecimal; None without one."""
+    header = traceparent()
+    return None if header is None else header.split("-")[1]
