@@ -24,6 +24,7 @@ class OtelSpan:
 
     def __init__(self, started: trace.Span) -> None:
         self._span = started
+        self.has_failed = False
 
     @property
     def traceparent(self) -> str | None:
@@ -40,6 +41,7 @@ class OtelSpan:
 
     def fail(self, error_type: str) -> None:
         """Mark the span as failed."""
+        self.has_failed = True
         self._span.set_attribute("error.type", error_type)
         self._span.set_status(StatusCode.ERROR)
 
@@ -99,7 +101,8 @@ def _ended(started: trace.Span) -> Iterator[OtelSpan]:
     try:
         yield wrapped
     except Exception as error:
-        wrapped.fail(type(error).__name__)
+        if not wrapped.has_failed:
+            wrapped.fail(type(error).__name__)
         raise
     finally:
         started.end()

@@ -4,9 +4,7 @@ ARGUMENTS is the JSON of `Arguments`. SIGTERM ends the runner but not its runs, 
 ends its runs, too, which the next one starts again.
 """
 
-import datetime
 import enum
-import json
 import logging
 import os
 import signal
@@ -19,6 +17,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
+from kleinkram import tracing
 from kleinkram.client.errors import ConfigurationBroken, CredentialsExposed, InvalidInput, NotConfigured
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.names import Label
@@ -26,6 +25,7 @@ from kleinkram.contract.runners import Isolation
 from kleinkram.environments.cache import EnvironmentCache
 from kleinkram.environments.local import local_index
 from kleinkram.environments.uv import PackageIndex
+from kleinkram.json_logs import JsonLines
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.docker.client import DockerClient, EngineError, EngineUnavailable, find_socket
 from kleinkram.runner.executors.docker.executor import DockerExecutor, Pull
@@ -88,24 +88,16 @@ class Arguments(BaseModel):
         return [sys.executable, "-m", "kleinkram.runner", self.model_dump_json(exclude_defaults=True)]
 
 
-class _JsonLines(logging.Formatter):
-    def format(self, record: logging.LogRecord) -> str:
-        at = datetime.datetime.fromtimestamp(record.created, datetime.timezone.utc).isoformat(timespec="milliseconds")
-        line = {"at": at, "level": record.levelname.lower(), "logger": record.name, "message": record.getMessage()}
-        if record.exc_info:
-            line["exception"] = self.formatException(record.exc_info)
-        return json.dumps(line)
-
-
 def main() -> None:
     """Run until a signal; an error is one sentence on stderr and exit code 1."""
     arguments = Arguments.model_validate_json(sys.argv[1])
     handler = logging.StreamHandler(sys.stderr)
     text = logging.Formatter("%(asctime)s %(levelname)s %(name)s %(message)s")
-    handler.setFormatter(_JsonLines() if arguments.log_format == "json" else text)
+    handler.setFormatter(JsonLines("runner") if arguments.log_format == "json" else text)
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     # It would log URLs, which are signed.
     logging.getLogger("urllib3").setLevel(logging.ERROR)
+    tracing.start("kleinkram-runner")
     try:
         with open_state_directory(arguments.data_dir) as state:
             options = RunnerOptions(
@@ -133,6 +125,7 @@ def main() -> None:
             code = _run_until_signal(Runner(options, state, executor), once=arguments.once)
     except KleinkramError as error:
         sys.exit(f"Error: {error}")
+    tracing.stop()
     # Do not wait for threads that wait for an unavailable server.
     logging.shutdown()
     os._exit(code)

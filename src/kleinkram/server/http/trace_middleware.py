@@ -28,7 +28,7 @@ class TraceMiddleware:
             await self._app(scope, receive, send)
             return
         method = scope["method"]
-        attributes = {
+        attributes: tracing.Attributes = {
             "http.request.method": method,
             "url.path": printed_path(scope),
             "url.scheme": scope.get("scheme", "http"),
@@ -56,7 +56,7 @@ def _parent_of(scope: Scope) -> str | None:
 def _describe(span: tracing.Span, scope: Scope, status: int) -> None:
     route, actor = route_of(scope), actor_fields(scope)
     span.rename(f"{scope['method']} {route}")
-    attributes = {
+    attributes: tracing.Attributes = {
         "http.route": route,
         "http.response.status_code": status,
         "kleinkram.request_id": scope["state"]["request_id"],

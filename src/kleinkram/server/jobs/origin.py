@@ -45,7 +45,7 @@ async def run_with_origin(call_next: Callable[[], Awaitable[Any]], job_context: 
     with log_fields(request_id=origin.request_id, **fields):
         if origin.traceparent is None:  # a periodic job alone is no trace
             return await call_next()
-        attributes = {
+        attributes: tracing.Attributes = {
             "messaging.system": "procrastinate",
             "messaging.operation.type": "process",
             "messaging.destination.name": job.queue,
