@@ -64,8 +64,8 @@ def _filled(pool: urllib3.PoolManager, url: str, token: str) -> list[str]:
         return str(json.loads(answer.data)["id"])
 
     project_id = create("projects", "traces")
-    mission_id = [create(f"projects/{project_id}/missions", f"mission {number}") for number in range(_MISSIONS)][0]
-    return [path.format(project_id=project_id, mission_id=mission_id) for path in _PATHS]
+    mission_ids = [create(f"projects/{project_id}/missions", f"mission {number}") for number in range(_MISSIONS)]
+    return [path.format(project_id=project_id, mission_id=mission_ids[0]) for path in _PATHS]
 
 
 def _cpu_s(pool: urllib3.PoolManager, url: str, process: psutil.Process, paths: list[str], token: str) -> float:

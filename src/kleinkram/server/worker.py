@@ -212,7 +212,9 @@ async def _abandoned(app: App, attempts: Attempts) -> Iterable[ProcrastinateJob]
 
 async def _rescue(app: App, job: ProcrastinateJob) -> None:
     """Put one job back; a periodic one is deleted instead, because its next round is waiting already."""
-    _log.warning("job was left unfinished: it will run again", extra={"fields": {"job": job.task_name, "job_id": job.id}})
+    _log.warning(
+        "job was left unfinished: it will run again", extra={"fields": {"job": job.task_name, "job_id": job.id}}
+    )
     try:
         if job.queueing_lock is not None:
             await app.job_manager.finish_job(job, status=Status.FAILED, delete_job=True)
