@@ -7,6 +7,7 @@ Source: OpenTelemetry specification, "Environment Variable Specification"; W3C T
 """
 
 import enum
+import importlib.util
 import logging
 import os
 import threading
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
     from kleinkram.opentelemetry_spans import Tracer
 
 _log = logging.getLogger("kleinkram.tracing")
-_ENDPOINTS = ("OTEL_EXPORTER_OTLP_TRACES_ENDPOINT", "OTEL_EXPORTER_OTLP_ENDPOINT")
+_NOT_INSTALLED = "the packages of OpenTelemetry are not installed (pip install 'open-kleinkram[otel]')"
+_PACKAGES = ("opentelemetry.sdk.trace", "opentelemetry.exporter.otlp.proto.http")
 # A collector that is away must not keep a command, or a process that stops, from ending.
 _STOP_TIMEOUT_S = 3.0
 
@@ -71,13 +73,37 @@ _NO_SPAN = _NoSpan()
 _tracer: "Tracer | None" = None
 
 
-def is_configured() -> bool:
-    """Whether the environment asks for traces."""
+def endpoint() -> str | None:
+    """Return the URL that the environment names for spans; None if it asks for no traces."""
     if os.environ.get("OTEL_SDK_DISABLED", "").strip().lower() == "true":
-        return False
+        return None
     if os.environ.get("OTEL_TRACES_EXPORTER", "").strip().lower() == "none":
+        return None
+    if own := os.environ.get("OTEL_EXPORTER_OTLP_TRACES_ENDPOINT", "").strip():
+        return own
+    shared = os.environ.get("OTEL_EXPORTER_OTLP_ENDPOINT", "").strip()
+    return f"{shared.rstrip('/')}/v1/traces" if shared else None
+
+
+def misconfiguration() -> str | None:
+    """Return why the traces that the environment asks for cannot be exported, or None."""
+    url = endpoint()
+    if url is None:
+        return None
+    if not url.startswith(("http://", "https://")):
+        return f"the OTLP endpoint {url!r} is no http or https address"
+    for name in ("OTEL_EXPORTER_OTLP_TRACES_PROTOCOL", "OTEL_EXPORTER_OTLP_PROTOCOL"):
+        protocol = os.environ.get(name, "").strip()
+        if protocol not in {"", "http/protobuf"}:
+            return f"{name} is {protocol!r}, but Kleinkram exports by http/protobuf (usually port 4318)"
+    return None if all(_is_installed(name) for name in _PACKAGES) else _NOT_INSTALLED
+
+
+def _is_installed(name: str) -> bool:
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ModuleNotFoundError:  # of the package that it is in
         return False
-    return any(os.environ.get(name, "").strip() for name in _ENDPOINTS)
 
 
 def start(service: str) -> None:
@@ -86,13 +112,13 @@ def start(service: str) -> None:
     `OTEL_SERVICE_NAME` overrides the name. In a program that has set a tracer provider, spans go to that one.
     """
     global _tracer
-    if _tracer is not None or not is_configured():
+    if _tracer is not None or endpoint() is None:
         return
-    try:
-        from kleinkram.opentelemetry_spans import Tracer
-    except ImportError as error:
-        _log.warning("no traces, although OTEL_EXPORTER_OTLP_ENDPOINT is set: %s (install open-kleinkram[otel])", error)
+    if (reason := misconfiguration()) is not None:
+        _log.warning("no traces: %s", reason)
         return
+    from kleinkram.opentelemetry_spans import Tracer
+
     _tracer = Tracer(service)
 
 

@@ -149,10 +149,11 @@ def klein(
 def _traced(arguments: Sequence[str]) -> Iterator[None]:
     """Run a command as a span, below the one in `TRACEPARENT`; only if the environment asks for traces."""
     name = next((argument for argument in arguments if argument in COMMANDS), "")
-    if name in _LONG_RUNNING or not tracing.is_configured():
+    if name in _LONG_RUNNING or tracing.endpoint() is None:
         yield
         return
-    logging.getLogger("opentelemetry").setLevel(logging.CRITICAL)  # a collector that is away does not concern users
+    for name_of_logger in ("opentelemetry", "kleinkram.tracing"):  # a collector that is away does not concern users
+        logging.getLogger(name_of_logger).setLevel(logging.CRITICAL)
     tracing.start("klein")
     try:
         with tracing.span(f"klein {name}".strip(), parent=os.environ.get("TRACEPARENT")):

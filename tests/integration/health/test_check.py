@@ -14,6 +14,7 @@ from kleinkram.server.health import checks
 from kleinkram.server.http.headers import CHECK_HEADER, RequestOrigin, operator_code
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
+from tests.otlp_collector import collecting
 from tests.ports import choose_port
 from tests.services import RunningPostgres
 
@@ -124,3 +125,25 @@ def test_missing_and_excessive_rights_of_the_serving_role_are_named(start_api: S
         assert (code, actual["rights of the serving role"]["severity"]) == (1, "problem"), change
         assert words in actual["rights of the serving role"]["message"]
         api.sql(undo)
+
+
+@pytest.mark.parametrize(
+    ("variables", "words"),
+    [
+        ({"OTEL_EXPORTER_OTLP_ENDPOINT": "collector:4318"}, "'collector:4318/v1/traces' is no http or https address"),
+        ({"OTEL_EXPORTER_OTLP_ENDPOINT": "http://127.0.0.1:1"}, "cannot be reached"),
+        ({"OTEL_EXPORTER_OTLP_ENDPOINT": "http://127.0.0.1:1", "OTEL_EXPORTER_OTLP_PROTOCOL": "grpc"}, "http/protobuf"),
+    ],
+)
+def test_a_wrong_collector_of_traces_is_named(api: Api, variables: dict[str, str], words: str) -> None:
+    code, found = _check({**_environment(api), **variables})
+    assert (code, found["traces"]["severity"]) == (0, "warning")
+    assert words in found["traces"]["message"]
+
+
+def test_a_collector_of_traces_is_tried(api: Api) -> None:
+    with collecting() as collector:
+        _, found = _check({**_environment(api), "OTEL_EXPORTER_OTLP_ENDPOINT": collector.url})
+        _, wrong = _check({**_environment(api), "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT": f"{api.url}/v1/traces"})
+    assert (found["traces"]["severity"], wrong["traces"]["severity"]) == ("ok", "warning")
+    assert "traces" not in _check(_environment(api))[1]
