@@ -91,7 +91,7 @@ def misconfiguration() -> str | None:
     if url is None:
         return None
     if not url.startswith(("http://", "https://")):
-        return f"the OTLP endpoint {url!r} is no http or https address"
+        return "the address of the collector does not begin with http:// or https://"
     for name in ("OTEL_EXPORTER_OTLP_TRACES_PROTOCOL", "OTEL_EXPORTER_OTLP_PROTOCOL"):
         protocol = os.environ.get(name, "").strip()
         if protocol not in {"", "http/protobuf"}:

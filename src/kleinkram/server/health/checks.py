@@ -285,6 +285,7 @@ async def _traces(_settings: Settings) -> AsyncIterator[Diagnostic]:
     if (reason := tracing.misconfiguration()) is not None:
         yield warning(check, f"None are exported: {reason}.", "Correct the variables of OpenTelemetry, or unset them.")
         return
+    host = urlsplit(url).hostname  # the address may hold a password
     try:
         async with (
             aiohttp.ClientSession(timeout=_TIMEOUT) as session,
@@ -292,12 +293,15 @@ async def _traces(_settings: Settings) -> AsyncIterator[Diagnostic]:
         ):
             status = response.status
     except (aiohttp.ClientError, asyncio.TimeoutError, OSError, ValueError) as error:
-        message = f"The collector at {url} cannot be reached ({type(error).__name__})."
+        message = f"The collector at {host} cannot be reached ({type(error).__name__})."
         yield warning(check, message, "Start it, or correct OTEL_EXPORTER_OTLP_ENDPOINT.")
         return
     # It may want the headers of `OTEL_EXPORTER_OTLP_HEADERS`, which are the exporter's.
     is_there = status < 300 or status in {401, 403}
-    message, remedy = f"{url} answers {status}.", "Set OTEL_EXPORTER_OTLP_ENDPOINT to its address for OTLP over HTTP."
+    message, remedy = (
+        f"The collector at {host} answers {status}.",
+        "Set OTEL_EXPORTER_OTLP_ENDPOINT to its address for OTLP over HTTP.",
+    )
     yield judge(check, is_there, message, remedy, otherwise=DiagnosticSeverity.warning)
 
 
