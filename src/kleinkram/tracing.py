@@ -10,6 +10,7 @@ import enum
 import importlib.util
 import logging
 import os
+import sys
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -109,17 +110,28 @@ def _is_installed(name: str) -> bool:
 def start(service: str) -> None:
     """Begin to export spans of this process as those of `service`, if the environment asks for traces.
 
-    `OTEL_SERVICE_NAME` overrides the name. In a program that has set a tracer provider, spans go to that one.
+    `OTEL_SERVICE_NAME` overrides the name. In a program that has set a tracer provider, spans go to that one in any
+    case.
     """
     global _tracer
-    if _tracer is not None or endpoint() is None:
+    if _tracer is not None or (endpoint() is None and not _has_provider()):
         return
-    if (reason := misconfiguration()) is not None:
+    if not _has_provider() and (reason := misconfiguration()) is not None:
         _log.warning("no traces: %s", reason)
         return
     from kleinkram.opentelemetry_spans import Tracer
 
     _tracer = Tracer(service)
+
+
+def _has_provider() -> bool:
+    """Whether the program has set a tracer provider of the SDK: then it has imported the SDK."""
+    if "opentelemetry.sdk.trace" not in sys.modules:
+        return False
+    from opentelemetry import trace
+    from opentelemetry.sdk.trace import TracerProvider
+
+    return isinstance(trace.get_tracer_provider(), TracerProvider)
 
 
 def stop() -> None:
@@ -139,7 +151,8 @@ def is_on() -> bool:
 
 def is_active() -> bool:
     """Whether a span that is exported is under way here."""
-    return _tracer is not None and _tracer.is_active()
+    tracer = _tracer
+    return tracer is not None and tracer.is_active()
 
 
 @contextmanager
@@ -151,10 +164,11 @@ def span(
     `parent` is a `traceparent`, possibly of a stranger; without one, the parent is the span under way here. An error
     that leaves the block marks the span as failed.
     """
-    if _tracer is None:
+    tracer = _tracer  # another thread may stop the traces
+    if tracer is None:
         yield _NO_SPAN
         return
-    with _tracer.span(name, attributes, kind, parent) as started:
+    with tracer.span(name, attributes, kind, parent) as started:
         yield started
 
 
@@ -164,16 +178,18 @@ def leaf_span(name: str, attributes: Attributes = _NONE) -> Iterator[Span]:
 
     No effect outside of another span: details of nothing are no trace.
     """
-    if _tracer is None or not _tracer.is_active():
+    tracer = _tracer
+    if tracer is None or not tracer.is_active():
         yield _NO_SPAN
         return
-    with _tracer.leaf_span(name, attributes, Kind.client) as started:
+    with tracer.leaf_span(name, attributes, Kind.client) as started:
         yield started
 
 
 def traceparent() -> str | None:
     """Return the header `traceparent` of the span under way here; None without one."""
-    return None if _tracer is None else _tracer.traceparent()
+    tracer = _tracer
+    return None if tracer is None else tracer.traceparent()
 
 
 def trace_id() -> str | None:
