@@ -214,6 +214,33 @@ def test_packages_that_use_the_global_provider_export_nothing(collector: OtlpCol
     assert b"secret words" not in b"".join(collector.bodies)
 
 
+_OWN_PROVIDER = """
+import sys
+from opentelemetry import trace
+from opentelemetry.sdk.trace import TracerProvider
+from opentelemetry.sdk.trace.export import SimpleSpanProcessor
+from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanExporter
+import kleinkram
+from kleinkram import tracing
+
+kept = InMemorySpanExporter()
+trace.set_tracer_provider(TracerProvider())
+trace.get_tracer_provider().add_span_processor(SimpleSpanProcessor(kept))
+tracing.start("recorder")
+with trace.get_tracer("recorder").start_as_current_span("drive"), kleinkram.connect(*sys.argv[1:3]) as client:
+    client.upload(sys.argv[3], sys.argv[4])
+print(*sorted({span.name for span in kept.get_finished_spans()}))
+"""
+
+
+def test_a_program_with_a_tracer_provider_gets_the_spans_of_the_sdk(api: Api, mission_id: str, tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("nothing")
+    command = [sys.executable, "-c", _OWN_PROVIDER, api.url, str(api.token), str(tmp_path / "notes.txt"), mission_id]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stdout.split() == ["GET", "POST", "PUT", "drive", "upload"]
+
+
 def test_a_collector_that_is_away_delays_no_command(api: Api, tmp_path: Path) -> None:
     klein = klein_at(api, tmp_path)
     done = klein("project", "list", OTEL_EXPORTER_OTLP_ENDPOINT="http://127.0.0.1:9")
