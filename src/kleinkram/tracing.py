@@ -119,8 +119,11 @@ def start(service: str) -> None:
     if not _has_provider() and (reason := misconfiguration()) is not None:
         _log.warning("no traces: %s", reason)
         return
-    from kleinkram.opentelemetry_spans import Tracer
-
+    try:
+        from kleinkram.opentelemetry_spans import Tracer
+    except ImportError as error:  # installed in part
+        _log.warning("no traces: %s; %s", error, _NOT_INSTALLED)
+        return
     _tracer = Tracer(service)
 
 
