@@ -12,7 +12,7 @@ import socket
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
-from kleinkram import tracing
+from kleinkram import traces
 
 _bound: contextvars.ContextVar[Mapping[str, object]] = contextvars.ContextVar("log fields", default={})  # noqa: B039  never changed
 
@@ -37,7 +37,7 @@ class JsonLines(logging.Formatter):
             **bound_fields(),
             **getattr(record, "fields", {}),
         }
-        if (trace_id := tracing.trace_id()) is not None:
+        if (trace_id := traces.trace_id()) is not None:
             line["trace_id"] = trace_id
         if record.exc_info:
             line["exception"] = self.formatException(record.exc_info)

@@ -1,4 +1,4 @@
-"""The spans of `tracing`, by the SDK of OpenTelemetry. Only imported by processes that export traces."""
+"""The spans of `traces`, by the SDK of OpenTelemetry. Only imported by processes that export traces."""
 
 import socket
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from opentelemetry.trace import SpanKind, StatusCode
 from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 
 import kleinkram
-from kleinkram.tracing import Attributes, Kind, Span
+from kleinkram.traces import Attributes, Kind, Span
 
 _HEADER = "traceparent"
 _PROPAGATOR = TraceContextTextMapPropagator()

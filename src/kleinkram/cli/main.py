@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 import typer.main
 
-from kleinkram import tracing
+from kleinkram import traces
 from kleinkram.cli.commands import Group, Subcommands, closest, print_requests, take_flag
 
 # name -> (module of kleinkram.cli, attribute, the line in `klein --help`)
@@ -149,17 +149,17 @@ def klein(
 def _traced(arguments: Sequence[str]) -> Iterator[None]:
     """Run a command as a span, below the one in `TRACEPARENT`; only if the environment asks for traces."""
     name = next((argument for argument in arguments if argument in COMMANDS), "")
-    if name in _LONG_RUNNING or tracing.endpoint() is None:
+    if name in _LONG_RUNNING or traces.endpoint() is None:
         yield
         return
-    for name_of_logger in ("opentelemetry", "kleinkram.tracing"):  # a collector that is away does not concern users
+    for name_of_logger in ("opentelemetry", "kleinkram.traces"):  # a collector that is away does not concern users
         logging.getLogger(name_of_logger).setLevel(logging.CRITICAL)
-    tracing.start("klein")
+    traces.start("klein")
     try:
-        with tracing.span(f"klein {name}".strip(), parent=os.environ.get("TRACEPARENT")):
+        with traces.span(f"klein {name}".strip(), parent=os.environ.get("TRACEPARENT")):
             yield
     finally:
-        tracing.stop()
+        traces.stop()
 
 
 def main() -> None:

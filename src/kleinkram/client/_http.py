@@ -25,7 +25,7 @@ from pydantic import BaseModel, ValidationError
 from typing_extensions import Self
 
 import kleinkram
-from kleinkram import tracing
+from kleinkram import traces
 from kleinkram.client._network import WatchedPools
 from kleinkram.client.config import TOKEN_VARIABLE, Endpoint
 from kleinkram.client.errors import AnswerNotUnderstood, ServerUnreachable, StoreUnreachable, remember_request
@@ -297,17 +297,17 @@ class Api:
                 method, target, body=content, headers={**headers, **more}, redirect=False, preload_content=whole
             )
 
-        if not tracing.is_on():
+        if not traces.is_on():
             return request({})
-        with tracing.leaf_span(method, self._span_attributes(method, target)) as span:
-            parent = span.traceparent or tracing.traceparent()  # the second where traces are not sampled
+        with traces.leaf_span(method, self._span_attributes(method, target)) as span:
+            parent = span.traceparent or traces.traceparent()  # the second where traces are not sampled
             answer = request({} if parent is None else {"traceparent": parent})
             span.set({"http.response.status_code": answer.status})
             if answer.status >= 400:
                 span.fail(str(answer.status))
             return answer
 
-    def _span_attributes(self, method: str, target: str) -> tracing.Attributes:
+    def _span_attributes(self, method: str, target: str) -> traces.Attributes:
         server = urlsplit(self.endpoint.url)
         path = target.removeprefix(self.endpoint.url).partition("?")[0]
         attributes: dict[str, str | int] = {"http.request.method": method, "url.path": path}

@@ -17,7 +17,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from kleinkram import tracing
+from kleinkram import traces
 from kleinkram.client.errors import ConfigurationBroken, CredentialsExposed, InvalidInput, NotConfigured
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.names import Label
@@ -97,7 +97,7 @@ def main() -> None:
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     # It would log URLs, which are signed.
     logging.getLogger("urllib3").setLevel(logging.ERROR)
-    tracing.start("kleinkram-runner")
+    traces.start("kleinkram-runner")
     try:
         with open_state_directory(arguments.data_dir) as state:
             options = RunnerOptions(
@@ -125,7 +125,7 @@ def main() -> None:
             code = _run_until_signal(Runner(options, state, executor), once=arguments.once)
     except KleinkramError as error:
         sys.exit(f"Error: {error}")
-    tracing.stop()
+    traces.stop()
     # Do not wait for threads that wait for an unavailable server.
     logging.shutdown()
     os._exit(code)

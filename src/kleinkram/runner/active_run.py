@@ -10,7 +10,7 @@ import math
 import threading
 from collections.abc import Callable
 
-from kleinkram import tracing
+from kleinkram import traces
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.reports import Progress
 from kleinkram.contract.runners import Heartbeat, HeartbeatReply, LeaseStatus, RunAssignment, RunFinish
@@ -153,7 +153,7 @@ class ActiveRun:
 
     def _run(self) -> None:
         assignment = self.assignment
-        attributes: tracing.Attributes = {
+        attributes: traces.Attributes = {
             "kleinkram.run_id": str(assignment.run_id),
             "kleinkram.attempt": assignment.attempt,
             "kleinkram.action": assignment.action.name,
@@ -162,7 +162,7 @@ class ActiveRun:
         parent = assignment.traceparent
         with (
             log_fields(run_id=str(assignment.run_id), attempt=assignment.attempt),
-            tracing.span("run", attributes, kind=tracing.Kind.consumer, parent=parent) as span,
+            traces.span("run", attributes, kind=traces.Kind.consumer, parent=parent) as span,
         ):
             self._run_to_end()
             if self._attempt.state.ending is not None:
@@ -175,7 +175,7 @@ class ActiveRun:
                 if self._attempt.state.stage is not RunState.collecting:
                     ending = self._run_job()
                     self._attempt.change(stage=RunState.collecting, ending=ending, usage=self._usage)
-                with tracing.span("upload results"):
+                with traces.span("upload results"):
                     self._upload_results()
             except OSError as error:
                 if error.errno not in _DISK_FULL_ERRORS:
@@ -215,9 +215,9 @@ class ActiveRun:
                 elif ending is not None:
                     return ending
             if not self._is_submitted:
-                with tracing.span("prepare"):
+                with traces.span("prepare"):
                     self._prepare_and_submit()
-            with tracing.span("execute"):
+            with traces.span("execute"):
                 return self._watch()
         except CannotStart as error:
             # Whatever was starting may have been killed for a stop request.

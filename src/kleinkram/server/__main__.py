@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NoReturn
 
-from kleinkram import tracing
+from kleinkram import traces
 from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.logs import set_up_logs
 from kleinkram.server.settings import Settings, plain_dsn
@@ -84,18 +84,18 @@ def _work(settings: Settings) -> None:
 
     # Requests have priority over jobs. The child processes that read recordings inherit this.
     os.nice(_NICENESS)
-    tracing.start("kleinkram-worker")
+    traces.start("kleinkram-worker")
     try:
         asyncio.run(run_worker(settings))
     except MetricsPortUnusable as error:
         logging.getLogger("kleinkram").critical(str(error))
         sys.exit(_NOT_STARTED)
     finally:
-        tracing.stop()
+        traces.stop()
 
 
 def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
-    tracing.start("kleinkram-api")
+    traces.start("kleinkram-api")
     with _loading():
         import uvicorn
 
@@ -120,7 +120,7 @@ def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
     server = ApiServer(config, app)
     with contextlib.suppress(KeyboardInterrupt):
         server.run()
-    tracing.stop()
+    traces.stop()
     if not server.started:
         sys.exit(_NOT_STARTED)
 

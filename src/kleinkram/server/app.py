@@ -8,7 +8,7 @@ from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
 import kleinkram
-from kleinkram import tracing
+from kleinkram import traces
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
 from kleinkram.server.actions.routes import library_router as library
 from kleinkram.server.actions.routes import router as actions
@@ -150,7 +150,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.admin_reads, app.state.refusals = AdminReads(), Refusals()
     app.state.slice_slots = SliceSlots(settings.slices_at_once, settings.slices_per_account)
     app.add_middleware(RequestMiddleware, settings=settings)
-    if tracing.is_on():
+    if traces.is_on():
         app.add_middleware(TraceMiddleware)  # the one added last is the outermost
     install_error_handlers(app)
     for router in ROUTERS:

@@ -136,14 +136,14 @@ def test_missing_and_excessive_rights_of_the_serving_role_are_named(start_api: S
     ],
 )
 def test_a_wrong_collector_of_traces_is_named(api: Api, variables: dict[str, str], words: str) -> None:
-    code, found = _check({**_environment(api), **variables})
-    assert (code, found["traces"]["severity"]) == (0, "warning")
-    assert words in found["traces"]["message"]
+    code, results = _check({**_environment(api), **variables})
+    assert (code, results["traces"]["severity"]) == (0, "warning")
+    assert words in results["traces"]["message"]
 
 
 def test_a_collector_of_traces_is_tried(api: Api) -> None:
     with collecting() as collector:
-        _, found = _check({**_environment(api), "OTEL_EXPORTER_OTLP_ENDPOINT": collector.url})
+        _, results = _check({**_environment(api), "OTEL_EXPORTER_OTLP_ENDPOINT": collector.url})
         _, wrong = _check({**_environment(api), "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT": f"{api.url}/v1/traces"})
-    assert (found["traces"]["severity"], wrong["traces"]["severity"]) == ("ok", "warning")
+    assert (results["traces"]["severity"], wrong["traces"]["severity"]) == ("ok", "warning")
     assert "traces" not in _check(_environment(api))[1]

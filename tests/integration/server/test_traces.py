@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import kleinkram
-from kleinkram import tracing
+from kleinkram import traces
 from kleinkram.client import Client
 from kleinkram.contract.access import Scope, TokenKind
 from kleinkram.contract.actions import ActionDefinition
@@ -41,10 +41,10 @@ def collector(monkeypatch: pytest.MonkeyPatch) -> Iterator[OtlpCollector]:
     """A collector to which this process exports its spans: the API, the worker, and a runner."""
     with collecting() as made:
         monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", made.url)
-        tracing.start("kleinkram-test")
-        assert tracing.is_on()
+        traces.start("kleinkram-test")
+        assert traces.is_on()
         yield made
-        tracing.stop()
+        traces.stop()
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def test_an_upload_is_one_trace_from_the_command_to_the_verification(
     klein = klein_at(api, tmp_path)
     klein("upload", "-m", mission["id"], _recordings(tmp_path / "drive"))
     run_jobs(api)
-    tracing.stop()
+    traces.stop()
     (root,) = collector.named("klein upload")
     uploaded = [span for span in collector.spans if span.trace_id == root.trace_id]
     assert {span.service for span in uploaded} == {"klein", "kleinkram-test"}
@@ -120,11 +120,11 @@ def test_a_run_is_one_trace_from_its_launch_to_the_verification_of_its_artifacts
         mission = api.mission(api.project()["id"])
         (tmp_path / "notes.txt").write_text("nothing")
         client.upload(tmp_path / "notes.txt", mission["id"])
-        with tracing.span("launching"):
+        with traces.span("launching"):
             run_id = _launch(client, mission["id"])
         wait_until(lambda: client.runs.get(run_id).state is RunState.done)
     run_jobs(api)
-    tracing.stop()
+    traces.stop()
     launch, finish = "POST /api/v1/runs", "POST /api/v1/runner/runs/{run_id}/finish"
     complete = "POST /api/v1/uploads/complete"
     assert collector.edges() >= {
@@ -184,7 +184,7 @@ def test_a_request_continues_the_trace_of_a_proxy_and_names_its_own(collector: O
         assert other.headers["traceresponse"].split("-")[1] != trace_id
     unsampled = uuid.uuid4().hex
     api.call("GET", "/projects", headers={"traceparent": f"00-{unsampled}-00f067aa0ba902b7-00"})
-    tracing.stop()
+    traces.stop()
     spans = collector.named("GET /api/v1/projects")
     assert len(spans) == 5
     assert (spans[0].trace_id, spans[0].parent_id) == (trace_id, "00f067aa0ba902b7")
@@ -197,7 +197,7 @@ def test_a_refused_request_is_a_span_without_its_query_and_long_parts(
 ) -> None:
     pasted = "kk_" + "s" * 40
     traced_api.call("GET", f"/missions/{pasted}", query={"code": pasted}).refused(422, "invalid_request")
-    tracing.stop()
+    traces.stop()
     (span,) = collector.named("GET /api/v1/missions/{mission_id}")
     assert span.attributes["url.path"] == "/api/v1/missions/kk_sssss…"
     assert span.attributes["http.response.status_code"] == 422
@@ -209,7 +209,7 @@ def test_packages_that_use_the_global_provider_export_nothing(collector: OtlpCol
 
     with trace.get_tracer("another").start_as_current_span("of another package"):
         traced_api.get("/projects", {"text": "secret words"}).ok()
-    tracing.stop()
+    traces.stop()
     assert {span.name for span in collector.spans} == {"GET /api/v1/projects"}
     assert b"secret words" not in b"".join(collector.bodies)
 
@@ -221,12 +221,12 @@ from opentelemetry.sdk.trace import TracerProvider
 from opentelemetry.sdk.trace.export import SimpleSpanProcessor
 from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanExporter
 import kleinkram
-from kleinkram import tracing
+from kleinkram import traces
 
 kept = InMemorySpanExporter()
 trace.set_tracer_provider(TracerProvider())
 trace.get_tracer_provider().add_span_processor(SimpleSpanProcessor(kept))
-tracing.start("recorder")
+traces.start("recorder")
 with trace.get_tracer("recorder").start_as_current_span("drive"), kleinkram.connect(*sys.argv[1:3]) as client:
     client.upload(sys.argv[3], sys.argv[4])
 print(*sorted({span.name for span in kept.get_finished_spans()}))
@@ -252,8 +252,8 @@ import sys
 {code}
 print(*sorted(name for name in sys.modules if name.startswith({prefixes})))
 """
-_SERVER = "from kleinkram.server import __main__, app, worker; from kleinkram import tracing; tracing.start('x')"
-_CLIENT = "from kleinkram.cli import main, transfer; from kleinkram import client, tracing; tracing.start('x')"
+_SERVER = "from kleinkram.server import __main__, app, worker; from kleinkram import traces; traces.start('x')"
+_CLIENT = "from kleinkram.cli import main, transfer; from kleinkram import client, traces; traces.start('x')"
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
-from kleinkram import tracing
+from kleinkram import traces
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed
 from kleinkram.client.files import Uploads
 from kleinkram.client.transfer import store
@@ -252,16 +252,16 @@ class UploadPipeline(TransferPool[FilePart]):
         return result
 
     def _put(self, part: FilePart, signed: SignedPart, body: Iterator[FileSlice]) -> PutResult:
-        if next(self._put_count) >= _MAX_PUT_SPANS or not tracing.is_active():
+        if next(self._put_count) >= _MAX_PUT_SPANS or not traces.is_active():
             return self._store.put(signed.url, signed.headers, part.size_bytes, body)
-        attributes: tracing.Attributes = {
+        attributes: traces.Attributes = {
             "http.request.method": "PUT",
             "http.request.body.size": part.size_bytes,
             "server.address": urlsplit(signed.url).hostname or "",
             "kleinkram.upload_id": str(part.file.upload.id),
             "kleinkram.part": part.number,
         }
-        with tracing.leaf_span("PUT", attributes) as span:
+        with traces.leaf_span("PUT", attributes) as span:
             result = self._store.put(signed.url, signed.headers, part.size_bytes, body)
             if result.answer is not StoreAnswer.taken:
                 span.fail(result.answer.name)

@@ -22,7 +22,7 @@ from psycopg.rows import class_row
 from pydantic import PostgresDsn, ValidationError
 from typing_extensions import LiteralString
 
-from kleinkram import tracing
+from kleinkram import traces
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.diagnostics import (
     Diagnostic,
@@ -279,10 +279,10 @@ async def _public_url(settings: Settings) -> AsyncIterator[Diagnostic]:
 
 async def _traces(_settings: Settings) -> AsyncIterator[Diagnostic]:
     """Send a collector no spans, if the environment names one."""
-    check, url = "traces", tracing.endpoint()
+    check, url = "traces", traces.endpoint()
     if url is None:
         return
-    if (reason := tracing.misconfiguration()) is not None:
+    if (reason := traces.misconfiguration()) is not None:
         yield warning(check, f"None are exported: {reason}.", "Correct the variables of OpenTelemetry, or unset them.")
         return
     host = urlsplit(url).hostname  # the address may hold a password

@@ -9,7 +9,7 @@ import re
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from kleinkram import tracing
+from kleinkram import traces
 from kleinkram.server.http.middleware import actor_fields, printed_path, route_of
 
 # Long polls, heartbeats and event streams are no work of their own, and come every few seconds.
@@ -28,12 +28,12 @@ class TraceMiddleware:
             await self._app(scope, receive, send)
             return
         method = scope["method"]
-        attributes: tracing.Attributes = {
+        attributes: traces.Attributes = {
             "http.request.method": method,
             "url.path": printed_path(scope),
             "url.scheme": scope.get("scheme", "http"),
         }
-        with tracing.span(method, attributes, kind=tracing.Kind.server, parent=_parent_of(scope)) as span:
+        with traces.span(method, attributes, kind=traces.Kind.server, parent=_parent_of(scope)) as span:
 
             async def send_traced(message: Message) -> None:
                 if message["type"] == "http.response.start":
@@ -53,10 +53,10 @@ def _parent_of(scope: Scope) -> str | None:
     return None
 
 
-def _describe(span: tracing.Span, scope: Scope, status: int) -> None:
+def _describe(span: traces.Span, scope: Scope, status: int) -> None:
     route, actor = route_of(scope), actor_fields(scope)
     span.rename(f"{scope['method']} {route}")
-    attributes: tracing.Attributes = {
+    attributes: traces.Attributes = {
         "http.route": route,
         "http.response.status_code": status,
         "kleinkram.request_id": scope["state"]["request_id"],

@@ -13,7 +13,7 @@ from procrastinate.worker import Worker
 from pydantic_core import to_json
 from sqlalchemy import text
 
-from kleinkram import tracing
+from kleinkram import traces
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.json_logs import bound_fields, log_fields
 from kleinkram.server.db import Database
@@ -31,7 +31,7 @@ class JobOrigin(NamedTuple):
 
 def origin_here() -> str:
     """Return the origin of jobs that are enqueued here, as JSON; empty if there is none."""
-    ids = {"request_id": bound_fields().get("request_id"), "traceparent": tracing.traceparent()}
+    ids = {"request_id": bound_fields().get("request_id"), "traceparent": traces.traceparent()}
     known = {name: value for name, value in ids.items() if value is not None}
     return to_json(known).decode() if known else ""
 
@@ -45,7 +45,7 @@ async def run_with_origin(call_next: Callable[[], Awaitable[Any]], job_context: 
     with log_fields(request_id=origin.request_id, **fields):
         if origin.traceparent is None:  # a periodic job alone is no trace
             return await call_next()
-        attributes: tracing.Attributes = {
+        attributes: traces.Attributes = {
             "messaging.system": "procrastinate",
             "messaging.operation.type": "process",
             "messaging.destination.name": job.queue,
@@ -56,7 +56,7 @@ async def run_with_origin(call_next: Callable[[], Awaitable[Any]], job_context: 
             "kleinkram.request_id": origin.request_id or "",
         }
         name = f"process {job.task_name}"
-        with tracing.span(name, attributes, kind=tracing.Kind.consumer, parent=origin.traceparent):
+        with traces.span(name, attributes, kind=traces.Kind.consumer, parent=origin.traceparent):
             return await call_next()
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 from xml.sax.saxutils import escape
 
-from kleinkram import tracing
+from kleinkram import traces
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.names import file_name
 from kleinkram.contract.uploads import ChecksumKind, StoredPart
@@ -450,7 +450,7 @@ async def open_storage(settings: Settings) -> AsyncIterator[Storage]:
         Presigner(settings, settings.s3_internal_url, clock),
         settings.s3_bucket,
     )
-    client_class = TracedS3Client if tracing.is_on() else S3Client
+    client_class = TracedS3Client if traces.is_on() else S3Client
     async with open_s3(settings, signers.internal, client_class) as client:
         await client.read_clock()
         yield Storage(client, signers, StoreCapabilities(ChecksumKind.md5, writes_once=False))

@@ -6,7 +6,7 @@ Source: OpenTelemetry semantic conventions for object stores (S3). Spans have no
 from collections.abc import AsyncGenerator
 from contextlib import aclosing
 
-from kleinkram import tracing
+from kleinkram import traces
 from kleinkram.server.s3.client import S3Client, S3Error, S3Request, S3Response
 
 # By method, whether the request is about an object, and the parameter of the query that distinguishes it.
@@ -34,7 +34,7 @@ class TracedS3Client(S3Client):
 
     async def request(self, request: S3Request) -> S3Response:
         """Send a request and read the whole answer. Raises as `S3Client.request`."""
-        with tracing.leaf_span(f"S3/{operation_of(request)}", _attributes(request)) as span:
+        with traces.leaf_span(f"S3/{operation_of(request)}", _attributes(request)) as span:
             try:
                 return await super().request(request)
             except S3Error as error:
@@ -44,7 +44,7 @@ class TracedS3Client(S3Client):
 
     async def stream(self, request: S3Request, *, attempts: int = 3) -> AsyncGenerator[bytes, None]:
         """Yield the answer's body. Raises as `S3Client.stream`."""
-        with tracing.leaf_span(f"S3/{operation_of(request)}", _attributes(request)) as span:
+        with traces.leaf_span(f"S3/{operation_of(request)}", _attributes(request)) as span:
             size_bytes = 0
             try:
                 async with aclosing(super().stream(request, attempts=attempts)) as chunks:
@@ -61,6 +61,6 @@ def operation_of(request: S3Request) -> str:
     return _OPERATIONS.get((request.method, bool(request.key), parameter), request.method)
 
 
-def _attributes(request: S3Request) -> tracing.Attributes:
+def _attributes(request: S3Request) -> traces.Attributes:
     attributes = {"rpc.system": "aws-api", "rpc.service": "S3", "rpc.method": operation_of(request)}
     return {**attributes, "aws.s3.key": request.key} if request.key else attributes

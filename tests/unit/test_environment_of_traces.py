@@ -2,7 +2,7 @@
 
 import pytest
 
-from kleinkram import tracing
+from kleinkram import traces
 
 
 @pytest.fixture(autouse=True)
@@ -34,7 +34,7 @@ def test_the_endpoint_is_what_the_variables_of_opentelemetry_say(
 ) -> None:
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    assert tracing.endpoint() == endpoint
+    assert traces.endpoint() == endpoint
 
 
 @pytest.mark.parametrize(
@@ -49,8 +49,8 @@ def test_a_process_with_wrong_variables_says_so_and_has_no_traces(
 ) -> None:
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    tracing.start("test")
-    assert not tracing.is_on()
+    traces.start("test")
+    assert not traces.is_on()
     assert words in caplog.messages[0]
 
 
@@ -58,22 +58,22 @@ def test_a_process_without_the_packages_says_how_to_install_them(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", "http://a")
-    monkeypatch.setattr(tracing, "_PACKAGES", ("no_such_package.inner",))
-    tracing.start("test")
-    assert not tracing.is_on()
+    monkeypatch.setattr(traces, "_PACKAGES", ("no_such_package.inner",))
+    traces.start("test")
+    assert not traces.is_on()
     assert "pip install 'open-kleinkram[otel]'" in caplog.messages[0]
 
 
 def test_without_traces_spans_have_no_effect() -> None:
-    with tracing.span("one", {"a": 1}) as outer, tracing.leaf_span("two") as inner:
+    with traces.span("one", {"a": 1}) as outer, traces.leaf_span("two") as inner:
         outer.set({"b": 2})
         outer.rename("three")
         inner.fail("Error")
-        assert (outer.traceparent, inner.traceparent, tracing.traceparent(), tracing.trace_id()) == (None,) * 4
-        assert not tracing.is_active()
-    tracing.stop()
+        assert (outer.traceparent, inner.traceparent, traces.traceparent(), traces.trace_id()) == (None,) * 4
+        assert not traces.is_active()
+    traces.stop()
 
 
 def test_an_error_passes_through_a_span() -> None:
-    with pytest.raises(ZeroDivisionError), tracing.span("one"):
+    with pytest.raises(ZeroDivisionError), traces.span("one"):
         raise ZeroDivisionError

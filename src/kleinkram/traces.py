@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Protocol
 if TYPE_CHECKING:
     from kleinkram.opentelemetry_spans import Tracer
 
-_log = logging.getLogger("kleinkram.tracing")
+_log = logging.getLogger("kleinkram.traces")
 _NOT_INSTALLED = "the packages of OpenTelemetry are not installed (pip install 'open-kleinkram[otel]')"
 _PACKAGES = ("opentelemetry.sdk.trace", "opentelemetry.exporter.otlp.proto.http")
 # A collector that is away must not keep a command, or a process that stops, from ending.
