@@ -72,7 +72,7 @@ def test_a_request_is_logged_with_its_route_and_the_ids_of_its_sender(api: Api, 
 
 def test_the_jobs_of_a_request_are_logged_with_its_id(api: Api, mission_id: str) -> None:
     with logged_lines(logging.DEBUG) as lines:
-        upload(api, mission_id, "notes.txt", b"nothing")
+        upload(api, mission_id, "notes.txt", uuid.uuid4().bytes)
         run_jobs(api)
     (completed,) = [line for line in lines if line.get("route") == "/api/v1/uploads/complete"]
     ended = _by_job(lines, "job done")
