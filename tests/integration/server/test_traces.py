@@ -163,7 +163,7 @@ def _launch(client: Client, mission_id: str) -> uuid.UUID:
 def _runner(api: Api, token: str, folder: Path) -> Iterator[None]:
     """Run a runner in this process."""
     folder.mkdir()
-    share = MachineShare(cores=2, memory_bytes=10**9, disk_bytes=10**9, cache_bytes=10**9)
+    share = MachineShare(cores=2, memory_bytes=8 * 10**9, disk_bytes=50 * 10**9, cache_bytes=10**9)
     executor = ProcessExecutor(Machine(folder, share, parse_index("off")))
     runner = Runner(RunnerOptions(api.url, token, "a-runner"), StateDirectory(folder), executor)
     thread = threading.Thread(target=runner.run)
@@ -241,9 +241,8 @@ def test_a_program_with_a_tracer_provider_gets_the_spans_of_the_sdk(api: Api, mi
     assert ran.stdout.split() == ["GET", "POST", "PUT", "drive", "upload"]
 
 
-def test_a_collector_that_is_away_delays_no_command(api: Api, tmp_path: Path) -> None:
-    klein = klein_at(api, tmp_path)
-    done = klein("project", "list", OTEL_EXPORTER_OTLP_ENDPOINT="http://127.0.0.1:9")
+def test_a_command_says_nothing_of_a_collector_that_is_away(api: Api, tmp_path: Path) -> None:
+    done = klein_at(api, tmp_path)("whoami", OTEL_EXPORTER_OTLP_ENDPOINT="http://127.0.0.1:9")
     assert done.stderr == ""
 
 
