@@ -192,6 +192,13 @@ def test_a_request_continues_the_trace_of_a_proxy_and_names_its_own(collector: O
     assert len({span.trace_id for span in spans}) == 5
 
 
+def test_of_reads_that_belong_to_no_trace_one_in_ten_is_a_span(collector: OtlpCollector, traced_api: Api) -> None:
+    answers = [traced_api.get("/projects") for _ in range(20)]
+    traces.stop()
+    assert len(collector.named("GET /api/v1/projects")) == 2
+    assert sum("traceresponse" in answer.headers for answer in answers) == 2
+
+
 def test_a_refused_request_is_a_span_without_its_query_and_long_parts(
     collector: OtlpCollector, traced_api: Api
 ) -> None:
