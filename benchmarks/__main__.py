@@ -21,6 +21,7 @@ from benchmarks.rights import rights_row
 from benchmarks.runs import run_rows
 from benchmarks.scale.rows import load_rows, scale_rows, scrape_row, size_label
 from benchmarks.signing_in import sign_in_row
+from benchmarks.traces import traces_row
 from benchmarks.transfers import download_row, many_small_rows, random_file, small_files_row, summary_rows, upload_row
 from benchmarks.web import web_rows
 
@@ -40,6 +41,7 @@ ROWS = {
     "web",
     "runs",
     "claims",
+    "traces",
     "scale",
 }
 # Sizes of the scale benchmark, in multiples of 200,000 files.
@@ -77,6 +79,9 @@ def measured(selected: set[str]) -> Iterator[Row]:
     if "people" in selected:
         with instance():
             yield sign_in_row(endpoint_info()["url"], (DATA / "owner-token").read_text().strip())
+    if "traces" in selected:
+        with instance() as environment:
+            yield traces_row(environment, (DATA / "owner-token").read_text().strip())
     if "recordings" in selected:
         yield from recording_rows(STAGE / "recordings")
     if "checks" in selected:

@@ -2,18 +2,18 @@
 
 import json
 import os
-import socket
 import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
 import psycopg
 import urllib3
 
+from benchmarks.instance import api_process
 from benchmarks.scale import seed
 from benchmarks.scale.places import places, seeded
 from benchmarks.scale.requests import list_rows, percentile, statements_of
@@ -130,7 +130,7 @@ def _two_row(label: str, environment: Mapping[str, str], token: str) -> Row:
     """Two more API processes beside the instance's own: the same crowd at one of them, then at both."""
     seconds = min(_SECONDS, 20)
     with ExitStack() as stack:
-        urls = [_api(stack, environment) for _ in range(2)]
+        urls = [stack.enter_context(api_process(environment))[0] for _ in range(2)]
         one, two = _crowd(urls[:1], token, seconds=seconds)["rps"], _crowd(urls, token, seconds=seconds)["rps"]
     cores = os.cpu_count() or 1
     note = "" if cores >= _CORES_FOR_TWO else f"; this machine's {cores} cores are shared with database and clients"
@@ -140,31 +140,6 @@ def _two_row(label: str, environment: Mapping[str, str], token: str) -> Row:
         "bar": f">= {_LEAST_GAIN} x with {_CORES_FOR_TWO} cores or more",
         "met": cores < _CORES_FOR_TWO or two / one >= _LEAST_GAIN,
     }
-
-
-def _api(stack: ExitStack, environment: Mapping[str, str]) -> str:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        port = listener.getsockname()[1]
-    without = {key: value for key, value in environment.items() if key != "KLEINKRAM_OWNER_TOKEN_FILE"}
-    process = subprocess.Popen([sys.executable, "-m", "kleinkram.server", "api", "--port", str(port)], env=without)
-    stack.callback(process.wait)
-    stack.callback(process.terminate)
-    url = f"http://127.0.0.1:{port}"
-    _wait_for(lambda: urllib3.request("GET", f"{url}/health/ready", retries=False, timeout=5).status == 200)
-    return url
-
-
-def _wait_for(ready: Callable[[], bool]) -> None:
-    until = time.monotonic() + 60
-    while time.monotonic() < until:
-        try:
-            if ready():
-                return
-        except urllib3.exceptions.HTTPError:
-            pass
-        time.sleep(0.1)
-    raise SystemExit("an API process did not begin to answer")
 
 
 def _garbage_collection_row(label: str, url: str, token: str, environment: Mapping[str, str]) -> Row:

@@ -5,9 +5,7 @@ ends its runs, too, which the next one starts again.
 """
 
 import contextlib
-import datetime
 import enum
-import json
 import logging
 import os
 import signal
@@ -20,6 +18,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
+from kleinkram import traces
 from kleinkram.client.errors import ConfigurationBroken, CredentialsExposed, InvalidInput, NotConfigured
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.names import Label
@@ -27,6 +26,7 @@ from kleinkram.contract.runners import Isolation
 from kleinkram.environments.cache import EnvironmentCache
 from kleinkram.environments.local import local_index
 from kleinkram.environments.uv import PackageIndex
+from kleinkram.json_logs import JsonLines
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.docker.client import DockerClient, EngineError, EngineUnavailable, find_socket
 from kleinkram.runner.executors.docker.executor import DockerExecutor, Pull
@@ -91,24 +91,16 @@ class Arguments(BaseModel):
         return [sys.executable, "-m", "kleinkram.runner", self.model_dump_json(exclude_defaults=True)]
 
 
-class _JsonLines(logging.Formatter):
-    def format(self, record: logging.LogRecord) -> str:
-        at = datetime.datetime.fromtimestamp(record.created, datetime.timezone.utc).isoformat(timespec="milliseconds")
-        line = {"at": at, "level": record.levelname.lower(), "logger": record.name, "message": record.getMessage()}
-        if record.exc_info:
-            line["exception"] = self.formatException(record.exc_info)
-        return json.dumps(line)
-
-
 def main() -> None:
     """Run until a signal; an error is one sentence on stderr and exit code 1."""
     arguments = Arguments.model_validate_json(sys.argv[1])
     handler = logging.StreamHandler(sys.stderr)
     text = logging.Formatter("%(asctime)s %(levelname)s %(name)s %(message)s")
-    handler.setFormatter(_JsonLines() if arguments.log_format == "json" else text)
+    handler.setFormatter(JsonLines("runner") if arguments.log_format == "json" else text)
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     # It would log URLs, which are signed.
     logging.getLogger("urllib3").setLevel(logging.ERROR)
+    traces.start("kleinkram-runner")
     try:
         with open_state_directory(arguments.data_dir) as state:
             options = RunnerOptions(
@@ -138,6 +130,7 @@ def main() -> None:
                 code = _run_until_signal(runner, once=arguments.once)
     except KleinkramError as error:
         sys.exit(f"Error: {error}")
+    traces.stop()
     # Do not wait for threads that wait for an unavailable server.
     logging.shutdown()
     os._exit(code)

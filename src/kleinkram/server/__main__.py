@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NoReturn
 
+from kleinkram import traces
 from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.logs import set_up_logs
 from kleinkram.server.settings import Settings, plain_dsn
@@ -33,7 +34,7 @@ def main() -> None:
         sys.exit(str(error))
     if getattr(arguments, "metrics_port", None) is not None:
         settings = settings.model_copy(update={"metrics_port": arguments.metrics_port})
-    set_up_logs(settings.log_format)
+    set_up_logs(settings.log_format, settings.log_level, role=arguments.command)
     if arguments.command == "migrate":
         _migrate(settings)
     elif arguments.command == "worker":
@@ -84,14 +85,18 @@ def _work(settings: Settings) -> None:
 
     # Requests have priority over jobs. The child processes that read recordings inherit this.
     os.nice(_NICENESS)
+    traces.start("kleinkram-worker")
     try:
         asyncio.run(run_worker(settings))
     except MetricsPortUnusable as error:
         logging.getLogger("kleinkram").critical(str(error))
         sys.exit(_NOT_STARTED)
+    finally:
+        traces.stop()
 
 
 def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
+    traces.start("kleinkram-api")
     with _loading():
         import uvicorn
 
@@ -116,6 +121,7 @@ def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
     server = ApiServer(config, app)
     with contextlib.suppress(KeyboardInterrupt):
         server.run()
+    traces.stop()
     if not server.started:
         sys.exit(_NOT_STARTED)
 

@@ -8,6 +8,7 @@ from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
 import kleinkram
+from kleinkram import traces
 from kleinkram.metric_definitions import MetricSource
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
 from kleinkram.server.actions.routes import library_router as library
@@ -37,6 +38,7 @@ from kleinkram.server.home.routes import router as home_summary
 from kleinkram.server.http.dependencies import requires_actor
 from kleinkram.server.http.errors import install_error_handlers
 from kleinkram.server.http.middleware import RequestMiddleware
+from kleinkram.server.http.trace_middleware import TraceMiddleware
 from kleinkram.server.http.web_app import router as web
 from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.overviews.routes import router as overviews
@@ -142,11 +144,15 @@ def create_app(settings: Settings) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         responses={"default": _PROBLEM},
+        # Its spans, metrics and logs would be exported with the queries of requests, which may hold secrets.
+        telemetry={"tracing": False, "metrics": False, "logs": False, "auto_configure": False},
     )
     app.state.settings = settings
     app.state.admin_reads, app.state.refusals = AdminReads(), Refusals()
     app.state.slice_slots = SliceSlots(settings.slices_at_once, settings.slices_per_account)
     app.add_middleware(RequestMiddleware, settings=settings)
+    if traces.is_on():
+        app.add_middleware(TraceMiddleware)  # the one added last is the outermost
     install_error_handlers(app)
     for router in ROUTERS:
         app.include_router(router)

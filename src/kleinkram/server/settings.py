@@ -262,6 +262,10 @@ class Settings(BaseSettings):
         default="127.0.0.1", description="Address for metrics. They have no access control: use a private network."
     )
     log_format: Literal["json", "text"] = Field(default="json", description="Format of log lines.")
+    log_level: Literal["debug", "info", "warning"] = Field(
+        default="info",
+        description="Lowest level of log lines; `debug` adds the starts of jobs and the ends of periodic ones.",
+    )
 
     affiliations: tuple[Affiliation, ...] = Field(
         default=(),

@@ -29,6 +29,7 @@ from kleinkram.server.db import Database, open_database
 from kleinkram.server.health.metrics_server import serve_metrics
 from kleinkram.server.health.readiness import heartbeat
 from kleinkram.server.jobs.execution import Attempts, BackPressure, record_failure
+from kleinkram.server.jobs.origin import run_with_origin
 from kleinkram.server.jobs.queue import DEFAULT, DERIVATION, SMALL_BLOBS, VERIFICATION, queue
 from kleinkram.server.overviews import jobs as _derivation_jobs
 from kleinkram.server.overviews.jobs import DerivationDebounce, MetadataCache
@@ -195,7 +196,7 @@ async def _work(app: App, resources: dict[str, object], *, name: str, at_once: i
         update_heartbeat_interval=5,
         stalled_worker_timeout=20,
         delete_jobs="successful",
-        worker_middleware=[record_failure],
+        worker_middleware=[run_with_origin, record_failure],
     )
 
 
@@ -223,11 +224,13 @@ async def _abandoned(app: App, attempts: Attempts) -> Iterable[ProcrastinateJob]
 
 async def _rescue(app: App, job: ProcrastinateJob) -> None:
     """Put one job back; a periodic one is deleted instead, because its next round is waiting already."""
-    _log.warning("job was left unfinished: it will run again", extra={"fields": {"job": job.task_name, "id": job.id}})
+    _log.warning(
+        "job was left unfinished: it will run again", extra={"fields": {"job": job.task_name, "job_id": job.id}}
+    )
     try:
         if job.queueing_lock is not None:
             await app.job_manager.finish_job(job, status=Status.FAILED, delete_job=True)
         else:
             await app.job_manager.retry_job(job, retry_at=datetime.datetime.now(datetime.timezone.utc))
     except ConnectorException as error:  # another worker took it, or the next round finds it
-        _log.warning("job not requeued", extra={"fields": {"id": job.id, "reason": str(error)}})
+        _log.warning("job not requeued", extra={"fields": {"job_id": job.id, "reason": str(error)}})

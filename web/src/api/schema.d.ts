@@ -6941,7 +6941,8 @@ export interface components {
          * @description A run that is leased to a runner.
          *
          *     `image_digest` is what the image's name was first resolved to, by any runner: only that image may be run.
-         *     `token` is the run's own and valid while the run lasts; null where the network is `none`.
+         *     `token` is the run's own and valid while the run lasts; null where the network is `none`. `traceparent` (W3C Trace
+         *     Context) is the trace that the run belongs to, if the server exports traces.
          */
         RunAssignment: {
             action: components["schemas"]["ActionRef"];
@@ -6988,6 +6989,8 @@ export interface components {
             script: string | null;
             /** Token */
             token: string | null;
+            /** Traceparent */
+            traceparent?: string | null;
         };
         /**
          * RunChecks

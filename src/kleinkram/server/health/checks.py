@@ -23,6 +23,7 @@ from psycopg.rows import class_row
 from pydantic import PostgresDsn, ValidationError
 from typing_extensions import LiteralString
 
+from kleinkram import traces
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.diagnostics import (
     Diagnostic,
@@ -113,7 +114,7 @@ async def _collect() -> list[Diagnostic]:
     except SettingsInvalid as error:
         return [*(problem("settings", line) for line in str(error).splitlines()), *_machine(None)]
     results = [ok("settings", "All are known and valid."), *_optional(settings)]
-    for check in (_database, _migrating_role, _store, _public_url):
+    for check in (_database, _migrating_role, _store, _public_url, _traces):
         results += [result async for result in check(settings)]
     results += await asyncio.to_thread(lambda: [_reader(settings), *_machine(settings)])
     return results
@@ -293,6 +294,34 @@ async def _public_url(settings: Settings) -> AsyncIterator[Diagnostic]:
         yield warning("proxy headers", "Not checked: the API has other settings, or is of another version.")
         return
     yield _proxy(settings, origin)
+
+
+async def _traces(_settings: Settings) -> AsyncIterator[Diagnostic]:
+    """Send a collector no spans, if the environment names one."""
+    check, url = "traces", traces.endpoint()
+    if url is None:
+        return
+    if (reason := traces.misconfiguration()) is not None:
+        yield warning(check, f"None are exported: {reason}.", "Correct the variables of OpenTelemetry, or unset them.")
+        return
+    host = urlsplit(url).hostname  # the address may hold a password
+    try:
+        async with (
+            aiohttp.ClientSession(timeout=_TIMEOUT) as session,
+            session.post(url, headers={"Content-Type": "application/x-protobuf"}) as response,
+        ):
+            status = response.status
+    except (aiohttp.ClientError, asyncio.TimeoutError, OSError, ValueError) as error:
+        message = f"The collector at {host} cannot be reached ({type(error).__name__})."
+        yield warning(check, message, "Start it, or correct OTEL_EXPORTER_OTLP_ENDPOINT.")
+        return
+    # It may want the headers of `OTEL_EXPORTER_OTLP_HEADERS`, which are the exporter's.
+    is_there = status < 300 or status in {401, 403}
+    message, remedy = (
+        f"The collector at {host} answers {status}.",
+        "Set OTEL_EXPORTER_OTLP_ENDPOINT to its address for OTLP over HTTP.",
+    )
+    yield judge(check, is_there, message, remedy, otherwise=DiagnosticSeverity.warning)
 
 
 def _proxy(settings: Settings, origin: RequestOrigin) -> Diagnostic:

@@ -127,5 +127,5 @@ async def _on_crash(request: Request, error: Exception) -> JSONResponse:
     request_id = _request_id(request) or "unknown"
     if isinstance(error, ConnectionError | TimeoutError):
         return problem_response(errors.DatabaseUnavailable(), request_id)
-    _log.error("crash", exc_info=error, extra={"fields": {"request_id": request_id}})
+    _log.error("crash", exc_info=error)
     return problem_response(errors.InternalError(request_id=request_id), request_id)

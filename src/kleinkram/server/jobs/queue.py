@@ -9,6 +9,7 @@ from procrastinate import App, PsycopgConnector
 from sqlalchemy import ColumnElement, Text, cast, column, exists, literal, select, table, text
 
 from kleinkram.server.db import Connection
+from kleinkram.server.jobs.origin import origin_here
 
 
 class Job(str, enum.Enum):
@@ -55,12 +56,14 @@ _DELETE_FAILED = text(
 # The worker sets its own connector; the API enqueues in its own transactions.
 queue = App(connector=PsycopgConnector())
 
-# Calls the library's SQL function: its client would build, log and serialize each job.
+# Calls the library's SQL function: its client would build, log and serialize each job. The column `origin` has the
+# setting as its default; it is set first, because the function needs the rows that it joins.
 _DEFER = text(
     "SELECT procrastinate_defer_jobs_v1(array_agg(ROW(CAST(:queue AS varchar), CAST(:task AS varchar),"
     " CAST(:priority AS integer), NULL, NULL, jsonb_build_object('ref', ref), now() + CAST(:later AS interval))"
     "::procrastinate_job_to_defer_v1 ORDER BY number))"
     " FROM unnest(CAST(:ids AS text[])) WITH ORDINALITY AS given (ref, number)"
+    " JOIN (SELECT set_config('kleinkram.job_origin', :origin, true) AS set) AS origin ON origin.set IS NOT NULL"
 )
 
 _RAISE_PRIORITY = text(
@@ -79,7 +82,7 @@ async def enqueue(
     """Enqueue a job for each id, in order, in the caller's transaction; with `later`, to start after that time."""
     if ids:
         parameters = {"queue": _QUEUES.get(job, DEFAULT), "task": job.value, "priority": int(priority), "ids": [*ids]}
-        await db.execute(_DEFER, {**parameters, "later": later})
+        await db.execute(_DEFER, {**parameters, "later": later, "origin": origin_here()})
 
 
 async def raise_priority(db: Connection, job: Job, ref: uuid.UUID) -> None:

@@ -266,6 +266,7 @@ async def _assign(db: Connection, row: AssignedRun, runner_id: uuid.UUID, attemp
         ],
         token=None if definition.network is Network.none else await _create_token(db, row),
         lease_s=LEASE_S,
+        traceparent=row.traceparent,
     )
 
 

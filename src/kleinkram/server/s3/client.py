@@ -205,7 +205,9 @@ class S3Client:
 
 
 @asynccontextmanager
-async def open_s3(settings: Settings, signer: Presigner) -> AsyncIterator[S3Client]:
+async def open_s3(
+    settings: Settings, signer: Presigner, client_class: type[S3Client] = S3Client
+) -> AsyncIterator[S3Client]:
     """Open a client for the life of a process."""
     tls = ssl.create_default_context(cafile=str(settings.s3_ca_file)) if settings.s3_ca_file else True
     session = aiohttp.ClientSession(
@@ -217,7 +219,7 @@ async def open_s3(settings: Settings, signer: Presigner) -> AsyncIterator[S3Clie
         cookie_jar=aiohttp.DummyCookieJar(),
     )
     async with session:
-        yield S3Client(session, signer)
+        yield client_class(session, signer)
 
 
 def describe_connection_error(error: BaseException) -> str:
