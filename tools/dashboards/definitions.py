@@ -18,6 +18,7 @@ from tools.dashboards.panels import (
 
 _HOUR, _DAY = 3600, 86_400
 _RED, _ORANGE = "red", "orange"
+_FAILED = '{status=~"5.."}'
 _ANY_LINE = '{service_name="kleinkram"}'
 
 
@@ -537,8 +538,7 @@ API = Dashboard(
                     "percentunit",
                     "Share of requests with a status of 500 or more.",
                     Query(
-                        f"({_rare('kleinkram_requests_total', where='{status=~"5.."}')}) "
-                        f"/ {_rate('kleinkram_requests_total')}",
+                        f"({_rare('kleinkram_requests_total', where=_FAILED)}) / {_rate('kleinkram_requests_total')}",
                         "errors",
                     ),
                 ),

@@ -85,7 +85,7 @@ def plot(
             common.VizLegendOptions()
             .display_mode(LegendDisplayMode.LIST)
             .placement(LegendPlacement.BOTTOM)
-            .show_legend(True)  # noqa: FBT003  the builder's parameter
+            .show_legend(True)
         )
     )
     if is_stacked:
@@ -133,8 +133,8 @@ def log_lines(title: str, description: str, expression: str) -> logs.Panel:
         .datasource(_LOGS)
         .height(8)
         .span(12)
-        .show_time(True)  # noqa: FBT003  the builder's parameter
-        .enable_log_details(True)  # noqa: FBT003
+        .show_time(True)
+        .enable_log_details(True)
         .sort_order(LogsSortOrder.DESCENDING)
         .with_target(loki.Dataquery().expr(expression).ref_id("A").query_type("range").max_lines(200))
     )
@@ -177,7 +177,7 @@ def _target(query: Query, number: int) -> prometheus.Dataquery:
 
 def to_json(page: Dashboard) -> dict[str, Any]:
     """Return the document that Grafana reads; its panels are numbered in their order."""
-    links = dashboard.DashboardLink("Kleinkram").type(DashboardLinkType.DASHBOARDS).tags([_TAG]).keep_time(True)  # noqa: FBT003
+    links = dashboard.DashboardLink("Kleinkram").type(DashboardLinkType.DASHBOARDS).tags([_TAG]).keep_time(True)
     builder = (
         dashboard.Dashboard(page.title)
         .uid(f"kleinkram-{page.name}")
