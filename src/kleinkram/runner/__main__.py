@@ -4,6 +4,7 @@ ARGUMENTS is the JSON of `Arguments`. SIGTERM ends the runner but not its runs, 
 ends its runs, too, which the next one starts again.
 """
 
+import contextlib
 import datetime
 import enum
 import json
@@ -81,6 +82,8 @@ class Arguments(BaseModel):
     pull: Pull = Pull.missing
     registries: list[str] | None = None
     once: bool = False
+    metrics_port: int | None = None
+    metrics_address: str = "127.0.0.1"
     log_format: Literal["json", "text"] = "text"
 
     def command(self) -> list[str]:
@@ -130,12 +133,30 @@ def main() -> None:
                 runner=str(state.runner_id),
                 machine=Machine(state.path, share, find_index(arguments.package_index)),
             )
-            code = _run_until_signal(Runner(options, state, executor), once=arguments.once)
+            runner = Runner(options, state, executor)
+            with _serve_metrics(runner, arguments):
+                code = _run_until_signal(runner, once=arguments.once)
     except KleinkramError as error:
         sys.exit(f"Error: {error}")
     # Do not wait for threads that wait for an unavailable server.
     logging.shutdown()
     os._exit(code)
+
+
+def _serve_metrics(runner: Runner, arguments: Arguments) -> contextlib.AbstractContextManager[object]:
+    """Serve the metrics of a runner, if it is to.
+
+    Raises:
+        InvalidInput: the library is not installed, or the port cannot be opened.
+    """
+    if arguments.metrics_port is None:
+        return contextlib.nullcontext()
+    try:
+        from kleinkram.runner.metrics_server import serve_metrics
+    except ImportError:
+        reason = "metrics need another package: pip install 'open-kleinkram[metrics]'"
+        raise InvalidInput(what="The option --metrics-port", reason=reason) from None
+    return serve_metrics(runner, arguments.data_dir, arguments.metrics_address, arguments.metrics_port)
 
 
 def find_token(file: Path | None) -> str:

@@ -166,10 +166,13 @@ class ActiveRun:
             is_detached = stopped.request is StopRequest.detach
             if not is_detached:
                 _log.info("the run %s is not this runner's any more", self.assignment.run_id)
+                self._context.statistics.count_end(None)
         except RunGone:
             _log.info("the run %s is not this runner's any more", self.assignment.run_id)
+            self._context.statistics.count_end(None)
         except (KleinkramError, OSError):
             # Its lease ends, and the server decides what happens.
+            self._context.statistics.count_end(None)
             _log.exception("the run %s is given up", self.assignment.run_id)
         finally:
             if is_detached:
@@ -320,6 +323,7 @@ class ActiveRun:
         digest = self._attempt.state.image_digest
         changes = {"usage": self._usage, "samples": self._samples[:_MAX_SAMPLES], "image_digest": digest}
         upload.report(finish.model_copy(update=changes))
+        self._context.statistics.count_end(finish.reason)
 
     def _set_state(self, state: RunState) -> None:
         self._state = state

@@ -8,6 +8,7 @@ from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
 import kleinkram
+from kleinkram.metric_definitions import MetricSource
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
 from kleinkram.server.actions.routes import library_router as library
 from kleinkram.server.actions.routes import router as actions
@@ -107,7 +108,7 @@ def create_app(settings: Settings) -> FastAPI:
                 open_storage(settings) as store,
                 open_providers(settings) as providers,
                 open_hub(settings) as app.state.hub,
-                serve_metrics(settings, database) as app.state.metrics_port,
+                serve_metrics(settings, database, MetricSource.api) as app.state.metrics_port,
             ):
                 abilities = await probe(store)
                 async with database.begin() as db:

@@ -18,6 +18,7 @@ from procrastinate.jobs import Job as ProcrastinateJob
 from procrastinate.jobs import Status
 
 import kleinkram
+from kleinkram.metric_definitions import MetricSource
 from kleinkram.server import maintenance as _maintenance
 from kleinkram.server.blobs import jobs as _blob_jobs
 from kleinkram.server.blobs.readers import ReaderProcesses
@@ -122,7 +123,7 @@ async def _run_queues(app: App, settings: Settings, database: Database) -> None:
         open_storage(settings) as storage,
         ReaderProcesses() as readers,
         heartbeat(database),
-        serve_metrics(settings, database),
+        serve_metrics(settings, database, MetricSource.worker),
     ):
         back_pressure = BackPressure(database)
         attempts = Attempts()

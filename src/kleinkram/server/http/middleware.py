@@ -33,7 +33,7 @@ _DISCONNECT_CHECK_AFTER_S = 0.25
 
 
 def mark_as_stream(scope: Scope) -> None:
-    """Exclude a streamed response, which lasts as long as its client stays connected, from the request durations."""
+    """Exclude a response that streams, or waits for something to happen, from the request durations."""
     scope["state"]["is_stream"] = True
 
 

@@ -124,7 +124,8 @@ async def record_failure(call_next: Callable[[], Awaitable[Any]], job_context: J
         attempts.running.add(job.id)
         attempts.worker_ids.add(worker.worker_id)
     try:
-        result = await call_next()
+        with metrics.JOBS_IN_PROGRESS.track_inprogress():
+            result = await call_next()
         outcome = "succeeded"
         return result
     except Exception as error:

@@ -13,7 +13,7 @@ from kleinkram.server.tables.missions import (
     project,
     recording,
 )
-from kleinkram.server.tables.operations import audit_event, job_error, worker_process
+from kleinkram.server.tables.operations import audit_event, backup_attempt, job_error, worker_process
 from kleinkram.server.tables.people import (
     access_grant,
     access_group,

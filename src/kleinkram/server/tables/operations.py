@@ -1,4 +1,4 @@
-"""Tables of the audit log, the last errors of jobs, and the worker processes.
+"""Tables of the audit log, the last errors of jobs, the worker processes, and attempts at backups.
 
 The serving role can only add to the audit log and read it. A row of `job_error` is deleted with its job, by a foreign
 key that only the migration declares.
@@ -60,4 +60,19 @@ worker_process = sa.Table(
     sa.Column("started_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.func.now()),
     sa.Column("seen_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.func.now()),
     sa.Column("ended_at", sa.DateTime(timezone=True)),
+)
+
+
+backup_attempt = sa.Table(
+    "backup_attempt",
+    metadata,
+    sa.Column("id", sa.Uuid, primary_key=True),
+    # The moment that the backup shows.
+    sa.Column("started_at", sa.DateTime(timezone=True), nullable=False),
+    sa.Column("ended_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.func.now()),
+    # Null if it failed.
+    sa.Column("snapshot_id", sa.Text),
+    # Objects that were lost or corrupt in the store.
+    sa.Column("damaged_objects", sa.BigInteger, nullable=False, server_default="0"),
+    sa.Index("ix_backup_attempt_ended_at", "ended_at"),
 )
