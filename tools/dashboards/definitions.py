@@ -39,7 +39,8 @@ def _quantile(quantile: float, metric: str, *, by: str = "") -> str:
 _STORE_USED = "1 - min(kleinkram_store_free_bytes) / max(kleinkram_store_size_bytes)"
 # At most ten years: the disk does not fill in sight.
 _UNTIL_FULL = (
-    "clamp_max(min(kleinkram_store_free_bytes) / clamp_min(-max(deriv(kleinkram:store_free_bytes:min[6h])), 1), 315360000)"
+    "clamp_max(min(kleinkram_store_free_bytes)"
+    " / clamp_min(-max(deriv(kleinkram:store_free_bytes:min[6h])), 1), 315360000)"
 )
 _BACKUP_AGE = "time() - max(kleinkram_backup_last_success_timestamp_seconds)"
 _BAD_FILES = 'sum(max by (state) (kleinkram_blobs{state=~"lost|corrupt"})) or vector(0)'
@@ -300,6 +301,11 @@ STORAGE = Dashboard(
                     "95 % of requests answer within this time.",
                     Query(_quantile(0.95, "kleinkram_store_request_duration_seconds", by="operation"), "{{operation}}"),
                 ),
+                traces(
+                    "Slow requests to the store",
+                    "Traces with a request to the store that took a second or longer.",
+                    '{ name =~ "S3/.*" && duration > 1s }',
+                ),
             ),
         ),
     ),
@@ -396,6 +402,11 @@ INGEST = Dashboard(
                     "Failed attempts",
                     "Warnings and errors of workers, with the reason.",
                     '{service_name="kleinkram", role="worker", level=~"warning|error|critical"} | json',
+                ),
+                traces(
+                    "Long jobs",
+                    "Traces of jobs that took a minute or longer.",
+                    '{ resource.service.name = "kleinkram-worker" && kind = consumer && duration > 1m }',
                 ),
             ),
         ),
@@ -529,7 +540,8 @@ API = Dashboard(
                     "s",
                     "95 % of requests; the ten slowest routes.",
                     Query(
-                        f"topk(10, {_quantile(0.95, 'kleinkram_request_duration_seconds', by='route')} > 0)", "{{route}}"
+                        f"topk(10, {_quantile(0.95, 'kleinkram_request_duration_seconds', by='route')} > 0)",
+                        "{{route}}",
                     ),
                     links=_ROUTE_LINKS,
                 ),
@@ -588,7 +600,7 @@ API = Dashboard(
                     "percentunit",
                     "Share of one core.",
                     Query(
-                        'sum by (instance, job) (rate(process_cpu_seconds_total{job=~"kleinkram-.*"}[$__rate_interval]))',
+                        _rate("process_cpu_seconds_total", by="instance, job", where='{job=~"kleinkram-.*"}'),
                         "{{job}} {{instance}}",
                     ),
                 ),
@@ -718,11 +730,6 @@ DATABASE = Dashboard(
             "Details",
             (
                 log_lines("Lost connections", "Of workers and API.", f'{_ANY_LINE} |= "the database went away" | json'),
-                traces(
-                    "Slow statements",
-                    "Traces with a statement that took half a second or longer.",
-                    '{ span.db.system.name = "postgresql" && duration > 500ms }',
-                ),
             ),
         ),
     ),

@@ -141,14 +141,14 @@ CASES = (
         (_WARNING,),
     ),
     _gauge(
-        "KleinkramFilesLost", 'kleinkram_blobs{state="lost"}', "2", "0", "2 files are not in the store.", _CRITICAL
+        "KleinkramFilesLost", 'kleinkram_blobs{state="lost"}', "2", "0", "2 objects are not in the store.", _CRITICAL
     ),
     _gauge(
         "KleinkramFilesCorrupt",
         'kleinkram_blobs{state="corrupt"}',
         "1",
         "0",
-        "The bytes of 1 files changed in the store.",
+        "The bytes of 1 objects changed in the store.",
         _CRITICAL,
     ),
     _gauge(

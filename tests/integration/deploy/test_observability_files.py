@@ -9,12 +9,14 @@ from typing import Any
 
 import pytest
 
+from kleinkram.metric_definitions import DEFINITIONS
 from kleinkram.server.logs import JsonLines
-from tests.integration.deploy.monitoring import FOLDER, alert_rules, load_yaml
+from tests.integration.deploy.monitoring import FOLDER, RULES, alert_rules, load_yaml
 
 _ROOT = Path(__file__).parents[3]
 _DASHBOARDS = sorted((FOLDER / "grafana" / "dashboards").glob("*.json"))
 _ALLOY = (FOLDER / "config.alloy").read_text()
+_SELECTOR = re.compile(r"\b(?P<name>kleinkram_\w+)(?:\{(?P<labels>[^{}]*)\})?")
 _TRACE_ID, _REQUEST_ID = "4bf92f3577b34da6a3ce929d0e0e4736", "0f4c-12"
 
 
@@ -105,6 +107,34 @@ def test_each_process_of_the_units_is_scraped() -> None:
     units = _ROOT / "deploy" / "systemd"
     assert "--metrics-port 1%i" in (units / "kleinkram-api@.service").read_text()
     assert load_yaml(FOLDER / "prometheus" / "targets" / "api.yml")[0]["targets"][0] == "127.0.0.1:18000"
+
+
+def _expressions() -> Iterator[str]:
+    for rule in (rule for group in load_yaml(RULES)["groups"] for rule in group["rules"]):
+        yield rule["expr"]
+    for query in _datasources()["kleinkram-tempo"]["jsonData"]["tracesToMetrics"]["queries"]:
+        yield query["query"]
+    for page in _DASHBOARDS:
+        for panel in _panels(page):
+            yield from (it["expr"] for it in panel["targets"] if panel["datasource"]["type"] == "prometheus")
+
+
+def test_queries_name_metrics_labels_and_values_that_exist() -> None:
+    definitions = {definition.name: definition for definition in DEFINITIONS}
+    named = [match for text in _expressions() for match in _SELECTOR.finditer(text)]
+    assert len(named) > 100
+    for match in named:
+        histogram = re.sub("_(bucket|sum|count)$", "", match["name"])
+        definition = definitions.get(match["name"]) or definitions[histogram]
+        for label, value in re.findall(r'(\w+)[=!~]+"([^"]*)"', match["labels"] or ""):
+            assert label in {*definition.labels, "job"}, match[0]
+            if definition.values and label == definition.labels[-1]:
+                assert {*value.split("|")} <= {*definition.values}, match[0]
+
+
+def test_recorded_series_that_are_queried_exist() -> None:
+    recorded = {rule["record"] for group in load_yaml(RULES)["groups"] for rule in group["rules"] if "record" in rule}
+    assert {name for text in _expressions() for name in re.findall(r"kleinkram:[\w:]+", text)} <= recorded
 
 
 def test_components_of_alloy_that_are_named_exist() -> None:
