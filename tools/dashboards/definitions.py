@@ -87,9 +87,7 @@ OVERVIEW = Dashboard(
                     good=_RED,
                     limits=((1, "green"),),
                 ),
-                number(
-                    "Runners", "none", "Runners that answer.", 'max(kleinkram_runners{state="alive"}) or vector(0)'
-                ),
+                number("Runners", "none", "Runners that answer.", 'max(kleinkram_runners{state="alive"}) or vector(0)'),
                 number(
                     "Alerts",
                     "none",
@@ -104,9 +102,7 @@ OVERVIEW = Dashboard(
                     _BAD_FILES,
                     limits=((1, _RED),),
                 ),
-                number(
-                    "Failed jobs", "none", "Jobs that failed permanently.", _GIVEN_UP, limits=((1, _ORANGE),)
-                ),
+                number("Failed jobs", "none", "Jobs that failed permanently.", _GIVEN_UP, limits=((1, _ORANGE),)),
                 number(
                     "Last backup",
                     "s",
@@ -177,9 +173,7 @@ STORAGE = Dashboard(
                     good=_RED,
                     limits=((7 * _DAY, _ORANGE), (30 * _DAY, "green")),
                 ),
-                number(
-                    "Lost or corrupt files", "none", "See docs/alerts.md.", _BAD_FILES, limits=((1, _RED),)
-                ),
+                number("Lost or corrupt files", "none", "See docs/alerts.md.", _BAD_FILES, limits=((1, _RED),)),
                 number(
                     "Highest use of a quota",
                     "percentunit",
@@ -728,9 +722,7 @@ DATABASE = Dashboard(
         ),
         Row(
             "Details",
-            (
-                log_lines("Lost connections", "Of workers and API.", f'{_ANY_LINE} |= "the database went away" | json'),
-            ),
+            (log_lines("Lost connections", "Of workers and API.", f'{_ANY_LINE} |= "the database went away" | json'),),
         ),
     ),
 )

@@ -28,7 +28,8 @@ class AlertCase:
 
 
 def _series(name: str, labels: Mapping[str, str]) -> str:
-    return f"{name}{{{','.join(f'{label}="{value}"' for label, value in labels.items())}}}"
+    pairs = ",".join(f'{label}="{value}"' for label, value in labels.items())
+    return f"{name}{{{pairs}}}"
 
 
 def _gauge(

@@ -1,4 +1,4 @@
-"""Alerts arrive: Prometheus and Alertmanager, as configured in `deploy/observability`, tell a receiver of a dead worker."""
+"""Alerts arrive: with the configurations of `deploy/observability`, a receiver is notified of a dead worker."""
 
 import os
 import subprocess

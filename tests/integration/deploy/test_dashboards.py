@@ -2,9 +2,11 @@
 
 import json
 import re
+import signal
+import subprocess
 import time
-import uuid
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ import urllib3
 from tests.acceptance.conftest import Terminal, wait_until
 from tests.integration.deploy import monitoring
 from tests.integration.deploy.monitoring import Prometheus
+from tests.ports import choose_port
 from tests.system.cluster import Cluster
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
@@ -30,24 +33,44 @@ _VARIABLES = {"$__rate_interval": "30s", "$__range": "5m"}
 @pytest.fixture(scope="module")
 def prometheus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Prometheus]:
     """A Prometheus that has watched how an instance was used."""
-    home, folder = tmp_path_factory.mktemp("cluster"), tmp_path_factory.mktemp("prometheus")
-    cluster = Cluster(home)
-    cluster.settings["DOCKER_HOST"] = f"unix://{home}/nothing"  # without an engine, runs are processes
+    cluster, folder = Cluster(tmp_path_factory.mktemp("cluster")), tmp_path_factory.mktemp("prometheus")
+    cluster.options = ["--no-runner"]  # one with metrics is started instead
     cluster.start()
     try:
         ports = json.loads((cluster.data_dir / "ports.json").read_text())
-        targets = {name: [ports[f"{name}_metrics"]] for name in ("api", "worker", "runner")}
-        with monitoring.prometheus(folder, targets) as running:
+        runner_port = choose_port()
+        targets = {"api": [ports["api_metrics"]], "worker": [ports["worker_metrics"]], "runner": [runner_port]}
+        with _runner(cluster, runner_port), monitoring.prometheus(folder, targets) as running:
             wait_until(lambda: len(running.query("up == 1")) == len(targets), "every process to be scraped")
             _use(cluster)
+            wait_until(lambda: bool(running.query("kleinkram_files > 0")), "slow gauges to be read")
             yield running
     finally:
         cluster.end()
 
 
+@contextmanager
+def _runner(cluster: Cluster, metrics_port: int) -> Iterator[None]:
+    token = cluster.terminal.run("token", "create", "desk", "--kind", "runner", "--json").json()["secret"]
+    variables = {
+        "KLEINKRAM_RUNNER_TOKEN": token,
+        "DOCKER_HOST": f"unix://{cluster.home}/nothing",  # without an engine, runs are processes
+    }
+    terminal = Terminal(cluster.home, {**cluster.terminal.environment, **variables})
+    options = ["--name", "desk", "--metrics-port", metrics_port, "--data-dir", cluster.home / "runner"]
+    command = terminal.command("runner", "start", *options, "--cores", 2, "--memory", "1GB", "--disk", "1GB")
+    with (cluster.home / "runner.log").open("wb") as log:
+        process = subprocess.Popen(command, env=terminal.environment, stdout=log, stderr=log)
+    try:
+        yield
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(60)
+
+
 def _use(cluster: Cluster) -> None:
-    """Do what people and programs do: upload, search, download, delete, run, fail, sign in wrongly, back up."""
-    klein = cluster.terminal
+    """Do what people and programs do: upload, search, run, fail, download, delete, scrub, back up, mistype tokens."""
+    klein, url = cluster.terminal, f"http://127.0.0.1:{cluster.port}/api/v1"
     klein.run("project", "create", "p")
     klein.run("project", "update", "p", "--quota-bytes", "1GB")
     for number in range(3):
@@ -55,22 +78,16 @@ def _use(cluster: Cluster) -> None:
         notes.parent.mkdir(parents=True)
         notes.write_text(f"notes of drive {number // 2}")  # two are the same
     klein.run("upload", "-p", "p", "--mission-per-folder", "--create", "--wait", cluster.home / "drives")
-    _run_actions(cluster, klein)
-    klein.run("search", "notes")
-    klein.run("download", "-p", "p", "-m", "drive-0", "-o", cluster.home / "copy")
-    klein.run("mission", "delete", "drive-2", "-p", "p", "--yes")
-    klein.run("admin", "scrub")
-    klein.run("backup", "create", cluster.home / "backups", "--data-dir", cluster.data_dir)
-    for token in ("wrong", f"klein_pat_{uuid.UUID(int=7).hex}"):
-        headers = {"Authorization": f"Bearer {token}"}
-        urllib3.request("GET", f"http://127.0.0.1:{cluster.port}/api/v1/projects", headers=headers)
-
-
-def _run_actions(cluster: Cluster, klein: Terminal) -> None:
     for name, script in (("sizes", _SCRIPT), ("failing", _FAILING)):
         (cluster.home / f"{name}.py").write_text(script)
         klein.run("action", "create", cluster.home / f"{name}.py", "-p", "p")
-        klein.run("action", "run", name, "-p", "p", "-m", "drive-0", "--wait", code=None)
+        klein.run("action", "run", name, "-p", "p", "-m", "drive-0", "--follow", code=None)
+    klein.run("search", "notes")
+    klein.run("download", "-p", "p", "-m", "drive-0", "--dest", cluster.home / "copy")
+    klein.run("mission", "delete", "drive-2", "-p", "p", "--yes")
+    klein.run("admin", "scrub")
+    klein.run("backup", "create", cluster.home / "backups")
+    urllib3.request("GET", f"{url}/projects", headers={"Authorization": "Bearer wrong"})
 
 
 def _panels(page: Path) -> Iterator[tuple[str, dict[str, Any]]]:
