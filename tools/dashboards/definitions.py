@@ -4,6 +4,8 @@ One process at a time reports the gauges of the whole instance: `max` reads them
 summed over processes. A counter has no series before its first event, so that rare ones are `or vector(0)`.
 """
 
+from typing import Any
+
 from tools.dashboards.panels import (
     Dashboard,
     Query,
@@ -31,6 +33,11 @@ def _rare(metric: str, *, by: str = "", where: str = "") -> str:
     return f"{_rate(metric, by=by, where=where)} or vector(0)"
 
 
+def _stored_bytes() -> Any:  # Any: see `Row`
+    by_state = Query("max by (state) (kleinkram_stored_bytes)", "{{state}}")
+    return plot("Stored bytes", "decbytes", "Bytes of objects by state.", by_state, is_stacked=True)
+
+
 def _quantile(quantile: float, metric: str, *, by: str = "") -> str:
     labels = f"le, {by}" if by else "le"
     return f"histogram_quantile({quantile}, sum by ({labels}) (rate({metric}_bucket[$__rate_interval])))"
@@ -50,13 +57,6 @@ _RUNS = Query("max by (state) (kleinkram_runs)", "{{state}}")
 _BY_STATUS = Query(_rate("kleinkram_requests_total", by="status"), "{{status}}")
 _UPLOADED = Query(_rare("kleinkram_upload_bytes_total"), "uploaded")
 _DOWNLOADED = Query(_rare("kleinkram_download_bytes_total"), "download URLs issued for")
-_STORED = plot(
-    "Stored bytes",
-    "bytes",
-    "Bytes of objects by state: verified is good, lost and corrupt are not.",
-    Query("max by (state) (kleinkram_stored_bytes)", "{{state}}"),
-    is_stacked=True,
-)
 _ROUTE = "${__field.labels.route}"
 _ROUTE_LINKS = (
     link_to_traces("Slow traces of this route", f'{{ span.http.route = "{_ROUTE}" && duration > 500ms }}'),
@@ -131,7 +131,7 @@ OVERVIEW = Dashboard(
                     Query(_quantile(0.95, "kleinkram_request_duration_seconds"), "95 %"),
                 ),
                 plot("Transfers", "Bps", "Bytes of files that arrived or were downloaded.", _UPLOADED, _DOWNLOADED),
-                _STORED,
+                _stored_bytes(),
                 plot("Oldest job", "s", "Age of the oldest job that waits, by queue.", _QUEUE_AGE),
                 plot("Runs", "none", "Runs that have not ended.", _RUNS, is_stacked=True),
             ),
@@ -164,7 +164,7 @@ STORAGE = Dashboard(
                 number("Projects", "none", "Projects outside the trash.", "max(kleinkram_projects)"),
                 number("Missions", "none", "Missions outside the trash.", "max(kleinkram_missions)"),
                 number("Files", "none", "Files outside the trash.", "max(kleinkram_files)"),
-                number("Free", "bytes", "Free space of the store's disk.", "min(kleinkram_store_free_bytes)"),
+                number("Free", "decbytes", "Free space of the store's disk.", "min(kleinkram_store_free_bytes)"),
                 number(
                     "Full in",
                     "s",
@@ -193,7 +193,7 @@ STORAGE = Dashboard(
         Row(
             "Content",
             (
-                _STORED,
+                _stored_bytes(),
                 plot(
                     "Objects",
                     "none",
@@ -203,14 +203,14 @@ STORAGE = Dashboard(
                 ),
                 plot(
                     "Space that will be free",
-                    "bytes",
+                    "decbytes",
                     "What only the trash refers to, and what is deleted next.",
                     Query("max(kleinkram_trash_bytes)", "trash"),
                     Query("max(kleinkram_marked_for_deletion_bytes)", "marked for deletion"),
                 ),
                 plot(
                     "Disk of the store",
-                    "bytes",
+                    "decbytes",
                     "If the server knows it (KLEINKRAM_STORE_FOLDER).",
                     Query("max(kleinkram_store_size_bytes)", "size"),
                     Query("min(kleinkram_store_free_bytes)", "free"),
@@ -469,13 +469,13 @@ RUNS = Dashboard(
                 ),
                 plot(
                     "Memory",
-                    "bytes",
+                    "decbytes",
                     "What runs may use, and what is reserved.",
                     Query("sum by (kind) (kleinkram_runner_memory_bytes)", "{{kind}}"),
                 ),
                 plot(
                     "Free disk",
-                    "bytes",
+                    "decbytes",
                     "Where a runner's data directory is.",
                     Query("min by (instance) (kleinkram_runner_free_bytes)", "{{instance}}"),
                 ),
@@ -600,7 +600,7 @@ API = Dashboard(
                 ),
                 plot(
                     "Memory",
-                    "bytes",
+                    "decbytes",
                     "Resident memory.",
                     Query(
                         'sum by (instance, job) (process_resident_memory_bytes{job=~"kleinkram-.*"})',
@@ -663,7 +663,7 @@ DATABASE = Dashboard(
                     Query("max(kleinkram_database_server_connections)", "open"),
                     Query("max(kleinkram_database_server_connections_max)", "max_connections"),
                 ),
-                plot("Size", "bytes", "Size of the database.", Query("max(kleinkram_database_size_bytes)", "size")),
+                plot("Size", "decbytes", "Size of the database.", Query("max(kleinkram_database_size_bytes)", "size")),
                 plot(
                     "Clock",
                     "s",

@@ -75,7 +75,7 @@ def plot(
         .description(description)
         .datasource(_METRICS)
         .unit(unit)
-        .min_val(0)
+        .axis_soft_min(0)
         .line_width(1)
         .fill_opacity(10)
         .height(8)
