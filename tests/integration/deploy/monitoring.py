@@ -117,7 +117,7 @@ def prometheus(
     Args:
         folder: an empty folder.
         targets: the ports to scrape, for each job `kleinkram-...` by the rest of its name.
-        alertmanager: its address. With one, alerts fire as soon as their condition is true.
+        alertmanager: its address. With one, alerts fire after 5 s instead of minutes.
     """
     need("prometheus")
     config = load_yaml(FOLDER / "prometheus" / "prometheus.yml")
@@ -127,8 +127,8 @@ def prometheus(
     config["alerting"]["alertmanagers"] = managers
     rules = load_yaml(RULES)
     if alertmanager is not None:
-        for rule in (rule for group in rules["groups"] for rule in group["rules"]):
-            rule.pop("for", None)
+        for rule in (rule for group in rules["groups"] for rule in group["rules"] if "for" in rule):
+            rule["for"] = "5s"
     save_yaml(folder / "prometheus.yml", config)
     save_yaml(folder / "rules.yml", rules)
     (folder / "targets").mkdir()
