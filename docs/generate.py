@@ -79,13 +79,13 @@ def metrics_reference() -> str:
     lines = [
         "# Prometheus metrics",
         "",
-        "The metrics of the server and of runners ([monitoring](../running.md#monitor), [runners](../runner.md)). This "
+        "The metrics of the server ([monitoring](../running.md#monitor)) and of [runners](../runner.md#metrics). This",
         "page is generated.",
         "",
         "*From* says which processes have a metric. `instance`: one API or worker process at a time reports the whole",
-        "installation; query such metrics with `max without (instance, job) (...)`, because the process may change. They",
-        "are absent while the database is away. Every process also has the `process_*` metrics of Prometheus' clients:",
-        "CPU time, memory, start time and open files.",
+        "installation; query such metrics with `max without (instance, job) (...)`, because the process may change.",
+        "They are absent while the database is away. Every process also has the `process_*` metrics of Prometheus'",
+        "clients: CPU time, memory, start time and open files.",
         "",
         "No label contains a name or an id of an object, and clients cannot add values. Counters start at 0 with their",
         "process.",
@@ -93,8 +93,10 @@ def metrics_reference() -> str:
         "| metric | type | labels | from | meaning |",
         "|---|---|---|---|---|",
     ]
-    for one in DEFINITIONS:
-        lines.append(f"| `{one.name}` | {one.kind.value} | {_labels(one)} | {one.source.value} | {one.meaning} |")
+    lines += [
+        f"| `{one.name}` | {one.kind.value} | {_labels(one)} | {one.source.value} | {one.meaning} |"
+        for one in DEFINITIONS
+    ]
     return "\n".join(lines) + "\n"
 
 

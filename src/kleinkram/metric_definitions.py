@@ -64,9 +64,7 @@ def _histogram(
 
 # -- every process ----------------------------------------------------------------------------------------------------
 
-BUILD_INFO = _gauge(
-    "build_info", MetricSource.process, "1.", "version", "role", values=("api", "worker", "runner")
-)
+BUILD_INFO = _gauge("build_info", MetricSource.process, "1.", "version", "role", values=("api", "worker", "runner"))
 
 # -- requests ---------------------------------------------------------------------------------------------------------
 
@@ -270,9 +268,7 @@ DATABASE_CLOCK_OFFSET_SECONDS = _gauge(
     "database_clock_offset_seconds", MetricSource.instance, "How far the database's clock is ahead of this machine's."
 )
 JOBS = _gauge("jobs", MetricSource.instance, "Jobs in the queue.", "task", "status")
-JOBS_RETRYING = _gauge(
-    "jobs_retrying", MetricSource.instance, "Jobs that failed and wait for another attempt.", "task"
-)
+JOBS_RETRYING = _gauge("jobs_retrying", MetricSource.instance, "Jobs that failed and wait for another attempt.", "task")
 QUEUE_OLDEST_SECONDS = _gauge(
     "queue_oldest_seconds",
     MetricSource.instance,

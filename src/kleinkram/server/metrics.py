@@ -15,9 +15,7 @@ ProcessCollector(registry=REGISTRIES[MetricSource.process])
 
 
 def _counter(definition: MetricDefinition) -> Counter:
-    counter = Counter(
-        definition.name, definition.meaning, definition.labels, registry=REGISTRIES[definition.source]
-    )
+    counter = Counter(definition.name, definition.meaning, definition.labels, registry=REGISTRIES[definition.source])
     if len(definition.labels) == 1:
         for value in definition.values:
             counter.labels(value)

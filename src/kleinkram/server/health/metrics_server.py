@@ -94,11 +94,11 @@ class _InstanceGauges:
 
     def __init__(self, settings: Settings, database: Database) -> None:
         async def look_up() -> list[Metric]:
-            async with database.begin() as db:
+            async with database.autocommit() as db:
                 return await read_gauges(db, settings)
 
         async def look_up_slowly() -> list[Metric]:
-            async with database.begin() as db:
+            async with database.autocommit() as db:
                 return await read_slow_gauges(db)
 
         self._dsn = make_conninfo(plain_dsn(settings.database_url), **_CONNECTION)
