@@ -65,7 +65,7 @@ def plot(
     unit: str,
     description: str,
     *queries: Query,
-    links: Sequence[dict[str, object]] = (),
+    links: Sequence[dashboard.DashboardLink] = (),
     is_stacked: bool = False,
 ) -> timeseries.Panel:
     """Return values over time."""
@@ -91,7 +91,7 @@ def plot(
     if is_stacked:
         panel.stacking(common.StackingConfig().mode(StackingMode.NORMAL))
     if links:
-        panel.data_links(links)
+        panel.data_links([*links])
     for number, query in enumerate(queries):
         panel.with_target(_target(query, number))
     return panel
@@ -153,21 +153,22 @@ def traces(title: str, description: str, expression: str) -> table.Panel:
     )
 
 
-def link_to_logs(title: str, expression: str) -> dict[str, object]:
+def link_to_logs(title: str, expression: str) -> dashboard.DashboardLink:
     """Return a link from a series to the lines that LogQL finds; `${__field.labels.route}` is a label of the series."""
     return _link(title, "loki", {"refId": "A", "expr": expression})
 
 
-def link_to_traces(title: str, expression: str) -> dict[str, object]:
+def link_to_traces(title: str, expression: str) -> dashboard.DashboardLink:
     """Return a link from a series to the traces that TraceQL finds."""
     return _link(title, "tempo", {"refId": "A", "query": expression, "queryType": "traceql"})
 
 
-def _link(title: str, kind: str, query: dict[str, str]) -> dict[str, object]:
+def _link(title: str, kind: str, query: dict[str, str]) -> dashboard.DashboardLink:
     panes = json.dumps({"k": {"datasource": f"${{{kind}}}", "queries": [query], "range": _RANGE}})
     # Grafana replaces variables only where it can read them.
     quoted = urllib.parse.quote(panes, safe="${}_.")
-    return {"title": title, "url": f"/explore?schemaVersion=1&panes={quoted}", "targetBlank": True}
+    url = f"/explore?schemaVersion=1&panes={quoted}"
+    return dashboard.DashboardLink(title).type(DashboardLinkType.LINK).url(url).target_blank(True)
 
 
 def _target(query: Query, number: int) -> prometheus.Dataquery:
