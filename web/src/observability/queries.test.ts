@@ -35,7 +35,7 @@ const sources = readFileSync(join(grafana, "provisioning/datasources/kleinkram.y
 function queriesOf(type: string): string[] {
   const shown = panels.filter((panel) => panel.datasource?.type === type).flatMap((panel) => panel.targets ?? []);
   const linked = panes.filter((pane) => pane.datasource === `\${${type}}`).flatMap((pane) => pane.queries);
-  const provisioned = type === "loki" ? [...sources.matchAll(/(?:url|query): '(\{.*)'/g)].map((match) => match[1]) : [];
+  const provisioned = type === "loki" ? [...sources.matchAll(/(?:url|query): '(\{.*)'/g)].map((match) => match[1] ?? "") : [];
   return [...[...shown, ...linked].map((target) => target.expr ?? target.query ?? ""), ...provisioned].map((query) =>
     query.replaceAll(/\$+\{[\w.]+\}/g, "x"),
   );
