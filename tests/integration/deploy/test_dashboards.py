@@ -21,11 +21,7 @@ from tests.system.cluster import Cluster
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 _PAGES = sorted((monitoring.FOLDER / "grafana" / "dashboards").glob("*.json"))
-_SCRIPT = """
-from kleinkram.action import inputs, report
-report.check("file.size", "ok" if all(path.stat().st_size for path in inputs()) else "error", "sizes were compared")
-"""
-_FAILING = "raise SystemExit(3)"
+_SCRIPT, _FAILING = "print('done')", "raise SystemExit(3)"
 # Grafana replaces these.
 _VARIABLES = {"$__rate_interval": "30s", "$__range": "5m"}
 
