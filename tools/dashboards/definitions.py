@@ -51,7 +51,7 @@ _UNTIL_FULL = (
 )
 _BACKUP_AGE = "time() - max(kleinkram_backup_last_success_timestamp_seconds)"
 _BAD_FILES = 'sum(max by (state) (kleinkram_blobs{state=~"lost|corrupt"})) or vector(0)'
-_GIVEN_UP = 'sum(max by (task) (kleinkram_jobs{status="failed"})) or vector(0)'
+_FAILED_JOBS = 'sum(max by (task) (kleinkram_jobs{status="failed"})) or vector(0)'
 _QUEUE_AGE = Query("max by (queue) (kleinkram_queue_oldest_seconds)", "{{queue}}")
 _RUNS = Query("max by (state) (kleinkram_runs)", "{{state}}")
 _BY_STATUS = Query(_rate("kleinkram_requests_total", by="status"), "{{status}}")
@@ -102,7 +102,7 @@ OVERVIEW = Dashboard(
                     _BAD_FILES,
                     limits=((1, _RED),),
                 ),
-                number("Failed jobs", "none", "Jobs that failed permanently.", _GIVEN_UP, limits=((1, _ORANGE),)),
+                number("Failed jobs", "none", "Jobs that failed permanently.", _FAILED_JOBS, limits=((1, _ORANGE),)),
                 number(
                     "Last backup",
                     "s",
@@ -367,7 +367,7 @@ INGEST = Dashboard(
                     "none",
                     "Jobs that wait for another attempt, and those that failed permanently.",
                     Query("sum(max by (task) (kleinkram_jobs_retrying)) or vector(0)", "retrying"),
-                    Query(_GIVEN_UP, "failed permanently"),
+                    Query(_FAILED_JOBS, "failed permanently"),
                 ),
             ),
         ),

@@ -11,7 +11,7 @@ import pytest
 
 from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.conftest import StartApi
-from tests.integration.deploy import monitoring
+from tests.integration.deploy import monitors
 from tests.integration.upload_client import wait_until
 from tests.ports import choose_port
 
@@ -45,9 +45,9 @@ def test_a_dead_worker_is_reported_and_its_successor_resolves_the_alert(start_ap
     settings: Settings = api.app.state.settings
     targets = {"api": [api.app.state.metrics_port], "worker": [port]}
     with (
-        monitoring.receiving() as receiver,
-        monitoring.alertmanager(tmp_path, receiver) as address,
-        monitoring.prometheus(tmp_path, targets, alertmanager=address) as prometheus,
+        monitors.receiving() as receiver,
+        monitors.alertmanager(tmp_path, receiver) as address,
+        monitors.prometheus(tmp_path, targets, alertmanager=address) as prometheus,
     ):
         with _worker(settings, tmp_path, port) as worker:
             wait_until(lambda: _value(prometheus, "max(kleinkram_workers)") == 1, limit_s=_LIMIT_S)
@@ -64,6 +64,6 @@ def test_a_dead_worker_is_reported_and_its_successor_resolves_the_alert(start_ap
         assert not firing & {"KleinkramApiDown", "KleinkramDatabaseUnavailable"}
 
 
-def _value(prometheus: monitoring.Prometheus, expression: str) -> float | None:
+def _value(prometheus: monitors.Prometheus, expression: str) -> float | None:
     series = prometheus.query(expression)
     return float(series[0]["value"][1]) if series else None

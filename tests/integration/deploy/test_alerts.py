@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.integration.deploy.alert_cases import CASES, AlertCase
-from tests.integration.deploy.monitoring import FOLDER, RULES, alert_rules, save_yaml
+from tests.integration.deploy.monitors import FOLDER, RULES, alert_rules, save_yaml
 from tests.requirements import need, path_of
 
 pytestmark = pytest.mark.slow

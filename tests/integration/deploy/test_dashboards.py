@@ -14,13 +14,13 @@ import pytest
 import urllib3
 
 from tests.acceptance.conftest import Terminal, wait_until
-from tests.integration.deploy import monitoring
-from tests.integration.deploy.monitoring import Prometheus
+from tests.integration.deploy import monitors
+from tests.integration.deploy.monitors import Prometheus
 from tests.ports import choose_port
 from tests.system.cluster import Cluster
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
-_PAGES = sorted((monitoring.FOLDER / "grafana" / "dashboards").glob("*.json"))
+_PAGES = sorted((monitors.FOLDER / "grafana" / "dashboards").glob("*.json"))
 _SCRIPT, _FAILING = "print('done')", "raise SystemExit(3)"
 # Grafana replaces these.
 _VARIABLES = {"$__rate_interval": "30s", "$__range": "5m"}
@@ -36,7 +36,7 @@ def prometheus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Prometheus]
         ports = json.loads((cluster.data_dir / "ports.json").read_text())
         runner_port = choose_port()
         targets = {"api": [ports["api_metrics"]], "worker": [ports["worker_metrics"]], "runner": [runner_port]}
-        with _runner(cluster, runner_port), monitoring.prometheus(folder, targets) as running:
+        with _runner(cluster, runner_port), monitors.prometheus(folder, targets) as running:
             wait_until(lambda: len(running.query("up == 1")) == len(targets), "every process to be scraped")
             _use(cluster)
             wait_until(lambda: bool(running.query("kleinkram_files > 0")), "slow gauges to be read")

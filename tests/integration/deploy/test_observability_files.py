@@ -11,7 +11,7 @@ import pytest
 
 from kleinkram.metric_definitions import DEFINITIONS
 from kleinkram.server.logs import JsonLines
-from tests.integration.deploy.monitoring import FOLDER, RULES, alert_rules, load_yaml
+from tests.integration.deploy.monitors import FOLDER, RULES, alert_rules, load_yaml
 
 _ROOT = Path(__file__).parents[3]
 _DASHBOARDS = sorted((FOLDER / "grafana" / "dashboards").glob("*.json"))
@@ -77,12 +77,12 @@ def test_a_log_line_leads_to_its_trace_and_to_its_request() -> None:
     record = logging.LogRecord("kleinkram.request", logging.INFO, "", 0, "GET /", None, None)
     record.fields = {"request_id": _REQUEST_ID, "trace_id": _TRACE_ID}
     line = JsonLines().format(record)
-    found = {}
+    ids = {}
     for field in _datasources()["kleinkram-loki"]["jsonData"]["derivedFields"]:
         match = re.search(field["matcherRegex"], line)
         assert match is not None, field["name"]
-        found[field["name"]] = match[1]
-    assert found == {"trace": _TRACE_ID, "request": _REQUEST_ID}
+        ids[field["name"]] = match[1]
+    assert ids == {"trace": _TRACE_ID, "request": _REQUEST_ID}
 
 
 def test_addresses_agree() -> None:
