@@ -70,6 +70,7 @@ check-python: $(STAMP)
 	@$(BIN)/lint-imports --no-cache | tail -n 4
 	@$(BIN)/python -m tools.check_names
 	@$(BIN)/python docs/generate.py --check
+	@$(BIN)/python -m tools.dashboards --check
 	@$(BIN)/python -m pytest -q tests/integration/test_migrations.py
 	@$(BIN)/python -m requirements.audit
 
@@ -95,6 +96,7 @@ dev: setup
 
 generated: setup
 	@$(BIN)/python docs/generate.py
+	@$(BIN)/python -m tools.dashboards
 	@web/npm run --silent generate
 
 requirements:
