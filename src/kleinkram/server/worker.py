@@ -19,6 +19,7 @@ from procrastinate.jobs import Status
 
 import kleinkram
 from kleinkram.server import maintenance as _maintenance
+from kleinkram.server.admin import jobs as _admin_jobs
 from kleinkram.server.blobs import jobs as _blob_jobs
 from kleinkram.server.blobs.readers import ReaderProcesses
 from kleinkram.server.checks import jobs as _check_jobs
@@ -47,7 +48,7 @@ _STEADY_S = 30.0
 # The database is away, refuses connections, or closed one. psycopg's own errors come from opening the pool.
 _DATABASE_AWAY = (ConnectorException, psycopg.OperationalError)
 # Importing the jobs of a feature registers them with the queue.
-JOB_MODULES = (_blob_jobs, _maintenance, _run_jobs, _derivation_jobs, _check_jobs, _upload_jobs)
+JOB_MODULES = (_admin_jobs, _blob_jobs, _maintenance, _run_jobs, _derivation_jobs, _check_jobs, _upload_jobs)
 
 
 async def run_worker(settings: Settings) -> None:

@@ -12,10 +12,11 @@ from typing import Literal, NoReturn
 
 from pydantic import BaseModel, ConfigDict
 
+from kleinkram.contract.units import format_size
 from kleinkram.failures import code_of, failure_line
 from kleinkram.server.backup import operations
 from kleinkram.server.backup.errors import BackupDamaged, BackupError, BackupRequestInvalid
-from kleinkram.server.backup.operations import Messages, amount
+from kleinkram.server.backup.operations import Messages
 from kleinkram.server.backup.rclone import Rclone
 from kleinkram.server.backup.repository import Repository, Snapshot, make_repository, open_repository
 from kleinkram.server.environment import SettingsInvalid, load_settings
@@ -85,8 +86,8 @@ def _create(request: BackupRequest) -> int:
     created = operations.create(settings, request.repository(), request.show_progress)
     snapshot, copied = created.snapshot, created.copied
     text = (
-        f"Backup {snapshot.id}: {snapshot.objects} objects ({amount(snapshot.object_bytes)}), of which "
-        f"{copied.count} ({amount(copied.bytes)}) were copied; {snapshot.rows} rows."
+        f"Backup {snapshot.id}: {snapshot.objects} objects ({format_size(snapshot.object_bytes)}), of which "
+        f"{copied.count} ({format_size(copied.bytes)}) were copied; {snapshot.rows} rows."
     )
     if snapshot.elsewhere:
         text += f"\n{snapshot.elsewhere} objects are in other stores than {snapshot.store_id}, and in no backup."
@@ -116,7 +117,7 @@ def _list(request: BackupRequest) -> int:
         bad = f", {snapshot.lost} lost, {snapshot.corrupt} corrupt" if snapshot.lost or snapshot.corrupt else ""
         lines.append(
             f"{snapshot_id}  {snapshot.created_at:%Y-%m-%d %H:%M} UTC  {snapshot.objects} objects, "
-            f"{amount(snapshot.object_bytes)}{bad}"
+            f"{format_size(snapshot.object_bytes)}{bad}"
         )
     _print(request, results, "\n".join(lines) or "No complete backup yet.")
     return _DAMAGED if is_damaged else 0
@@ -126,10 +127,10 @@ def _verify(request: BackupRequest) -> int:
     result = operations.verify(
         request.repository(), request.snapshot_id, request.show_progress, read_all=request.read_all
     )
-    depth = f"{amount(result.read_bytes)} read" if request.read_all else "by name and size; --read-all reads every byte"
-    text = f"{result.snapshots} backups, {result.objects} objects, {amount(result.object_bytes)} ({depth})."
+    depth = f"{format_size(result.read_bytes)} read" if request.read_all else "by name and size; --read-all reads every byte"
+    text = f"{result.snapshots} backups, {result.objects} objects, {format_size(result.object_bytes)} ({depth})."
     if result.unused:
-        text += f"\n{result.unused} objects ({amount(result.unused_bytes)}) are in no complete backup."
+        text += f"\n{result.unused} objects ({format_size(result.unused_bytes)}) are in no complete backup."
     if result.lost_at_source:
         text += f"\n{result.lost_at_source} objects were lost before they were backed up."
     damage = result.damage
@@ -142,7 +143,7 @@ def _verify(request: BackupRequest) -> int:
 def _prune(request: BackupRequest) -> int:
     pruned = operations.prune(request.repository(), keep=request.keep)
     text = (
-        f"Removed {len(pruned.removed)} backups and {pruned.removed_objects} objects ({amount(pruned.removed_bytes)}); "
+        f"Removed {len(pruned.removed)} backups and {pruned.removed_objects} objects ({format_size(pruned.removed_bytes)}); "
         f"{len(pruned.remaining)} backups are kept."
     )
     _print(request, vars(pruned), text)
@@ -156,7 +157,7 @@ def _restore(request: BackupRequest) -> int:
         problems.add(f"{lost.key}: {lost.state}: {lost.reason}")
     text = (
         f"Restored {snapshot.id}, the instance at {snapshot.created_at:%Y-%m-%d %H:%M:%S} UTC: {snapshot.objects} "
-        f"objects, {amount(snapshot.object_bytes)}; {snapshot.rows} rows."
+        f"objects, {format_size(snapshot.object_bytes)}; {snapshot.rows} rows."
     )
     _print(request, {**_facts(snapshot), "sent": restored.sent, "problems": problems.first}, text)
     return _print_problems(

@@ -17,6 +17,7 @@ import psycopg
 from sqlalchemy.exc import SQLAlchemyError
 
 import kleinkram
+from kleinkram.contract.units import format_size
 from kleinkram.server.backup import database
 from kleinkram.server.backup.database import RestoreTarget, UnavailableObject
 from kleinkram.server.backup.errors import (
@@ -453,13 +454,4 @@ def _with_bucket(rclone: Rclone, settings: Settings) -> tuple[Rclone, str]:
 
 def _show_progress(show: ShowProgress, done: ObjectTotals, batch: list[BackupObject], total: ObjectTotals) -> None:
     done.add(batch)
-    show(f"{done.count} of {total.count} objects, {amount(done.bytes)} of {amount(total.bytes)}")
-
-
-def amount(size_bytes: float) -> str:
-    """Return bytes as a person reads them."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if size_bytes < 1000:
-            return f"{size_bytes:.0f} {unit}" if unit == "B" else f"{size_bytes:.1f} {unit}"
-        size_bytes /= 1000
-    return f"{size_bytes:.1f} TB"
+    show(f"{done.count} of {total.count} objects, {format_size(done.bytes)} of {format_size(total.bytes)}")

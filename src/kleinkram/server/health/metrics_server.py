@@ -23,6 +23,7 @@ from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.contract.files import BlobState
 from kleinkram.server.db import Database
 from kleinkram.server.health.readiness import CachedLookup, find_workers
+from kleinkram.server.jobs.queue import queue_age_s
 from kleinkram.server.metrics import REGISTRY
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.tables import blob, scrub, upload
@@ -45,12 +46,6 @@ _BLOBS = select(
 ).group_by(blob.c.state, blob.c.content)
 _UPLOADS = select(upload.c.state, func.count().label("number")).group_by(upload.c.state)
 _JOBS_SQL = text("SELECT task_name, status::text, count(*) FROM procrastinate_jobs GROUP BY 1, 2")
-# Jobs that wait for another attempt count from when they were first deferred; those put off on purpose do not.
-_QUEUE_AGE_SQL = text(
-    "SELECT coalesce(extract(epoch FROM now() - min(e.at)), 0) FROM procrastinate_jobs j"
-    " JOIN procrastinate_events e ON e.job_id = j.id AND e.type = 'deferred' WHERE j.status = 'todo'"
-    " AND (j.attempts > 0 OR j.scheduled_at IS NULL OR j.scheduled_at <= now())"
-)
 _RETRYING_SQL = text(
     "SELECT task_name, count(*) FROM procrastinate_jobs WHERE status = 'todo' AND attempts > 0 GROUP BY 1"
 )
@@ -156,7 +151,7 @@ async def _server_metrics(database: Database) -> list[Metric]:
         jobs = (await db.execute(_JOBS_SQL)).all()
         retrying = {row[0]: row[1] for row in await db.execute(_RETRYING_SQL)}
         workers = await find_workers(db)
-        age_s = float((await db.execute(_QUEUE_AGE_SQL)).scalar_one())
+        age_s = await queue_age_s(db)
         verification_age_s = float((await db.execute(_OLDEST_VERIFICATION)).scalar_one())
         last = (await db.execute(_SCRUB)).one_or_none()
     states, sizes, contents = Counter[str](), Counter[str](), Counter[str]()

@@ -25,6 +25,7 @@ class Job(str, enum.Enum):
     start_automatic_runs = "start_automatic_runs"
     collect_garbage = "collect_garbage"
     scrub = "scrub"
+    send_status_report = "send_status_report"
 
 
 class Priority(enum.IntEnum):
@@ -129,6 +130,18 @@ async def enqueued_at(db: Connection, job_id: int | None) -> datetime.datetime |
     """Return when a job was enqueued; None if unknown."""
     at: datetime.datetime | None = (await db.execute(_ENQUEUED_AT, {"id": job_id})).scalar()
     return at
+
+# Jobs that wait for another attempt count from when they were first deferred; those put off on purpose do not.
+_AGE = text(
+    "SELECT coalesce(extract(epoch FROM now() - min(e.at)), 0) FROM procrastinate_jobs j"
+    " JOIN procrastinate_events e ON e.job_id = j.id AND e.type = 'deferred' WHERE j.status = 'todo'"
+    " AND (j.attempts > 0 OR j.scheduled_at IS NULL OR j.scheduled_at <= now())"
+)
+
+
+async def queue_age_s(db: Connection) -> float:
+    """Return for how many seconds the oldest job has been waiting; 0 if none waits."""
+    return float((await db.execute(_AGE)).scalar_one())
 
 
 _jobs = table("procrastinate_jobs", column("task_name"), column("status"), column("args"))
