@@ -19,6 +19,8 @@ from kleinkram.server.backup.errors import BackupDamaged, BackupError, BackupReq
 from kleinkram.server.backup.operations import Messages
 from kleinkram.server.backup.rclone import Rclone
 from kleinkram.server.backup.repository import Repository, Snapshot, make_repository, open_repository
+from kleinkram.server.backup.saved_rows import Selection
+from kleinkram.server.backup.selective import restore_selection
 from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.settings import Settings
 
@@ -42,6 +44,18 @@ class BackupRequest(BaseModel):
     keep: int = 0
     bytes_per_s: float | None = None
     connections: int = 8
+    project: str | None = None
+    mission: str | None = None
+    file: str | None = None
+    dry_run: bool = False
+
+    def selection(self) -> Selection | None:
+        """Return what to restore into the running instance; None for everything, into an empty one."""
+        if self.project is not None:
+            return Selection(self.project, self.mission, self.file)
+        if self.mission is not None or self.file is not None or self.dry_run:
+            raise BackupRequestInvalid("Name the project, too: a restore without one is of the whole instance.")
+        return None
 
     def repository(self) -> Repository:
         """Open the backups in the location; `create` begins them there."""
@@ -151,6 +165,8 @@ def _prune(request: BackupRequest) -> int:
 
 
 def _restore(request: BackupRequest) -> int:
+    if (selection := request.selection()) is not None:
+        return _restore_selection(request, selection)
     restored = operations.restore(_settings(), request.repository(), request.snapshot_id, request.show_progress)
     snapshot, problems = restored.snapshot, Messages()
     for lost in restored.unavailable:
@@ -163,6 +179,30 @@ def _restore(request: BackupRequest) -> int:
     return _print_problems(
         f"{problems.count} objects are lost or corrupt, and shown so; all others are there", problems
     )
+
+
+def _restore_selection(request: BackupRequest, selection: Selection) -> int:
+    restored = restore_selection(
+        _settings(),
+        request.repository(),
+        request.snapshot_id,
+        selection,
+        request.show_progress,
+        is_dry_run=request.dry_run,
+    )
+    snapshot = restored.snapshot
+    verb = "Would restore" if request.dry_run else "Restored"
+    lines = [
+        f"{verb} from {snapshot.id}, the instance at {snapshot.created_at:%Y-%m-%d %H:%M:%S} UTC: files: "
+        f"{restored.files} ({format_size(restored.file_bytes)}, of which {format_size(restored.copied_bytes)} copied); "
+        f"repaired: {restored.repaired}; there already: {restored.present}.",
+        *(f"Created: {name}" for name in restored.created),
+        *(f"Other bytes are at {path}: restored as {new}" for path, new in [*restored.renamed.items()][:_MAX_SHOWN]),
+    ]
+    values = {name: value for name, value in vars(restored).items() if name not in {"snapshot", "unavailable"}}
+    problems = restored.unavailable
+    _print(request, {**_facts(snapshot), **values, "problems": problems.first}, "\n".join(lines))
+    return _print_problems(f"{problems.count} files could not be restored", problems)
 
 
 def _facts(snapshot: Snapshot) -> dict[str, object]:

@@ -17,6 +17,7 @@ import psycopg
 from sqlalchemy.exc import SQLAlchemyError
 
 import kleinkram
+from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.contract.units import format_size
 from kleinkram.server.backup import database
 from kleinkram.server.backup.database import RestoreTarget, UnavailableObject
@@ -124,7 +125,7 @@ def create(settings: Settings, repository: Repository, show: ShowProgress) -> Cr
     """
     dsn, store_id = plain_dsn(settings.migration_database_url or settings.database_url), settings.store_id
     with (
-        _database_errors("The database failed ({}): run the same command again. What was copied stays."),
+        database_errors("The database failed ({}): run the same command again. What was copied stays."),
         repository.locked() as confirm_lock,
         database.deletion_lock(dsn) as confirm_deletion_lock,
         closing(ObjectIndex()) as index,
@@ -174,7 +175,7 @@ def _copy_objects(
     show: ShowProgress,
 ) -> ObjectTotals:
     """Copy what the location lacks, and read what no earlier backup verified."""
-    rclone, bucket = _with_bucket(repository.rclone, settings)
+    rclone, bucket = bucket_remote(repository.rclone, settings)
     _index_stored(index, rclone, repository.objects)
     for snapshot_id in reversed(repository.snapshot_ids()):  # the latest that can be read
         with suppress(BackupDamaged, BackupNotFound):
@@ -352,8 +353,8 @@ def restore(settings: Settings, repository: Repository, snapshot_id: str | None,
     target = RestoreTarget(plain_dsn(settings.migration_database_url), settings.serving_role, settings.store_id)
     snapshot = repository.snapshot(snapshot_id)
     database.refuse_unknown_schema(snapshot)
-    rclone, bucket = _with_bucket(repository.rclone, settings)
-    with _database_errors("The database refused the backup ({}): the instance is still empty."):
+    rclone, bucket = bucket_remote(repository.rclone, settings)
+    with database_errors("The database refused the backup ({}): the instance is still empty."):
         is_continued = _mark_target(rclone, bucket, settings.s3_bucket, snapshot)
         earlier = database.restored_from(target)
         if earlier is not None and (earlier != snapshot.id or not is_continued):
@@ -432,10 +433,11 @@ def _restore_objects(
 
 
 @contextmanager
-def _database_errors(sentence: str) -> Iterator[None]:
+def database_errors(sentence: str) -> Iterator[None]:
+    """Raise BackupUnreachable with a sentence, which has a place for the reason, when the database fails."""
     try:
         yield
-    except (psycopg.Error, SQLAlchemyError) as error:
+    except (psycopg.Error, SQLAlchemyError, DatabaseUnavailable) as error:
         raise BackupUnreachable(sentence.format(database.first_line(error))) from error
 
 
@@ -443,7 +445,7 @@ def _index_stored(index: ObjectIndex, rclone: Rclone, remote: str) -> None:
     index.put("key, stored_bytes", ((file.path, file.size_bytes) for file in rclone.files(remote)))
 
 
-def _with_bucket(rclone: Rclone, settings: Settings) -> tuple[Rclone, str]:
+def bucket_remote(rclone: Rclone, settings: Settings) -> tuple[Rclone, str]:
     """Return rclone with the instance's bucket as a remote, and that remote."""
     secret_key = settings.s3_secret_key.get_secret_value()
     access = S3Access(
