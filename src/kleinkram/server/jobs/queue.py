@@ -50,6 +50,17 @@ _DELETE_FAILED = text(
     " (SELECT 1 FROM procrastinate_events e WHERE e.job_id = j.id AND e.at > now() - interval '7 days')"
 )
 
+# During an upgrade, a worker of the earlier version may take a job of a kind that it does not know. The queue then marks
+# the job as failed without running it, so that no error is stored. Periodic jobs are due again anyway.
+_UNKNOWN = (
+    "status = 'failed' AND task_name = ANY(:known) AND NOT EXISTS (SELECT 1 FROM job_error e WHERE e.job_id = j.id)"
+)
+_REQUEUE_UNKNOWN = text(
+    "UPDATE procrastinate_jobs j SET status = 'todo', attempts = 0, scheduled_at = NULL, worker_id = NULL"
+    f" WHERE {_UNKNOWN} AND queueing_lock IS NULL"
+)
+_DELETE_UNKNOWN = text(f"DELETE FROM procrastinate_jobs j WHERE {_UNKNOWN} AND queueing_lock IS NOT NULL")
+
 # The worker sets its own connector; the API enqueues in its own transactions.
 queue = App(connector=PsycopgConnector())
 
@@ -158,3 +169,10 @@ def has_job(job: Job, ref: ColumnElement[uuid.UUID]) -> ColumnElement[bool]:
 async def delete_failed_jobs(db: Connection) -> None:
     """Delete failed jobs after a week."""
     await db.execute(_DELETE_FAILED)
+
+
+async def requeue_unknown_jobs(db: Connection) -> None:
+    """Queue jobs again that a worker of an earlier version took and did not know."""
+    known = {"known": [job.value for job in Job]}
+    await db.execute(_DELETE_UNKNOWN, known)
+    await db.execute(_REQUEUE_UNKNOWN, known)
