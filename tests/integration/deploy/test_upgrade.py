@@ -7,40 +7,31 @@ Every process is a real one. No request may fail, and old processes stay ready.
 import json
 import os
 import re
-import secrets
 import shutil
-import signal
-import subprocess
-import sys
 import threading
 import time
 import uuid
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import psycopg
 import pytest
 import urllib3
 
 import kleinkram
 from kleinkram.server.migrations import HEAD
-from tests.certificate import make_certificate
-from tests.integration.deploy.proxies import nginx_command, run
+from tests.integration.deploy.rolling_site import SOURCE, START_S, Site, proxied_site
 from tests.integration.next_migration import NEXT, migration_text
 from tests.integration.upload_client import crc64, sha256, wait_until
-from tests.ports import choose_port
 from tests.services import RunningPostgres, RunningStore
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 _CLIENTS = 20
 _NEXT_VERSION = "999.0.0"
-_START_S = 120
-_THIS = Path(kleinkram.__file__).parent
 
 
 @dataclass
@@ -114,68 +105,11 @@ class _Client:
         return str(outcome["file"]["id"])
 
 
-@dataclass
-class _Site:
-    """The machine of a server: its settings, programs of two versions, and what runs."""
-
-    folder: Path
-    settings: dict[str, str]
-    serve_url: str
-    ports: dict[str, int]
-    stack: ExitStack
-    processes: dict[str, "subprocess.Popen[bytes]"] = field(default_factory=dict)
-
-    def environment(self, source: Path) -> dict[str, str]:
-        names = ("PATH", "LANG", "HOME")
-        kept = {name: os.environ[name] for name in names if name in os.environ}
-        return {**kept, **self.settings, "PYTHONPATH": str(source)}
-
-    def run(self, source: Path, *arguments: str) -> str:
-        command = [sys.executable, "-m", "kleinkram.server", *arguments]
-        environment = self.environment(source)
-        done = subprocess.run(command, env=environment, cwd=self.folder, check=False, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        return done.stderr
-
-    def start(self, name: str, source: Path, *arguments: str) -> None:
-        """Start an API process (`api1`, `api2`) or worker, and wait until it is ready."""
-        command = [sys.executable, "-m", "kleinkram.server", *arguments]
-        if name.startswith("api"):
-            command += ["--host", "127.0.0.1", "--port", str(self.ports[name])]
-        with (self.folder / f"{name}.log").open("ab") as log:
-            process = subprocess.Popen(command, env=self.environment(source), cwd=self.folder, stdout=log, stderr=log)
-        self.processes[name] = process
-        self.stack.callback(process.kill)
-        if name.startswith("api"):
-            wait_until(lambda: self.is_ready(name), limit_s=_START_S)
-
-    def stop(self, name: str) -> None:
-        """Stop a process as systemd does, and wait until it has finished its requests or jobs."""
-        process = self.processes.pop(name)
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == 0, (self.folder / f"{name}.log").read_text()[-3000:]
-
-    def is_ready(self, name: str) -> bool:
-        assert self.processes[name].poll() is None, (self.folder / f"{name}.log").read_text()[-3000:]
-        try:
-            return urllib3.request("GET", f"http://127.0.0.1:{self.ports[name]}/health/ready", retries=False).status == 200
-        except urllib3.exceptions.HTTPError:
-            return False
-
-    def sql(self, statement: str) -> list[tuple[Any, ...]]:
-        with psycopg.connect(self.serve_url) as connection:
-            return connection.execute(statement).fetchall()  # type: ignore[arg-type]  # of this file
-
-    def worker_versions(self) -> set[str]:
-        alive = "SELECT version FROM worker_process WHERE ended_at IS NULL AND seen_at > now() - interval '15 s'"
-        return {str(row[0]) for row in self.sql(alive)}
-
-
 @pytest.fixture(name="next_version")
 def _next_version(tmp_path: Path) -> Path:
     """A folder with the package of the next version."""
     package = tmp_path / "next" / "kleinkram"
-    shutil.copytree(_THIS, package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(SOURCE / "kleinkram", package, ignore=shutil.ignore_patterns("__pycache__"))
     _replace(package / "__init__.py", f'__version__ = "{kleinkram.__version__}"', f'__version__ = "{_NEXT_VERSION}"')
     _replace(package / "server" / "migrations" / "__init__.py", f'HEAD = "{HEAD}"', f'HEAD = "{NEXT}"')
     versions = package / "server" / "migrations" / "versions"
@@ -190,46 +124,23 @@ def _replace(path: Path, old: str, new: str) -> None:
 
 
 @pytest.fixture(name="site")
-def _site(postgres: RunningPostgres, store: RunningStore, tmp_path: Path) -> Iterator[_Site]:
-    database, bucket = postgres.create_database(), store.create_bucket()
-    ports = {name: choose_port() for name in ("api1", "api2", "http", "https")}
-    certificate, key = make_certificate(tmp_path, "127.0.0.1")
-    url = f"https://127.0.0.1:{ports['https']}"
+def _site(postgres: RunningPostgres, store: RunningStore, tmp_path: Path) -> Iterator[Site]:
+    database = postgres.create_database()
     settings = {
         "KLEINKRAM_DATABASE_URL": postgres.serve_url(database),
         "KLEINKRAM_MIGRATION_DATABASE_URL": postgres.migrate_url(database),
-        "KLEINKRAM_S3_INTERNAL_URL": store.endpoint,
-        "KLEINKRAM_S3_PUBLIC_URL": url,
-        "KLEINKRAM_S3_BUCKET": bucket,
+        "KLEINKRAM_S3_BUCKET": store.create_bucket(),
         "KLEINKRAM_S3_REGION": store.region,
         "KLEINKRAM_S3_ACCESS_KEY": store.access_key,
         "KLEINKRAM_S3_SECRET_KEY": store.secret_key,
-        "KLEINKRAM_PUBLIC_URL": url,
-        "KLEINKRAM_TRUSTED_PROXIES": "127.0.0.1",
-        "KLEINKRAM_OWNER_TOKEN_FILE": str(tmp_path / "owner-token"),
-        **{f"KLEINKRAM_{kind}_PER_MINUTE": "0" for kind in ("UPLOADS", "DOWNLOADS")},
     }
-    Path(settings["KLEINKRAM_OWNER_TOKEN_FILE"]).write_text(secrets.token_hex(32))
-    proxy = tmp_path / "proxy"
-    proxy.mkdir()
-    changes = {
-        "127.0.0.1:8000": f"127.0.0.1:{ports['api1']}",
-        "127.0.0.1:8001": f"127.0.0.1:{ports['api2']}",
-        "127.0.0.1:9000": store.endpoint.removeprefix("http://"),
-        "/kleinkram/": f"/{bucket}/",
-        "/etc/ssl/kleinkram.pem": str(certificate),
-        "/etc/ssl/kleinkram.key": str(key),
-    }
-    with ExitStack() as stack:
-        stack.callback(postgres.drop_database, database)
-        nginx = run(nginx_command(proxy, changes, ports), proxy)
-        stack.callback(nginx.wait, 30)
-        stack.callback(nginx.terminate)
-        yield _Site(tmp_path, settings, postgres.serve_url(database), ports, stack)
+    with proxied_site(tmp_path, settings, store.endpoint) as site:
+        yield site
+    postgres.drop_database(database)
 
 
 @contextmanager
-def _load(site: _Site) -> Iterator[_Load]:
+def _load(site: Site) -> Iterator[_Load]:
     """Let clients work until the block ends."""
     load, url = _Load(), site.settings["KLEINKRAM_PUBLIC_URL"]
     token = Path(site.settings["KLEINKRAM_OWNER_TOKEN_FILE"]).read_text()
@@ -252,13 +163,13 @@ def _load(site: _Site) -> Iterator[_Load]:
             future.result(120)
 
 
-def test_no_request_fails_while_the_site_is_upgraded_and_rolled_back(site: _Site, next_version: Path) -> None:
-    this = _THIS.parent
+def test_no_request_fails_while_the_site_is_upgraded_and_rolled_back(site: Site, next_version: Path) -> None:
+    this = SOURCE
     site.run(this, "migrate")
     for name in ("api1", "api2"):
         site.start(name, this, "api")
     site.start("worker", this, "worker")
-    wait_until(lambda: site.worker_versions() == {kleinkram.__version__}, limit_s=_START_S)
+    wait_until(lambda: site.worker_versions() == {kleinkram.__version__}, limit_s=START_S)
     with _load(site) as load:
         assert NEXT in site.run(next_version, "migrate")
         load.wait_for_files(_CLIENTS)
@@ -267,7 +178,7 @@ def test_no_request_fails_while_the_site_is_upgraded_and_rolled_back(site: _Site
         assert site.worker_versions() == {kleinkram.__version__}
         # The order of docs/operating.md: workers, then one API after the other.
         site.start("new worker", next_version, "worker")
-        wait_until(lambda: _NEXT_VERSION in site.worker_versions(), limit_s=_START_S)
+        wait_until(lambda: _NEXT_VERSION in site.worker_versions(), limit_s=START_S)
         load.wait_for_files(_CLIENTS)
         site.stop("worker")
         for name in ("api1", "api2"):
