@@ -1,4 +1,4 @@
-"""A server behind nginx: two API processes and workers, each a real process, of this version or of another."""
+"""A server behind a proxy of `deploy/`: two API processes and workers, each a real process, of this version or of another."""
 
 import os
 import secrets
@@ -16,7 +16,7 @@ import urllib3
 
 import kleinkram
 from tests.certificate import make_certificate
-from tests.integration.deploy.proxies import nginx_command, run
+from tests.integration.deploy.proxies import caddy_command, nginx_command, run
 from tests.integration.upload_client import wait_until
 from tests.ports import choose_port
 
@@ -81,8 +81,8 @@ class Site:
 
 
 @contextmanager
-def proxied_site(folder: Path, settings: dict[str, str], store: str) -> Iterator[Site]:
-    """Serve a database and a bucket behind nginx, with TLS, `store` being the address of the store."""
+def proxied_site(folder: Path, settings: dict[str, str], *, store: str, proxy: str) -> Iterator[Site]:
+    """Serve a database and a bucket behind nginx or Caddy, with TLS; `store` is the address of the store."""
     ports = {name: choose_port() for name in ("api1", "api2", "http", "https")}
     certificate, key = make_certificate(folder, "127.0.0.1")
     url = f"https://127.0.0.1:{ports['https']}"
@@ -104,10 +104,10 @@ def proxied_site(folder: Path, settings: dict[str, str], store: str) -> Iterator
         "/etc/ssl/kleinkram.pem": str(certificate),
         "/etc/ssl/kleinkram.key": str(key),
     }
-    proxy = folder / "proxy"
-    proxy.mkdir()
+    own = folder / "proxy"
+    own.mkdir()
     with ExitStack() as stack:
-        nginx = run(nginx_command(proxy, changes, ports), proxy)
-        stack.callback(nginx.wait, 30)
-        stack.callback(nginx.terminate)
+        process = run((nginx_command if proxy == "nginx" else caddy_command)(own, changes, ports), own)
+        stack.callback(process.wait, 30)
+        stack.callback(process.terminate)
         yield Site(folder, settings, ports, stack)

@@ -1,4 +1,4 @@
-"""A rolling upgrade behind nginx under load: this version and the next one side by side, and back.
+"""A rolling upgrade behind a proxy under load: this version and the next one side by side, and back.
 
 The next version is a copy of this one with another migration, which names this one as the oldest that works with it.
 Every process is a real one. No request may fail, and old processes stay ready.
@@ -123,8 +123,10 @@ def _replace(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new))
 
 
-@pytest.fixture(name="site")
-def _site(postgres: RunningPostgres, store: RunningStore, tmp_path: Path) -> Iterator[Site]:
+@pytest.fixture(name="site", params=["nginx", "caddy"])
+def _site(
+    request: pytest.FixtureRequest, postgres: RunningPostgres, store: RunningStore, tmp_path: Path
+) -> Iterator[Site]:
     database = postgres.create_database()
     settings = {
         "KLEINKRAM_DATABASE_URL": postgres.serve_url(database),
@@ -134,7 +136,7 @@ def _site(postgres: RunningPostgres, store: RunningStore, tmp_path: Path) -> Ite
         "KLEINKRAM_S3_ACCESS_KEY": store.access_key,
         "KLEINKRAM_S3_SECRET_KEY": store.secret_key,
     }
-    with proxied_site(tmp_path, settings, store.endpoint) as site:
+    with proxied_site(tmp_path, settings, store=store.endpoint, proxy=request.param) as site:
         yield site
     postgres.drop_database(database)
 

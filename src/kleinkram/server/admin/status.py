@@ -2,7 +2,7 @@
 
 import datetime
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import func, select
 
@@ -39,19 +39,31 @@ _EXPIRES_SOON = datetime.timedelta(days=14)
 _SCRUBS_MISSED = 3
 _MINUTE_S, _HOUR_S = 60, 3600
 
-# The subject, severity, text and remedy of what the home page counts; a full disk is among the capacities.
+
+class _Text(NamedTuple):
+    subject: str
+    severity: StatusSeverity
+    message: str
+    remedy: str
+
+
+# What the home page counts; a full disk is among the capacities.
 _ATTENTION = {
-    AttentionKind.scrub_stopped: (
-        *("scrub", StatusSeverity.problem),
-        *("The last scrub stopped and marked nothing.", "`klein admin scrub --last` shows the reason."),
+    AttentionKind.scrub_stopped: _Text(
+        "scrub",
+        StatusSeverity.problem,
+        "The last scrub stopped and marked nothing.",
+        "`klein admin scrub --last` shows the reason.",
     ),
-    AttentionKind.jobs_failed: (
-        *("jobs", StatusSeverity.warning),
+    AttentionKind.jobs_failed: _Text(
+        "jobs",
+        StatusSeverity.warning,
         "Jobs that failed permanently: {count}.",
         "`klein admin jobs` shows the reasons; `klein admin retry --all` queues them again.",
     ),
-    AttentionKind.verifications_overdue: (
-        *("verification", StatusSeverity.warning),
+    AttentionKind.verifications_overdue: _Text(
+        "verification",
+        StatusSeverity.warning,
         "Blobs that were stored more than two days ago and are not verified: {count}.",
         "Start another worker, or raise KLEINKRAM_VERIFY_BYTES_PER_S.",
     ),
@@ -129,8 +141,9 @@ async def _database_items(db: Connection, settings: Settings) -> list[StatusItem
 
 
 def _attention_item(attention: Attention) -> StatusItem:
-    subject, severity, text, remedy = _ATTENTION[attention.kind]
-    return StatusItem(severity=severity, subject=subject, message=text.format(count=attention.count), remedy=remedy)
+    text = _ATTENTION[attention.kind]
+    message = text.message.format(count=attention.count)
+    return StatusItem(severity=text.severity, subject=text.subject, message=message, remedy=text.remedy)
 
 
 async def _scrub_items(db: Connection, settings: Settings) -> list[StatusItem]:
