@@ -56,5 +56,9 @@ def test_jobs_that_an_old_worker_did_not_know_run_again(start_api: Any) -> None:
     for job_id in (unknown, failed, later, periodic):
         api.sql("INSERT INTO procrastinate_events (job_id, type) VALUES (%s, 'failed')", job_id)
     on_site(api, collect_garbage)
-    states = dict(api.sql("SELECT id, status::text FROM procrastinate_jobs WHERE id = ANY(%s)", [unknown, failed, later, periodic]))
+    states = dict(
+        api.sql(
+            "SELECT id, status::text FROM procrastinate_jobs WHERE id = ANY(%s)", [unknown, failed, later, periodic]
+        )
+    )
     assert states == {unknown: "todo", failed: "failed", later: "failed"}

@@ -200,7 +200,9 @@ def restore(
     ] = None,
     mission: Annotated[Text, option("-m --mission", "MISSION", "Restore only this mission of the project.")] = None,
     file: Annotated[Text, option("--file", "PATH", "Restore only this file of the mission.")] = None,
-    dry_run: Annotated[bool, flag("--dry-run", "With --project: show what would be restored, and change nothing.")] = False,
+    dry_run: Annotated[
+        bool, flag("--dry-run", "With --project: show what would be restored, and change nothing.")
+    ] = False,
     passphrase_file: PassphraseFile = None,
     limit_rate: LimitRate = None,
     connections: Connections = _CONNECTIONS,

@@ -26,7 +26,10 @@ def send_mail(settings: Settings, *, subject: str, text: str) -> None:
             message = EmailMessage()
             message["From"], message["To"] = settings.mail_from, address
             message["Subject"] = " ".join(subject.split())
-            message["Date"], message["Message-ID"] = formatdate(), make_msgid(domain=str(settings.mail_from).partition("@")[2])
+            message["Date"], message["Message-ID"] = (
+                formatdate(),
+                make_msgid(domain=str(settings.mail_from).partition("@")[2]),
+            )
             # So that no automatic reply comes back. Source: RFC 3834, section 5.
             message["Auto-Submitted"] = "auto-generated"
             message.set_content(text)

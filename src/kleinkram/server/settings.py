@@ -265,7 +265,7 @@ class Settings(BaseSettings):
     smtp_port: int = Field(default=587, ge=1, le=65535, description="Port of the mail server.")
     smtp_security: SmtpSecurity = Field(
         default=SmtpSecurity.starttls,
-        description="`starttls` (mostly port 587), `tls` (mostly port 465), or `none` for a mail server on this machine.",
+        description="`starttls` (usually port 587), `tls` (usually 465), or `none` for a mail server on this machine.",
     )
     smtp_user: str | None = Field(default=None, min_length=1, description="User at the mail server. Default: none.")
     smtp_password: SecretStr | None = Field(default=None, description="Password of that user.")

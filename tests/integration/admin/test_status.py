@@ -118,7 +118,12 @@ def test_what_needs_an_admin_is_named_with_a_remedy(lab: Api) -> None:
     severities = [item["severity"] for item in status["items"]]
     assert severities == sorted(severities), "problems come first"
     texts = " ".join(f"{item['message']} {item['remedy']}" for item in status["items"])
-    for part in ("Blobs that are lost: 1 (7 B).", "Workers of version 0.0.1: 1", "klein admin retry --all", "token gpu"):
+    for part in (
+        "Blobs that are lost: 1 (7 B).",
+        "Workers of version 0.0.1: 1",
+        "klein admin retry --all",
+        "token gpu",
+    ):
         assert part in texts
 
 

@@ -113,9 +113,7 @@ def _api(postgres: _Postgres, store: RunningStore, bucket: str, folder: Path) ->
         yield api
 
 
-def test_a_moment_between_two_uploads_returns(
-    postgres_of_test: _Postgres, store: RunningStore, tmp_path: Path
-) -> None:
+def test_a_moment_between_two_uploads_returns(postgres_of_test: _Postgres, store: RunningStore, tmp_path: Path) -> None:
     first, bucket = postgres_of_test, store.create_bucket()
     archiving = {"archive_mode": "on", "archive_command": f"cp %p {first.archive}/%f"}
     base = first.cluster.data_dir / "base"

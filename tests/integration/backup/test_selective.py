@@ -29,7 +29,7 @@ from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site, run_jobs
 from tests.integration.upload_client import fetch, sha256, upload
 
-NOTES = "rain\tand\\n\nsnow \u2603 \\N {a,\"b\"}"
+NOTES = 'rain\tand\\n\nsnow \u2603 \\N {a,"b"}'
 METADATA = {"weather": 'quoted "rain"\\n\n', "tags": 3}
 
 
@@ -154,7 +154,7 @@ def test_a_lost_file_is_repaired_for_all_that_have_its_bytes(lab: Api, tmp_path:
     run_jobs(lab)
     assert lab.sql("SELECT DISTINCT state FROM blob") == [("verified",)]
     (file,) = _files(lab, mission["id"]).values()
-    assert [one["operation"] for one in lab.events(file["id"])][0] in {"file.repair", "file.verify"}
+    assert "file.repair" in [one["operation"] for one in lab.events(file["id"])]
 
 
 def test_one_file_is_restored_alone(lab: Api, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A server behind a proxy of `deploy/`: two API processes and workers, each a real process, of this version or of another."""
+"""A server behind a proxy of `deploy/`: API processes and workers, each a real process, of any version."""
 
 import os
 import secrets
@@ -67,7 +67,9 @@ class Site:
     def is_ready(self, name: str) -> bool:
         assert self.processes[name].poll() is None, (self.folder / f"{name}.log").read_text()[-3000:]
         try:
-            return urllib3.request("GET", f"http://127.0.0.1:{self.ports[name]}/health/ready", retries=False).status == 200
+            return (
+                urllib3.request("GET", f"http://127.0.0.1:{self.ports[name]}/health/ready", retries=False).status == 200
+            )
         except urllib3.exceptions.HTTPError:
             return False
 

@@ -202,7 +202,8 @@ def test_no_request_fails_while_the_site_is_upgraded_and_rolled_back(site: Site,
     unverified = "SELECT count(*) FROM blob WHERE state <> 'verified'"
     wait_until(lambda: site.sql(unverified) == [(0,)], limit_s=180)
     assert site.sql("SELECT count(*) FROM procrastinate_jobs WHERE status = 'failed'") == [(0,)]
-    hashes = {(str(path), bytes(digest).hex()) for path, digest in site.sql(
-        "SELECT f.path, b.sha256 FROM file f JOIN blob b ON b.id = f.blob_id"
-    )}
+    hashes = {
+        (str(path), bytes(digest).hex())
+        for path, digest in site.sql("SELECT f.path, b.sha256 FROM file f JOIN blob b ON b.id = f.blob_id")
+    }
     assert hashes >= {*load.files.items()}

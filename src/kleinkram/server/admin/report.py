@@ -66,7 +66,10 @@ def report_subject(status: AdminStatus, settings: Settings) -> str:
 
 def report_text(status: AdminStatus, settings: Settings) -> str:
     """Return the status as plain text."""
-    lines = [f"{settings.lab_name} at {settings.public_url}, {status.now:%Y-%m-%d %H:%M} UTC, version {status.version}.", ""]
+    lines = [
+        f"{settings.lab_name} at {settings.public_url}, {status.now:%Y-%m-%d %H:%M} UTC, version {status.version}.",
+        "",
+    ]
     lines += [_item_line(item) for item in status.items] or ["Healthy: nothing needs your attention."]
     stored, per_day = format_size(status.stored_bytes), format_size(status.stored_bytes_per_day)
     lines += ["", f"Stored: {stored}; {per_day} more a day (mean of the last 30 days)."]

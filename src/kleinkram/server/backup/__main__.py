@@ -141,7 +141,11 @@ def _verify(request: BackupRequest) -> int:
     result = operations.verify(
         request.repository(), request.snapshot_id, request.show_progress, read_all=request.read_all
     )
-    depth = f"{format_size(result.read_bytes)} read" if request.read_all else "by name and size; --read-all reads every byte"
+    depth = (
+        f"{format_size(result.read_bytes)} read"
+        if request.read_all
+        else "by name and size; --read-all reads every byte"
+    )
     text = f"{result.snapshots} backups, {result.objects} objects, {format_size(result.object_bytes)} ({depth})."
     if result.unused:
         text += f"\n{result.unused} objects ({format_size(result.unused_bytes)}) are in no complete backup."
@@ -157,8 +161,8 @@ def _verify(request: BackupRequest) -> int:
 def _prune(request: BackupRequest) -> int:
     pruned = operations.prune(request.repository(), keep=request.keep)
     text = (
-        f"Removed {len(pruned.removed)} backups and {pruned.removed_objects} objects ({format_size(pruned.removed_bytes)}); "
-        f"{len(pruned.remaining)} backups are kept."
+        f"Removed {len(pruned.removed)} backups and {pruned.removed_objects} objects "
+        f"({format_size(pruned.removed_bytes)}); {len(pruned.remaining)} backups are kept."
     )
     _print(request, vars(pruned), text)
     return 0

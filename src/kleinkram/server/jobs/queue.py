@@ -50,16 +50,17 @@ _DELETE_FAILED = text(
     " (SELECT 1 FROM procrastinate_events e WHERE e.job_id = j.id AND e.at > now() - interval '7 days')"
 )
 
-# During an upgrade, a worker of the earlier version may take a job of a kind that it does not know. The queue then marks
-# the job as failed without running it, so that no error is stored. Periodic jobs are due again anyway.
-_UNKNOWN = (
-    "status = 'failed' AND task_name = ANY(:known) AND NOT EXISTS (SELECT 1 FROM job_error e WHERE e.job_id = j.id)"
-)
+# During an upgrade, a worker of the earlier version may take a job of a kind that it does not know. The queue then
+# marks the job as failed without running it, so that no error is stored. Periodic jobs are due again anyway.
 _REQUEUE_UNKNOWN = text(
     "UPDATE procrastinate_jobs j SET status = 'todo', attempts = 0, scheduled_at = NULL, worker_id = NULL"
-    f" WHERE {_UNKNOWN} AND queueing_lock IS NULL"
+    " WHERE status = 'failed' AND queueing_lock IS NULL AND task_name = ANY(:known)"
+    " AND NOT EXISTS (SELECT 1 FROM job_error e WHERE e.job_id = j.id)"
 )
-_DELETE_UNKNOWN = text(f"DELETE FROM procrastinate_jobs j WHERE {_UNKNOWN} AND queueing_lock IS NOT NULL")
+_DELETE_UNKNOWN = text(
+    "DELETE FROM procrastinate_jobs j WHERE status = 'failed' AND queueing_lock IS NOT NULL AND task_name = ANY(:known)"
+    " AND NOT EXISTS (SELECT 1 FROM job_error e WHERE e.job_id = j.id)"
+)
 
 # The worker sets its own connector; the API enqueues in its own transactions.
 queue = App(connector=PsycopgConnector())
@@ -141,6 +142,7 @@ async def enqueued_at(db: Connection, job_id: int | None) -> datetime.datetime |
     """Return when a job was enqueued; None if unknown."""
     at: datetime.datetime | None = (await db.execute(_ENQUEUED_AT, {"id": job_id})).scalar()
     return at
+
 
 # Jobs that wait for another attempt count from when they were first deferred; those put off on purpose do not.
 _AGE = text(
