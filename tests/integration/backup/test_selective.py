@@ -1,6 +1,7 @@
 """Restore one project, mission or file out of a backup into the instance that people use."""
 
 import json
+import os
 import subprocess
 import sys
 import uuid
@@ -170,6 +171,21 @@ def test_one_file_is_restored_alone(lab: Api, tmp_path: Path) -> None:
     assert [*_files(lab, mission["id"])] == ["b.bin"]
 
 
+def test_a_file_whose_bytes_are_being_deleted_is_restored_later(lab: Api, tmp_path: Path) -> None:
+    project = lab.project()
+    mission = lab.mission(project["id"])
+    item = upload(lab, mission["id"], "a.bin", b"a")
+    back_up(settings_of(lab), tmp_path)
+    lab.delete(f"/files/{item['id']}").ok()
+    lab.sql("DELETE FROM file WHERE id = %s", item["id"])
+    lab.sql("UPDATE blob SET marked_for_deletion_at = now()")
+    early = _restore(lab, tmp_path, project["name"], mission["name"])
+    assert (early.files, "are being deleted" in early.unavailable.first[0]) == (0, True)
+    _purge(lab)
+    later = _restore(lab, tmp_path, project["name"], mission["name"])
+    assert (later.files, later.unavailable.count) == (1, 0)
+
+
 def test_damaged_backups_restore_what_they_can(lab: Api, tmp_path: Path) -> None:
     project = lab.project()
     mission = lab.mission(project["id"])
@@ -238,6 +254,7 @@ def test_the_command_prints_what_it_restored(lab: Api, tmp_path: Path) -> None:
     back_up(settings, tmp_path)
     lab.delete(f"/files/{item['id']}").ok()
     environment = {
+        **os.environ,
         "KLEINKRAM_DATABASE_URL": str(settings.database_url),
         "KLEINKRAM_S3_INTERNAL_URL": settings.s3_internal_url,
         "KLEINKRAM_S3_BUCKET": settings.s3_bucket,

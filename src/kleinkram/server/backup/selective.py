@@ -56,10 +56,9 @@ _INSERT_BLOB = text(
     " uuid), :store_id, :key, :size_bytes, decode(:sha256, 'hex'), CAST(:blob_uploaded_by_id AS uuid),"
     " CAST(:blob_created_at AS timestamptz))"
 )
-# Of a blob that was lost, or about to be deleted: its object is there again.
+# Of a blob that was lost or corrupt: its object is there again.
 _REVIVE_BLOB = text(
-    "UPDATE blob SET state = 'stored', state_reason = NULL, damaged_at = NULL, marked_for_deletion_at = NULL"
-    " WHERE id = CAST(:blob_id AS uuid)"
+    "UPDATE blob SET state = 'stored', state_reason = NULL, damaged_at = NULL WHERE id = CAST(:blob_id AS uuid)"
 )
 _INSERT_FILE = text(
     "INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_id, labels, created_at) VALUES"
@@ -101,11 +100,15 @@ class _Placement:
 
 @dataclass
 class _MissionPlan:
-    """What a mission needs: files to add or repair, blobs to insert or revive, and how many files need nothing."""
+    """What a mission needs: files to add or repair, blobs to insert or revive, and how many files need nothing.
+
+    `blocked`: files whose blob is marked for deletion, so that its object may vanish at any moment.
+    """
 
     placements: list[_Placement] = field(default_factory=list)
     new_blobs: dict[str, SavedFile] = field(default_factory=dict)
     revived_blobs: dict[str, SavedFile] = field(default_factory=dict)
+    blocked: list[SavedFile] = field(default_factory=list)
     present: int = 0
 
     def objects(self) -> dict[str, SavedFile]:
@@ -134,7 +137,7 @@ def restore_selection(
     with (
         database_errors("The database failed ({}): run the same command again. What was restored stays."),
         closing(SavedRows()) as saved,
-        # Keeps objects of blobs that are marked for deletion, and those that have no row yet.
+        # So that no object is deleted that this command compared.
         backup_database.deletion_lock(dsn) as confirm_lock,
     ):
         with repository.read_file(snapshot, DATABASE) as rows:
@@ -190,12 +193,14 @@ class _Restoration:
             if mission_id is None:
                 await self._name_new(connections, chosen, saved)
             return
-        missing = self._copy_objects(plan)
+        copied, missing = plan.objects().keys(), self._copy_objects(plan)
         async with connections.begin() as db:
             mission_id = await self._place_mission(db, chosen, saved)
             await lock_mission(db, mission_id)
             # Again under the lock: people work meanwhile.
             plan = await self._plan(db, mission_id, [one for one in available if one.key not in missing])
+            if plan.objects().keys() - copied:
+                raise BackupConflict("Files were deleted or damaged meanwhile: run the same command again.")
             await self._write(db, mission_id, plan)
         self._count(plan, ())
 
@@ -233,26 +238,31 @@ class _Restoration:
                 raise BackupConflict(f"{saved.path} and {path} exist, with other bytes: rename one of them.")
             if occupant is not None and occupant.is_intact:
                 plan.present += 1
-                continue
-            placement = _Placement(saved, blob_ids[saved.blob_id], path, occupant.id if occupant else None)
-            plan.placements.append(placement)
+            elif (blob_id := blob_ids.get(saved.blob_id)) is None:
+                plan.blocked.append(saved)
+            else:
+                plan.placements.append(_Placement(saved, blob_id, path, occupant.id if occupant else None))
 
     async def _choose_blobs(self, db: Connection, files: Sequence[SavedFile], plan: _MissionPlan) -> dict[str, str]:
         """Return the blob for each blob of the backup: an intact one with the same bytes, else its own, restored."""
-        columns = (blob.c.id, blob.c.size_bytes, blob.c.sha256, blob.c.state, blob.c.marked_for_deletion_at)
+        columns = (blob.c.id, blob.c.size_bytes, blob.c.sha256)
         is_same = among(blob.c.sha256, {bytes.fromhex(one.sha256) for one in files})
         sizes = among(blob.c.size_bytes, {one.size_bytes for one in files})
         is_usable = blob.c.marked_for_deletion_at.is_(None) & (blob.c.store_id == self._settings.store_id)
-        rows = await db.execute(select(*columns).where(is_same, sizes, is_usable, blob.c.state.in_(_INTACT)))
+        stmt = select(*columns).where(is_same, sizes, is_usable, blob.c.state.in_(_INTACT))
+        # The lock keeps garbage collection from marking them before the files are there.
+        rows = await db.execute(stmt.order_by(blob.c.id).with_for_update(read=True, key_share=True))
         intact = {(row.size_bytes, row.sha256.hex()): str(row.id) for row in rows}
-        own = select(blob.c.id).where(among(blob.c.id, {uuid.UUID(one.blob_id) for one in files}))
-        known = {str(blob_id) for blob_id in (await db.execute(own)).scalars()}
+        own = select(blob.c.id, blob.c.marked_for_deletion_at)
+        own = own.where(among(blob.c.id, {uuid.UUID(one.blob_id) for one in files}))
+        is_marked = {str(row.id): row.marked_for_deletion_at is not None for row in await db.execute(own)}
         chosen: dict[str, str] = {}
         for one in files:
-            found = intact.get((one.size_bytes, one.sha256))
-            if found is None:
-                (plan.revived_blobs if one.blob_id in known else plan.new_blobs)[one.blob_id] = one
-            chosen[one.blob_id] = found or one.blob_id
+            if found := intact.get((one.size_bytes, one.sha256)):
+                chosen[one.blob_id] = found
+            elif not is_marked.get(one.blob_id):
+                (plan.revived_blobs if one.blob_id in is_marked else plan.new_blobs)[one.blob_id] = one
+                chosen[one.blob_id] = one.blob_id
         return chosen
 
     def _count(self, plan: _MissionPlan, objects: Iterable[SavedFile]) -> None:
@@ -262,6 +272,8 @@ class _Restoration:
         self._result.repaired += len(plan.placements) - len(added)
         self._result.present += plan.present
         self._result.copied_bytes += sum(one.size_bytes for one in objects)
+        for one in plan.blocked:
+            self._result.unavailable.add(f"{one.path}: its bytes are being deleted: run the same command in an hour")
 
     # -- copying ------------------------------------------------------------------------------------------------------
 
