@@ -49,6 +49,8 @@ def open_mail_server(settings: Settings) -> Iterator[smtplib.SMTP]:
             yield server
     except smtplib.SMTPAuthenticationError as error:
         raise MailNotSent(f"The mail server {host} refused the user or password ({error.smtp_code}).") from None
+    except UnicodeEncodeError:  # of `login`, which sends ASCII only
+        raise MailNotSent(f"The user and the password for {host} must be ASCII.") from None
     except (smtplib.SMTPException, OSError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise MailNotSent(f"The mail server {host}:{port} failed: {reason}.") from None

@@ -16,7 +16,7 @@ from typing import IO
 from kleinkram.server.settings import SmtpSecurity
 from tests.certificate import make_certificate
 
-USER, PASSWORD = "kleinkram", "hunter22 ü"
+USER, PASSWORD = "kleinkram", "hunter22"
 
 
 @dataclass
@@ -69,16 +69,19 @@ class _Handler(socketserver.BaseRequestHandler):
     def handle(self) -> None:
         state = self.server_state
         self._is_signed_in = state.security is SmtpSecurity.none
-        if state.security is SmtpSecurity.tls:
-            self._encrypt()
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # a client that does not trust the certificate leaves
+            if state.security is SmtpSecurity.tls:
+                self._encrypt()
             self._open()
             self._say("220 ready")
             while line := self._stream.readline().decode().rstrip("\r\n"):
                 verb, _, rest = line.partition(" ")
                 if verb.upper() == "QUIT":
-                    return
+                    self._say("221 bye")
+                    break
                 self._answer(verb.upper(), rest)
+            self._stream.close()
+        self.request.close()
 
     def _open(self) -> None:
         self._stream: IO[bytes] = self.request.makefile("rb")

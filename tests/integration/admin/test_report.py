@@ -60,6 +60,8 @@ def test_check_signs_in_and_names_what_is_wrong(inbox: MailServer) -> None:
     assert [result.severity.value for result in _mail(settings)] == ["ok"]
     assert inbox.messages == []
     if settings.smtp_user is not None:
+        foreign = Settings(**{**base, "s3_secret_key": "s", **inbox.settings(), "smtp_password": "pässword"})  # type: ignore[arg-type]
+        assert ["must be ASCII" in result.message for result in _mail(foreign)] == [True]
         wrong = Settings(**{**base, "s3_secret_key": "s", **inbox.settings(), "smtp_password": "no"})  # type: ignore[arg-type]
         (result,) = _mail(wrong)
         assert (result.severity.value, "refused the user or password (535)" in result.message) == ("problem", True)
