@@ -112,7 +112,7 @@ class _Handler(socketserver.BaseRequestHandler):
             self._say("354 go")
             lines = iter(self._stream.readline, b".\r\n")
             raw = b"".join(line.removeprefix(b".") for line in lines)
-            state.messages.append(email.message_from_bytes(raw, policy=email.policy.default))  # type: ignore[arg-type]
+            state.messages.append(email.message_from_bytes(raw, policy=email.policy.default))
             self._say("250 kept")
         else:
             self._say("250 fine")

@@ -25,7 +25,7 @@ _WORKER = (
 @pytest.fixture(name="lab")
 def _lab(start_api: StartApi) -> Iterator[Api]:
     """A server that has existed for ten days, with a living worker."""
-    api = start_api(store_folder=None, store_capacity_bytes=100 * _GB)
+    api = start_api(store_folder=None, store_capacity_bytes=100 * _GB, scrub_hours=24)
     api.sql("UPDATE person SET created_at = now() - interval '10 days'")
     api.sql(_WORKER, kleinkram.__version__)
     yield api

@@ -47,7 +47,7 @@ class _Postgres:
 
     def execute(self, statement: str, database: str = pg.DATABASE) -> list[tuple[Any, ...]]:
         with psycopg.connect(self.cluster.url(pg.ADMIN, database), autocommit=True) as connection:
-            cursor = connection.execute(statement)  # type: ignore[call-overload]  # of this file
+            cursor = connection.execute(statement)
             return cursor.fetchall() if cursor.description else []
 
     def back_up(self, folder: Path) -> None:

@@ -75,7 +75,7 @@ class Site:
 
     def sql(self, statement: str) -> list[tuple[Any, ...]]:
         with psycopg.connect(self.settings["KLEINKRAM_DATABASE_URL"]) as connection:
-            return connection.execute(statement).fetchall()  # type: ignore[arg-type]  # of this file
+            return connection.execute(statement).fetchall()
 
     def worker_versions(self) -> set[str]:
         alive = "SELECT version FROM worker_process WHERE ended_at IS NULL AND seen_at > now() - interval '15 s'"

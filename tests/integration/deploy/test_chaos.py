@@ -10,6 +10,7 @@ import signal
 import subprocess
 import threading
 import time
+import uuid
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -103,11 +104,11 @@ class _Load:
 
     phase: str = "no fault"
     figures: dict[str, _Figures] = field(default_factory=dict)
-    sent: Counter[str] = field(default_factory=Counter)
+    sent: Counter[uuid.UUID] = field(default_factory=Counter)
     is_over: threading.Event = field(default_factory=threading.Event)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def work(self, client: Client, mission_id: str, folder: Path) -> None:
+    def work(self, client: Client, mission_id: uuid.UUID, folder: Path) -> None:
         """Upload files and list them until the load is over."""
         number = 0
         while not self.is_over.is_set():
@@ -137,11 +138,11 @@ def _working(site: Site, folder: Path) -> Iterator[_Load]:
     url, load = site.settings["KLEINKRAM_PUBLIC_URL"], _Load()
     with connect(url, token) as owner:
         project = owner.projects.create("chaos")
-        missions = [str(owner.missions.create(f"client {n}", project=project.id).id) for n in range(_CLIENTS)]
+        missions = [owner.missions.create(f"client {n}", project=project.id).id for n in range(_CLIENTS)]
     load.sent.update(dict.fromkeys(missions, 0))
 
-    def work(mission_id: str) -> None:
-        own = folder / mission_id
+    def work(mission_id: uuid.UUID) -> None:
+        own = folder / str(mission_id)
         own.mkdir()
         with connect(url, token) as client:
             load.work(client, mission_id, own)
@@ -157,7 +158,7 @@ def _working(site: Site, folder: Path) -> Iterator[_Load]:
             future.result(180)
     with connect(url, token) as owner:
         for mission_id in missions:
-            listed = [*owner.files.list(FileFilter(mission_id=mission_id))]  # type: ignore[arg-type]  # validated
+            listed = [*owner.files.list(FileFilter(mission_id=mission_id))]
             assert len(listed) == load.sent[mission_id], "each file is there once"
 
 
