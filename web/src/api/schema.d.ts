@@ -217,6 +217,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/admin/status": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Admin Status
+         * @description Return whether the server is healthy, what is full and when, and what needs an admin.
+         */
+        get: operations["get_admin_status"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/admin/storage": {
         parameters: {
             query?: never;
@@ -3246,6 +3266,32 @@ export interface components {
             settings: components["schemas"]["SettingRead"][];
         };
         /**
+         * AdminStatus
+         * @description Whether the server is healthy, what is full and when, and what needs an admin; problems come first.
+         *
+         *     `capacities` are in the order in which they will be full. The store is one of them if its size is known:
+         *     KLEINKRAM_STORE_FOLDER or KLEINKRAM_STORE_CAPACITY_BYTES.
+         */
+        AdminStatus: {
+            /** Capacities */
+            capacities: components["schemas"]["kleinkram__contract__admin__Capacity"][];
+            /** Is Healthy */
+            is_healthy: boolean;
+            /** Items */
+            items: components["schemas"]["StatusItem"][];
+            /**
+             * Now
+             * Format: date-time
+             */
+            now: string;
+            /** Stored Bytes */
+            stored_bytes: number;
+            /** Stored Bytes Per Day */
+            stored_bytes_per_day: number;
+            /** Version */
+            version: string;
+        };
+        /**
          * AdminStorage
          * @description Stored blobs by state, those that only the trash uses, uploads in progress, and what is about to be deleted.
          *
@@ -3458,7 +3504,7 @@ export interface components {
          * Capacity
          * @description Resources of a machine for runs: all of them, or those that are free.
          */
-        Capacity: {
+        "Capacity-Input": {
             /** Cores */
             cores: number;
             /** Disk Bytes */
@@ -3468,6 +3514,12 @@ export interface components {
             /** Memory Bytes */
             memory_bytes: number;
         };
+        /**
+         * CapacityUnit
+         * @description What a limit counts.
+         * @enum {string}
+         */
+        CapacityUnit: "bytes" | "files";
         /**
          * Cause
          * @description Who launched a run, and which run it retries.
@@ -3800,7 +3852,7 @@ export interface components {
              * @default []
              */
             active_run_ids: string[];
-            free: components["schemas"]["Capacity"];
+            free: components["schemas"]["Capacity-Input"];
             /**
              * Wait S
              * @default 0
@@ -4917,6 +4969,39 @@ export interface components {
             state: string;
         };
         JsonValue: unknown;
+        /**
+         * Capacity
+         * @description A limit, and when it will be reached: the quota of a project, or the store's disk (`project` is null).
+         *
+         *     `per_day` is the mean of the last 30 days, or of the project's or server's life if that is shorter: what was added
+         *     and still exists. `full_at`: null if nothing is added, or for more than ten years.
+         */
+        kleinkram__contract__admin__Capacity: {
+            /** Full At */
+            full_at: string | null;
+            /** Limit */
+            limit: number;
+            /** Per Day */
+            per_day: number;
+            project: components["schemas"]["ProjectRef"] | null;
+            unit: components["schemas"]["CapacityUnit"];
+            /** Used */
+            used: number;
+        };
+        /**
+         * Capacity
+         * @description Resources of a machine for runs: all of them, or those that are free.
+         */
+        kleinkram__contract__runners__Capacity: {
+            /** Cores */
+            cores: number;
+            /** Disk Bytes */
+            disk_bytes: number;
+            /** Gpus */
+            gpus: number;
+            /** Memory Bytes */
+            memory_bytes: number;
+        };
         /**
          * LabelChange
          * @description Labels to add to files and to remove; a label in both is added.
@@ -7095,7 +7180,7 @@ export interface components {
             abilities: components["schemas"]["ExecutorAbilities"];
             /** Active Runs */
             active_runs: number;
-            capacity: components["schemas"]["Capacity"];
+            capacity: components["schemas"]["kleinkram__contract__runners__Capacity"];
             /** Default Image */
             default_image: string | null;
             /**
@@ -7126,7 +7211,7 @@ export interface components {
          */
         RunnerRegistration: {
             abilities: components["schemas"]["ExecutorAbilities"];
-            capacity: components["schemas"]["Capacity"];
+            capacity: components["schemas"]["Capacity-Input"];
             /** Default Image */
             default_image?: string | null;
             /**
@@ -7695,6 +7780,25 @@ export interface components {
             size_bytes: number;
         };
         /**
+         * StatusItem
+         * @description Something that an admin should attend to. `remedy` says what to do; empty if the message does.
+         */
+        StatusItem: {
+            /** Message */
+            message: string;
+            /** Remedy */
+            remedy: string;
+            severity: components["schemas"]["StatusSeverity"];
+            /** Subject */
+            subject: string;
+        };
+        /**
+         * StatusSeverity
+         * @description `problem`: something does not work, or data are damaged; `warning`: it will not work for long, or is late.
+         * @enum {string}
+         */
+        StatusSeverity: "problem" | "warning";
+        /**
          * StoredPart
          * @description A part that the store has.
          */
@@ -7708,7 +7812,7 @@ export interface components {
         };
         /**
          * StoreUse
-         * @description The bytes in the store, and the free space if its disk is on the server's machine.
+         * @description The bytes in the store, and the free space if its disk is on the server's machine or its capacity is set.
          */
         StoreUse: {
             /** Disk Bytes */
@@ -8706,6 +8810,35 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["AdminSettings"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_admin_status: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AdminStatus"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */

@@ -16,7 +16,6 @@ from kleinkram.server.mail import send_mail
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import audit_event
 
-_OPERATION = "report.send"
 _HOUR = 6  # of Mondays, UTC
 
 
@@ -41,7 +40,7 @@ async def send_due_report(context: AppContext) -> bool:
     await asyncio.to_thread(send_mail, settings, subject=subject, text=text)
     after: Metadata = {"recipients": len(settings.report_to), "items": len(status.items)}
     async with context.database.begin() as db:
-        await audit(db, None, Event(_OPERATION, "report", None, "status", after=after))
+        await audit(db, None, Event("report.send", "report", None, "status", after=after))
     return True
 
 
@@ -52,7 +51,7 @@ def last_due_time(now: datetime.datetime) -> datetime.datetime:
 
 
 async def _was_sent(db: Connection, since: datetime.datetime) -> bool:
-    sent = select(audit_event.c.id).where(audit_event.c.at >= since, audit_event.c.operation == _OPERATION)
+    sent = select(audit_event.c.id).where(audit_event.c.at >= since, audit_event.c.operation == "report.send")
     return (await db.execute(sent.limit(1))).first() is not None
 
 
