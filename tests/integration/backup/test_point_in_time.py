@@ -138,7 +138,8 @@ def test_a_moment_between_two_uploads_returns(postgres_of_test: _Postgres, store
         api.post("/admin/scrub", {}).ok(202)
         run_jobs(api)
         last = api.get("/admin/scrub").ok()["last"]
-        assert (last["lost"], last["corrupt"], last["unknown"]) == (0, 0, 1), "the object of the later upload"
+        assert last["ended_at"] is not None, last
+        assert (last["lost"], last["corrupt"], last["unknown"]) == (0, 0, 1), last
         upload(api, mission, "later.bin", b"later")
         run_jobs(api)
         assert {item["state"] for item in api.all("/files", {"mission_id": mission})} == {"verified"}

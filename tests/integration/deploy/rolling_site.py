@@ -62,7 +62,7 @@ class Site:
         """Stop a process as systemd does, and wait until it has finished its requests or jobs."""
         process = self.processes.pop(name)
         process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == 0, (self.folder / f"{name}.log").read_text()[-3000:]
+        assert process.wait(60) in {0, -signal.SIGTERM}, (self.folder / f"{name}.log").read_text()[-3000:]
 
     def is_ready(self, name: str) -> bool:
         assert self.processes[name].poll() is None, (self.folder / f"{name}.log").read_text()[-3000:]
