@@ -15,7 +15,7 @@ from kleinkram.cli.render import Output, as_details, as_table, details, line, mo
 from kleinkram.cli.units import count, parse_time, size
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
-from kleinkram.contract.admin import Capacity, CapacityUnit, ScrubState, StateAmount
+from kleinkram.contract.admin import CapacityForecast, CapacityUnit, ScrubState, StateAmount
 from kleinkram.contract.audit import AuditFilter, AuditRead
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.names import is_id
@@ -211,7 +211,7 @@ def status(client: Client) -> Output:
     return Output(state, show, 0 if state.is_healthy else ExitCode.server_failed)
 
 
-def _capacity_cells(row: Capacity) -> tuple[object, ...]:
+def _capacity_cells(row: CapacityForecast) -> tuple[object, ...]:
     def amount(number: int) -> str | None:
         return size(number) if row.unit is CapacityUnit.bytes else count(number, "file")
 

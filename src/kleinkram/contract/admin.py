@@ -126,7 +126,7 @@ class CapacityUnit(str, enum.Enum):
     files = "files"
 
 
-class Capacity(Response):
+class CapacityForecast(Response):
     """A limit, and when it will be reached: the quota of a project, or the store's disk (`project` is null).
 
     `per_day` is the mean of the last 30 days, or of the project's or server's life if that is shorter: what was added
@@ -154,7 +154,7 @@ class AdminStatus(Response):
     items: list[StatusItem]
     stored_bytes: int
     stored_bytes_per_day: int
-    capacities: list[Capacity]
+    capacities: list[CapacityForecast]
 
 
 class ScrubRequest(Request):

@@ -12,7 +12,7 @@ import pytest
 
 from kleinkram.server.backup import selective
 from kleinkram.server.backup.errors import BackupConflict, BackupError, BackupNotFound, BackupRequestInvalid
-from kleinkram.server.backup.saved_rows import Selection
+from kleinkram.server.backup.saved_rows import RestoreSelection
 from kleinkram.server.backup.selective import SelectiveRestore, restore_selection
 from kleinkram.server.maintenance import collect_garbage
 from tests.integration import people
@@ -41,7 +41,7 @@ def _lab(start_api: StartApi) -> Api:
 
 
 def _restore(api: Api, place: Path, project: str, *more: str | None, dry_run: bool = False) -> SelectiveRestore:
-    selection = Selection(project, *more)
+    selection = RestoreSelection(project, *more)
     return restore_selection(settings_of(api), opened(place, None), None, selection, show_nothing, is_dry_run=dry_run)
 
 

@@ -5,7 +5,7 @@ import uuid
 
 import pytest
 
-from kleinkram.contract.admin import AdminStatus, Capacity, CapacityUnit, StatusItem, StatusSeverity
+from kleinkram.contract.admin import AdminStatus, CapacityForecast, CapacityUnit, StatusItem, StatusSeverity
 from kleinkram.contract.home import StoreUse
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.server.admin.capacity import forecast, store_capacity
@@ -24,7 +24,7 @@ def _forecast(used: int, limit: int, per_day: int) -> datetime.datetime | None:
     ("used", "limit", "per_day", "days"),
     [(40, 100, 6, 10), (100, 100, 0, 0), (120, 100, 5, 0), (0, 1, 4, 0.25), (0, 0, 0, 0)],
 )
-def test_the_rate_tells_when_a_limit_is_reached(used: int, limit: int, per_day: int, days: float) -> None:
+def test_the_rate_gives_when_a_limit_is_reached(used: int, limit: int, per_day: int, days: float) -> None:
     assert _forecast(used, limit, per_day) == NOW + datetime.timedelta(days=days)
 
 
@@ -59,7 +59,7 @@ def _settings() -> Settings:
     return Settings(**fields, s3_secret_key="s", lab_name="Lab", public_url="https://lab.example")  # type: ignore[arg-type]
 
 
-def _status(*items: StatusItem, capacities: tuple[Capacity, ...] = ()) -> AdminStatus:
+def _status(*items: StatusItem, capacities: tuple[CapacityForecast, ...] = ()) -> AdminStatus:
     return AdminStatus(
         now=NOW,
         version="1",

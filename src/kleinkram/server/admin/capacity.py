@@ -9,7 +9,7 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Select, func, select
 
-from kleinkram.contract.admin import Capacity, CapacityUnit
+from kleinkram.contract.admin import CapacityForecast, CapacityUnit
 from kleinkram.contract.home import StoreUse
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.server.db import Connection
@@ -30,7 +30,7 @@ async def bytes_per_day(db: Connection) -> int:
     return int((await db.execute(stmt)).scalar_one())
 
 
-async def quota_capacities(db: Connection, now: datetime.datetime) -> list[Capacity]:
+async def quota_capacities(db: Connection, now: datetime.datetime) -> list[CapacityForecast]:
     """Return the quotas of all projects and when they will be full."""
     capacities = []
     for row in await db.execute(_quotas()):
@@ -42,7 +42,7 @@ async def quota_capacities(db: Connection, now: datetime.datetime) -> list[Capac
     return capacities
 
 
-def store_capacity(store: StoreUse, per_day: int, now: datetime.datetime) -> Capacity | None:
+def store_capacity(store: StoreUse, per_day: int, now: datetime.datetime) -> CapacityForecast | None:
     """Return when the store will be full; None if its size is not known."""
     if store.disk_bytes is None or store.free_bytes is None:
         return None
@@ -52,14 +52,14 @@ def store_capacity(store: StoreUse, per_day: int, now: datetime.datetime) -> Cap
 
 def forecast(
     ref: ProjectRef | None, unit: CapacityUnit, *, used: int, limit: int, per_day: int, now: datetime.datetime
-) -> Capacity:
+) -> CapacityForecast:
     """Return a limit with the time at which it will be reached at a constant rate."""
     full_at = None
     if used >= limit:
         full_at = now
     elif per_day > 0 and (days := (limit - used) / per_day) <= _HORIZON_DAYS:
         full_at = now + datetime.timedelta(days=days)
-    return Capacity(project=ref, unit=unit, used=used, limit=limit, per_day=per_day, full_at=full_at)
+    return CapacityForecast(project=ref, unit=unit, used=used, limit=limit, per_day=per_day, full_at=full_at)
 
 
 def _quotas() -> Select[Any]:

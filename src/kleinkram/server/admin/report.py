@@ -5,7 +5,7 @@ import datetime
 
 from sqlalchemy import select
 
-from kleinkram.contract.admin import AdminStatus, Capacity, CapacityUnit, StatusItem, StatusSeverity
+from kleinkram.contract.admin import AdminStatus, CapacityForecast, CapacityUnit, StatusItem, StatusSeverity
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.units import format_size
 from kleinkram.server.admin.status import describe_use, get_status
@@ -81,7 +81,7 @@ def _item_line(item: StatusItem) -> str:
     return f"{item.severity.value.upper()} {item.subject}: {item.message} {item.remedy}".rstrip()
 
 
-def _capacity_line(row: Capacity) -> str:
+def _capacity_line(row: CapacityForecast) -> str:
     name = "Store" if row.project is None else f"Quota of {row.project.name}"
     per_day = f"{row.per_day} files" if row.unit is CapacityUnit.files else format_size(row.per_day)
     full = f"full on {row.full_at:%Y-%m-%d}" if row.full_at is not None else "not full within ten years"

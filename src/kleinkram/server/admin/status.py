@@ -11,7 +11,7 @@ from kleinkram.contract.access import TokenKind
 from kleinkram.contract.admin import (
     AdminHealth,
     AdminStatus,
-    Capacity,
+    CapacityForecast,
     CapacityUnit,
     StatusItem,
     StatusSeverity,
@@ -187,7 +187,7 @@ async def _token_items(db: Connection) -> list[StatusItem]:
     ]
 
 
-def _capacity_items(capacities: list[Capacity], now: datetime.datetime) -> Iterator[StatusItem]:
+def _capacity_items(capacities: list[CapacityForecast], now: datetime.datetime) -> Iterator[StatusItem]:
     for row in capacities:
         share = row.used / row.limit if row.limit else 1.0
         is_low = row.project is None and is_disk_low(row.limit - row.used, row.limit)
@@ -203,14 +203,14 @@ def _capacity_items(capacities: list[Capacity], now: datetime.datetime) -> Itera
             yield _warning("capacity", f"{text}{when}.", _remedy(row))
 
 
-def describe_use(row: Capacity) -> str:
+def describe_use(row: CapacityForecast) -> str:
     """Return the use and the limit: `3.0 GB of 10.0 GB`, `3 of 10 files`."""
     if row.unit is CapacityUnit.files:
         return f"{row.used} of {row.limit} files"
     return f"{format_size(row.used)} of {format_size(row.limit)}"
 
 
-def _remedy(row: Capacity) -> str:
+def _remedy(row: CapacityForecast) -> str:
     return "Delete files, or add disk space." if row.project is None else "Delete files, or raise the quota."
 
 

@@ -19,7 +19,7 @@ from kleinkram.server.backup.errors import BackupDamaged, BackupError, BackupReq
 from kleinkram.server.backup.operations import Messages
 from kleinkram.server.backup.rclone import Rclone
 from kleinkram.server.backup.repository import Repository, Snapshot, make_repository, open_repository
-from kleinkram.server.backup.saved_rows import Selection
+from kleinkram.server.backup.saved_rows import RestoreSelection
 from kleinkram.server.backup.selective import restore_selection
 from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.settings import Settings
@@ -49,10 +49,10 @@ class BackupRequest(BaseModel):
     file: str | None = None
     dry_run: bool = False
 
-    def selection(self) -> Selection | None:
+    def selection(self) -> RestoreSelection | None:
         """Return what to restore into the running instance; None for everything, into an empty one."""
         if self.project is not None:
-            return Selection(self.project, self.mission, self.file)
+            return RestoreSelection(self.project, self.mission, self.file)
         if self.mission is not None or self.file is not None or self.dry_run:
             raise BackupRequestInvalid("Name the project, too: a restore without one is of the whole instance.")
         return None
@@ -185,7 +185,7 @@ def _restore(request: BackupRequest) -> int:
     )
 
 
-def _restore_selection(request: BackupRequest, selection: Selection) -> int:
+def _restore_selection(request: BackupRequest, selection: RestoreSelection) -> int:
     restored = restore_selection(
         _settings(),
         request.repository(),

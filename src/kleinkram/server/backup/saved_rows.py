@@ -27,7 +27,7 @@ _CHARACTERS = {"b": "\b", "f": "\f", "n": "\n", "r": "\r", "t": "\t", "v": "\v"}
 
 
 @dataclass(frozen=True)
-class Selection:
+class RestoreSelection:
     """What to restore, by names or ids: a project, a mission of it, or a file of that."""
 
     project: str

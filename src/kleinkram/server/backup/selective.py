@@ -28,7 +28,7 @@ from kleinkram.server.backup.operations import (
 )
 from kleinkram.server.backup.rclone import Rclone
 from kleinkram.server.backup.repository import DATABASE, Repository, Snapshot
-from kleinkram.server.backup.saved_rows import SavedFile, SavedMission, SavedProject, SavedRows, Selection
+from kleinkram.server.backup.saved_rows import SavedFile, SavedMission, SavedProject, SavedRows, RestoreSelection
 from kleinkram.server.blobs.service import enqueue_reading
 from kleinkram.server.db import Connection, Database, among, open_database
 from kleinkram.server.files.paths import path_conflicts
@@ -120,7 +120,7 @@ def restore_selection(
     settings: Settings,
     repository: Repository,
     snapshot_id: str | None,
-    selection: Selection,
+    selection: RestoreSelection,
     show: ShowProgress,
     *,
     is_dry_run: bool,
