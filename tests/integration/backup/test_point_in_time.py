@@ -123,17 +123,17 @@ def test_a_moment_between_two_uploads_returns(postgres_of_test: _Postgres, store
         first.back_up(base)
         with _api(first, store, bucket, tmp_path) as api:
             mission = api.mission(api.project()["id"])["id"]
-            kept = upload(api, mission, "kept.bin", b"kept")
+            first_file = upload(api, mission, "kept.bin", b"kept")
             (moment,) = first.execute("SELECT clock_timestamp()")[0]
             upload(api, mission, "later.bin", b"later")
-            api.delete(f"/files/{kept['id']}").ok()
+            api.delete(f"/files/{first_file['id']}").ok()
             first.archive_all()
     second = replace(first, cluster=replace(first.cluster, folder=base, port=choose_port()))
     (base / "recovery.signal").touch()
     with second.running(**_recovery(first.archive, moment)), _api(second, store, bucket, tmp_path) as api:
         files = api.all("/files", {"mission_id": mission})
         assert [item["path"] for item in files] == ["kept.bin"], "what was deleted later is back"
-        (link,) = api.post("/files/download", {"file_ids": [kept["id"]]}).ok()["items"]
+        (link,) = api.post("/files/download", {"file_ids": [first_file["id"]]}).ok()["items"]
         assert fetch(link["url"]) == (200, b"kept")
         api.post("/admin/scrub", {}).ok(202)
         run_jobs(api)

@@ -66,12 +66,12 @@ def test_a_purged_mission_returns_with_ids_names_notes_metadata_and_bytes(lab: A
     mission = lab.mission(project["id"])
     values = (NOTES, json.dumps(METADATA), mission["id"])
     lab.sql("UPDATE mission SET notes = %s, metadata = %s WHERE id = %s", *values)
-    kept = lab.mission(project["id"])
+    other = lab.mission(project["id"])
     bodies = {"a b.bin": b"one", "folder/\u00e4.bin": b"two", "copy.bin": b"one"}
     for path, body in bodies.items():
         upload(lab, mission["id"], path, body)
         run_jobs(lab)  # only verified bytes are linked
-    upload(lab, kept["id"], "kept.bin", b"two")
+    upload(lab, other["id"], "kept.bin", b"two")
     before = _files(lab, mission["id"])
     lab.patch(f"/files/{before['a b.bin']['id']}", {"labels": ["dusk {x}", 'quo"te']}).ok()
     run_jobs(lab)
@@ -135,9 +135,13 @@ def test_other_bytes_at_the_path_stay_and_the_file_returns_in_a_folder(lab: Api,
     done = _restore(lab, tmp_path, project["name"], mission["name"])
     assert done.files == 3
     assert sorted(done.renamed) == ["folder", "run/a.bin"]
-    found = {item["path"]: _content(lab, item["id"]) for item in _files(lab, mission["id"]).values()}
-    assert (found["run/a.bin"], found[done.renamed["run/a.bin"]], found["b.bin"]) == (b"new", b"old", b"in the trash")
-    assert found[done.renamed["folder"]] == b"a file"
+    bodies = {item["path"]: _content(lab, item["id"]) for item in _files(lab, mission["id"]).values()}
+    assert (bodies["run/a.bin"], bodies[done.renamed["run/a.bin"]], bodies["b.bin"]) == (
+        b"new",
+        b"old",
+        b"in the trash",
+    )
+    assert bodies[done.renamed["folder"]] == b"a file"
     assert old["id"] not in {item["id"] for item in _files(lab, mission["id"]).values()}, "the trash still has that id"
     again = _restore(lab, tmp_path, project["name"], mission["name"])
     assert (again.files, again.present) == (0, 3)

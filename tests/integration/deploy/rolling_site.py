@@ -36,8 +36,8 @@ class Site:
 
     def environment(self, source: Path) -> dict[str, str]:
         names = ("PATH", "LANG", "HOME")
-        kept = {name: os.environ[name] for name in names if name in os.environ}
-        return {**kept, **self.settings, "PYTHONPATH": str(source)}
+        inherited = {name: os.environ[name] for name in names if name in os.environ}
+        return {**inherited, **self.settings, "PYTHONPATH": str(source)}
 
     def run(self, source: Path, *arguments: str) -> str:
         command = [sys.executable, "-m", "kleinkram.server", *arguments]

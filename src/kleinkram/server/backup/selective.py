@@ -28,7 +28,7 @@ from kleinkram.server.backup.operations import (
 )
 from kleinkram.server.backup.rclone import Rclone
 from kleinkram.server.backup.repository import DATABASE, Repository, Snapshot
-from kleinkram.server.backup.saved_rows import SavedFile, SavedMission, SavedProject, SavedRows, RestoreSelection
+from kleinkram.server.backup.saved_rows import RestoreSelection, SavedFile, SavedMission, SavedProject, SavedRows
 from kleinkram.server.blobs.service import enqueue_reading
 from kleinkram.server.db import Connection, Database, among, open_database
 from kleinkram.server.files.paths import path_conflicts
@@ -258,8 +258,8 @@ class _Restoration:
         is_marked = {str(row.id): row.marked_for_deletion_at is not None for row in await db.execute(own)}
         chosen: dict[str, str] = {}
         for one in files:
-            if found := intact.get((one.size_bytes, one.sha256)):
-                chosen[one.blob_id] = found
+            if intact_id := intact.get((one.size_bytes, one.sha256)):
+                chosen[one.blob_id] = intact_id
             elif not is_marked.get(one.blob_id):
                 (plan.revived_blobs if one.blob_id in is_marked else plan.new_blobs)[one.blob_id] = one
                 chosen[one.blob_id] = one.blob_id

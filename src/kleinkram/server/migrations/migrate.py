@@ -1,7 +1,8 @@
 """Upgrade a database to this version's schema while servers use it: they wait for seconds at most, and lose nothing.
 
 One migrator at a time; the others wait, and then find nothing to do. Each revision is one transaction. A revision that
-does not get its table locks within half a second is rolled back, so that statements queued behind it run, and is retried.
+does not get its table locks within half a second is rolled back, so that statements queued behind it run, and is
+retried.
 """
 
 import logging

@@ -7,7 +7,7 @@ import { texts as all } from "@/texts/admin";
 
 export type Setting = components["schemas"]["SettingRead"];
 export type FailedJob = components["schemas"]["FailedJob"];
-export type CapacityForecast = components["schemas"]["Capacity"];
+export type CapacityForecast = components["schemas"]["CapacityForecast"];
 export type JobAmount = components["schemas"]["JobAmount"];
 export type Storage = components["schemas"]["AdminStorage"];
 
