@@ -111,10 +111,10 @@ class SavedRows:
         self._db.executescript(_INDEXES)
 
     def _insert(self, table: str, columns: list[str], piece: str) -> None:
-        wanted = _COLUMNS[table].split()
-        positions = [columns.index(name) for name in wanted]
+        saved_columns = _COLUMNS[table].split()
+        positions = [columns.index(name) for name in saved_columns]
         rows = (_values(line, positions) for line in piece.split("\n") if line)
-        places = ", ".join("?" * len(wanted))
+        places = ", ".join("?" * len(saved_columns))
         self._db.executemany(f"INSERT INTO {table} VALUES ({places})", rows)  # noqa: S608  (constants)
 
     def project(self, reference: str) -> SavedProject:
