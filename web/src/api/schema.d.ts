@@ -3274,7 +3274,7 @@ export interface components {
          */
         AdminStatus: {
             /** Capacities */
-            capacities: components["schemas"]["kleinkram__contract__admin__Capacity"][];
+            capacities: components["schemas"]["CapacityForecast"][];
             /** Is Healthy */
             is_healthy: boolean;
             /** Items */
@@ -3504,7 +3504,7 @@ export interface components {
          * Capacity
          * @description Resources of a machine for runs: all of them, or those that are free.
          */
-        "Capacity-Input": {
+        Capacity: {
             /** Cores */
             cores: number;
             /** Disk Bytes */
@@ -3513,6 +3513,25 @@ export interface components {
             gpus: number;
             /** Memory Bytes */
             memory_bytes: number;
+        };
+        /**
+         * CapacityForecast
+         * @description A limit, and when it will be reached: the quota of a project, or the store's disk (`project` is null).
+         *
+         *     `per_day` is the mean of the last 30 days, or of the project's or server's life if that is shorter: what was added
+         *     and still exists. `full_at`: null if nothing is added, or for more than ten years.
+         */
+        CapacityForecast: {
+            /** Full At */
+            full_at: string | null;
+            /** Limit */
+            limit: number;
+            /** Per Day */
+            per_day: number;
+            project: components["schemas"]["ProjectRef"] | null;
+            unit: components["schemas"]["CapacityUnit"];
+            /** Used */
+            used: number;
         };
         /**
          * CapacityUnit
@@ -3852,7 +3871,7 @@ export interface components {
              * @default []
              */
             active_run_ids: string[];
-            free: components["schemas"]["Capacity-Input"];
+            free: components["schemas"]["Capacity"];
             /**
              * Wait S
              * @default 0
@@ -4969,39 +4988,6 @@ export interface components {
             state: string;
         };
         JsonValue: unknown;
-        /**
-         * Capacity
-         * @description A limit, and when it will be reached: the quota of a project, or the store's disk (`project` is null).
-         *
-         *     `per_day` is the mean of the last 30 days, or of the project's or server's life if that is shorter: what was added
-         *     and still exists. `full_at`: null if nothing is added, or for more than ten years.
-         */
-        kleinkram__contract__admin__Capacity: {
-            /** Full At */
-            full_at: string | null;
-            /** Limit */
-            limit: number;
-            /** Per Day */
-            per_day: number;
-            project: components["schemas"]["ProjectRef"] | null;
-            unit: components["schemas"]["CapacityUnit"];
-            /** Used */
-            used: number;
-        };
-        /**
-         * Capacity
-         * @description Resources of a machine for runs: all of them, or those that are free.
-         */
-        kleinkram__contract__runners__Capacity: {
-            /** Cores */
-            cores: number;
-            /** Disk Bytes */
-            disk_bytes: number;
-            /** Gpus */
-            gpus: number;
-            /** Memory Bytes */
-            memory_bytes: number;
-        };
         /**
          * LabelChange
          * @description Labels to add to files and to remove; a label in both is added.
@@ -7180,7 +7166,7 @@ export interface components {
             abilities: components["schemas"]["ExecutorAbilities"];
             /** Active Runs */
             active_runs: number;
-            capacity: components["schemas"]["kleinkram__contract__runners__Capacity"];
+            capacity: components["schemas"]["Capacity"];
             /** Default Image */
             default_image: string | null;
             /**
@@ -7211,7 +7197,7 @@ export interface components {
          */
         RunnerRegistration: {
             abilities: components["schemas"]["ExecutorAbilities"];
-            capacity: components["schemas"]["Capacity-Input"];
+            capacity: components["schemas"]["Capacity"];
             /** Default Image */
             default_image?: string | null;
             /**
