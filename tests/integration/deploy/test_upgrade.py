@@ -36,7 +36,7 @@ _CLIENTS = 20
 _NEXT_VERSION = "999.0.0"
 # Statuses after which our clients repeat a request.
 _REPEATED = (502, 503)
-_MAX_REPEATED = 10
+_MAX_REPEATED_SHARE = 0.02
 
 
 @dataclass
@@ -206,7 +206,8 @@ def test_no_request_fails_while_the_site_is_upgraded_and_rolled_back(site: Site,
     assert load.failures == []
     print(f"{load.statuses}, slowest: {load.slowest_s:.1f} s")  # noqa: T201
     assert {*load.statuses} <= {200, 201, *_REPEATED}
-    assert sum(load.statuses[status] for status in _REPEATED) <= _MAX_REPEATED
+    repeated = sum(load.statuses[status] for status in _REPEATED)
+    assert repeated <= _MAX_REPEATED_SHARE * sum(load.statuses.values())
     names = {str(row[0]) for row in site.sql("SELECT path FROM file WHERE deleted_at IS NULL")}
     assert names >= load.files.keys()
     unverified = "SELECT count(*) FROM blob WHERE state <> 'verified'"
