@@ -13,7 +13,7 @@ _PURGED = {"project.purge", "mission.purge", "file.purge"}  # built from the kin
 # An operation begins with the kind of object that it concerns.
 _OPERATION = re.compile(
     r'"((?:access|action|admin|auth|file|grant|group|identity|invitation|job|link|login|mission|password|person|project'
-    r'|rate|run|runner|server|session|share|store|token|totp|upload)\.([a-z_]+))"'
+    r'|rate|report|run|runner|server|session|share|store|token|totp|upload)\.([a-z_]+))"'
 )
 
 
