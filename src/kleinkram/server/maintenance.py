@@ -10,7 +10,7 @@ from kleinkram.server.checks.jobs import judge_forgotten
 from kleinkram.server.context import AppContext
 from kleinkram.server.http.rate_limit import delete_expired_counts
 from kleinkram.server.jobs.execution import app_context
-from kleinkram.server.jobs.queue import Job, delete_failed_jobs, queue
+from kleinkram.server.jobs.queue import Job, delete_failed_jobs, queue, requeue_unknown_jobs
 from kleinkram.server.recordings.derive import derive_forgotten
 from kleinkram.server.runs.automatic import enqueue_automatic_runs
 from kleinkram.server.runs.lifecycle import cancel_orphans, requeue_lost_runs
@@ -80,6 +80,7 @@ async def collect_garbage(context: AppContext) -> None:
         await service.verify_old(db, store_id=store_id, older_than_days=days, limit=_MAX_REVERIFIED)
         await scrub.begin_due_scrub(db, settings)
     async with context.database.begin() as db:
+        await requeue_unknown_jobs(db)
         await delete_failed_jobs(db)
         await delete_cleaned_uploads(db)
         await delete_expired_codes(db)

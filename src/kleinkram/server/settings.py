@@ -24,7 +24,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from kleinkram.contract.access import Right
 from kleinkram.contract.names import Name, name_key
-from kleinkram.contract.people import EmailDomain
+from kleinkram.contract.people import EmailAddress, EmailDomain
 from kleinkram.environments.uv import PYPI, parse_index
 
 Seconds = Annotated[float, Field(gt=0)]
@@ -43,9 +43,21 @@ def _networks(text: object) -> object:
     return tuple(ipaddress.ip_network(part.strip()) for part in text.split(",") if part.strip())
 
 
+def _separated(text: object) -> object:
+    return tuple(part.strip() for part in text.split(",") if part.strip()) if isinstance(text, str) else text
+
+
 def _package_index(text: str) -> str:
     parse_index(text)
     return text
+
+
+class SmtpSecurity(str, enum.Enum):
+    """How the connection to the mail server is encrypted."""
+
+    starttls = "starttls"
+    tls = "tls"
+    none = "none"
 
 
 class OpenTo(str, enum.Enum):
@@ -178,6 +190,9 @@ class Settings(BaseSettings):
     store_folder: Path | None = Field(
         default=None, description="A folder on the store's disk, if it is on this machine, to report free space."
     )
+    store_capacity_bytes: int | None = Field(
+        default=None, ge=1, description="Size of a store on another machine, to report free space."
+    )
 
     public_url: str = Field(default="http://127.0.0.1:8000", description="URL of this server, as clients reach it.")
     lab_name: str = Field(
@@ -260,6 +275,26 @@ class Settings(BaseSettings):
     )
     metrics_address: str = Field(
         default="127.0.0.1", description="Address for metrics. They have no access control: use a private network."
+    )
+    report_to: Annotated[
+        tuple[EmailAddress, ...],
+        NoDecode,
+        BeforeValidator(_separated),
+        Field(description="Addresses that get the status of the server by mail every Monday, separated by commas."),
+    ] = ()
+    smtp_host: str | None = Field(default=None, min_length=1, description="Mail server; needed for `REPORT_TO`.")
+    smtp_port: int = Field(default=587, ge=1, le=65535, description="Port of the mail server.")
+    smtp_security: SmtpSecurity = Field(
+        default=SmtpSecurity.starttls,
+        description="`starttls` (usually port 587), `tls` (usually 465), or `none` for a mail server on this machine.",
+    )
+    smtp_user: str | None = Field(default=None, min_length=1, description="User at the mail server. Default: none.")
+    smtp_password: SecretStr | None = Field(default=None, description="Password of that user.")
+    smtp_ca_file: Path | None = Field(
+        default=None, description="Certificate of the mail server's certificate authority, if that is private."
+    )
+    mail_from: EmailAddress | None = Field(
+        default=None, description="Address from which mail is sent; needed for `REPORT_TO`."
     )
     log_format: Literal["json", "text"] = Field(default="json", description="Format of log lines.")
     log_level: Literal["debug", "info", "warning"] = Field(
@@ -399,6 +434,16 @@ class Settings(BaseSettings):
         if len({name_key(affiliation.name) for affiliation in affiliations}) < len(affiliations):
             raise ValueError("two affiliations have the same name")
         return affiliations
+
+    @model_validator(mode="after")
+    def _can_send_reports(self) -> "Settings":
+        if self.report_to and (self.smtp_host is None or self.mail_from is None):
+            raise ValueError("KLEINKRAM_REPORT_TO needs KLEINKRAM_SMTP_HOST and KLEINKRAM_MAIL_FROM")
+        if (self.smtp_user is None) != (self.smtp_password is None):
+            raise ValueError("KLEINKRAM_SMTP_USER and KLEINKRAM_SMTP_PASSWORD belong together")
+        if self.smtp_user is not None and self.smtp_security is SmtpSecurity.none:
+            raise ValueError("KLEINKRAM_SMTP_PASSWORD is not sent without encryption: set KLEINKRAM_SMTP_SECURITY")
+        return self
 
     @property
     def public_origin(self) -> str:

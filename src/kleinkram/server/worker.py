@@ -20,6 +20,7 @@ from procrastinate.jobs import Status
 import kleinkram
 from kleinkram.metric_definitions import MetricSource
 from kleinkram.server import maintenance as _maintenance
+from kleinkram.server.admin import jobs as _admin_jobs
 from kleinkram.server.auth import jobs as _auth_jobs
 from kleinkram.server.blobs import jobs as _blob_jobs
 from kleinkram.server.blobs.readers import ReaderProcesses
@@ -52,6 +53,7 @@ _STEADY_S = 30.0
 _DATABASE_AWAY = (ConnectorException, psycopg.OperationalError)
 # Importing the jobs of a feature registers them with the queue.
 JOB_MODULES = (
+    _admin_jobs,
     _blob_jobs,
     _maintenance,
     _run_jobs,

@@ -14,7 +14,7 @@ _BY_DATABASE = {"audit.expire", "audit.redact"}  # written by functions of the m
 # An operation begins with the kind of object that it concerns.
 _OPERATION = re.compile(
     r'"((?:access|action|admin|auth|file|grant|group|identity|invitation|job|link|login|mission|password|person|project'
-    r'|rate|run|runner|server|session|share|store|token|totp|upload)\.([a-z_]+))"'
+    r'|rate|report|run|runner|server|session|share|store|token|totp|upload)\.([a-z_]+))"'
 )
 
 

@@ -217,6 +217,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/admin/status": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Admin Status
+         * @description Return whether the server is healthy, what is full and when, and what needs an admin.
+         */
+        get: operations["get_admin_status"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/admin/storage": {
         parameters: {
             query?: never;
@@ -3308,6 +3328,32 @@ export interface components {
             settings: components["schemas"]["SettingRead"][];
         };
         /**
+         * AdminStatus
+         * @description Whether the server is healthy, what is full and when, and what needs an admin; problems come first.
+         *
+         *     `capacities` are in the order in which they will be full. The store is one of them if its size is known:
+         *     KLEINKRAM_STORE_FOLDER or KLEINKRAM_STORE_CAPACITY_BYTES.
+         */
+        AdminStatus: {
+            /** Capacities */
+            capacities: components["schemas"]["CapacityForecast"][];
+            /** Is Healthy */
+            is_healthy: boolean;
+            /** Items */
+            items: components["schemas"]["StatusItem"][];
+            /**
+             * Now
+             * Format: date-time
+             */
+            now: string;
+            /** Stored Bytes */
+            stored_bytes: number;
+            /** Stored Bytes Per Day */
+            stored_bytes_per_day: number;
+            /** Version */
+            version: string;
+        };
+        /**
          * AdminStorage
          * @description Stored blobs by state, those that only the trash uses, uploads in progress, and what is about to be deleted.
          *
@@ -3530,6 +3576,31 @@ export interface components {
             /** Memory Bytes */
             memory_bytes: number;
         };
+        /**
+         * CapacityForecast
+         * @description A limit, and when it will be reached: the quota of a project, or the store's disk (`project` is null).
+         *
+         *     `per_day` is the mean of the last 30 days, or of the project's or server's life if that is shorter: what was added
+         *     and still exists. `full_at`: null if nothing is added, or for more than ten years.
+         */
+        CapacityForecast: {
+            /** Full At */
+            full_at: string | null;
+            /** Limit */
+            limit: number;
+            /** Per Day */
+            per_day: number;
+            project: components["schemas"]["ProjectRef"] | null;
+            unit: components["schemas"]["CapacityUnit"];
+            /** Used */
+            used: number;
+        };
+        /**
+         * CapacityUnit
+         * @description What a limit counts.
+         * @enum {string}
+         */
+        CapacityUnit: "bytes" | "files";
         /**
          * Cause
          * @description Who launched a run, and which run it retries.
@@ -7819,6 +7890,25 @@ export interface components {
             size_bytes: number;
         };
         /**
+         * StatusItem
+         * @description Something that an admin should attend to. `remedy` says what to do; empty if the message does.
+         */
+        StatusItem: {
+            /** Message */
+            message: string;
+            /** Remedy */
+            remedy: string;
+            severity: components["schemas"]["StatusSeverity"];
+            /** Subject */
+            subject: string;
+        };
+        /**
+         * StatusSeverity
+         * @description `problem`: something does not work, or data are damaged; `warning`: it will not work for long, or is late.
+         * @enum {string}
+         */
+        StatusSeverity: "problem" | "warning";
+        /**
          * StoredPart
          * @description A part that the store has.
          */
@@ -7832,7 +7922,7 @@ export interface components {
         };
         /**
          * StoreUse
-         * @description The bytes in the store, and the free space if its disk is on the server's machine.
+         * @description The bytes in the store, and the free space if its disk is on the server's machine or its capacity is set.
          */
         StoreUse: {
             /** Disk Bytes */
@@ -8830,6 +8920,35 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["AdminSettings"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_admin_status: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AdminStatus"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */

@@ -262,6 +262,7 @@ OPERATIONS: dict[str, Permission] = {
     "get_admin_scrub": Permission(ResourceKind.server, None, _ADMIN),
     "begin_scrub": Permission(ResourceKind.server, None, _ADMIN),
     "get_admin_health": Permission(ResourceKind.server, None, _ADMIN),
+    "get_admin_status": Permission(ResourceKind.server, None, _ADMIN),
     "get_admin_settings": Permission(ResourceKind.server, None, _ADMIN),
     "get_service": Permission(ResourceKind.none, None, _ANY, guests=True, runners=True),
 }

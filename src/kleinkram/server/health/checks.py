@@ -44,6 +44,7 @@ from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.health.readiness import check_schema
 from kleinkram.server.http.headers import CHECK_HEADER, RequestOrigin, operator_code
 from kleinkram.server.logs import quiet_libraries
+from kleinkram.server.mail import MailNotSent, open_mail_server
 from kleinkram.server.s3.capabilities import configure_cors, probe
 from kleinkram.server.s3.storage import Storage, StoreRefused, open_storage
 from kleinkram.server.settings import Settings, plain_dsn
@@ -116,7 +117,7 @@ async def _collect() -> list[Diagnostic]:
     results = [ok("settings", "All are known and valid."), *_optional(settings)]
     for check in (_database, _migrating_role, _store, _public_url, _traces):
         results += [result async for result in check(settings)]
-    results += await asyncio.to_thread(lambda: [_reader(settings), *_machine(settings)])
+    results += await asyncio.to_thread(lambda: [*_mail(settings), _reader(settings), *_machine(settings)])
     return results
 
 
@@ -342,6 +343,17 @@ def _proxy(settings: Settings, origin: RequestOrigin) -> Diagnostic:
     if settings.public_url.startswith("https://") and origin.scheme != "https":
         return problem(check, "The API takes https for http.", "Let the proxy send X-Forwarded-Proto.")
     return ok(check, f"The API sees requests from here as {origin.address}, by {origin.scheme}.")
+
+
+def _mail(settings: Settings) -> Iterator[Diagnostic]:
+    """Sign in to the mail server, without sending anything."""
+    if settings.smtp_host is None:
+        return
+    try:
+        with open_mail_server(settings):
+            yield ok("mail server", f"{settings.smtp_host} accepts mail from this server.")
+    except MailNotSent as error:
+        yield problem("mail server", str(error), "Correct the settings KLEINKRAM_SMTP_….")
 
 
 def _reader(settings: Settings) -> Diagnostic:

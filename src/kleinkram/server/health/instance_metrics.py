@@ -19,6 +19,7 @@ from kleinkram.contract.runners import LEASE_S
 from kleinkram.metric_definitions import MetricDefinition
 from kleinkram.server.db import Connection
 from kleinkram.server.health.readiness import find_workers
+from kleinkram.server.jobs.queue import queue_ages_s
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import backup_attempt, blob, run, runner, scrub, upload
 from kleinkram.server.tables.runs import ASSIGNED
@@ -77,14 +78,6 @@ _SERVER = text(
 _JOBS = text(
     "SELECT task_name, status::text AS status, count(*) AS number,"
     " count(*) FILTER (WHERE status = 'todo' AND attempts > 0) AS retrying FROM procrastinate_jobs GROUP BY 1, 2"
-)
-# Ids ascend, so the lowest was deferred first. Jobs that wait for another attempt count from when they were first
-# deferred; those put off on purpose do not.
-_QUEUE_AGES = text(
-    "SELECT queue_name, extract(epoch FROM now() - min(e.at)) AS seconds FROM"
-    " (SELECT queue_name, min(id) AS id FROM procrastinate_jobs WHERE status = 'todo'"
-    " AND (attempts > 0 OR scheduled_at IS NULL OR scheduled_at <= now()) GROUP BY queue_name) oldest"
-    " JOIN procrastinate_events e ON e.job_id = oldest.id AND e.type = 'deferred' GROUP BY queue_name"
 )
 _IS_ALIVE = runner.c.last_seen_at > func.now() - datetime.timedelta(seconds=LEASE_S)
 _IS_EXPECTED = runner.c.last_seen_at > func.now() - datetime.timedelta(days=7)
@@ -160,11 +153,10 @@ async def _job_gauges(db: Connection) -> list[Metric]:
         jobs.add_metric([row.task_name, row.status], row.number)
         if row.retrying:
             retrying[row.task_name] += row.retrying
-    ages = {row.queue_name: max(0.0, float(row.seconds)) for row in await db.execute(_QUEUE_AGES)}
     return [
         jobs,
         _by_label(definitions.JOBS_RETRYING, retrying),
-        _by_label(definitions.QUEUE_OLDEST_SECONDS, ages),
+        _by_label(definitions.QUEUE_OLDEST_SECONDS, await queue_ages_s(db)),
     ]
 
 

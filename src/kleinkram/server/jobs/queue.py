@@ -29,6 +29,7 @@ class Job(str, enum.Enum):
     expire_audit_log = "expire_audit_log"
     check_provider_accounts = "check_provider_accounts"
     scrub = "scrub"
+    send_status_report = "send_status_report"
 
 
 class Priority(enum.IntEnum):
@@ -51,6 +52,18 @@ _QUEUES = {Job.verify_blob: VERIFICATION, Job.summarise_and_verify_blob: SMALL_B
 _DELETE_FAILED = text(
     "DELETE FROM procrastinate_jobs j WHERE j.status IN ('failed', 'cancelled', 'aborted') AND NOT EXISTS"
     " (SELECT 1 FROM procrastinate_events e WHERE e.job_id = j.id AND e.at > now() - interval '7 days')"
+)
+
+# During an upgrade, a worker of the earlier version may take a job of a kind that it does not know. The queue then
+# marks the job as failed without running it, so that no error is stored. Periodic jobs are due again anyway.
+_REQUEUE_UNKNOWN = text(
+    "UPDATE procrastinate_jobs j SET status = 'todo', attempts = 0, scheduled_at = NULL, worker_id = NULL"
+    " WHERE status = 'failed' AND queueing_lock IS NULL AND task_name = ANY(:known)"
+    " AND NOT EXISTS (SELECT 1 FROM job_error e WHERE e.job_id = j.id)"
+)
+_DELETE_UNKNOWN = text(
+    "DELETE FROM procrastinate_jobs j WHERE status = 'failed' AND queueing_lock IS NOT NULL AND task_name = ANY(:known)"
+    " AND NOT EXISTS (SELECT 1 FROM job_error e WHERE e.job_id = j.id)"
 )
 
 # The worker sets its own connector; the API enqueues in its own transactions.
@@ -137,6 +150,21 @@ async def enqueued_at(db: Connection, job_id: int | None) -> datetime.datetime |
     return at
 
 
+# Ids ascend, so the lowest was deferred first. Jobs that wait for another attempt count from when they were first
+# deferred; those put off on purpose do not.
+_QUEUE_AGES = text(
+    "SELECT queue_name, extract(epoch FROM now() - min(e.at)) AS seconds FROM"
+    " (SELECT queue_name, min(id) AS id FROM procrastinate_jobs WHERE status = 'todo'"
+    " AND (attempts > 0 OR scheduled_at IS NULL OR scheduled_at <= now()) GROUP BY queue_name) oldest"
+    " JOIN procrastinate_events e ON e.job_id = oldest.id AND e.type = 'deferred' GROUP BY queue_name"
+)
+
+
+async def queue_ages_s(db: Connection) -> dict[str, float]:
+    """Return for how many seconds the oldest job of each queue has been waiting, without queues where none waits."""
+    return {row.queue_name: max(0.0, float(row.seconds)) for row in await db.execute(_QUEUE_AGES)}
+
+
 _jobs = table("procrastinate_jobs", column("task_name"), column("status"), column("args"))
 
 
@@ -151,3 +179,10 @@ def has_job(job: Job, ref: ColumnElement[uuid.UUID]) -> ColumnElement[bool]:
 async def delete_failed_jobs(db: Connection) -> None:
     """Delete failed jobs after a week."""
     await db.execute(_DELETE_FAILED)
+
+
+async def requeue_unknown_jobs(db: Connection) -> None:
+    """Queue jobs again that a worker of an earlier version took and did not know."""
+    known = {"known": [job.value for job in Job]}
+    await db.execute(_DELETE_UNKNOWN, known)
+    await db.execute(_REQUEUE_UNKNOWN, known)
