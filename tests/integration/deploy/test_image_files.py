@@ -45,7 +45,15 @@ def test_the_project_follows_the_compose_specification() -> None:
 def test_variables_are_those_of_the_example() -> None:
     used = set(re.findall(r"\$\{([A-Z_]+)", (_COMPOSE / "compose.yaml").read_text()))
     described = set(re.findall(r"^([A-Z_]+)=", (_COMPOSE / ".env.example").read_text(), re.MULTILINE))
-    assert used - {"BACKUP_LOCATION"} == described
+    assert used - {"BACKUP_LOCATION"} == described - {"COMPOSE_PROFILES"}
+
+
+def test_files_that_are_mounted_exist(compose: Any) -> None:
+    text = (_COMPOSE / "compose.yaml").read_text()
+    sources = re.findall(r"- (\.\.?/[^:\s]+):", text)
+    assert len(sources) > 5
+    written_by_init = {"./tls", "./backups"}
+    assert not [source for source in sources if source not in written_by_init and not (_COMPOSE / source).exists()]
 
 
 def test_settings_are_known_and_secrets_are_files(compose: Any) -> None:
@@ -83,7 +91,7 @@ def test_init_writes_what_is_missing_and_keeps_the_rest(tmp_path: Path) -> None:
     initialise(folder, "data.robots.example")
     assert "SITE=data.robots.example\nPUBLIC_URL=https://data.robots.example\n" in (folder / ".env").read_text()
     secrets = {path.name: path.read_text() for path in (folder / "secrets").iterdir()}
-    assert len({*secrets.values()}) == 5
+    assert len({*secrets.values()}) == 7
     assert secrets["s3-secret-key"] in secrets["store-identities.json"]
     assert oct((folder / "secrets").stat().st_mode & 0o777) == "0o700", "only root reads the files in it"
     (folder / "secrets" / "postgres-password").write_text("mine")
