@@ -114,8 +114,8 @@ def project(docker: Dockerd, parent: Path) -> Iterator[Project]:
     one.change(
         PUBLIC_URL=one.url,
         TLS=f"tls /etc/caddy/tls/{certificate.name} /etc/caddy/tls/{key.name}",
-        HTTP_PORT=str(choose_port()),
-        HTTPS_PORT=str(port),
+        HTTP_PORT=f"127.0.0.1:{choose_port()}",
+        HTTPS_PORT=f"127.0.0.1:{port}",
         SERVER_IMAGE=images.SERVER,
         POSTGRES_IMAGE=images.POSTGRES,
         STORE_IMAGE=images.STORE,
