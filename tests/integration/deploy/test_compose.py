@@ -20,7 +20,7 @@ from tests.integration.deploy.compose import Project, project
 from tests.integration.runner import engines
 from tests.integration.runner.engines import Dockerd
 from tests.integration.upload_client import wait_until
-from tests.requirements import missing, need
+from tests.requirements import missing, need, need_compose
 
 # Building the base and the images takes minutes.
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(900)]
@@ -61,6 +61,7 @@ def docker() -> Iterator[Dockerd]:
     if os.geteuid() != 0:
         missing("a Docker for tests needs root")
     need(*engines.PROGRAMS, "debootstrap")
+    need_compose()
     with engines.bridge() as (name, gateway), engines.dockerd(name, gateway) as docker:
         images.load_base(docker)
         images.build(docker, "server", images.SERVER)
