@@ -35,9 +35,7 @@ def test_the_bucket_is_created_once(store: RunningStore) -> None:
     environment["KLEINKRAM_S3_SECRET_KEY"] = store.secret_key
     command = [sys.executable, "-m", "kleinkram.server", "create-bucket"]
     for outcome in ("was created", "exists"):
-        done = subprocess.run(
-            command, env={**os.environ, **environment}, capture_output=True, text=True, check=False
-        )
+        done = subprocess.run(command, env={**os.environ, **environment}, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stdout) == (0, f"The bucket {settings.s3_bucket} {outcome}.\n"), done.stderr
 
 
