@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -128,9 +129,13 @@ def test_a_recording_is_uploaded_read_verified_and_downloaded(site: Site, tmp_pa
 
 
 def test_processes_that_are_killed_start_again(site: Site, tmp_path: Path) -> None:
-    for service in ("postgres", "store", "api-1", "worker", "proxy"):
+    killed = ("postgres", "store", "api-1", "worker", "proxy")
+    for service in killed:
         os.kill(site.project.inspect(service)["State"]["Pid"], signal.SIGKILL)
-    wait_until(lambda: _is_ready(site.project), limit_s=120)
+    wait_until(lambda: all(site.project.inspect(service)["RestartCount"] for service in killed), limit_s=60)
+    for service in ("postgres", "api-1", "worker"):
+        wait_until(partial(_is_healthy, site.project, service), limit_s=120)
+    wait_until(lambda: _is_ready(site.project), limit_s=60)
     site.check_files(tmp_path)
     site.upload("after-kills", tmp_path)
 
@@ -145,7 +150,7 @@ def test_a_backup_is_made_and_verified(site: Site) -> None:
     report = site.project.compose("exec", "backup", "kleinkram", "backup")
     assert "No damage found." in report
     assert [*(site.project.folder / "backups").iterdir()]
-    assert site.project.inspect("backup")["State"]["Health"]["Status"] == "healthy"
+    assert _is_healthy(site.project, "backup")
 
 
 def test_an_upgrade_fails_no_request(site: Site, tmp_path: Path) -> None:
@@ -173,6 +178,10 @@ def test_a_wrong_secret_is_named(site: Site) -> None:
     finally:
         secret.write_text(right)
     assert "the secret key does not fit the access key" in report
+
+
+def _is_healthy(project: Project, service: str) -> bool:
+    return bool(project.inspect(service)["State"]["Health"]["Status"] == "healthy")
 
 
 def _is_ready(project: Project) -> bool:
