@@ -33,7 +33,7 @@ FROM {BASE}
 COPY pginstall /usr/lib/postgresql
 COPY entrypoint /usr/local/bin/docker-entrypoint.sh
 RUN useradd --system --uid 999 --user-group postgres && mkdir -p /var/lib/postgresql /var/run/postgresql
-ENV PATH=/usr/lib/postgresql/bin:/usr/bin:/bin:/usr/sbin LANG=C.UTF-8
+ENV PATH=/usr/lib/postgresql/bin:/usr/local/bin:/usr/bin:/bin:/usr/sbin LANG=C.UTF-8
 ENTRYPOINT ["docker-entrypoint.sh"]
 """
 # Source: docker-entrypoint.sh of the official image.
