@@ -50,7 +50,13 @@ helm.sh/chart: {{ printf "%s-%s" .root.Chart.Name .root.Chart.Version | replace 
 
 {{/* Clients reach the store at the address of the API if a Service of it is given. */}}
 {{- define "kleinkram.storePublicUrl" -}}
-{{- .Values.store.publicUrl | default (.Values.store.service | ternary .Values.publicUrl .Values.store.url) -}}
+{{- if .Values.store.publicUrl -}}
+{{ .Values.store.publicUrl }}
+{{- else if .Values.store.service -}}
+{{ .Values.publicUrl }}
+{{- else -}}
+{{ .Values.store.url }}
+{{- end -}}
 {{- end -}}
 
 {{- define "kleinkram.host" -}}
