@@ -51,7 +51,7 @@
   "KLEINKRAM_S3_REGION" $values.store.region
   "KLEINKRAM_S3_CORS" $values.store.corsRules
   "KLEINKRAM_METRICS_ADDRESS" $values.listenAddress
-  "KLEINKRAM_METRICS_PORT" "9090"
+  "KLEINKRAM_METRICS_PORT" "9100"
 -}}
 {{- with $values.store.accessKey -}}
 {{- $_ := set $variables "KLEINKRAM_S3_ACCESS_KEY" . -}}
