@@ -6,6 +6,11 @@
 {{- if eq .Values.image.tag "latest" -}}
 {{- fail "image.tag is latest, which changes without an upgrade: name a version, or set image.digest." -}}
 {{- end -}}
+{{- range $name, $_ := .Values.environment -}}
+{{- if hasPrefix "KLEINKRAM_" (upper $name) -}}
+{{- fail (printf "environment.%s is a setting of Kleinkram: move it to settings." $name) -}}
+{{- end -}}
+{{- end -}}
 {{- if contains "password=" (print .Values.database.url .Values.database.migration.url) -}}
 {{- fail "database.url and database.migration.url must not contain a password: use passwordSecret." -}}
 {{- end -}}
