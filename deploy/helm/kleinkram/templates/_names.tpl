@@ -62,3 +62,8 @@ helm.sh/chart: {{ printf "%s-%s" .root.Chart.Name .root.Chart.Version | replace 
 {{- define "kleinkram.host" -}}
 {{- (urlParse .Values.publicUrl).hostname -}}
 {{- end -}}
+
+{{/* The user in a database URL, which may name several hosts. */}}
+{{- define "kleinkram.role" -}}
+{{- . | trimPrefix "postgresql://" | splitList "@" | first -}}
+{{- end -}}

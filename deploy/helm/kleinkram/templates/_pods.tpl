@@ -44,7 +44,7 @@
   "PYTHONFAULTHANDLER" "1"
   "KLEINKRAM_PUBLIC_URL" $values.publicUrl
   "KLEINKRAM_DATABASE_URL" $values.database.url
-  "KLEINKRAM_SERVING_ROLE" (urlParse $values.database.url).userinfo
+  "KLEINKRAM_SERVING_ROLE" (include "kleinkram.role" $values.database.url)
   "KLEINKRAM_S3_INTERNAL_URL" $values.store.url
   "KLEINKRAM_S3_PUBLIC_URL" (include "kleinkram.storePublicUrl" .root)
   "KLEINKRAM_S3_BUCKET" $values.store.bucket

@@ -14,7 +14,7 @@
 {{- if contains "password=" (print .Values.database.url .Values.database.migration.url) -}}
 {{- fail "database.url and database.migration.url must not contain a password: use passwordSecret." -}}
 {{- end -}}
-{{- if eq (urlParse .Values.database.url).userinfo (urlParse .Values.database.migration.url).userinfo -}}
+{{- if eq (include "kleinkram.role" .Values.database.url) (include "kleinkram.role" .Values.database.migration.url) -}}
 {{- fail "database.url and database.migration.url name the same role: the role that serves must not own the schema (docs/running.md)." -}}
 {{- end -}}
 {{- if and $store.accessKey $store.accessKeySecret -}}
