@@ -17,6 +17,10 @@ _SET_BY_VALUES = frozenset(
     | {"trusted_proxies", *(name for name in Settings.model_fields if name.startswith("s3_"))}
 )
 _LIMITS = ("type", "enum", "minimum", "maximum", "exclusiveMinimum", "minLength", "maxLength", "pattern")
+_KINDS = {
+    "#/$defs/secret": " (`name`, `key`)",
+    "#/$defs/temporaryVolume": " `ephemeral`: a volume of its own; `emptyDir`: the disk of the node.",
+}
 # With credentials, it is a secret.
 _PUBLIC_INDEX = {"type": "string", "pattern": "^[^@]*$"}
 
@@ -29,7 +33,7 @@ def chart_pages() -> dict[Path, str]:
     readme = (_CHART / "README.md").read_text(encoding="utf-8")
     text, _, _ = readme.partition(_TABLE)
     defaults = YAML(typ="safe").load(_CHART / "values.yaml")
-    rows = "\n".join(_rows(schema, schema, defaults, ""))
+    rows = "\n".join(_rows(schema, defaults, "", "required"))
     return {
         path: json.dumps(schema, indent=1, ensure_ascii=False) + "\n",
         _CHART / "README.md": f"{text}{_TABLE}\n| value | default | meaning |\n|---|---|---|\n{rows}\n",
@@ -48,21 +52,19 @@ def _settings() -> Iterator[tuple[str, dict[str, Any]]]:
             yield f"KLEINKRAM_{name.upper()}", {"type": ["string", "array"]} if is_list else own
 
 
-def _rows(schema: Mapping[str, Any], part: Mapping[str, Any], defaults: Mapping[str, Any], prefix: str) -> Iterator[str]:
-    """Return a row for each value, those of groups below their group."""
-    for name, value in part["properties"].items():
-        if name == "global":
-            continue
-        is_group = "properties" in value and name != "settings"
-        if is_group:
-            yield from _rows(schema, value, defaults.get(name) or {}, f"{prefix}{name}.")
-            continue
-        default = _default(name in part.get("required", ()), defaults.get(name))
-        kind = " (`name`, `key`)" if value.get("$ref") == "#/$defs/secret" else ""
-        yield f"| `{prefix}{name}` | {default} | {value['description']}{kind} |"
+def _rows(group: Mapping[str, Any], defaults: Mapping[str, Any], prefix: str, required: str) -> Iterator[str]:
+    """Return a row for each value. `required`: what the table says where there must be one, and no default."""
+    for name, value in group["properties"].items():
+        path, is_required, default = f"{prefix}{name}", name in group.get("required", ()), defaults.get(name)
+        if "properties" in value and name != "settings":
+            inner = required if is_required or default else f"required with `{path}`"
+            yield from _rows(value, default or {}, f"{path}.", inner)
+        elif name != "global":
+            shown = required if is_required and default is None else _shown(default)
+            yield f"| `{path}` | {shown} | {value['description']}{_KINDS.get(value.get('$ref'), '')} |"
 
 
-def _default(is_required: bool, value: object) -> str:
-    if is_required and value is None:
-        return "required"
-    return "" if value in (None, "") else f"`{json.dumps(value)}`".replace('"', "")
+def _shown(default: object) -> str:
+    if isinstance(default, dict):
+        default = {name: value for name, value in default.items() if value != ""}
+    return "" if default in (None, "") else f"`{json.dumps(default)}`".replace('"', "")
