@@ -50,7 +50,7 @@ _PATH_MATCH = _fields(
     "type",
     "value",
     type={"enum": ["Exact", "PathPrefix"]},
-    value={"type": "string", "pattern": r"^/([^/]+/?)*$", "maxLength": 1024},
+    value={"type": "string", "pattern": r"^/\S*$", "maxLength": 1024},
 )
 _SPECS: Mapping[tuple[str, str], _Schema] = {
     ("monitoring.coreos.com/v1", "ServiceMonitor"): _fields(
