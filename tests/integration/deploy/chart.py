@@ -78,12 +78,15 @@ class Chart:
 
 
 def merged(*parts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values with those of later parts in place of earlier ones, group by group."""
+    """Return values with those of later parts in place of earlier ones, group by group; None removes one of them."""
     result: dict[str, Any] = {}
     for part in parts:
         for name, value in part.items():
             is_group = isinstance(value, Mapping) and isinstance(result.get(name), Mapping)
-            result[name] = merged(result[name], value) if is_group else value
+            if value is None and name in result:
+                del result[name]
+            else:
+                result[name] = merged(result[name], value) if is_group else value
     return result
 
 

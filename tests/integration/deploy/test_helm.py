@@ -48,6 +48,7 @@ _BACKUP = {
         "caSecret": {"name": "backup", "key": "ca.pem"},
     },
 }
+_WITHOUT_PASSPHRASE = {name: value for name, value in _BACKUP.items() if name != "passphraseSecret"}
 _EVERYTHING: Mapping[str, Any] = {
     "imagePullSecrets": [{"name": "registry"}],
     "trustedProxies": ["10.0.0.0/8", "fd00::/8"],
@@ -379,7 +380,7 @@ _WRONG: tuple[tuple[Mapping[str, Any], str], ...] = (
     ({"database": {"url": "postgresql://serve:secret@db/kleinkram"}}, "/database/url"),
     ({"database": {"url": "postgresql://serve@db/kleinkram?password=secret"}}, "must not contain a password"),
     ({"database": {"url": "postgresql://kleinkram_migrate@db/kleinkram"}}, "name the same role"),
-    ({"database": {"passwordSecret": {"name": "database"}}}, "missing property 'key'"),
+    ({"database": {"passwordSecret": {"key": None}}}, "missing property 'key'"),
     ({"image": {"tag": "latest"}}, "image.tag is latest, which changes without an upgrade"),
     ({"environment": {"KLEINKRAM_TRASH_DAYS": "1"}}, "move it to settings"),
     ({"store": {"accessKey": ""}}, "The store needs an access key"),
@@ -392,7 +393,7 @@ _WRONG: tuple[tuple[Mapping[str, Any], str], ...] = (
     ({"backup": {"enabled": True, "location": "/mnt"}}, "/backup/location"),
     ({"backup": {"enabled": True, "location": "/backups"}}, "set backup.persistentVolumeClaim"),
     ({"backup": {"enabled": True, "location": "s3://copies"}}, "set backup.s3"),
-    ({"backup": {**_BACKUP, "passphraseSecret": None}}, "backup.encrypt needs backup.passphraseSecret"),
+    ({"backup": _WITHOUT_PASSPHRASE}, "backup.encrypt needs backup.passphraseSecret"),
     ({"worker": {"resources": {"limits": {"memory": None}}}}, "missing property 'memory'"),
 )
 
