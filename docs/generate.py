@@ -1,4 +1,7 @@
-"""Generate the reference: OpenAPI, commands, settings, metrics and others, and plots. `--check` compares."""
+"""Generate the reference: OpenAPI, commands, settings, metrics, values of the chart and others, and plots.
+
+`--check` compares.
+"""
 
 import json
 import sys
@@ -7,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from chart import chart_pages
 from fastapi.routing import APIRoute
 from plots import plots
 from pydantic_core import PydanticUndefined
@@ -39,6 +43,7 @@ def main() -> int:
         _HERE / "reference" / "prometheus.md": metrics_reference(),
         _HERE / "reference" / "checks.schema.json": json.dumps(json_schema(), indent=1, ensure_ascii=False) + "\n",
         **{_HERE / "plots" / name: text for name, text in plots().items()},
+        **chart_pages(),
     }
     stale = [path for path, text in pages.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
     if "--check" in sys.argv:

@@ -37,8 +37,9 @@ def test_no_created_series_are_exported(api: Api) -> None:
     assert "_created" not in api.metrics()
 
 
-def test_a_metrics_port_serves_nothing_else(api: Api) -> None:
+def test_a_metrics_port_serves_metrics_and_liveness_alone(api: Api) -> None:
     url = f"http://127.0.0.1:{api.app.state.metrics_port}"
+    assert urllib3.request("GET", f"{url}/health/live").data == b"live\n"
     assert urllib3.request("GET", f"{url}/api/v1/projects").status == 404
 
 

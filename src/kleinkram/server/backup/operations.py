@@ -175,7 +175,7 @@ def record_attempt(settings: Settings, started_at: datetime, snapshot: Snapshot 
     """
     dsn = plain_dsn(settings.migration_database_url or settings.database_url)
     snapshot_id, damaged = (None, 0) if snapshot is None else (snapshot.id, snapshot.lost + snapshot.corrupt)
-    with _database_errors("{}"):
+    with database_errors("{}"):
         database.record_attempt(dsn, started_at, snapshot_id, damaged)
 
 

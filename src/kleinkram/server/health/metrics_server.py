@@ -1,5 +1,7 @@
 """Serves Prometheus metrics: those of this process, and gauges of the installation from one process at a time.
 
+`/health/live` on the same port tells that the event loop runs: the only page of a worker that needs no database.
+
 A separate port, because a proxy publishes everything on the API's port. An advisory lock in the database decides which
 process reports the gauges: the first that is scraped, and another one once it ends or is no longer scraped.
 """
@@ -151,7 +153,7 @@ class _InstanceGauges:
 
 @asynccontextmanager
 async def serve_metrics(settings: Settings, database: Database, role: MetricSource) -> AsyncIterator[int | None]:
-    """Serve `/metrics` of an `api` or `worker` on its own port, if one is set; yields the port.
+    """Serve `/metrics` and `/health/live` of an `api` or `worker` on a port of their own, if one is set; yields the port.
 
     Raises MetricsPortUnusable.
     """
@@ -166,8 +168,12 @@ async def serve_metrics(settings: Settings, database: Database, role: MetricSour
         body = _exposition(role, await gauges.collect())
         return web.Response(body=body, headers={"Content-Type": CONTENT_TYPE_LATEST})
 
+    async def live(_request: web.Request) -> web.Response:
+        return web.Response(text="live\n")
+
     app = web.Application()
     app.router.add_get("/metrics", respond)
+    app.router.add_get("/health/live", live)
     runner = web.AppRunner(app, access_log=None, shutdown_timeout=1)
     await runner.setup()
     try:
