@@ -153,7 +153,7 @@ class _InstanceGauges:
 
 @asynccontextmanager
 async def serve_metrics(settings: Settings, database: Database, role: MetricSource) -> AsyncIterator[int | None]:
-    """Serve `/metrics` and `/health/live` of an `api` or `worker` on a port of their own, if one is set; yields the port.
+    """Serve `/metrics` and `/health/live` of an `api` or `worker` on a port of its own, if set; yields the port.
 
     Raises MetricsPortUnusable.
     """
