@@ -42,13 +42,13 @@ def run_klein(
             command, check=False, env=environment, input=stdin, capture_output=True, text=True, timeout=_TIMEOUT_S
         )
     with (
-        tempfile.TemporaryFile("w+") as given,
+        tempfile.TemporaryFile("w+") as source,
         tempfile.TemporaryFile("w+") as out,
         tempfile.TemporaryFile("w+") as err,
     ):
-        given.write(stdin)
-        given.seek(0)
-        code = _fork(arguments, environment, [given.fileno(), out.fileno(), err.fileno()])
+        source.write(stdin)
+        source.seek(0)
+        code = _fork(arguments, environment, [source.fileno(), out.fileno(), err.fileno()])
         out.seek(0)
         err.seek(0)
         return subprocess.CompletedProcess(arguments, code, out.read(), err.read())
