@@ -182,13 +182,13 @@ def test_a_caller_that_is_over_ends_the_build(index: PackageIndex, tmp_path: Pat
 
     lock = lock_of(index, "arm")
     index.requests.clear()
-    index.delay_s = 5
+    index.delay_s = 30
     started_s = time.monotonic()
     with pytest.raises(Over):
         a_cache(tmp_path, index).get(
             EnvironmentRequest(lock, this_python()), wait=wait, show=lambda *_: None, compile_in=lambda *_: None
         )
-    assert time.monotonic() - started_s < 4
+    assert time.monotonic() - started_s < 25
     assert not list((tmp_path / "environments").glob("*.new-*"))
 
 
