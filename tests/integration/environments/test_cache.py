@@ -120,7 +120,7 @@ def test_a_killed_build_leaves_nothing_that_is_used(index: PackageIndex, tmp_pat
     lock = lock_of(index, "robot")
     (tmp_path / "lock").write_text(lock)
     index.requests.clear()
-    index.delay_s = 10
+    index.delay_s = 3
     command = [sys.executable, "-c", _BUILD, str(tmp_path), index.url, str(tmp_path / "lock")]
     with subprocess.Popen(command, cwd=Path(__file__).parents[3]) as process:
         until_s = time.monotonic() + 60
