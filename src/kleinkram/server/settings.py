@@ -84,7 +84,7 @@ class OidcProvider(BaseModel):
 
     @property
     def is_refreshable(self) -> bool:
-        """Whether it grants refresh tokens that outlive the session there, and that only the client's secret redeems."""
+        """Whether it grants refresh tokens that outlive the session there, and that require the client's secret."""
         has_secret = self.client_secret is not None or self.client_secret_file is not None
         return "offline_access" in self.scopes and has_secret and self.client_auth != "none"
 

@@ -1,5 +1,6 @@
 """Access that depends on an account at a provider ends when the provider ends the account or the session."""
 
+import asyncio
 import hashlib
 import json
 import secrets
@@ -13,7 +14,7 @@ from urllib.parse import parse_qs, urlencode, urlsplit
 import pytest
 import urllib3
 
-from kleinkram.server.auth import oidc
+from kleinkram.server.auth import oidc, provider_accounts
 from kleinkram.server.auth.jobs import check_provider_accounts
 from tests.integration.api_server import Answer, Api
 from tests.integration.auth.accounts import any_email, sign_in
@@ -149,10 +150,10 @@ def test_an_account_about_which_the_provider_says_nothing_does_not_delay_others(
 
 def test_an_id_token_for_another_client_confirms_nothing(lab: Lab) -> None:
     lab.sign_in("mixed up", **known_as(any_email()))
-    lab.api.sql("UPDATE identity SET confirmed_at = now() - interval '2 days' WHERE subject = 'mixed up'")
     now = int(time.time())
     claims = {"iss": lab.provider.url, "sub": "mixed up", "iat": now, "exp": now + 60}
-    for audience, is_confirmed in (("other", False), (["other", CLIENT_ID], True)):
+    for audience, is_confirmed in ((["other", CLIENT_ID], True), ("other", False)):
+        lab.api.sql("UPDATE identity SET confirmed_at = now() - interval '2 days' WHERE subject = 'mixed up'")
         lab.provider.refreshed_id_token = lab.provider.sign({**claims, "aud": audience})
         check(lab)
         assert lab.api.sql(
@@ -165,7 +166,9 @@ def test_tokens_that_were_created_with_a_token_of_klein_login_end_with_it(lab: L
     theirs = lab.api.as_(secret)
     second = theirs.post("/tokens", {"name": "second", "scopes": ["admin"]}).ok(201)["secret"]
     third = lab.api.as_(second).post("/tokens", {"name": "third"}).ok(201)["secret"]
-    robot = theirs.post("/tokens", {"name": "robot", "kind": "robot"}).ok(201)["secret"]
+    robot = theirs.post("/tokens", {"name": "robot", "kind": "robot", "project_ids": [theirs.project()["id"]]}).ok(201)[
+        "secret"
+    ]
     lab.provider.remove("crafty")
     check(lab)
     assert [is_valid(lab, token) for token in (secret, second, third, robot)] == [False, False, False, True]
@@ -230,17 +233,22 @@ def test_refresh_tokens_that_need_no_secret_of_the_client_are_not_stored() -> No
     assert not provider_settings("lab", "https://id.example", scopes=_SCOPES, client_auth="none").is_refreshable
 
 
-def test_an_identity_is_not_linked_to_somebody_who_is_erased_meanwhile(lab: Lab) -> None:
+def test_an_identity_is_not_linked_to_somebody_who_is_erased_meanwhile(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
     browser = lab.sign_in("erased", **known_as(any_email()))
     me = browser.me()["person"]
     url = browser.post("/auth/providers/lab/link", {"return_to": "/account"}).ok()["url"]
     lab.provider.sign_in_as("late", **known_as(any_email()))
 
-    def erase(claims: dict[str, Any]) -> dict[str, Any]:
-        lab.api.post(f"/people/{me['id']}/erase", {"confirmation": me["name"]}).ok()
-        return claims
+    link = provider_accounts.link_identity
 
-    lab.provider.change = erase
+    async def erase_and_link(*arguments: Any, **options: Any) -> None:
+        body = {"confirmation": me["name"]}
+        (await asyncio.to_thread(lab.api.post, f"/people/{me['id']}/erase", body)).ok()
+        await link(*arguments, **options)
+
+    monkeypatch.setattr(provider_accounts, "link_identity", erase_and_link)
     assert browser.get(lab.provider.authorize(url)).status == 401
     assert lab.api.sql("SELECT * FROM identity WHERE person_id = %s OR subject = 'late'", me["id"]) == []
 
