@@ -103,7 +103,7 @@ def test_of_texts_that_mention_a_person_they_get_those_that_they_may_see(api: Ap
     assert len(exported(api, eve)["mentions"]) == 5
 
 
-def test_people_whom_they_invited_are_left_out(api: Api) -> None:
+def test_names_and_addresses_of_people_invited_by_them_are_left_out(api: Api) -> None:
     boss, email = person(api, admin=True), f"{uuid.uuid4().hex}@lab.example"
     api.as_(boss.token).post("/people/invitations", {"email": email, "name": "Grace Hopper"}).ok(201)
     (invitation,) = exported(api.as_(boss.token), boss)["invitations"]

@@ -65,9 +65,9 @@ class _Account(NamedTuple):
 
 async def forget_refresh_tokens(context: AppContext, *, except_issuers: Sequence[str]) -> None:
     """Delete the refresh tokens of providers that are not checked, such as those that left the settings."""
-    is_kept = identity.c.issuer.in_(except_issuers) | identity.c.refresh_token.is_(None)
+    is_checked = identity.c.issuer.in_(except_issuers) | identity.c.refresh_token.is_(None)
     async with context.database.begin() as db:
-        await db.execute(update(identity).where(~is_kept).values(refresh_token=None))
+        await db.execute(update(identity).where(~is_checked).values(refresh_token=None))
 
 
 async def end_provider_sessions(db: Connection, provider: Actor, *, logout: LogoutRequest) -> int:
