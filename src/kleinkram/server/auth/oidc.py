@@ -321,7 +321,7 @@ class OpenIdProvider:
         discovery = await self._discover()
         published: Any = await self._get(discovery.jwks_uri)
         try:
-            keys = KeySet.import_key_set(published)
+            keys: KeySet = KeySet.import_key_set(published)
         except (JoseError, ValueError, TypeError, KeyError) as error:
             raise self._unavailable("its keys cannot be read") from error
         self._keys = (time.monotonic() + _CACHE_S, keys)
