@@ -96,8 +96,9 @@ class OidcProvider(BaseModel):
 
     @property
     def is_refreshable(self) -> bool:
-        """Whether it grants refresh tokens that outlive the person's session there."""
-        return "offline_access" in self.scopes
+        """Whether it grants refresh tokens that outlive the session there, and that require the client's secret."""
+        has_secret = self.client_secret is not None or self.client_secret_file is not None
+        return "offline_access" in self.scopes and has_secret and self.client_auth != "none"
 
     def trusts(self, domain: str) -> bool:
         """Return whether it is trusted to verify addresses in exactly this domain."""
