@@ -7,6 +7,7 @@ unless KLEINKRAM_S3_CORS says otherwise. Never prints a secret.
 import asyncio
 import datetime
 import resource
+import socket
 import sys
 import tempfile
 import uuid
@@ -114,9 +115,6 @@ async def _collect() -> list[Diagnostic]:
 
 
 def _optional(settings: Settings) -> Iterator[Diagnostic]:
-    if settings.metrics_port is None:
-        remedy = "Set KLEINKRAM_METRICS_PORT, a different one for each process."
-        yield warning("metrics", "They are not served.", remedy)
     host = urlsplit(settings.public_url).hostname
     if not _is_local(host) and not settings.public_url.startswith("https://"):
         yield warning("public address", f"{settings.public_url} is not encrypted.", "Serve it by https.")
@@ -311,17 +309,40 @@ def _reader(settings: Settings) -> Diagnostic:
 
 
 def _machine(settings: Settings | None) -> Iterator[Diagnostic]:
-    folders = {"temporary files": Path(tempfile.gettempdir())}
-    if settings is not None and settings.store_folder is not None:
-        folders["disk of the store"] = settings.store_folder
-    for check, folder in folders.items():
-        yield check_disk(check, folder, "Free some.", otherwise=DiagnosticSeverity.warning)
+    folder = Path(tempfile.gettempdir())
+    yield check_disk("temporary files", folder, "Free some.", otherwise=DiagnosticSeverity.warning)
+    if settings is not None:
+        yield from _disk_of_store(settings.store_folder)
+        yield _metrics(settings)
     _, files = resource.getrlimit(resource.RLIMIT_NOFILE)  # the API raises the soft limit to the hard one
     is_unlimited = files == resource.RLIM_INFINITY
     remedy = f"Raise the hard limit to {_MIN_OPEN_FILES} (`ulimit -Hn`, or LimitNOFILE= of a unit)."
     message = f"The API may have {'any number' if is_unlimited else files} at a time."
     is_enough = is_unlimited or files >= _MIN_OPEN_FILES
     yield judge("open files", is_enough, message, remedy, otherwise=DiagnosticSeverity.warning)
+
+
+def _disk_of_store(folder: Path | None) -> Iterator[Diagnostic]:
+    check = "disk of the store"
+    if folder is not None and not folder.is_dir():
+        yield problem(check, f"{folder} is no folder.", "Mount it, or correct KLEINKRAM_STORE_FOLDER.")
+    elif folder is not None:
+        yield check_disk(check, folder, "Free some.", otherwise=DiagnosticSeverity.warning)
+
+
+def _metrics(settings: Settings) -> Diagnostic:
+    check, address = "metrics", settings.metrics_address
+    if settings.metrics_port is None:
+        remedy = "Set KLEINKRAM_METRICS_PORT, a different one for each process."
+        return warning(check, "They are not served.", remedy)
+    try:
+        family, *_, place = socket.getaddrinfo(address, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, socket.SOCK_STREAM) as listener:
+            listener.bind(place)
+    except OSError as error:
+        message = f"This machine has no address {address} ({error.strerror})."
+        return problem(check, message, "Correct KLEINKRAM_METRICS_ADDRESS.")
+    return ok(check, f"Each process can serve them at {address}.")
 
 
 async def _query(kind: type[T], url: PostgresDsn, statement: LiteralString) -> T:
