@@ -1,7 +1,8 @@
 """The runner loop: claims runs while capacity is free, runs them, and sends heartbeats.
 
 Threads: one claims runs, one sends heartbeats for all of them, one enforces leases, and each run has its own. Jobs do
-not depend on any of them: they continue without this process, and the next one re-attaches.
+not depend on any of them: they continue without this process, and the next one re-attaches. The third also tells
+systemd that this process is alive, unless one of the first two hangs.
 """
 
 import contextlib
@@ -10,6 +11,7 @@ import math
 import threading
 import time
 import uuid
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,6 +36,8 @@ from kleinkram.runner.active_run import ActiveRun
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.supervision import boot_time_s
 from kleinkram.runner.state_directory import LEASE_MARGIN_S, Attempt, Lease, RunnerContext, StateDirectory, StopRequest
+from kleinkram.runner.statistics import RunnerStatistics
+from kleinkram.systemd import Watchdog, notify_ready, notify_status, notify_stopping
 
 _log = logging.getLogger("kleinkram.runner")
 _HEARTBEAT_TIMEOUT_S = 10.0
@@ -48,6 +52,8 @@ _MIN_CORES = 0.01
 _MIN_BYTES = 2**20
 _STORE_CONNECTIONS = 8
 _DEFAULT_IMAGE_RETRY_S = 300.0
+# A thread without progress for this long hangs: longer than any request with its retries.
+_HANGS_S = 240.0
 _REFUSALS = (NotAuthenticated, Forbidden, ScopeMissing)
 
 
@@ -72,6 +78,7 @@ class Runner:
         self._executor = executor
         self._api = Api(endpoint)
         self._runners = Runners(self._api)
+        self.statistics = RunnerStatistics()
         # A request that hangs must not cost the leases.
         self._heartbeat_api = Api(endpoint, read_timeout_s=_HEARTBEAT_TIMEOUT_S)
         self._store = StoreClient(_STORE_CONNECTIONS)
@@ -82,6 +89,8 @@ class Runner:
         self._has_changes = threading.Event()
         self._has_capacity = threading.Event()
         self._active: dict[uuid.UUID, ActiveRun] = {}
+        # When each of the threads that talk to the server last went through its loop.
+        self._progress_s = dict.fromkeys(("claims", "heartbeats"), time.monotonic())
         self._lock = threading.Lock()
         self._threads = [
             threading.Thread(target=work, daemon=True) for work in (self._send_heartbeats, self._enforce_leases)
@@ -96,6 +105,7 @@ class Runner:
             service=Service(self._api),
             default_image=options.default_image,
             on_change=self._has_changes.set,
+            statistics=self.statistics,
         )
 
     def run(self, *, once: bool = False) -> None:
@@ -107,7 +117,9 @@ class Runner:
         self._continue_runs()
         for thread in self._threads:
             thread.start()
+        notify_ready("waiting for the server to accept this runner")
         self._register_until_accepted()
+        notify_status("claiming runs")
         if self._options.default_image is not None and self._executor.abilities.images:
             threading.Thread(target=self._find_default_image, name="default image", daemon=True).start()
         capacity = self._executor.capacity
@@ -126,6 +138,20 @@ class Runner:
                     run.join(_ENFORCE_EVERY_S)
                 return
 
+    @property
+    def capacity(self) -> Capacity:
+        """What all runs together may use."""
+        return self._executor.capacity
+
+    @property
+    def active_count(self) -> int:
+        """The number of runs that this runner has."""
+        return len(self._active)
+
+    def reserved(self) -> Capacity:
+        """Return what its runs may use."""
+        return _reserved_by(self._active_runs())
+
     def stop(self) -> None:
         """Have `run` return soon. From any thread, and from a signal handler."""
         self._is_stopping.set()
@@ -133,6 +159,7 @@ class Runner:
 
     def close(self, *, kill: bool) -> None:
         """End all threads, and with `kill` the jobs; the next runner continues the runs."""
+        notify_stopping()
         active = self._active_runs()
         for run in active:
             run.stop.send(StopRequest.detach)
@@ -165,6 +192,7 @@ class Runner:
 
     def _register_until_accepted(self) -> None:
         while not self._is_stopping.is_set():
+            self._progress_s["claims"] = time.monotonic()
             try:
                 self._register()
                 return
@@ -207,13 +235,14 @@ class Runner:
     def _claim(self) -> ActiveRun | None:
         """Wait for a run and start it; None where there is none."""
         self._has_capacity.clear()
+        self._progress_s["claims"] = time.monotonic()
         active = self._active_runs()
-        capacity, used = self._executor.capacity, [run.assignment.resources for run in active]
+        capacity, used = self.capacity, _reserved_by(active)
         free = Capacity(
-            cores=max(0.0, round(capacity.cores - sum(resources.cores for resources in used), 6)),
-            memory_bytes=max(0, capacity.memory_bytes - sum(resources.memory_bytes for resources in used)),
-            disk_bytes=max(0, capacity.disk_bytes - sum(resources.disk_bytes for resources in used)),
-            gpus=max(0, capacity.gpus - sum(resources.gpus for resources in used)),
+            cores=max(0.0, round(capacity.cores - used.cores, 6)),
+            memory_bytes=max(0, capacity.memory_bytes - used.memory_bytes),
+            disk_bytes=max(0, capacity.disk_bytes - used.disk_bytes),
+            gpus=max(0, capacity.gpus - used.gpus),
         )
         if free.cores < _MIN_CORES or min(free.memory_bytes, free.disk_bytes) < _MIN_BYTES:
             self._has_capacity.wait(HEARTBEAT_S)
@@ -228,6 +257,7 @@ class Runner:
         try:
             assignment = self._runners.claim(self._state.runner_id, request)
             self._is_unreachable = False
+            self.statistics.count_answer()
             if assignment is None:
                 return None
             _log.info("got the run %s of %s", assignment.run_id, assignment.action.name)
@@ -237,6 +267,7 @@ class Runner:
         except NotFound:
             self._register_until_accepted()
         except (KleinkramError, OSError) as error:
+            self.statistics.count_error("claim")
             self._log_unreachable(error)
             self._is_stopping.wait(_REFUSED_RETRY_S if isinstance(error, _REFUSALS) else _RETRY_S)
         return None
@@ -271,10 +302,12 @@ class Runner:
         while not self._is_closed.is_set():
             self._has_changes.wait(HEARTBEAT_S)
             self._has_changes.clear()
+            self._progress_s["heartbeats"] = time.monotonic()
             try:
                 self._send_heartbeat(runners)
                 backoff = None
             except (KleinkramError, OSError) as error:
+                self.statistics.count_error("heartbeat")
                 if backoff is None:
                     _log.warning("the server gets no heartbeats of %d runs: %s", len(self._active), error)
                 backoff = backoff or Backoff(math.inf, self._is_closed.wait)
@@ -288,6 +321,7 @@ class Runner:
         heartbeats = {run_id: run.heartbeat() for run_id, run in active.items()}
         requested_s = boot_time_s()
         replies = runners.send_heartbeats(self._state.runner_id, Heartbeats(runs=[*heartbeats.values()]))
+        self.statistics.count_answer()
         try:
             self._state.record_heartbeat(requested_s)  # for the next runner
             self._is_heartbeat_recorded = True
@@ -301,6 +335,19 @@ class Runner:
                 run.on_reply(heartbeats[reply.run_id], reply, requested_s=requested_s, lease_s=replies.lease_s)
 
     def _enforce_leases(self) -> None:
+        watchdog = Watchdog()
         while not self._is_closed.wait(_ENFORCE_EVERY_S):
+            if time.monotonic() - min(self._progress_s.values()) < _HANGS_S:
+                watchdog.ping()
             for run in self._active_runs():
                 run.enforce()
+
+
+def _reserved_by(runs: Sequence[ActiveRun]) -> Capacity:
+    resources = [run.assignment.resources for run in runs]
+    return Capacity(
+        cores=sum(one.cores for one in resources),
+        memory_bytes=sum(one.memory_bytes for one in resources),
+        disk_bytes=sum(one.disk_bytes for one in resources),
+        gpus=sum(one.gpus for one in resources),
+    )

@@ -50,6 +50,7 @@ from kleinkram.standalone.services import (
     last_postgres_error,
     make_plan,
 )
+from kleinkram.systemd import Watchdog, notify_ready, notify_stopping
 
 _START_TIMEOUT_S = 120.0
 _STORE_TIMEOUT_S = 1.5
@@ -109,6 +110,7 @@ def run(options: UpOptions) -> None:
                     supervisor.plan = make_plan(options)
                     supervisor.start()
                 _print_address(supervisor, options)
+                notify_ready(f"answers at {supervisor.plan.public_url}")
                 taken = supervisor.watch()
                 supervisor.stop()
                 _log_taken(taken)
@@ -116,6 +118,7 @@ def run(options: UpOptions) -> None:
         except EndRequested:
             pass
         finally:
+            notify_stopping()
             supervisor.stop()
 
 
@@ -173,6 +176,7 @@ class Supervisor:
         self.services: dict[str, ServiceProcess] = {}
         self.started_at = datetime.now(timezone.utc)
         self._api_may_begin = False
+        self._watchdog = Watchdog()
 
     def start(self) -> None:
         """Start all services; returns when the API reports that it is ready.
@@ -234,7 +238,7 @@ class Supervisor:
                 for service in self.services.values():
                     service.limit_log()
             restarts = [service.restart_at for service in self.services.values() if service.restart_at is not None]
-            pause(min([_LOGS_EVERY_S, *(restart_at - time.monotonic() for restart_at in restarts)]))
+            self._pause(min([_LOGS_EVERY_S, *(restart_at - time.monotonic() for restart_at in restarts)]))
 
     def stop(self) -> None:
         """End all services: those that use others first."""
@@ -294,6 +298,11 @@ class Supervisor:
                 f"see {service.log}; its last line: {last_line(service.log)}"
             )
 
+    def _pause(self, seconds: float) -> None:
+        """Pause, and tell systemd that this process is alive."""
+        self._watchdog.ping()
+        pause(seconds)
+
     def _becomes_true(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for a condition while all services run; return whether it came true in time."""
         deadline = time.monotonic() + timeout_s
@@ -303,7 +312,7 @@ class Supervisor:
                     raise _ended_early(service)
             if time.monotonic() > deadline:
                 return False
-            pause(0.02)
+            self._pause(0.02)
         return True
 
     def _wait_for_store(self) -> None:
@@ -330,7 +339,7 @@ class Supervisor:
         migration.launch()
         try:
             while migration.exit_reason() is None:
-                pause(0.02)
+                self._pause(0.02)
         finally:
             migration.stop()
         if migration.child.returncode != 0:

@@ -1,5 +1,6 @@
 """Settings from the environment: misspelt names are errors, and secrets may come from files."""
 
+import enum
 import re
 import subprocess
 import sys
@@ -36,6 +37,7 @@ _WRONG_DSNS = tuple(
         *("postgresql://me:hunter22%zz@db/kleinkram", "postgresql://me:hunter22@db/kleinkram?mode=x"),
     )
 )
+_WRONG_CERTIFICATES = (("/nowhere/ca", "No such file"), ("/etc/passwd", "no certificates"), ("/", "Is a directory"))
 _WRONG_NETWORKS = (("10.0.0.1/8", "has host bits set"), ("proxy", "such as 10.0.0.0/8"), ("10.0.0.0/8;::1", "such as"))
 # What is wrong for the settings that are no numbers and no choices, and the words that say so.
 _WRONG: dict[str, tuple[tuple[str, str], ...]] = {
@@ -46,9 +48,11 @@ _WRONG: dict[str, tuple[tuple[str, str], ...]] = {
         ('[{"name": "Lab", "domains": ["@lab.example"]}]', "(0.domains.0): "),
         ('[{"name": "Lab", "domain": ["lab.example"]}]', "(0.domain): there is no such field"),
     ),
+    "audit_days": (("7", "must be 0, or at least 30"),),
     "database_password": (("hunter22", "needs a database URL with a user and no password"),),
     "database_url": _WRONG_DSNS,
     "lab_name": (("x" * 65, "more than 64 characters"),),
+    "mail_from": (("kleinkram", "is not an address such as"),),
     "metrics_address": (("http://127.0.0.1", "it must match"),),
     "migration_database_password": (("hunter22", "needs a database URL with a user and no password"),),
     "migration_database_url": _WRONG_DSNS,
@@ -66,14 +70,19 @@ _WRONG: dict[str, tuple[tuple[str, str], ...]] = {
     "owner_token_file": (("/nowhere/token", "No such file"), ("/", "Is a directory")),
     "package_index": (("hunter22", "must be 'pypi'"), ("ftp://me:hunter22@index", "must be 'pypi'")),
     "public_url": _WRONG_URLS,
+    "report_to": (("ada", "(0): is not an address such as"), ("ada@lab.example", "needs KLEINKRAM_SMTP_HOST")),
     "s3_access_key": (("hunter22/x", "it must match"),),
     "s3_bucket": (("ab", "it must match"), ('"kleinkram"', "it must match"), ("a/b/c", "it must match")),
-    "s3_ca_file": (("/nowhere/ca.pem", "No such file"), ("/etc/passwd", "no certificates"), ("/", "Is a directory")),
+    "s3_ca_file": _WRONG_CERTIFICATES,
     "s3_internal_url": _WRONG_URLS,
     "s3_public_url": _WRONG_URLS,
     "s3_region": (("eu central", "it must match"),),
     "s3_secret_key": (("hunter22 ", "white space"),),
     "serving_role": (("kleinkram-serve", "it must match"), ("x; DROP TABLE run", "it must match")),
+    "smtp_ca_file": _WRONG_CERTIFICATES,
+    "smtp_host": (("smtp://mail", "it must match"),),
+    "smtp_password": (("hunter22", "belong together"),),
+    "smtp_user": (("ada", "belong together"),),
     "store_id": (("x" * 65, "it must match"),),
     "trusted_proxies": _WRONG_NETWORKS,
     "viewers": (
@@ -85,9 +94,14 @@ _WRONG: dict[str, tuple[tuple[str, str], ...]] = {
 }
 # What only `check` notices, since a server works without it, or since it changes while a server runs.
 _WRONG_ON_THIS_MACHINE = {
+    "audit_archive": ("/nowhere", "/nowhere."),
     "metrics_address": ("192.0.2.1", "This machine has no address 192.0.2.1"),
     "store_folder": ("/nowhere", "/nowhere is no folder"),
 }
+
+
+def _type(field: FieldInfo) -> type:
+    return field.annotation if isinstance(field.annotation, type) else object
 
 
 def _wrong_values(name: str, field: FieldInfo) -> Iterator[tuple[str, str]]:
@@ -106,7 +120,7 @@ def _wrong_values(name: str, field: FieldInfo) -> Iterator[tuple[str, str]]:
             yield str(bounds[kind] + {"ge": -1, "gt": 0, "le": 1}[kind]), words
     if field.annotation is bool:
         yield "maybe", "it must be true or false"
-    if "Literal" in str(field.annotation) and name not in _WRONG:
+    if "Literal" in str(field.annotation) or issubclass(_type(field), enum.Enum):
         yield "maybe", "it is one of '"
     yield from _WRONG.get(name, ())
 
@@ -269,7 +283,8 @@ def test_check_notices_what_this_machine_does_not_have(
     monkeypatch.setenv("KLEINKRAM_METRICS_PORT", "9101")
     for name, (value, _) in _WRONG_ON_THIS_MACHINE.items():
         monkeypatch.setenv(f"KLEINKRAM_{name.upper()}", value)
-    results = [*checks._machine(load_settings())]
+    settings = load_settings()
+    results = [*checks._optional(settings), *checks._machine(settings)]
     for name, (_, words) in _WRONG_ON_THIS_MACHINE.items():
         (found,) = [result for result in results if words in result.message]
         assert found.severity.value == "problem"
@@ -282,3 +297,34 @@ def test_the_process_prints_the_sentence_and_no_traceback(monkeypatch: pytest.Mo
     ran = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stderr) == (1, "")
     assert "PROBLEM settings: KLEINKRAM_S3_CA_FILE: /nowhere/ca.pem cannot be read" in ran.stdout
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"REPORT_TO": "ada@lab.example"}, "KLEINKRAM_REPORT_TO needs KLEINKRAM_SMTP_HOST and KLEINKRAM_MAIL_FROM"),
+        ({"SMTP_USER": "ada"}, "KLEINKRAM_SMTP_USER and KLEINKRAM_SMTP_PASSWORD belong together"),
+        ({"SMTP_USER": "ada", "SMTP_PASSWORD": "hunter22", "SMTP_SECURITY": "none"}, "is not sent without encryption"),
+        ({"REPORT_TO": "Ada <ada@lab.example>"}, "KLEINKRAM_REPORT_TO (0): is not an address such as"),
+        ({"SMTP_SECURITY": "ssl"}, "KLEINKRAM_SMTP_SECURITY: "),
+    ],
+)
+def test_incomplete_mail_settings_are_refused(
+    monkeypatch: pytest.MonkeyPatch, values: dict[str, str], sentence: str
+) -> None:
+    for name, value in values.items():
+        monkeypatch.setenv(f"KLEINKRAM_{name}", value)
+    refusal = _refusal()
+    assert sentence in refusal
+    assert "hunter22" not in refusal
+
+
+def test_the_password_of_the_mail_server_may_come_from_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "password").write_text("hunter22\n")
+    values = {"SMTP_HOST": "mail", "SMTP_USER": "ada", "MAIL_FROM": "k@lab.example", "REPORT_TO": "a@x.org, b@x.org"}
+    for name, value in {**values, "SMTP_PASSWORD_FILE": str(tmp_path / "password")}.items():
+        monkeypatch.setenv(f"KLEINKRAM_{name}", value)
+    settings = load_settings()
+    assert settings.smtp_password is not None
+    assert settings.smtp_password.get_secret_value() == "hunter22"
+    assert settings.report_to == ("a@x.org", "b@x.org")

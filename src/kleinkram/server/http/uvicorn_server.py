@@ -1,7 +1,8 @@
 """uvicorn with limits on what one connection may cost.
 
 Limits the size and duration of request heads, the pace of bodies, chunk extensions and trailers, and the number of
-connections per address and in total. `middleware` limits the size of bodies. On shutdown, streams end first.
+connections per address and in total. `middleware` limits the size of bodies. On shutdown, streams end first. systemd
+learns when the server is ready and that its event loop runs.
 """
 
 import asyncio
@@ -21,6 +22,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResp
 from kleinkram.server.http.headers import parse_address
 from kleinkram.server.http.rate_limit import subscriber_network
 from kleinkram.server.settings import Network, Settings
+from kleinkram.systemd import Watchdog, notify_ready, notify_stopping
 
 _log = logging.getLogger("kleinkram.web_server")
 _MAX_HEAD_BYTES = 64 * 1024
@@ -76,6 +78,14 @@ class ApiServer(uvicorn.Server):
         config.app = _with_short_startup_errors(app)
         super().__init__(config)
         self._app = app
+
+    async def main_loop(self) -> None:
+        """Serve until a signal; tell systemd that this process is ready, and as long as its event loop runs."""
+        notify_ready(f"serving on port {self.config.port}")
+        pings = asyncio.create_task(Watchdog().ping_from_event_loop())
+        await super().main_loop()
+        notify_stopping()
+        pings.cancel()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End event streams, wait for other requests, then stop."""
