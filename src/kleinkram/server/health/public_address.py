@@ -51,7 +51,7 @@ async def check_public_address(settings: Settings) -> AsyncIterator[Diagnostic]:
     code = {CHECK_HEADER: operator_code(settings)}
     forged_headers = {"X-Forwarded-For": _FORGED, "X-Forwarded-Proto": "http"}
     try:
-        async with aiohttp.ClientSession(timeout=_TIMEOUT) as session:
+        async with _open_session() as session:
             live = await _get(session, f"{url}/health/live", code)
             if (fault := _not_api(url, live)) is not None:
                 yield fault
@@ -88,7 +88,7 @@ async def check_public_store(settings: Settings, storage: Storage) -> AsyncItera
     try:
         await storage.put_object(key, body.encode())
         try:
-            async with aiohttp.ClientSession(timeout=_TIMEOUT) as session:
+            async with _open_session() as session:
                 answer = await _get(session, storage.sign_get(key, path="check", expires_s=60))
             target = storage.sign_part(part, expires_s=60).url.removeprefix(_origin(url))
             refused = await _refused_for_size(_origin(url), "PUT", target, _PART_BYTES)
@@ -199,6 +199,12 @@ def _signed(check: str, url: str, answer: _Answer, body: str) -> Diagnostic:
         return problem(check, message, "Let it pass on all three (nginx: proxy_set_header Host $http_host).")
     message = f"{url} does not lead to the bucket: a signed URL answers {answer.status}."
     return problem(check, message, "Correct KLEINKRAM_S3_PUBLIC_URL, or let the proxy pass on the bucket's path.")
+
+
+def _open_session() -> aiohttp.ClientSession:
+    # A context of its own: that of aiohttp may be older than SSL_CERT_FILE.
+    connector = aiohttp.TCPConnector(ssl=ssl.create_default_context())
+    return aiohttp.ClientSession(connector=connector, timeout=_TIMEOUT)
 
 
 async def _get(session: aiohttp.ClientSession, url: str, headers: dict[str, str] | None = None) -> _Answer:

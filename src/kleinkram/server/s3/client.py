@@ -230,11 +230,9 @@ def describe_connection_error(error: BaseException) -> str:
         return f"its certificate is refused: {getattr(cause, 'verify_message', '') or 'unknown reason'}"
     if isinstance(error, (aiohttp.ClientSSLError, ssl.SSLError)):
         return "it does not speak TLS: its address may begin with http://"
-    if isinstance(error, aiohttp.ClientConnectorError):
-        return error.strerror or type(error).__name__
-    if isinstance(error, (aiohttp.ServerDisconnectedError, ConnectionResetError)):
+    if isinstance(error, aiohttp.ServerDisconnectedError):
         return "it closed the connection"
-    return type(error).__name__
+    return getattr(error, "strerror", None) or type(error).__name__
 
 
 def is_certificate_error(error: BaseException) -> bool:
