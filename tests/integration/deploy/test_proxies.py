@@ -102,16 +102,16 @@ def backend(
 
 @pytest.fixture(scope="module", params=_PROXIES)
 def site(request: pytest.FixtureRequest, backend: Backend, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    with _serving(request.param, backend, tmp_path_factory.mktemp(request.param), {}) as site:
+    with _serving(request.param, backend, tmp_path_factory.mktemp(request.param)) as site:
         yield site
 
 
 @contextmanager
-def _serving(proxy: str, backend: Backend, folder: Path, mistakes: Mapping[str, str]) -> Iterator[Site]:
+def _serving(proxy: str, backend: Backend, folder: Path, mistakes: Mapping[str, str] | None = None) -> Iterator[Site]:
     """Run a proxy with the configuration of `deploy/`, changed to the addresses of the backend, and with mistakes."""
     first, second = (api.url.removeprefix("http://") for api in backend.apis)
     changes = {
-        **mistakes,
+        **(mistakes or {}),
         "127.0.0.1:8000": first,
         "127.0.0.1:8001": second,
         "127.0.0.1:9000": backend.store,
@@ -316,9 +316,7 @@ def test_check_finds_nothing_wrong_with_the_proxies_of_deploy(site: Site, monkey
             },
         ),
         (
-            {
-                "proxy_set_header X-Forwarded-For $remote_addr;": "proxy_set_header X-Forwarded-For $http_x_forwarded_for;"
-            },
+            {"X-Forwarded-For $remote_addr;": "X-Forwarded-For $http_x_forwarded_for;"},
             {"proxy headers": "does not send X-Forwarded-For"},
         ),
         (
@@ -328,7 +326,7 @@ def test_check_finds_nothing_wrong_with_the_proxies_of_deploy(site: Site, monkey
         (
             {
                 "location = /metrics { return 404; }": "location = /metrics { proxy_pass http://127.0.0.1:{metrics}; }",
-                "127.0.0.1:9000": "127.0.0.1:9",
+                "proxy_pass http://kleinkram_store;": "proxy_pass http://127.0.0.1:9;",
             },
             {
                 "metrics not public": "Let the proxy answer 404 for /metrics",
@@ -343,9 +341,10 @@ def test_check_names_the_mistakes_of_a_proxy(
 ) -> None:
     metrics_port = str(backend.apis[0].app.state.metrics_port)
     mistakes = {old: new.replace("{metrics}", metrics_port) for old, new in mistakes.items()}
+    backend = replace(backend, ports={name: choose_port() for name in backend.ports})
     with _serving("nginx", backend, tmp_path, mistakes):
         results = _diagnose(backend, monkeypatch)
     for check, words in named.items():
-        assert results[check].severity.value == "problem", results
+        assert results[check].severity.value == "problem", results[check]
         assert words in f"{results[check].message} {results[check].remedy}"
     assert {check for check, result in results.items() if result.severity.value == "problem"} == named.keys()

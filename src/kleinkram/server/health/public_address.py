@@ -4,6 +4,7 @@ Sends no more than headers and one small object; the API reports to `check` how 
 """
 
 import asyncio
+import contextlib
 import datetime
 import ssl
 import uuid
@@ -37,11 +38,18 @@ _HEADERS = "proxy headers"
 
 @dataclass(frozen=True)
 class _Answer:
-    """Status, location and start of the body of an answer, and the end of the certificate."""
+    """Status, location and start of the body of an answer."""
 
     status: int
     location: str
     text: str
+
+
+@dataclass(frozen=True)
+class _LargeRequest:
+    """Whether a proxy refuses a large request, and until when its certificate is valid."""
+
+    is_refused: bool
     certificate_ends: datetime.datetime | None
 
 
@@ -59,13 +67,13 @@ async def check_public_address(settings: Settings) -> AsyncIterator[Diagnostic]:
             forged = await _get(session, f"{url}/health/live", {**code, **forged_headers})
             metrics = await _get(session, f"{url}/metrics")
             is_prompt = await _gets_events(session, f"{url}/health/live", code)
-        refused = await _refused_for_size(url, "POST", "/api/v1/runner/runs/check/finish", MAX_REPORT_BODY_BYTES)
+        large = await _send_large_request(url, "POST", "/api/v1/runner/runs/check/finish", MAX_REPORT_BODY_BYTES)
     except CONNECTION_ERRORS as error:
         yield _unreachable(check, url, error, "Start the API and the proxy, or correct KLEINKRAM_PUBLIC_URL.")
         return
     yield ok(check, f"The API answers at {url}.")
-    if live.certificate_ends is not None:
-        yield _certificate(live.certificate_ends)
+    if large.certificate_ends is not None:
+        yield _certificate(large.certificate_ends)
     yield _metrics(metrics)
     try:
         origins = [RequestOrigin.model_validate_json(answer.text) for answer in (live, forged)]
@@ -73,7 +81,7 @@ async def check_public_address(settings: Settings) -> AsyncIterator[Diagnostic]:
         yield warning(_HEADERS, "Not checked: the API has other settings, or is of another version.")
         return
     yield _proxy(settings, *origins)
-    yield _report_size(refused)
+    yield _report_size(large)
     yield _event_streams(is_prompt)
 
 
@@ -91,7 +99,7 @@ async def check_public_store(settings: Settings, storage: Storage) -> AsyncItera
             async with _open_session() as session:
                 answer = await _get(session, storage.sign_get(key, path="check", expires_s=60))
             target = storage.sign_part(part, expires_s=60).url.removeprefix(_origin(url))
-            refused = await _refused_for_size(_origin(url), "PUT", target, _PART_BYTES)
+            large = await _send_large_request(_origin(url), "PUT", target, _PART_BYTES)
         finally:
             await storage.delete(key)
     except (StoreUnavailable, StoreRefused):
@@ -100,7 +108,7 @@ async def check_public_store(settings: Settings, storage: Storage) -> AsyncItera
         yield _unreachable(check, url, error, "Start the proxy, or correct KLEINKRAM_S3_PUBLIC_URL.")
         return
     yield _signed(check, url, answer, body)
-    if refused:
+    if large.is_refused:
         message = f"The proxy of the store refuses parts of {_PART_BYTES // 1024**2} MiB."
         yield problem("size of parts", message, "Let it pass on bodies of any size (nginx: client_max_body_size 0).")
 
@@ -175,9 +183,9 @@ def _proxy(settings: Settings, origin: RequestOrigin, forged: RequestOrigin) -> 
     return ok(_HEADERS, f"The API sees requests from here as {origin.address}, by {origin.scheme}.")
 
 
-def _report_size(refused: bool) -> Diagnostic:
+def _report_size(large: _LargeRequest) -> Diagnostic:
     check, size = "size of requests", f"{MAX_REPORT_BODY_BYTES // 1024**2} MiB"
-    if refused:
+    if large.is_refused:
         remedy = "Raise its limit (nginx: client_max_body_size 33m)."
         return problem(check, f"The proxy refuses requests of {size}, which reports of runs may have.", remedy)
     return ok(check, f"Requests of {size} reach the API.")
@@ -209,16 +217,8 @@ def _open_session() -> aiohttp.ClientSession:
 
 async def _get(session: aiohttp.ClientSession, url: str, headers: dict[str, str] | None = None) -> _Answer:
     async with session.get(URL(url, encoded=True), headers=headers, allow_redirects=False) as response:
-        transport = response.connection and response.connection.transport
-        certificate = transport and transport.get_extra_info("peercert")
         text = (await response.content.read(65_536)).decode(errors="replace")
-        ends = certificate and ssl.cert_time_to_seconds(certificate["notAfter"])
-        return _Answer(
-            response.status,
-            response.headers.get("Location", "nowhere"),
-            text,
-            datetime.datetime.fromtimestamp(ends, datetime.timezone.utc) if ends else None,
-        )
+        return _Answer(response.status, response.headers.get("Location", "nowhere"), text)
 
 
 async def _gets_events(session: aiohttp.ClientSession, url: str, headers: dict[str, str]) -> bool:
@@ -235,8 +235,8 @@ async def _gets_events(session: aiohttp.ClientSession, url: str, headers: dict[s
     return True
 
 
-async def _refused_for_size(url: str, method: str, path: str, size_bytes: int) -> bool:
-    """Whether a proxy refuses a body of this size; sends only the headers, and none of the body.
+async def _send_large_request(url: str, method: str, path: str, size_bytes: int) -> _LargeRequest:
+    """Send the headers of a request with a body of this size, and nothing of the body.
 
     The API's own refusals are problem documents. Some servers answer once they have the body, and so not at all.
     """
@@ -246,14 +246,20 @@ async def _refused_for_size(url: str, method: str, path: str, size_bytes: int) -
     port = parts.port or (443 if is_https else 80)
     head = f"{method} {parts.path}{path} HTTP/1.1\r\nHost: {parts.netloc}\r\nContent-Length: {size_bytes}\r\n"
     reader, writer = await asyncio.wait_for(asyncio.open_connection(parts.hostname, port, ssl=tls), _EVENT_TIMEOUT_S)
+    certificate = writer.get_extra_info("peercert")
+    ends_s = ssl.cert_time_to_seconds(certificate["notAfter"]) if certificate else None
+    ends = None if ends_s is None else datetime.datetime.fromtimestamp(ends_s, datetime.timezone.utc)
     try:
         writer.write(f"{head}Content-Type: application/json\r\nExpect: 100-continue\r\n\r\n".encode())
         answer = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _EVENT_TIMEOUT_S)
-    except (asyncio.TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
-        return False
+    except (asyncio.TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, ConnectionResetError):
+        return _LargeRequest(is_refused=False, certificate_ends=ends)
     finally:
-        writer.close()
-    return answer.partition(b"\r\n")[0].split(b" ")[1:2] == [b"413"] and b"application/problem+json" not in answer
+        writer.transport.abort()  # nobody waits for the body
+        with contextlib.suppress(*CONNECTION_ERRORS):
+            await writer.wait_closed()
+    is_too_large = answer.partition(b"\r\n")[0].split(b" ")[1:2] == [b"413"]
+    return _LargeRequest(is_too_large and b"application/problem+json" not in answer, ends)
 
 
 def _origin(url: str) -> str:
