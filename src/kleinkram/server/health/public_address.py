@@ -227,6 +227,8 @@ async def _gets_events(session: aiohttp.ClientSession, url: str, headers: dict[s
     async def read_event() -> None:
         async with session.get(url, headers={**headers, "Accept": EVENT_STREAM}) as response:
             await response.content.readline()
+            if response.connection is not None and response.connection.transport is not None:
+                response.connection.transport.abort()  # nobody waits for the end
 
     try:
         await asyncio.wait_for(read_event(), _EVENT_TIMEOUT_S)
