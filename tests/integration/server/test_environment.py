@@ -286,9 +286,9 @@ def test_check_notices_what_this_machine_does_not_have(
     settings = load_settings()
     results = [*checks._optional(settings), *checks._machine(settings)]
     for name, (_, words) in _WRONG_ON_THIS_MACHINE.items():
-        (found,) = [result for result in results if words in result.message]
-        assert found.severity.value == "problem"
-        assert f"KLEINKRAM_{name.upper()}" in found.remedy
+        (diagnostic,) = [result for result in results if words in result.message]
+        assert diagnostic.severity.value == "problem"
+        assert f"KLEINKRAM_{name.upper()}" in diagnostic.remedy
 
 
 def test_the_process_prints_the_sentence_and_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -38,7 +38,7 @@ _HEADERS = "proxy headers"
 
 
 @dataclass(frozen=True)
-class _Answer:
+class _HttpAnswer:
     """Status, location and start of the body of an answer."""
 
     status: int
@@ -114,7 +114,7 @@ async def check_public_store(settings: Settings, storage: Storage) -> AsyncItera
         yield problem("size of parts", message, "Let it pass on bodies of any size (nginx: client_max_body_size 0).")
 
 
-def _not_api(url: str, live: _Answer) -> Diagnostic | None:
+def _not_api(url: str, live: _HttpAnswer) -> Diagnostic | None:
     check = "public address"
     if live.status in _REDIRECTS:
         remedy = "Set KLEINKRAM_PUBLIC_URL to the address that clients use, without redirects."
@@ -146,7 +146,7 @@ def _certificate(ends: datetime.datetime) -> Diagnostic:
     )
 
 
-def _metrics(answer: _Answer) -> Diagnostic:
+def _metrics(answer: _HttpAnswer) -> Diagnostic:
     check = "metrics not public"
     if answer.status == 200 and "kleinkram_" in answer.text:
         return problem(check, "They are served at the public address.", "Let the proxy answer 404 for /metrics.")
@@ -200,7 +200,7 @@ def _event_streams(is_prompt: bool) -> Diagnostic:
     return ok(check, "Events arrive at once.")
 
 
-def _signed(check: str, url: str, answer: _Answer, body: str) -> Diagnostic:
+def _signed(check: str, url: str, answer: _HttpAnswer, body: str) -> Diagnostic:
     if answer.status == 200 and answer.text == body:
         return ok(check, f"Signed URLs work at {url}.")
     if "SignatureDoesNotMatch" in answer.text:
@@ -216,11 +216,11 @@ def _open_session() -> aiohttp.ClientSession:
     return aiohttp.ClientSession(connector=connector, timeout=_TIMEOUT)
 
 
-async def _get(session: aiohttp.ClientSession, url: str, headers: dict[str, str] | None = None) -> _Answer:
+async def _get(session: aiohttp.ClientSession, url: str, headers: dict[str, str] | None = None) -> _HttpAnswer:
     async with session.get(URL(url, encoded=True), headers=headers, allow_redirects=False) as response:
         text = (await response.content.read(65_536)).decode(errors="replace")
         _cut(response)
-        return _Answer(response.status, response.headers.get("Location", "nowhere"), text)
+        return _HttpAnswer(response.status, response.headers.get("Location", "nowhere"), text)
 
 
 def _cut(response: aiohttp.ClientResponse) -> None:
