@@ -262,8 +262,8 @@ class DownloadLinks(Response):
 
 
 def _split_topics(texts: list[str]) -> list[str]:
-    """Return the names and globs in texts that separate them by commas or spaces."""
-    names = [name for text in texts for name in text.replace(",", " ").split()]
+    """Return the names and globs in texts that separate them by commas or spaces, each once."""
+    names = [*dict.fromkeys(name for text in texts for name in text.replace(",", " ").split())]
     if texts and not names:
         raise ValueError("names no topic; without this parameter, all topics are selected")
     return names

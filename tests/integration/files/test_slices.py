@@ -165,7 +165,7 @@ def test_a_link_gives_slices_of_its_files_and_counts_them(lab: Api, mission: str
         ({"end": "1970-01-01"}, "start", "is not after the start"),
         ({"end": "+10s\0"}, "query.end", "U+0000"),
         ({"topics": ", ,"}, "query.topics", "names no topic"),
-        ({"topics": "/a," * 1001}, "query.topics", "1000"),
+        ({"topics": ",".join(map(str, range(1001)))}, "query.topics", "1000"),
         ({"topics": "/c"}, "topics", "there is no topic /c"),
         ({"topics": "/c*"}, "topics", "there is no topic /c*"),
     ],

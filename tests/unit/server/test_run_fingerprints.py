@@ -57,8 +57,8 @@ def test_results_of_actions_that_declare_metadata_or_checks_stay_valid() -> None
 
 def test_with_checks_all_metadata_and_all_rules_count() -> None:
     for inputs in (Inputs(checks=True), Inputs(checks=True, reference=True)):
-        states = [({}, RULES), ({"robot": "spot"}, RULES), ({}, OTHER_RULES), ({}, None)]
-        assert len({of(inputs, *state) for state in states}) == len(states)
+        spot = of(inputs, {"robot": "spot"}, RULES)
+        assert len({spot, *(of(inputs, {}, sha256) for sha256 in (RULES, OTHER_RULES, None))}) == 4
 
 
 def test_of_metadata_and_checks_only_the_reference_counts() -> None:

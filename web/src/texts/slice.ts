@@ -4,13 +4,15 @@ import { counted, formatSize } from "@/components/format";
 export const texts = {
   title: "Download selection",
   why: "Choose topics and a time range. You get them as an MCAP file; only the parts of the recording that contain them are read.",
-  partOf: (name: string, files: number) => `This is one of the ${files} files of the recording ${name}, and the selection is of this file alone. To select from all of them, run:`,
+  partOf: (name: string, files: number) => `This is one of the ${files} files of the recording ${name}, and you get what this file holds. The command below selects from all of them.`,
   several: "To take topics or a time range out of them as one MCAP file, run:",
   topics: "Topics of the selection",
   topic: "Topic",
   count: "Messages",
   size: "Size",
-  range: "Time range",
+  range: "Time range, in seconds after the start",
+  fromShort: "From",
+  toShort: "To",
   from: "From, in seconds after the start",
   to: "To, in seconds after the start",
   whole: "Whole recording",
@@ -26,4 +28,5 @@ export const texts = {
   stopped: "Stopped. Nothing was kept.",
   saved: (messages: number, bytes: number) => `${counted(messages, "message")} saved, ${formatSize(bytes)}.`,
   command: "The same on the command line",
+  commandOfAll: "From all files of the recording, on the command line",
 } as const;

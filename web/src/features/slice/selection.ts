@@ -53,9 +53,17 @@ export async function removeEmpty(handle: FileSystemFileHandle & Removable): Pro
   }
 }
 
-/** Returns the recording of several files that a file is a part of; null for a file that is a recording by itself. */
-export function wholeRecording(file: File, recordings: readonly Recording[]): Recording | null {
-  return recordings.find(({ file_ids: ids }) => ids.length > 1 && ids.includes(file.id)) ?? null;
+/** The recording that a file is a part of, and how many files hold its messages. */
+export interface SplitRecording {
+  readonly name: string;
+  readonly files: number;
+}
+
+/** Returns the recording of several files that a file is a part of; null for a file that has the whole recording. */
+export function splitRecording(file: File, recordings: readonly Recording[]): SplitRecording | null {
+  const own = recordings.find(({ file_ids: ids }) => ids.includes(file.id));
+  const files = own?.paths.filter((path) => !/(^|\/)metadata\.yaml$/.test(path)).length ?? 0;
+  return own === undefined || files < 2 ? null : { name: own.name, files };
 }
 
 /** A recording as `klein cut` takes it: a glob that matches its name or path alone, and is no option. */
@@ -69,12 +77,12 @@ export function commandOfSeveral(names: readonly string[], mission: Parameters<t
 /** Topics as `--topics` takes them: it separates names by commas and spaces, which a glob can stand for. */
 const topicArgument = (topic: string): string => quoted(topic.replace(/[\s,]/g, "?"));
 
-/** Returns the command that makes the same file; `topics`: null for all. */
-export function commandOf(file: File, topics: readonly string[] | null, { startNs, endNs }: Times): string {
+/** Returns the command that makes the same file, or that of the whole recording; `topics`: null for all. */
+export function commandOf(file: File, split: SplitRecording | null, topics: readonly string[] | null, { startNs, endNs }: Times): string {
   const options = [
     ...(topics ?? []).flatMap((topic) => ["--topics", topicArgument(topic)]),
     ...(startNs === null ? [] : ["--start", String(startNs)]),
     ...(endNs === null ? [] : ["--end", String(endNs)]),
   ];
-  return ["klein cut", recordingArgument(file.path), missionArguments(file.mission), ...options, "-o", quoted(sliceName(file.path))].join(" ");
+  return ["klein cut", recordingArgument(split?.name ?? file.path), missionArguments(file.mission), ...options, "-o", quoted(sliceName(file.path))].join(" ");
 }

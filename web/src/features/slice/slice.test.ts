@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { commandOf, commandOfSeveral, removeEmpty, wholeRecording } from "./selection";
+import { commandOf, commandOfSeveral, removeEmpty, splitRecording } from "./selection";
 import type { File, Recording } from "@/api/types";
 
 const MISSION = { id: "m", name: "day", project: { id: "p", name: "Alps" } };
@@ -8,11 +8,11 @@ const TIMES = { startNs: 5n, endNs: null };
 
 describe("the command", () => {
   it("makes the same file", () => {
-    expect(commandOf(FILE, ["/imu"], TIMES)).toBe("klein cut nuc/drive_0.mcap -p Alps -m day --topics /imu --start 5 -o drive_0.slice.mcap");
+    expect(commandOf(FILE, null, ["/imu"], TIMES)).toBe("klein cut nuc/drive_0.mcap -p Alps -m day --topics /imu --start 5 -o drive_0.slice.mcap");
   });
 
   it("names topics with spaces and commas by a glob, because the command separates topics by them", () => {
-    expect(commandOf(FILE, ["/GPS fix, raw"], TIMES)).toContain("--topics '/GPS?fix??raw' ");
+    expect(commandOf(FILE, null, ["/GPS fix, raw"], TIMES)).toContain("--topics '/GPS?fix??raw' ");
   });
 
   it("of several files names each of them, whatever characters its name has", () => {
@@ -20,11 +20,19 @@ describe("the command", () => {
   });
 });
 
-it("finds the recording of several files that a file is a part of", () => {
-  const split = { name: "nuc", file_ids: ["e", "f"] } as unknown as Recording;
-  const alone = { name: "drive", file_ids: ["f"] } as unknown as Recording;
-  expect(wholeRecording(FILE, [alone, split])).toBe(split);
-  expect(wholeRecording(FILE, [alone])).toBeNull();
+describe("a file of a recording", () => {
+  const recordingOf = (...paths: string[]) => ({ name: "nuc", file_ids: ["e", "f"], paths }) as unknown as Recording;
+
+  it("is one of several", () => {
+    const split = splitRecording(FILE, [recordingOf("nuc/metadata.yaml", "nuc/drive_0.mcap", "nuc/drive_1.mcap")]);
+    expect(split).toEqual({ name: "nuc", files: 2 });
+    expect(commandOf(FILE, split, null, TIMES)).toContain("klein cut nuc -p Alps -m day ");
+  });
+
+  it("is the only one that has messages", () => {
+    expect(splitRecording(FILE, [recordingOf("nuc/metadata.yaml", "nuc/drive_0.mcap")])).toBeNull();
+    expect(splitRecording(FILE, [])).toBeNull();
+  });
 });
 
 describe("the file of a slice that was not made", () => {
