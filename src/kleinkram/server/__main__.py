@@ -1,4 +1,4 @@
-"""`python -m kleinkram.server check | migrate | api | worker`: the server's processes."""
+"""`python -m kleinkram.server check | create-bucket | migrate | api | worker`: the server's processes."""
 
 import argparse
 import asyncio
@@ -17,6 +17,8 @@ from kleinkram.server.settings import Settings, plain_dsn
 
 _NICENESS = 10
 _NOT_STARTED = 3
+# For a store that starts at the same time.
+_BUCKET_TIMEOUT_S = 60.0
 # A page of a hundred rows allocates thousands of objects without cycles. With Python's default of 700, the garbage
 # collector takes 5 % of the CPU time.
 _GC_THRESHOLD = 10_000
@@ -36,6 +38,8 @@ def main() -> None:
     set_up_logs(settings.log_format)
     if arguments.command == "migrate":
         _migrate(settings)
+    elif arguments.command == "create-bucket":
+        _create_bucket(settings)
     elif arguments.command == "worker":
         _work(settings)
     else:
@@ -46,6 +50,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m kleinkram.server", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("migrate", help="bring the database schema to this version")
+    commands.add_parser("create-bucket", help="create the bucket of the settings, unless it exists")
     check = commands.add_parser("check", help="check settings, database, store and this machine")
     check.add_argument("--json", action="store_true", dest="as_json")
     worker = commands.add_parser("worker", help="run background jobs")
@@ -68,6 +73,17 @@ def _migrate(settings: Settings) -> None:
         migrate(url, settings.serving_role)
     except (MigrationBlocked, SchemaUnsupported) as error:
         sys.exit(str(error))
+
+
+def _create_bucket(settings: Settings) -> None:
+    from kleinkram.contract.errors import StoreUnavailable
+    from kleinkram.server.s3.bucket import create_bucket
+
+    try:
+        is_new = asyncio.run(create_bucket(settings, timeout_s=_BUCKET_TIMEOUT_S))
+    except StoreUnavailable as error:
+        sys.exit(f"The bucket {settings.s3_bucket} was not created: {error.reason}.")
+    sys.stdout.write(f"The bucket {settings.s3_bucket} {'was created' if is_new else 'exists'}.\n")
 
 
 def _check(*, as_json: bool) -> NoReturn:

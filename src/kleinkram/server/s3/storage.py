@@ -7,7 +7,7 @@ called inside a database transaction. Keys are opaque, and no object is written 
 import base64
 import hashlib
 from collections.abc import AsyncGenerator, AsyncIterator, Iterable, Mapping
-from contextlib import aclosing, asynccontextmanager
+from contextlib import aclosing, asynccontextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 from xml.sax.saxutils import escape
@@ -47,6 +47,9 @@ _MISCONFIGURED = {
     "AccessDenied": "the access key has no right to list the bucket '{bucket}': grant it s3:ListBucket",
     "RequestTimeTooSkewed": "its clock and this machine's differ: let both set their clocks (NTP)",
 }
+_MAY_NOT_CREATE = "the access key may not create the bucket: grant it s3:CreateBucket, or create the bucket yourself"
+# The region that a request to create a bucket must not name. Source: Amazon S3 API Reference, CreateBucket.
+_UNNAMED_REGION = "us-east-1"
 # Every header that an uploader can have stored is replaced: a browser would decode what is declared as compressed, and
 # a proxy would cache what is declared as public.
 _SAFE_RESPONSE_HEADERS = {
@@ -167,6 +170,25 @@ class Storage:
             raise StoreUnavailable(reason=reason.format(bucket=self._signers.bucket)) from error
         except CONNECTION_ERRORS as error:
             raise StoreUnavailable(reason=f"it does not answer: {describe_connection_error(error)}") from error
+
+    async def create_bucket(self, region: str) -> bool:
+        """Create the bucket unless it exists; return whether it was created.
+
+        Raises:
+            StoreUnavailable: the store does not answer, or refuses.
+        """
+        with suppress(StoreUnavailable):
+            await self.check()
+            return False
+        try:
+            await self._client.request(S3Request("PUT", body=_location(region)))
+        except S3Error as error:
+            reasons = {**_MISCONFIGURED, "AccessDenied": _MAY_NOT_CREATE}
+            raise StoreUnavailable(reason=reasons.get(error.code, f"create the bucket: {error.code}")) from error
+        except CONNECTION_ERRORS as error:
+            raise StoreUnavailable(reason=f"it does not answer: {describe_connection_error(error)}") from error
+        await self.check()
+        return True
 
     async def _code_of_refusal(self, refusal: S3Error) -> str:
         """Return the store's error code; the response to HEAD has no body, so a GET repeats the request."""
@@ -428,6 +450,14 @@ def _translate(error: S3Error, purpose: str, request: S3Request) -> Exception:
         message = f"{purpose}: {error.code}: {error.message}"
         return StoreRefused(message, is_wrong_checksum=error.code in _WRONG_CHECKSUM)
     return StoreUnavailable(reason=f"{purpose}: {error.code}")
+
+
+def _location(region: str) -> bytes:
+    """Return the body of CreateBucket."""
+    if region == _UNNAMED_REGION:
+        return b""
+    constraint = f"<LocationConstraint>{escape(region)}</LocationConstraint>"
+    return f'<CreateBucketConfiguration xmlns="{_NAMESPACE}">{constraint}</CreateBucketConfiguration>'.encode()
 
 
 def _part_list(parts: Iterable[dict[str, str]], *, with_sha256: bool) -> bytes:
