@@ -7,7 +7,7 @@ import pytest
 from kleinkram.server.environment import known_variables
 from tests.integration.deploy.units import FOLDER, NAMES, example_settings
 
-_SERVER_UNITS = ("api@", "backup", "check", "migrate", "worker@")
+_SERVER_UNITS = ("api@", "backup", "bucket", "check", "migrate", "worker@")
 
 
 def test_units_of_a_server_have_the_same_restrictions() -> None:
