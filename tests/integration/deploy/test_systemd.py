@@ -37,10 +37,9 @@ def server() -> Iterator[Machine]:
         (started.disk / "etc" / "hosts").write_text(f"127.0.0.1 localhost {_NAME}\n")
         wheels = "export PIP_NO_INDEX=1 PIP_FIND_LINKS=/root/wheels; cd /root"
         log = started.run("\n".join([wheels, *commands]), timeout_s=600)
-        (code,) = set(re.findall(r"bootstrap code: ([^\"]+)", log)[-1:])
-        started.run(
-            f"{_KLEIN} python - '{code}' > token <<'PYTHON'\n{_CLAIM}PYTHON\nklein login https://{_NAME} --token < token"
-        )
+        code = re.findall(r"bootstrap code: ([^\"]+)", log)[-1]
+        started.run(f"{_KLEIN} python - '{code}' > token <<'PYTHON'\n{_CLAIM}PYTHON")
+        started.run(f"{_KLEIN} klein login https://{_NAME} --token < token")
         yield started
 
 
