@@ -92,7 +92,7 @@ def machine() -> Iterator[Machine]:
     with tempfile.TemporaryDirectory(prefix="klein-machine-") as name:
         started = Machine(Path(name, "disk"))
         started.disk.mkdir()
-        subprocess.run(["tar", "-C", started.disk, "-xf", _debian()], check=True)
+        subprocess.run(["tar", "--numeric-owner", "-C", started.disk, "-xf", _debian()], check=True)
         _build_wheels(started.disk / "root")
         try:
             started.boot()
@@ -114,7 +114,7 @@ def _debian() -> Path:
             _quietly("chroot", str(root), "apt-get", "install", "-y", *_PACKAGES)
             (root / "usr/sbin/policy-rc.d").unlink()
             _quietly("chroot", str(root), "apt-get", "clean")
-            _quietly("tar", "-C", str(root), "-cf", str(packed), ".")
+            _quietly("tar", "--numeric-owner", "-C", str(root), "-cf", str(packed), ".")
             packed.rename(tar)
     return tar
 
