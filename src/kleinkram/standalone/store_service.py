@@ -32,7 +32,7 @@ def main() -> NoReturn:
         )
         command = prepare(store)
         os.chdir(command.directory)
-        os.execve(command.arguments[0], command.arguments, {**os.environ, **command.environment})  # noqa: S606  (no shell)
+        os.execve(command.arguments[0], [*command.arguments], {**os.environ, **command.environment})  # noqa: S606  (no shell)
     except BinaryNotFound as error:
         sys.exit(str(error))
     except OSError as error:
