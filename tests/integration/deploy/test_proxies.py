@@ -238,21 +238,35 @@ def test_a_report_of_a_run_may_be_large(site: Site) -> None:
 
 def test_a_slow_client_is_served_beside_others(site: Site) -> None:
     """It sends its request in pieces, while another one is answered."""
-    context = ssl.create_default_context(cafile=str(site.backend.certificate))
-    raw = socket.create_connection(("127.0.0.1", site.backend.ports["https"]), timeout=30)
     body = json.dumps({"name": f"slow {os.urandom(4).hex()}"}).encode()
-    head = (
-        f"POST /api/v1/projects HTTP/1.1\r\nHost: 127.0.0.1:{site.backend.ports['https']}\r\n"
-        f"Authorization: Bearer {site.api.token}\r\nContent-Type: application/json\r\n"
-        f"Content-Length: {len(body)}\r\nConnection: close\r\n\r\n"
-    )
+    headers = {"Authorization": f"Bearer {site.api.token}", "Content-Type": "application/json"}
+    assert _send_slowly(site, "POST", "/api/v1/projects", headers, body, pieces=8).startswith(b"HTTP/1.1 201")
+
+
+def test_a_part_on_a_slow_line_is_stored_beside_other_requests(site: Site) -> None:
+    body = os.urandom(_MIB)
+    mission = site.api.mission(site.api.project()["id"])
+    upload = begin(site.api, mission["id"], {"slow.bin": body})[0]["upload"]
+    (signed,) = sign(site.api, upload, parts_of(upload, body)).ok()["items"]
+    path = signed["url"].removeprefix(site.api.url)
+    assert _send_slowly(site, "PUT", path, signed["headers"], body, pieces=20).startswith(b"HTTP/1.1 200")
+    assert complete(site.api, upload, body)["outcome"] == "completed"
+
+
+def _send_slowly(site: Site, method: str, path: str, headers: Mapping[str, str], body: bytes, *, pieces: int) -> bytes:
+    """Send a request in pieces, and another one after each; return the beginning of the response."""
+    context = ssl.create_default_context(cafile=str(site.backend.certificate))
+    address = f"127.0.0.1:{site.backend.ports['https']}"
+    own = {"Host": address, "Content-Length": str(len(body)), "Connection": "close"}
+    lines = [f"{method} {path} HTTP/1.1", *(f"{name}: {value}" for name, value in {**own, **headers}.items())]
+    head, size, pause = ("\r\n".join(lines) + "\r\n\r\n").encode(), -(-len(body) // pieces), threading.Event()
+    raw = socket.create_connection(("127.0.0.1", site.backend.ports["https"]), timeout=30)
     with context.wrap_socket(raw, server_hostname="127.0.0.1") as line:
-        pause = threading.Event()
-        for piece in (head.encode()[:40], head.encode()[40:], *(body[at : at + 4] for at in range(0, len(body), 4))):
+        for piece in (head[:40], head[40:], *(body[at : at + size] for at in range(0, len(body), size))):
             line.sendall(piece)
             assert site.get("/health/live").status == 200
             pause.wait(0.05)
-        assert line.recv(4096).startswith(b"HTTP/1.1 201")
+        return line.recv(4096)
 
 
 @pytest.mark.parametrize("proxy", _PROXIES)
