@@ -142,7 +142,7 @@ def create_app(settings: Settings) -> FastAPI:
         redoc_url=None,
         responses={"default": _PROBLEM},
     )
-    app.state.settings = settings
+    app.state.settings, app.state.is_draining = settings, False
     app.state.admin_reads, app.state.refusals = AdminReads(), Refusals()
     app.state.slice_slots = SliceSlots(settings.slices_at_once, settings.slices_per_account)
     app.add_middleware(RequestMiddleware, settings=settings)
