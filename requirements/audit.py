@@ -19,7 +19,7 @@ from pathlib import Path
 from pydantic import BaseModel
 
 _HERE = Path(__file__).parent
-_PINS = (_HERE / "dev.txt", _HERE / "server.txt", _HERE / "node.txt")
+_PINS = tuple(_HERE / f"{name}.txt" for name in ("dev", "server", "runner", "sbom", "node"))
 _SERVICES = ("pypi", "osv")
 _TIMEOUT_S = 10
 _WHOLE_S = 150

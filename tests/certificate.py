@@ -11,7 +11,7 @@ from cryptography.x509.oid import NameOID
 
 
 def make_certificate(folder: Path, address: str) -> tuple[Path, Path]:
-    """Write a self-signed certificate for an IP address, good for an hour, and its key; return their paths."""
+    """Write a self-signed certificate for an IP address or `localhost`, good for an hour, and its key; return them."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "kleinkram")])
     now = datetime.datetime.now(datetime.timezone.utc)
@@ -23,7 +23,7 @@ def make_certificate(folder: Path, address: str) -> tuple[Path, Path]:
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - datetime.timedelta(hours=1))
         .not_valid_after(now + datetime.timedelta(hours=1))
-        .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address(address))]), critical=False)
+        .add_extension(x509.SubjectAlternativeName([_general_name(address)]), critical=False)
         .sign(key, hashes.SHA256())
     )
     certificate, private = folder / "cert.pem", folder / "key.pem"
@@ -32,3 +32,7 @@ def make_certificate(folder: Path, address: str) -> tuple[Path, Path]:
         key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
     )
     return certificate, private
+
+
+def _general_name(address: str) -> x509.GeneralName:
+    return x509.DNSName(address) if address == "localhost" else x509.IPAddress(ipaddress.ip_address(address))

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.acceptance.conftest import Terminal
+from tests.integration.deploy import images
 from tests.integration.runner import engines
 from tests.integration.runner.engines import Dockerd
 from tests.requirements import missing, need
@@ -18,7 +19,6 @@ pytestmark = pytest.mark.soak
 
 ROOT = Path(__file__).parents[2]
 _STOCK = "kleinkram/action-python"
-_BASE = "kleinkram.test/debian-python"
 # Uses each library that the image provides, to make a picture and a table.
 _SCRIPT = """\
 # /// script
@@ -55,16 +55,8 @@ def docker() -> Iterator[Dockerd]:
 
 
 def _build(docker: Dockerd) -> None:
-    root = docker.folder / "debian"
-    included = "--include=python3,python3-venv,ca-certificates"
-    subprocess.run(["debootstrap", "--variant=minbase", included, "bookworm", root], check=True, capture_output=True)
-    packed = subprocess.run(["tar", "-C", root, "-c", "."], check=True, capture_output=True).stdout
-    docker.load(_BASE, root=packed)
-    environment = {**os.environ, "DOCKER_HOST": f"unix://{docker.socket}", "PYTHON": sys.executable}
-    build = ROOT / "deploy" / "images" / "action-python" / "build"
-    command = [str(build), _STOCK, "--network", "host", "--build-arg", f"BASE={_BASE}"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-3000:]
+    images.load_base(docker)
+    images.build(docker, "action-python", _STOCK)
 
 
 @pytest.fixture

@@ -31,6 +31,9 @@ Seconds = Annotated[float, Field(gt=0)]
 PerMinute = Annotated[int, Field(ge=0)]
 
 
+# The database refuses fewer: a mistake must not delete what happened last week.
+MIN_AUDIT_DAYS = 30
+
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
@@ -90,6 +93,11 @@ class OidcProvider(BaseModel):
         if not (parts.scheme == "https" or is_near) or not parts.hostname or parts.query or parts.fragment:
             raise ValueError("must be an https address (http only on this machine), without query and fragment")
         return issuer
+
+    @property
+    def is_refreshable(self) -> bool:
+        """Whether it grants refresh tokens that outlive the person's session there."""
+        return "offline_access" in self.scopes
 
     def trusts(self, domain: str) -> bool:
         """Return whether it is trusted to verify addresses in exactly this domain."""
@@ -208,6 +216,19 @@ class Settings(BaseSettings):
     session_s: Seconds = Field(
         default=90 * 86_400, description="Seconds after sign-in after which a browser is signed out."
     )
+    provider_session_days: int = Field(
+        default=30,
+        ge=0,
+        le=3650,
+        description="Days after which browser sessions and tokens of `klein login` stop working, until the provider "
+        "with which the person signed in confirms their account again; 0: never.",
+    )
+    provider_check_hours: float = Field(
+        default=24,
+        ge=0,
+        description="Hours between checks of an account at its provider by a refresh token, if its `scopes` have "
+        "`offline_access`; 0: never.",
+    )
     login_token_days: int = Field(
         default=90, ge=1, le=3650, description="Lifetime of tokens from `klein login`, in days."
     )
@@ -283,6 +304,10 @@ class Settings(BaseSettings):
         default=None, description="Address from which mail is sent; needed for `REPORT_TO`."
     )
     log_format: Literal["json", "text"] = Field(default="json", description="Format of log lines.")
+    log_level: Literal["debug", "info", "warning"] = Field(
+        default="info",
+        description="Lowest level of log lines; `debug` adds the starts of jobs and the ends of periodic ones.",
+    )
 
     affiliations: tuple[Affiliation, ...] = Field(
         default=(),
@@ -328,7 +353,7 @@ class Settings(BaseSettings):
         default=600, description="Verification requests for files per token, session or link; 0: no limit."
     )
     exports_per_minute: PerMinute = Field(
-        default=6, description="Exports of the audit log per token, session or link; 0: no limit."
+        default=6, description="Exports of the audit log and of people's data per token, session or link; 0: no limit."
     )
     upload_lease_s: Seconds = Field(
         default=60, description="Seconds for which an upload reserves its name after the last part was signed."
@@ -351,6 +376,16 @@ class Settings(BaseSettings):
         default=1024 * 1024 * 1024, ge=256 * 1024 * 1024, description="Address space of the process that makes a slice."
     )
     share_days_max: int = Field(default=90, ge=1, le=3650, description="Maximum lifetime of share links, in days.")
+    audit_days: int = Field(
+        default=0,
+        ge=0,
+        description="Days for which events of the audit log are kept, at least 30; 0: forever. `migrate` applies it.",
+    )
+    audit_archive: Path | None = Field(
+        default=None,
+        description="A folder to which the worker writes events of the audit log before they are deleted. "
+        "Default: they are not kept.",
+    )
     trash_days: int = Field(default=30, ge=0, description="Days for which deleted objects can be restored.")
     garbage_grace_s: float = Field(
         default=3600,
@@ -374,6 +409,13 @@ class Settings(BaseSettings):
         default=1024**3, ge=128 * 1024**2, description="Address space of the child process that reads recordings."
     )
     summary_timeout_s: Seconds = Field(default=300, description="Maximum seconds for the summary of one recording.")
+
+    @field_validator("audit_days")
+    @classmethod
+    def _is_not_short(cls, days: int) -> int:
+        if 0 < days < MIN_AUDIT_DAYS:
+            raise ValueError(f"must be 0, or at least {MIN_AUDIT_DAYS}")
+        return days
 
     @model_validator(mode="before")
     @classmethod

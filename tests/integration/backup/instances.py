@@ -34,7 +34,7 @@ RESET = {
     "upload": ("state", "completing_since"),
     "run": ("lease_ends_at",),
 }
-EXCLUDED = {"alembic_version", "store_probe"}
+EXCLUDED = {"alembic_version", "backup_attempt", "store_probe"}
 _TABLES = "SELECT relname FROM pg_class WHERE relnamespace = 'public'::regnamespace AND relkind = 'r'"
 
 

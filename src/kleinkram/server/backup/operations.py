@@ -167,6 +167,18 @@ def create(settings: Settings, repository: Repository, show: ShowProgress) -> Cr
     return CreatedBackup(snapshot, copied, problems)
 
 
+def record_attempt(settings: Settings, started_at: datetime, snapshot: Snapshot | None) -> None:
+    """Record a backup, or with None an attempt that failed, for the metrics and the health of the instance.
+
+    Raises:
+        BackupUnreachable: the database is away, its schema is older, or the role may only read.
+    """
+    dsn = plain_dsn(settings.migration_database_url or settings.database_url)
+    snapshot_id, damaged = (None, 0) if snapshot is None else (snapshot.id, snapshot.lost + snapshot.corrupt)
+    with database_errors("{}"):
+        database.record_attempt(dsn, started_at, snapshot_id, damaged)
+
+
 def _copy_objects(
     settings: Settings,
     repository: Repository,

@@ -16,10 +16,11 @@ from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import Script, ScriptDirectory
-from sqlalchemy import Connection, create_engine, pool, text
+from sqlalchemy import Connection, create_engine, delete, insert, pool, text
 from sqlalchemy.exc import DBAPIError
 
 from kleinkram.server.migrations import HEAD, alembic_config, development_schema_problem, later_schema_problem
+from kleinkram.server.tables import audit_retention
 
 _log = logging.getLogger("kleinkram.migrations")
 # The advisory lock that migrators of one database take.
@@ -69,6 +70,18 @@ def migrate(url: str, serving_role: str, timeouts: LockTimeouts = LockTimeouts()
             for step in steps:
                 _apply(connection, config, step, timeouts)
             return [step.revision for step in steps]
+    finally:
+        engine.dispose()
+
+
+def set_audit_retention(url: str, days: int) -> None:
+    """Store for how many days the audit log is kept, 0 for ever; the serving role can only read it."""
+    engine = create_engine(url, poolclass=pool.NullPool)
+    try:
+        with engine.begin() as connection:
+            connection.execute(delete(audit_retention))
+            if days:
+                connection.execute(insert(audit_retention).values(days=days))
     finally:
         engine.dispose()
 

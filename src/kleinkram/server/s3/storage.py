@@ -7,11 +7,12 @@ called inside a database transaction. Keys are opaque, and no object is written 
 import base64
 import hashlib
 from collections.abc import AsyncGenerator, AsyncIterator, Iterable, Mapping
-from contextlib import aclosing, asynccontextmanager
+from contextlib import aclosing, asynccontextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 from xml.sax.saxutils import escape
 
+from kleinkram import traces
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.names import file_name
 from kleinkram.contract.uploads import ChecksumKind, StoredPart
@@ -25,6 +26,7 @@ from kleinkram.server.s3.client import (
     open_s3,
 )
 from kleinkram.server.s3.signing import Presigner, StoreClock
+from kleinkram.server.s3.traced_client import TracedS3Client
 from kleinkram.server.settings import Settings
 
 CHECKSUM_HEADERS = {
@@ -47,6 +49,9 @@ _MISCONFIGURED = {
     "AccessDenied": "the access key has no right to list the bucket '{bucket}': grant it s3:ListBucket",
     "RequestTimeTooSkewed": "its clock and this machine's differ: let both set their clocks (NTP)",
 }
+_MAY_NOT_CREATE = "the access key may not create the bucket: grant it s3:CreateBucket, or create the bucket yourself"
+# The region that a request to create a bucket must not name. Source: Amazon S3 API Reference, CreateBucket.
+_UNNAMED_REGION = "us-east-1"
 # Every header that an uploader can have stored is replaced: a browser would decode what is declared as compressed, and
 # a proxy would cache what is declared as public.
 _SAFE_RESPONSE_HEADERS = {
@@ -167,6 +172,25 @@ class Storage:
             raise StoreUnavailable(reason=reason.format(bucket=self._signers.bucket)) from error
         except CONNECTION_ERRORS as error:
             raise StoreUnavailable(reason=f"it does not answer: {describe_connection_error(error)}") from error
+
+    async def create_bucket(self, region: str) -> bool:
+        """Create the bucket unless it exists; return whether it was created.
+
+        Raises:
+            StoreUnavailable: the store does not answer, or refuses.
+        """
+        with suppress(StoreUnavailable):
+            await self.check()
+            return False
+        try:
+            await self._client.request(S3Request("PUT", body=_location(region)))
+        except S3Error as error:
+            reasons = {**_MISCONFIGURED, "AccessDenied": _MAY_NOT_CREATE}
+            raise StoreUnavailable(reason=reasons.get(error.code, f"create the bucket: {error.code}")) from error
+        except CONNECTION_ERRORS as error:
+            raise StoreUnavailable(reason=f"it does not answer: {describe_connection_error(error)}") from error
+        await self.check()
+        return True
 
     async def _code_of_refusal(self, refusal: S3Error) -> str:
         """Return the store's error code; the response to HEAD has no body, so a GET repeats the request."""
@@ -430,6 +454,14 @@ def _translate(error: S3Error, purpose: str, request: S3Request) -> Exception:
     return StoreUnavailable(reason=f"{purpose}: {error.code}")
 
 
+def _location(region: str) -> bytes:
+    """Return the body of CreateBucket."""
+    if region == _UNNAMED_REGION:
+        return b""
+    constraint = f"<LocationConstraint>{escape(region)}</LocationConstraint>"
+    return f'<CreateBucketConfiguration xmlns="{_NAMESPACE}">{constraint}</CreateBucketConfiguration>'.encode()
+
+
 def _part_list(parts: Iterable[dict[str, str]], *, with_sha256: bool) -> bytes:
     """Return the body of CompleteMultipartUpload."""
     # Some stores verify a part's SHA-256 without listing it; those that list it require it here.
@@ -448,6 +480,7 @@ async def open_storage(settings: Settings) -> AsyncIterator[Storage]:
         Presigner(settings, settings.s3_internal_url, clock),
         settings.s3_bucket,
     )
-    async with open_s3(settings, signers.internal) as client:
+    client_class = TracedS3Client if traces.is_on() else S3Client
+    async with open_s3(settings, signers.internal, client_class) as client:
         await client.read_clock()
         yield Storage(client, signers, StoreCapabilities(ChecksumKind.md5, writes_once=False))
