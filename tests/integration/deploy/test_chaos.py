@@ -29,7 +29,7 @@ from tests.integration.deploy.rolling_site import SOURCE, START_S, Site, proxied
 from tests.integration.upload_client import wait_until
 from tests.ports import choose_port
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.soak, pytest.mark.timeout(900)]
 _CLIENTS = 20
 _FILE_BYTES = 200_000
 _AWAY_S = 10.0
