@@ -60,15 +60,15 @@ def test_a_stopping_process_behind_a_proxy_answers_all_requests(
     address = ("127.0.0.1", port)
     try:
         wait_until(lambda: _ready(port)[0] == 200, limit_s=_START_S)
-        with socket.create_connection(address, 20) as kept, socket.create_connection(address, 20) as begun:
-            kept.sendall(_LIVE)
-            assert "connection: close" not in _response(kept, "live\n")
+        with socket.create_connection(address, 20) as idle, socket.create_connection(address, 20) as begun:
+            idle.sendall(_LIVE)
+            assert "connection: close" not in _response(idle, "live\n")
             begun.sendall(_HEAD + b"%d\r\n\r\n" % len(_BODY) + _BODY[:5])
             process.send_signal(signal.SIGTERM)
             wait_until(lambda: _ready(port)[0] == 503, limit_s=20)
             assert _ready(port) == (503, "close", "This process is stopping.\n")
-            kept.sendall(_LIVE)
-            assert _response(kept).startswith("http/1.1 200 ")
+            idle.sendall(_LIVE)
+            assert _response(idle).startswith("http/1.1 200 ")
             # After the listening socket is closed, what was accepted is still answered.
             wait_until(lambda: _ready(port)[0] == 0, limit_s=20)
             begun.sendall(_BODY[5:])
