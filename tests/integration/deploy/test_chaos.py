@@ -92,7 +92,7 @@ class _Parts:
 
 @dataclass
 class _Figures:
-    """Uploads that began during one fault: how many, and the seconds of the longest."""
+    """Uploads that ended during or after one fault: how many, and the seconds of the longest."""
 
     uploads: int = 0
     longest_s: float = 0.0
@@ -115,10 +115,10 @@ class _Load:
             number += 1
             file = folder / f"{number}.bin"
             file.write_bytes(os.urandom(_FILE_BYTES))
-            start, phase = time.monotonic(), self.phase
+            start = time.monotonic()
             (result,) = upload(client, mission_id, plan_upload([file])).results
+            seconds, phase = time.monotonic() - start, self.phase
             assert result.error is None, f"{phase}: {result}"
-            seconds = time.monotonic() - start
             with self.lock:
                 figures = self.figures.setdefault(phase, _Figures())
                 figures.uploads += 1

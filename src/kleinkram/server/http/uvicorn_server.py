@@ -117,7 +117,7 @@ class ApiServer(uvicorn.Server):
         waiting = []
         for server in self.servers:
             for listener in server.sockets:
-                with socket.socket(fileno=os.dup(listener.fileno())) as own, suppress(BlockingIOError):
+                with socket.socket(fileno=os.dup(listener.fileno())) as own, suppress(OSError):
                     own.setblocking(False)
                     while True:
                         waiting.append(own.accept()[0])
