@@ -1,4 +1,4 @@
-"""An API process behind a proxy that is told to stop: the proxy can leave it without losing a request."""
+"""An API process behind a proxy gets SIGTERM: the proxy can leave it without losing a request."""
 
 import os
 import signal
