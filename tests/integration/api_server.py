@@ -161,7 +161,7 @@ def serving(settings: Mapping[str, Any], *, admin_url: str, folder: Path, port: 
     token = secrets.token_hex(32)
     token_file = folder / f"token-{uuid.uuid4()}"
     token_file.write_text(token)
-    app = create_app(Settings(**settings, owner_token_file=token_file))
+    app = create_app(Settings(**{"drain_s": 0, **settings}, owner_token_file=token_file))
     listener = socket.create_server(("127.0.0.1", port))
     config = uvicorn.Config(app, log_config=None, access_log=False, server_header=False, proxy_headers=False)
     server = ApiServer(config, app)

@@ -16,6 +16,7 @@ from alembic import op
 
 revision = "{NEXT}"
 down_revision = "{HEAD}"
+locked_tables = ("blob", "file")
 
 
 def upgrade() -> None:

@@ -15,7 +15,7 @@ import psycopg
 import pytest
 from alembic import command
 from alembic.script import ScriptDirectory
-from sqlalchemy import create_engine
+from sqlalchemy import create_engine, text
 
 import kleinkram.server.migrations.migrate
 from kleinkram.server.migrations import HEAD, INITIAL, alembic_config
@@ -40,6 +40,13 @@ WHERE schemaname = 'public' AND tablename !~ 'procrastinate|alembic' ORDER BY 1
 _PENDING_LISTS = """
 SELECT index.reloptions::text FROM pg_class index JOIN pg_am ON pg_am.oid = index.relam
   WHERE amname = 'gin' AND index.relnamespace = 'public'::regnamespace
+"""
+_TABLES = "SELECT relname FROM pg_class WHERE relkind = 'r' AND relnamespace = 'public'::regnamespace"
+# By this transaction, against others that write.
+_LOCKED = """
+SELECT relname FROM pg_locks JOIN pg_class ON pg_class.oid = relation
+WHERE pid = pg_backend_pid() AND relkind = 'r'
+  AND mode IN ('ShareLock', 'ShareRowExclusiveLock', 'ExclusiveLock', 'AccessExclusiveLock')
 """
 _FILL = """
 INSERT INTO person (id, name) VALUES (%(person)s, 'Ada');
@@ -150,6 +157,24 @@ def test_migrating_twice_changes_nothing(postgres: RunningPostgres, database: st
     before = postgres.sql("SELECT count(*) FROM pg_class", database=database)
     assert _migrate_as_process(postgres, database).returncode == 0
     assert postgres.sql("SELECT count(*) FROM pg_class", database=database) == before
+
+
+def test_later_revisions_lock_the_tables_that_they_change_first(postgres: RunningPostgres) -> None:
+    """Else requests may lose deadlocks against them. Revisions up to 0106 were part of the first release."""
+    name = postgres.create_database()
+    config = alembic_config(_url(postgres, name), _ROLE)
+    command.upgrade(config, "0106")
+    steps = [*ScriptDirectory.from_config(config).iterate_revisions("head", "0106")]
+    engine = create_engine(_url(postgres, name))
+    for step in reversed(steps):
+        with engine.begin() as connection:
+            existing = {*connection.scalars(text(_TABLES))}
+            config.attributes["connection"] = connection
+            command.upgrade(config, step.revision)
+            locked = {*connection.scalars(text(_LOCKED))} & existing
+        assert len(locked) < 2 or locked <= {*getattr(step.module, "locked_tables", ())}, step.revision
+    engine.dispose()
+    postgres.drop_database(name)
 
 
 def test_an_earlier_acceptance_covers_what_it_covered(postgres: RunningPostgres) -> None:
@@ -276,8 +301,6 @@ def _run_round(database: "psycopg.Connection[tuple[object, ...]]", ids: dict[str
                 start = time.monotonic()
                 database.execute(statement, values if statement in _WRITES else None)
                 load.longest_s = max(load.longest_s, time.monotonic() - start)
-    except psycopg.errors.DeadlockDetected:
-        return  # PostgreSQL ends one of two transactions that wait for each other's tables; servers retry
     except psycopg.Error as error:
         load.errors.append(repr(error))
         return

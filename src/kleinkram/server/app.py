@@ -147,7 +147,7 @@ def create_app(settings: Settings) -> FastAPI:
         # Its spans, metrics and logs would be exported with the queries of requests, which may hold secrets.
         telemetry={"tracing": False, "metrics": False, "logs": False, "auto_configure": False},
     )
-    app.state.settings = settings
+    app.state.settings, app.state.is_draining = settings, False
     app.state.admin_reads, app.state.refusals = AdminReads(), Refusals()
     app.state.slice_slots = SliceSlots(settings.slices_at_once, settings.slices_per_account)
     app.add_middleware(RequestMiddleware, settings=settings)

@@ -5,6 +5,7 @@ the object store opens several with `Database.begin`; reads can do without a tra
 """
 
 import hashlib
+import logging
 import select
 from collections.abc import AsyncIterator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, asynccontextmanager, contextmanager
@@ -45,6 +46,7 @@ from kleinkram.contract.names import name_key
 from kleinkram.server import metrics
 from kleinkram.server.settings import Settings, async_dsn
 
+_log = logging.getLogger("kleinkram.database")
 # Longer than any statement of the API on a large database; workers may need longer.
 STATEMENT_TIMEOUT_S = 30
 _POOL_TIMEOUT_S = 20
@@ -105,6 +107,7 @@ def _translate_errors() -> Iterator[None]:
         if isinstance(error.orig, psycopg.errors.DiskFull):
             raise DatabaseUnavailable(reason=_DISK_FULL) from error
         if error.connection_invalidated or isinstance(error.orig, psycopg.OperationalError):
+            _log.warning("database error", extra={"fields": {"reason": type(error.orig).__name__}})
             raise DatabaseUnavailable from error
         raise
 

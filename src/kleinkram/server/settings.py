@@ -332,6 +332,13 @@ class Settings(BaseSettings):
         BeforeValidator(_networks),
         Field(description="Networks of proxies whose X-Forwarded-For and -Proto are trusted, separated by commas."),
     ] = ()
+    drain_s: float = Field(
+        default=5,
+        ge=0,
+        le=60,
+        description="Seconds for which a stopping API process behind `TRUSTED_PROXIES` still serves: it is not ready, "
+        "and its responses close their connections. Longer than proxies keep idle connections to it.",
+    )
     monitoring_networks: Annotated[
         tuple[Network, ...],
         NoDecode,

@@ -94,6 +94,7 @@ class Plan:
             "KLEINKRAM_PUBLIC_URL": self.public_url,
             "KLEINKRAM_OWNER_TOKEN_FILE": str(self.data_dir.token_file),
             "KLEINKRAM_LOG_FORMAT": "json",
+            "KLEINKRAM_DRAIN_S": "0",  # no other process would take the requests
             **{name: os.environ.get(name, value) for name, value in _LOW_MEMORY.items()},
             **_telemetry(),
         }

@@ -22,12 +22,19 @@ _WORKER = (
 )
 
 
+_BACKUP = (
+    "INSERT INTO backup_attempt (id, started_at, ended_at, snapshot_id)"
+    " VALUES (gen_random_uuid(), now() - %s::interval, now() - %s::interval, %s)"
+)
+
+
 @pytest.fixture(name="lab")
 def _lab(start_api: StartApi) -> Iterator[Api]:
     """A server that has existed for ten days, with a living worker."""
     api = start_api(store_folder=None, store_capacity_bytes=100 * _GB, scrub_hours=24)
     api.sql("UPDATE person SET created_at = now() - interval '10 days'")
     api.sql(_WORKER, kleinkram.__version__)
+    api.sql(_BACKUP, "1 h", "1 h", "kept")
     yield api
     api.sql("DELETE FROM worker_process")
 
@@ -51,6 +58,21 @@ def test_a_new_server_is_healthy(lab: Api) -> None:
     assert (status["items"], status["is_healthy"]) == ([], True)
     (store,) = status["capacities"]
     assert (store["project"], store["used"], store["limit"], store["full_at"]) == (None, 0, 100 * _GB, None)
+
+
+def test_backups_that_are_missing_late_or_failed_are_named(lab: Api) -> None:
+    lab.sql("DELETE FROM backup_attempt")
+    status = _status(lab)
+    assert (_subjects(status), status["items"][0]["message"]) == ([("warning", "backup")], "No backup was made yet.")
+    lab.sql(_BACKUP, "37 h", "36 h", "old")
+    lab.sql(_BACKUP, "13 h", "12 h", None)
+    status = _status(lab)
+    assert _subjects(status) == [("problem", "backup"), ("warning", "backup")]
+    assert status["items"][0]["message"] == "The last complete backup is 37 hours old."
+    assert status["items"][1]["message"].startswith("The last backup failed at ")
+    assert not status["is_healthy"]
+    lab.sql(_BACKUP, "1 h", "1 h", "new")
+    assert _status(lab)["items"] == []
 
 
 def test_the_store_is_forecast_by_what_came_in_the_life_of_the_server(lab: Api) -> None:

@@ -41,6 +41,7 @@ class _Postgres:
         process = pg.start(self.cluster, extra={"fsync": "off", "max_connections": "100", **settings})
         try:
             wait_until(lambda: pg.is_ready(self.cluster, process), limit_s=120)
+            wait_until(lambda: self.execute("SELECT pg_is_in_recovery()", "postgres") == [(False,)], limit_s=120)
             yield
         finally:
             processes.stop(process, sign=signal.SIGINT, timeout_s=60)
@@ -139,7 +140,7 @@ def test_a_moment_between_two_uploads_returns(postgres_of_test: _Postgres, store
         run_jobs(api)
         last = api.get("/admin/scrub").ok()["last"]
         assert last["ended_at"] is not None, last
-        assert (last["lost"], last["corrupt"]) == (0, 0), last
+        assert (last["lost"], last["corrupt"], last["unknown"]) == (0, 0, 1), last
         upload(api, mission, "later.bin", b"later")
         run_jobs(api)
         assert {item["state"] for item in api.all("/files", {"mission_id": mission})} == {"verified"}

@@ -54,7 +54,7 @@ class Site:
         with (self.folder / f"{name}.log").open("ab") as log:
             process = subprocess.Popen(command, env=self.environment(source), cwd=self.folder, stdout=log, stderr=log)
         self.processes[name] = process
-        self.stack.callback(process.kill)
+        self.stack.callback(_end, process)
         if name.startswith("api"):
             wait_until(lambda: self.is_ready(name), limit_s=START_S)
 
@@ -80,6 +80,11 @@ class Site:
     def worker_versions(self) -> set[str]:
         alive = "SELECT version FROM worker_process WHERE ended_at IS NULL AND seen_at > now() - interval '15 s'"
         return {str(row[0]) for row in self.sql(alive)}
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    process.kill()
+    process.wait(30)
 
 
 @contextmanager

@@ -25,6 +25,7 @@ from kleinkram.server.admin.service import get_health
 from kleinkram.server.blobs import scrub
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
+from kleinkram.server.health.instance_metrics import BackupAttempt, last_backups
 from kleinkram.server.health.readiness import ALIVE_WITHIN
 from kleinkram.server.home.service import server_attention, store_use
 from kleinkram.server.jobs.queue import queue_ages_s
@@ -38,6 +39,9 @@ _EXPIRES_SOON = datetime.timedelta(days=14)
 # A scrub is late when two were left out.
 _SCRUBS_MISSED = 3
 _MINUTE_S, _HOUR_S = 60, 3600
+# As the alert KleinkramBackupOld.
+_BACKUP_LATE = datetime.timedelta(hours=36)
+_BACKUP_REMEDY = "Run `klein backup create LOCATION`, and see why the scheduled one does not."
 
 
 class _Text(NamedTuple):
@@ -88,6 +92,7 @@ async def get_status(context: AppContext, *, takes_pages: bool = True) -> AdminS
         of_store = store_capacity(store, per_day, health.now)
         capacities += [] if of_store is None else [of_store]
         items += await _database_items(db, settings)
+        items += _backup_items(*await last_backups(db), health.now)
     never = datetime.datetime.max.replace(tzinfo=datetime.timezone.utc)
     capacities.sort(key=lambda row: (row.full_at or never, -row.used / max(1, row.limit)))
     items += _capacity_items(capacities, health.now)
@@ -156,6 +161,18 @@ async def _scrub_items(db: Connection, settings: Settings) -> list[StatusItem]:
         return []
     message = f"The store was last compared with the database {silent_s / _HOUR_S:.0f} hours ago."
     return [_warning("scrub", message, "`klein admin scrub` starts a comparison; check that a worker runs.")]
+
+
+def _backup_items(
+    last: BackupAttempt | None, complete: BackupAttempt | None, now: datetime.datetime
+) -> Iterator[StatusItem]:
+    if complete is None:
+        yield _warning("backup", "No backup was made yet.", "`klein backup create LOCATION` makes one; schedule it.")
+    elif now - complete.started_at > _BACKUP_LATE:
+        hours = (now - complete.started_at).total_seconds() / _HOUR_S
+        yield _problem("backup", f"The last complete backup is {hours:.0f} hours old.", _BACKUP_REMEDY)
+    if last is not None and last.snapshot_id is None:
+        yield _warning("backup", f"The last backup failed at {last.ended_at:%Y-%m-%d %H:%M} UTC.", _BACKUP_REMEDY)
 
 
 async def _version_items(db: Connection) -> list[StatusItem]:

@@ -157,6 +157,7 @@ def expected_between(
 
 def unknown_among(store_id: str, keys: Collection[str]) -> Select[Any]:
     """Select how many of these keys no row of the database has."""
-    key = func.unnest(literal([*keys], ARRAY(Text))).column_valued("key")
+    # A name that no column has: in the subqueries, `key` would be the column of their table.
+    key = func.unnest(literal([*keys], ARRAY(Text))).column_valued("listed_key")
     ours = [exists().where(table.c.store_id == store_id, table.c.key == key) for table in (blob, upload, log_chunk)]
     return select(func.count(key)).where(~or_(*ours))

@@ -5,9 +5,11 @@ Those in `read_gauges` take milliseconds. Those in `read_slow_gauges` read every
 
 import datetime
 import shutil
+import uuid
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from prometheus_client import Metric
 from prometheus_client.core import GaugeMetricFamily
@@ -196,9 +198,25 @@ async def _verification_gauges(db: Connection) -> list[Metric]:
     ]
 
 
+class BackupAttempt(NamedTuple):
+    """An attempt at a backup; `snapshot_id` is None if it failed. `started_at`: the moment that the backup shows."""
+
+    id: uuid.UUID
+    started_at: datetime.datetime
+    ended_at: datetime.datetime
+    snapshot_id: str | None
+    damaged_objects: int
+
+
+async def last_backups(db: Connection) -> tuple[BackupAttempt | None, BackupAttempt | None]:
+    """Return the last attempt at a backup, and the last complete one."""
+    rows = [(await db.execute(stmt)).one_or_none() for stmt in (_BACKUP, _BACKUP_COMPLETE)]
+    last, complete = (None if row is None else BackupAttempt._make(row) for row in rows)
+    return last, complete
+
+
 async def _backup_gauges(db: Connection) -> list[Metric]:
-    last = (await db.execute(_BACKUP)).one_or_none()
-    complete = (await db.execute(_BACKUP_COMPLETE)).one_or_none()
+    last, complete = await last_backups(db)
     return [
         _time(definitions.BACKUP_LAST_SUCCESS, None if complete is None else complete.started_at),
         _time(definitions.BACKUP_LAST_ATTEMPT, None if last is None else last.ended_at),

@@ -21,6 +21,7 @@ from kleinkram.server.tokens.service import default_days
 # Probes need no token, so the result is cached for this long.
 _HOLDS_S = 1
 _PAUSE_S = 4
+_STOPPING = "This process is stopping."
 
 probes = APIRouter(include_in_schema=False)
 router = APIRouter(prefix="/api/v1", tags=["service"])
@@ -47,15 +48,18 @@ async def _event_and_pause() -> AsyncIterator[str]:
 async def ready(
     request: Request, database: CurrentDatabase, storage: CurrentStorage, settings: CurrentSettings
 ) -> PlainTextResponse:
-    """Return whether database, schema and store are available; reasons and warnings only for monitoring networks."""
+    """Return whether database, schema and store are available; reasons and warnings only for monitoring networks.
+
+    A process that stops is not ready.
+    """
     state = request.app.state
     if not hasattr(state, "readiness"):
         state.readiness = CachedLookup(lambda: check_service(database, storage), holds_s=_HOLDS_S)
     results: list[Diagnostic] = await state.readiness.get()
     shows = _watches(request, settings)
-    problems = find_problems(results)
-    if problems:
-        return PlainTextResponse(f"{problems[0].message if shows else 'not ready'}\n", status_code=503)
+    reasons = [_STOPPING] if state.is_draining else [problem.message for problem in find_problems(results)]
+    if reasons:
+        return PlainTextResponse(f"{reasons[0] if shows else 'not ready'}\n", status_code=503)
     warnings = [result for result in results if shows and result.severity is DiagnosticSeverity.warning]
     return PlainTextResponse("".join(["ready\n", *(f"warning: {it.message} {it.remedy}\n" for it in warnings)]))
 

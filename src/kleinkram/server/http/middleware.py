@@ -69,6 +69,8 @@ class RequestMiddleware:
             if message["type"] == "http.response.start":
                 status = message["status"]
                 own_headers = [*message["headers"], (b"x-request-id", request_id.encode())]
+                if scope["app"].state.is_draining:
+                    own_headers.append((b"connection", b"close"))
                 message["headers"] = with_security_headers(own_headers, is_https=self._is_https)
             await send(message)
 

@@ -1,18 +1,21 @@
 """uvicorn with limits on what one connection may cost.
 
 Limits the size and duration of request heads, the pace of bodies, chunk extensions and trailers, and the number of
-connections per address and in total. `middleware` limits the size of bodies. On shutdown, streams end first. systemd
-learns when the server is ready and that its event loop runs.
+connections per address and in total. `middleware` limits the size of bodies. A process that stops behind proxies lets
+them leave first; then streams end, then other requests. systemd learns when the server is ready and that its event loop
+runs.
 """
 
 import asyncio
 import logging
+import os
 import resource
 import socket
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 
 import uvicorn
 from fastapi import FastAPI
@@ -35,6 +38,9 @@ _FRAMING_BYTES = 64 * 1024
 _FRAMING_PER_BODY_BYTE = 16
 # A client that got a response before it sent the whole request has this time to read it.
 _LINGER_S = 10.0
+_DRAIN_CHECK_S = 0.1
+# A proxy that has connected sends its request within this time.
+_LAST_REQUEST_S = 1.0
 _MAX_CONNECTIONS = 16_384
 # Files that this process opens for the database, the store and logs.
 _OTHER_FILES = 256
@@ -78,6 +84,7 @@ class ApiServer(uvicorn.Server):
         config.app = _with_short_startup_errors(app)
         super().__init__(config)
         self._app = app
+        self._drain_s = settings.drain_s if settings.trusted_proxies else 0.0
 
     async def main_loop(self) -> None:
         """Serve until a signal; tell systemd that this process is ready, and as long as its event loop runs."""
@@ -85,7 +92,43 @@ class ApiServer(uvicorn.Server):
         pings = asyncio.create_task(Watchdog().ping_from_event_loop())
         await super().main_loop()
         notify_stopping()
+        await self._drain()
         pings.cancel()
+
+    async def _drain(self) -> None:
+        """Serve on until no proxy has an idle connection to this process; a second SIGINT ends it.
+
+        `/health/ready` is 503, and each response closes its connection. A proxy that sends a request on a connection
+        that this process closes meanwhile may not repeat it, and answers 502.
+        """
+        self._app.state.is_draining = True
+        if self._drain_s:
+            await self._wait(self._drain_s)
+            await self._stop_listening()
+            await self._wait(_LAST_REQUEST_S)
+
+    async def _wait(self, seconds: float) -> None:
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline and not self.force_exit:  # noqa: ASYNC110  (a signal handler sets it)
+            await asyncio.sleep(_DRAIN_CHECK_S)
+
+    async def _stop_listening(self) -> None:
+        """Refuse new connections, but serve those that wait to be accepted: closing the socket alone resets them."""
+        waiting = []
+        for server in self.servers:
+            for listener in server.sockets:
+                with socket.socket(fileno=os.dup(listener.fileno())) as own, suppress(OSError):
+                    own.setblocking(False)
+                    while True:
+                        waiting.append(own.accept()[0])
+            server.close()
+        for connection in waiting:
+            await asyncio.get_running_loop().connect_accepted_socket(self._protocol, connection, ssl=self.config.ssl)
+
+    def _protocol(self) -> asyncio.Protocol:
+        return self.config.http_protocol_class(  # type: ignore[call-arg]  # uvicorn declares it as any protocol
+            config=self.config, server_state=self.server_state, app_state=self.lifespan.state
+        )
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End event streams, wait for other requests, then stop."""

@@ -2,17 +2,20 @@
 
 One migrator at a time; the others wait, and then find nothing to do. Each revision is one transaction. A revision that
 does not get its table locks within two seconds is rolled back, so that statements queued behind it run, and is retried.
+It locks its tables before it changes anything, and never for so long that PostgreSQL ends a request instead.
 """
 
 import logging
 import time
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import psycopg
 from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
-from alembic.script import ScriptDirectory
+from alembic.script import Script, ScriptDirectory
 from sqlalchemy import Connection, create_engine, delete, insert, pool, text
 from sqlalchemy.exc import DBAPIError
 
@@ -25,6 +28,7 @@ LOCK = 0x6B6C65696E
 _POLL_S = 0.2
 _FIRST_PAUSE_S = 0.5
 _LONGEST_PAUSE_S = 10.0
+_TRY_S = 0.02
 _LOCK_ERRORS = (psycopg.errors.LockNotAvailable, psycopg.errors.DeadlockDetected)
 
 
@@ -42,6 +46,8 @@ class LockTimeouts:
 
     # With half a second, a migration under the load of twenty clients got no locks in five minutes.
     attempt_s: float = 2.0
+    # For all tables after the first.
+    others_s: float = 1.0
     total_s: float = 600.0
 
 
@@ -60,10 +66,10 @@ def migrate(url: str, serving_role: str, timeouts: LockTimeouts = LockTimeouts()
             _wait_for_other_migrators(connection)
             config = alembic_config(url, serving_role)
             config.attributes["connection"] = connection
-            revisions = _missing_revisions(connection, config)
-            for revision in revisions:
-                _apply(connection, config, revision, timeouts)
-            return revisions
+            steps = _missing_revisions(connection, config)
+            for step in steps:
+                _apply(connection, config, step, timeouts)
+            return [step.revision for step in steps]
     finally:
         engine.dispose()
 
@@ -93,7 +99,7 @@ def _wait_for_other_migrators(connection: Connection) -> None:
         time.sleep(_POLL_S)
 
 
-def _missing_revisions(connection: Connection, config: Config) -> list[str]:
+def _missing_revisions(connection: Connection, config: Config) -> list[Script]:
     with connection.begin():
         current = MigrationContext.configure(connection).get_current_revision() or "base"
         problem = development_schema_problem(current)
@@ -109,15 +115,16 @@ def _missing_revisions(connection: Connection, config: Config) -> list[str]:
         if problem is not None:
             raise SchemaUnsupported(f"Nothing was changed: {problem}.")
     steps = ScriptDirectory.from_config(config).iterate_revisions("head", current)
-    return [step.revision for step in reversed([*steps])]
+    return [*reversed([*steps])]
 
 
-def _apply(connection: Connection, config: Config, revision: str, timeouts: LockTimeouts) -> None:
+def _apply(connection: Connection, config: Config, step: Script, timeouts: LockTimeouts) -> None:
+    revision, tables = step.revision, deque(getattr(step.module, "locked_tables", ()))
     start, pause_s = time.monotonic(), _FIRST_PAUSE_S
     while True:
         try:
             with connection.begin():
-                connection.execute(text(f"SET LOCAL lock_timeout = {round(timeouts.attempt_s * 1000)}"))
+                _lock_tables(connection, tables, timeouts)
                 command.upgrade(config, revision)
         except DBAPIError as error:  # noqa: PERF203  (retrying is what the loop is for)
             if not isinstance(error.orig, _LOCK_ERRORS):
@@ -126,10 +133,38 @@ def _apply(connection: Connection, config: Config, revision: str, timeouts: Lock
             if waited_s + pause_s > timeouts.total_s:
                 raise MigrationBlocked(_explain(revision, waited_s)) from error
             _log.warning("a table is in use; retrying", extra={"fields": {"revision": revision}})
+            tables.rotate(1)
             time.sleep(pause_s)
             pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
         else:
             _log.info("migrated", extra={"fields": {"revision": revision}})
+            return
+
+
+def _lock_tables(connection: Connection, tables: Sequence[str], timeouts: LockTimeouts) -> None:
+    """Lock the tables that a revision changes: wait for the first, then try to get the others.
+
+    A transaction that holds a table and waits for another one may be in a deadlock with a request, of which PostgreSQL
+    ends either. This one waits only while it holds none.
+    """
+    connection.execute(text(f"SET LOCAL lock_timeout = {round(timeouts.attempt_s * 1000)}"))
+    for table in [*tables][:1]:
+        connection.execute(text(f"LOCK TABLE {table} IN ACCESS EXCLUSIVE MODE"))
+    deadline = time.monotonic() + timeouts.others_s
+    for table in [*tables][1:]:
+        _lock_when_free(connection, table, deadline)
+
+
+def _lock_when_free(connection: Connection, table: str, deadline: float) -> None:
+    while True:
+        try:
+            with connection.begin_nested():
+                connection.execute(text(f"LOCK TABLE {table} IN ACCESS EXCLUSIVE MODE NOWAIT"))
+        except DBAPIError as error:  # noqa: PERF203  (retrying is what the loop is for)
+            if not isinstance(error.orig, _LOCK_ERRORS) or time.monotonic() > deadline:
+                raise
+            time.sleep(_TRY_S)
+        else:
             return
 
 

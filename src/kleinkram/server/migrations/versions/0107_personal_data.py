@@ -8,6 +8,7 @@ revision = "0107"
 down_revision = "0106"
 # Programs of that schema do not read the new columns: their sessions do not depend on provider accounts.
 compatible_from = "0106"
+locked_tables = ("person", "identity", "session", "token")
 branch_labels = None
 depends_on = None
 

@@ -6,6 +6,7 @@ revision = "0109"
 down_revision = "0108"
 # Programs of that schema neither write nor read the new columns.
 compatible_from = "0106"
+locked_tables = ("procrastinate_jobs", "run")
 branch_labels = None
 depends_on = None
 
