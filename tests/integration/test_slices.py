@@ -129,6 +129,24 @@ def test_cut_on_the_server_gives_the_bytes_of_a_local_one(
     assert "There is no recording 'other.bag'" in klein("cut", "-m", mission, "other.bag", "-o", "x", code=3).stderr
 
 
+def test_a_recording_of_unknown_times_is_opened_to_learn_them(
+    api: Api, klein: Klein, mission: str, drives: Path, tmp_path: Path
+) -> None:
+    """As directly after an upload."""
+    (known,) = api.sql(
+        "SELECT id, start_ns, end_ns FROM recording WHERE mission_id = %s AND name = %s", mission, "drive.mcap"
+    )
+    api.sql("UPDATE recording SET start_ns = NULL, end_ns = NULL WHERE id = %s", known[0])
+    try:
+        common = ("-m", mission, "--topics", "/imu/data", *RANGE)
+        klein("cut", "drive.mcap", *common, "-o", tmp_path / "out.mcap")
+        klein("export", *common, "--to", "csv", "-o", tmp_path / "tables")
+    finally:
+        api.sql("UPDATE recording SET start_ns = %s, end_ns = %s WHERE id = %s", *known[1:], known[0])
+    assert stamped(tmp_path / "out.mcap") == expected(drives / "drive.mcap", "/imu/data")
+    assert (tmp_path / "tables" / "index.json").exists()
+
+
 def test_a_stranger_cannot_cut(klein: Klein, mission: str, tmp_path: Path) -> None:
     """Nor learn that there is such a mission."""
     refused = klein("cut", "-m", mission, "-o", tmp_path / "out.mcap", code=3, KLEINKRAM_TOKEN="")

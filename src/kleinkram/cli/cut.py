@@ -127,7 +127,8 @@ def _in_range(
     rows: list[RecordingRead], times: tuple[Time | None, Time | None]
 ) -> tuple[tuple[Time | None, Time | None], list[RecordingRead]]:
     """Return the log times of a range, and the recordings that may have messages in it: only these are opened."""
-    if not rows or times == (None, None):
+    # Where the server does not know all times yet, those in the recordings decide.
+    if not rows or times == (None, None) or any(row.start_ns is None for row in rows):
         return times, rows
     name = rows[0].name if len(rows) == 1 else f"the {len(rows)} recordings"
     with time_range_errors():

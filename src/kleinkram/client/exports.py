@@ -105,6 +105,8 @@ def _folder_of(dest: Path, project: str, mission: str) -> Path:
 def in_range(mission: MissionRecordings, options: "ExportOptions") -> tuple[MissionRecordings, "ExportOptions"]:
     """Return what of a mission may have messages in the time range, and options with its log times. Opens nothing.
 
+    All of it where the server does not know all times yet: then those in the recordings decide.
+
     Raises:
         InvalidInput: the time range is empty, or a text is no time.
         OutsideRecording: nothing was recorded in it.
@@ -112,7 +114,8 @@ def in_range(mission: MissionRecordings, options: "ExportOptions") -> tuple[Miss
     from kleinkram.recordings.messages import Selection
     from kleinkram.recordings.writing.mcap import may_overlap, select_range
 
-    if (options.start, options.end) == (None, None):
+    is_known = all(one.start_ns is not None for one in mission.recordings)
+    if (options.start, options.end) == (None, None) or not is_known:
         return mission, options
     with time_range_errors():
         start_ns, end_ns = select_range(mission.recordings, options.start, options.end, name=mission.mission)

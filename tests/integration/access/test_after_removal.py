@@ -48,6 +48,9 @@ def test_no_credential_is_created_for_a_person_who_is_being_removed(api: Api) ->
 
 
 def _waiting(api: Api) -> int:
+    """Return how many connections wait for a lock."""
+    # PostgreSQL shows a transaction the same list of connections again: without new ones, unless it is cleared.
+    api.sql("SELECT pg_stat_clear_snapshot()")
     ((count,),) = api.sql(
         "SELECT count(*) FROM pg_locks WHERE NOT granted AND pid IN"
         " (SELECT pid FROM pg_stat_activity WHERE datname = current_database())"

@@ -160,6 +160,7 @@ const reads: Readonly<Record<string, string>> = {
   list_trash: "the trash",
   list_uploads: "the uploads to a mission",
   search: "the results of a search over everything",
+  slice_file: "a slice of a file",
 };
 
 export const texts = {

@@ -361,7 +361,7 @@ def write_plan(
 ) -> ExportResult:
     """Write the files of a plan to a folder that exists; with a journal, those that it does not have yet."""
     recordings = [*{id(one): one for planned in plan.files for one in planned.group.recordings}.values()]
-    share_read_ahead([one.recording for one in recordings])
+    share_read_ahead([one.recording for one in recordings], with_gaps=images.rate_hz is not None)
     outcomes: list[ExportedFile | TopicLeftOut] = [*plan.left_out]
     for number, planned in enumerate(plan.files):
         path = folder / planned.path

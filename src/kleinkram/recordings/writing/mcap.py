@@ -304,13 +304,17 @@ def _is_partly_read(recordings: Sequence[Recording], selection: Selection) -> bo
     return selection.has_range or (selection.topics is not None and is_remote)
 
 
-def share_read_ahead(recordings: Sequence[Recording]) -> None:
-    """Use all memory for reading ahead, divided between the recordings that are read at the same time."""
+def share_read_ahead(recordings: Sequence[Recording], *, with_gaps: bool = False) -> None:
+    """Use all memory for reading ahead, divided between the recordings that are read at the same time.
+
+    `with_gaps`: the reader leaves out parts of what it selects, so each read starts with little.
+    """
     share = MAX_AHEAD // max(1, _most_at_once(recordings))
     for recording in recordings:
         for member in recording.members:
             if isinstance(member, ChunkedMember):
-                member.first_ahead = member.max_ahead = min(member.max_ahead, share)
+                member.max_ahead = min(member.max_ahead, share)
+                member.first_ahead = 0 if with_gaps else member.max_ahead
 
 
 def _most_at_once(recordings: Sequence[Recording]) -> int:
