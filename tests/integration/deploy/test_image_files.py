@@ -52,7 +52,7 @@ def test_files_that_are_mounted_exist(compose: Any) -> None:
     text = (_COMPOSE / "compose.yaml").read_text()
     sources = re.findall(r"- (\.\.?/[^:\s]+):", text)
     assert len(sources) > 5
-    written_by_init = {"./tls", "./backups"}
+    written_by_init = {"./alertmanager.yml", "./tls", "./backups"}
     assert not [source for source in sources if source not in written_by_init and not (_COMPOSE / source).exists()]
 
 
@@ -90,6 +90,7 @@ def test_init_writes_what_is_missing_and_keeps_the_rest(tmp_path: Path) -> None:
     folder = prepare(tmp_path)
     initialise(folder, "data.robots.example")
     assert "SITE=data.robots.example\nPUBLIC_URL=https://data.robots.example\n" in (folder / ".env").read_text()
+    assert "https://data.robots.example/health/ready" in (folder / "targets" / "public.yml").read_text()
     secrets = {path.name: path.read_text() for path in (folder / "secrets").iterdir()}
     assert len({*secrets.values()}) == 7
     assert secrets["s3-secret-key"] in secrets["store-identities.json"]
