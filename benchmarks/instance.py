@@ -3,16 +3,18 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import psutil
+import urllib3
 
 ROOT = Path(__file__).resolve().parent.parent
 STAGE = ROOT / ".bench"
@@ -56,6 +58,35 @@ def endpoint_info() -> dict[str, Any]:
     """Return the contents of `instance.json`."""
     facts: dict[str, Any] = json.loads((DATA / "instance.json").read_text())
     return facts
+
+
+@contextmanager
+def api_process(environment: Mapping[str, str]) -> Iterator[tuple[str, psutil.Process]]:
+    """Run one more API process beside the instance's own; yields its URL and the process."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        port = listener.getsockname()[1]
+    without = {key: value for key, value in environment.items() if key != "KLEINKRAM_OWNER_TOKEN_FILE"}
+    process = subprocess.Popen([sys.executable, "-m", "kleinkram.server", "api", "--port", str(port)], env=without)
+    url = f"http://127.0.0.1:{port}"
+    try:
+        _wait_until_ready(url)
+        yield url, psutil.Process(process.pid)
+    finally:
+        process.terminate()
+        process.wait(timeout=60)
+
+
+def _wait_until_ready(url: str) -> None:
+    until = time.monotonic() + 60
+    while time.monotonic() < until:
+        try:
+            if urllib3.request("GET", f"{url}/health/ready", retries=False, timeout=5).status == 200:
+                return
+        except urllib3.exceptions.HTTPError:
+            pass
+        time.sleep(0.1)
+    raise SystemExit("an API process did not begin to answer")
 
 
 def settle() -> None:

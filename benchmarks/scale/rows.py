@@ -2,17 +2,18 @@
 
 import json
 import os
-import socket
+import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
 import psycopg
 import urllib3
 
+from benchmarks.instance import api_process
 from benchmarks.scale import seed
 from benchmarks.scale.places import places, seeded
 from benchmarks.scale.requests import list_rows, percentile, statements_of
@@ -23,6 +24,8 @@ _SECONDS = float(os.environ.get("KLEINKRAM_BENCH_CROWD_S", "60"))
 _MOST_P99_MS, _LEAST_FAIR, _LEAST_GAIN = 1000, 0.5, 1.7
 # One core each for two API workers, PostgreSQL and the clients.
 _CORES_FOR_TWO = 4
+# The gauges of the instance are read at most once a second.
+_SCRAPES, _SCRAPE_EVERY_S, _MOST_SCRAPE_MS = 60, 1.1, 50
 _DELETED = 100_000
 _MEANWHILE = ("projects?limit=50", "missions?limit=50", "files?sort=-start&limit=50", "search?query=knee")
 _FILL_MISSION = """
@@ -53,6 +56,28 @@ def scale_rows(
     tokens = {"admin": owner_token, "reader": seed.ALL}
     yield _filled_row(label, time.perf_counter() - began)
     yield from list_rows(label, url, tokens, statements, database_url, requests)
+
+
+def scrape_row(size: int, port: int) -> Row:
+    """Scrape the process that reports the whole instance, often enough for some scrapes to fall into slow queries."""
+    times: list[float] = []
+    with urllib3.PoolManager(retries=False, timeout=60) as pool:
+        for number in range(_SCRAPES + 1):
+            began = time.perf_counter()
+            answer = pool.request("GET", f"http://127.0.0.1:{port}/metrics")
+            if number > 0:  # the first one waits for all of them
+                times.append((time.perf_counter() - began) * 1000)
+            if answer.status != 200 or b"kleinkram_stored_bytes" not in answer.data:
+                raise SystemExit("the process does not report the gauges of the instance")
+            time.sleep(_SCRAPE_EVERY_S)
+    series = sum(not line.startswith(b"#") for line in answer.data.splitlines())
+    return {
+        "what": f"{size_label(size)}: a scrape of the metrics, with the gauges of the instance",
+        "measured": f"median {statistics.median(times):.0f} ms, p95 {percentile(times, 95):.0f} ms; {series} series",
+        "bar": f"p95 <= {_MOST_SCRAPE_MS} ms",
+        "met": percentile(times, 95) <= _MOST_SCRAPE_MS,
+        "ms": times,
+    }
 
 
 def load_rows(size: int, url: str, owner_token: str, environment: Mapping[str, str]) -> Iterator[Row]:
@@ -105,7 +130,7 @@ def _two_row(label: str, environment: Mapping[str, str], token: str) -> Row:
     """Two more API processes beside the instance's own: the same crowd at one of them, then at both."""
     seconds = min(_SECONDS, 20)
     with ExitStack() as stack:
-        urls = [_api(stack, environment) for _ in range(2)]
+        urls = [stack.enter_context(api_process(environment))[0] for _ in range(2)]
         one, two = _crowd(urls[:1], token, seconds=seconds)["rps"], _crowd(urls, token, seconds=seconds)["rps"]
     cores = os.cpu_count() or 1
     note = "" if cores >= _CORES_FOR_TWO else f"; this machine's {cores} cores are shared with database and clients"
@@ -115,31 +140,6 @@ def _two_row(label: str, environment: Mapping[str, str], token: str) -> Row:
         "bar": f">= {_LEAST_GAIN} x with {_CORES_FOR_TWO} cores or more",
         "met": cores < _CORES_FOR_TWO or two / one >= _LEAST_GAIN,
     }
-
-
-def _api(stack: ExitStack, environment: Mapping[str, str]) -> str:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        port = listener.getsockname()[1]
-    without = {key: value for key, value in environment.items() if key != "KLEINKRAM_OWNER_TOKEN_FILE"}
-    process = subprocess.Popen([sys.executable, "-m", "kleinkram.server", "api", "--port", str(port)], env=without)
-    stack.callback(process.wait)
-    stack.callback(process.terminate)
-    url = f"http://127.0.0.1:{port}"
-    _wait_for(lambda: urllib3.request("GET", f"{url}/health/ready", retries=False, timeout=5).status == 200)
-    return url
-
-
-def _wait_for(ready: Callable[[], bool]) -> None:
-    until = time.monotonic() + 60
-    while time.monotonic() < until:
-        try:
-            if ready():
-                return
-        except urllib3.exceptions.HTTPError:
-            pass
-        time.sleep(0.1)
-    raise SystemExit("an API process did not begin to answer")
 
 
 def _garbage_collection_row(label: str, url: str, token: str, environment: Mapping[str, str]) -> Row:

@@ -15,6 +15,7 @@ from kleinkram.server.blobs.readers import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.execution import BackPressure, record_failure
+from kleinkram.server.jobs.origin import run_with_origin
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.overviews.jobs import DerivationDebounce, MetadataCache
 from kleinkram.server.s3.storage import Storage, open_storage
@@ -150,7 +151,7 @@ async def _drain(app: App, context: AppContext, back_pressure: BackPressure, res
             concurrency=4,
             install_signal_handlers=False,
             listen_notify=False,
-            worker_middleware=[record_failure, note],
+            worker_middleware=[run_with_origin, record_failure, note],
             additional_context={
                 "context": context,
                 "readers": readers,

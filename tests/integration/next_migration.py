@@ -26,6 +26,11 @@ def upgrade() -> None:
 '''
 
 
+def migration_text() -> str:
+    """Return the text of the migration."""
+    return _MIGRATION
+
+
 def add_migration(module: ModuleType, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a module that reads `alembic_config` find one revision more."""
     (folder / "next.py").write_text(_MIGRATION)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import urllib3
 
 from tests.ports import choose_port
 from tests.requirements import need, need_node, path_of
@@ -50,6 +51,7 @@ class RealProvider:
             "redirect_uri": self.redirect_uri,
             "late_s": late_s,
             "kid": secrets.token_hex(4),
+            "logout_uri": self.redirect_uri.replace("/callback/", "/backchannel-logout/"),
         }
         configuration |= {"client_id": CLIENT_ID, "client_secret": CLIENT_SECRET}
         command = ["node", "provider.mjs", json.dumps(configuration)]
@@ -58,6 +60,10 @@ class RealProvider:
         )
         assert self.process.stdout is not None
         assert self.process.stdout.readline() == "ready\n"
+
+    def remove(self, name: str) -> None:
+        """Remove an account."""
+        assert urllib3.request("POST", f"{self.url}/test/remove/{name}").status == 204
 
     def end(self) -> None:
         """Kill it."""

@@ -14,12 +14,20 @@ from urllib.parse import parse_qs, urlencode, urlsplit
 import pytest
 import urllib3
 
+from tests.acceptance.conftest import wait_until
+from tests.system.backend import sql
 from tests.system.cluster import Cluster
 from tests.system.oidc_sign_in import CLIENT_ID, CLIENT_SECRET, Chromium, RealProvider, _chromium, _driver, _node
 
 __all__ = ["_chromium", "_driver", "_node"]
 pytestmark = pytest.mark.slow
 _CALLBACK = "/sign-in/callback/lab"
+# Makes all checks of accounts due, and starts the job.
+_CHECK = """
+WITH due AS (UPDATE identity SET checked_at = NULL)
+INSERT INTO procrastinate_jobs (queue_name, task_name, args)
+  VALUES ('default', 'check_provider_accounts', '{}') RETURNING id
+"""
 
 
 @dataclass(frozen=True)
@@ -54,7 +62,10 @@ def _deployment(node: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterato
     cluster = Cluster(tmp_path_factory.mktemp("oidc"))
     provider = RealProvider(node, f"http://127.0.0.1:{cluster.port}{_CALLBACK}")
     known = {"name": "lab", "title": "The Lab", "issuer": provider.url, "client_id": CLIENT_ID}
-    settings = [{**known, "client_secret": CLIENT_SECRET, "trusted_domains": ["lab.example"], "timeout_s": 3}]
+    scopes = ["openid", "profile", "email", "offline_access"]
+    settings = [
+        {**known, "scopes": scopes, "client_secret": CLIENT_SECRET, "trusted_domains": ["lab.example"], "timeout_s": 3}
+    ]
     cluster.settings["KLEINKRAM_OIDC_PROVIDERS"] = json.dumps(settings)
     cluster.settings["KLEINKRAM_SIGN_INS_PER_MINUTE"] = "0"
     provider.start()
@@ -146,6 +157,38 @@ def test_a_replayed_code_is_refused(deployment: Deployment, chromium: Chromium) 
     code = parse_qs(urlsplit(first).query)["code"][0]
     chromium.goto(re.sub("code=[^&]+", f"code={code}", second))
     chromium.see("did not accept its own code")
+
+
+def is_signed_in(deployment: Deployment, chromium: Chromium) -> bool:
+    """Whether the server knows the browser."""
+    (cookie,) = (cookie for cookie in chromium.do("cookies") if cookie["name"] == "kleinkram")
+    headers = {"Cookie": f"kleinkram={cookie['value']}"}
+    return urllib3.request("GET", f"{deployment.url}/api/v1/me", headers=headers).status == 200
+
+
+def test_signing_out_at_the_provider_signs_out_here(deployment: Deployment, chromium: Chromium) -> None:
+    sign_in(deployment, chromium, "leaving")
+    assert is_signed_in(deployment, chromium)
+    chromium.goto(f"{deployment.provider.url}/session/end")
+    chromium.click("button[name=logout]")
+    chromium.see("Sign-out Success")
+    wait_until(lambda: not is_signed_in(deployment, chromium), "the logout token to arrive")
+    chromium.goto(f"{deployment.url}/account")
+    chromium.arrive("/sign-in")
+
+
+def test_access_ends_when_the_account_is_removed_at_the_provider(deployment: Deployment, chromium: Chromium) -> None:
+    def check() -> None:
+        ((job,),) = sql(deployment.cluster, _CHECK)
+        state = "SELECT status::text FROM procrastinate_jobs WHERE id = %s"
+        wait_until(lambda: sql(deployment.cluster, state, job) in ([], [("succeeded",)]), "the check")
+
+    sign_in(deployment, chromium, "removed")
+    check()
+    assert is_signed_in(deployment, chromium)
+    deployment.provider.remove("removed")
+    check()
+    assert not is_signed_in(deployment, chromium)
 
 
 def test_rotated_keys_are_fetched_again(deployment: Deployment, chromium: Chromium) -> None:

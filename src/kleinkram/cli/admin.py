@@ -15,7 +15,7 @@ from kleinkram.cli.render import Output, as_details, as_table, details, line, mo
 from kleinkram.cli.units import count, parse_time, size
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
-from kleinkram.contract.admin import ScrubState, StateAmount
+from kleinkram.contract.admin import CapacityForecast, CapacityUnit, ScrubState, StateAmount
 from kleinkram.contract.audit import AuditFilter, AuditRead
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.names import is_id
@@ -186,6 +186,38 @@ def health(client: Client) -> Output:
             ("clock difference", f"{status.clock_skew_s:.2f} s"),
         ],
     )
+
+
+@app.command("status")
+def status(client: Client) -> Output:
+    """Show what needs an admin, what is full, and when it will be. The exit code is 1 if there is a problem."""
+    state = client.admin.status()
+
+    def show() -> None:
+        for item in state.items:
+            line(f"{item.severity.value.upper():7} {item.subject}: {item.message} {item.remedy}".rstrip())
+        if not state.items:
+            line("Healthy: nothing needs your attention.")
+        details(
+            [
+                ("version", state.version),
+                ("stored", size(state.stored_bytes)),
+                ("added", f"{size(state.stored_bytes_per_day)} a day, mean of the last 30 days"),
+            ]
+        )
+        if state.capacities:
+            table(["what", "used", "limit", "a day", "full on"], map(_capacity_cells, state.capacities))
+
+    return Output(state, show, 0 if state.is_healthy else ExitCode.server_failed)
+
+
+def _capacity_cells(row: CapacityForecast) -> tuple[object, ...]:
+    def amount(number: int) -> str | None:
+        return size(number) if row.unit is CapacityUnit.bytes else count(number, "file")
+
+    name = "the store" if row.project is None else f"quota of {row.project.name}"
+    full_on = "-" if row.full_at is None else f"{row.full_at:%Y-%m-%d}"
+    return name, amount(row.used), amount(row.limit), amount(row.per_day), full_on
 
 
 trash_app = Subcommands("List and restore what was deleted in the last 30 days.")

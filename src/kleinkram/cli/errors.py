@@ -100,6 +100,7 @@ _CLASSES: dict[ExitCode, tuple[type[KleinkramError], ...]] = {
         remote.LastAdmin,
         remote.LastSignInMethod,
         remote.GroupFixed,
+        remote.PersonErased,
         remote.AmbiguousName,
         remote.NameTaken,
         remote.NotFromLibrary,

@@ -195,6 +195,14 @@ def restore(
     location: Location,
     data_dir: DataDirOption = None,
     snapshot: SnapshotOption = None,
+    project: Annotated[
+        Text, option("-p --project", "PROJECT", "Restore only this project of the backup, into the existing instance.")
+    ] = None,
+    mission: Annotated[Text, option("-m --mission", "MISSION", "Restore only this mission of the project.")] = None,
+    file: Annotated[Text, option("--file", "PATH", "Restore only this file of the mission.")] = None,
+    dry_run: Annotated[
+        bool, flag("--dry-run", "With --project: show what would be restored, and change nothing.")
+    ] = False,
     passphrase_file: PassphraseFile = None,
     limit_rate: LimitRate = None,
     connections: Connections = _CONNECTIONS,
@@ -202,10 +210,18 @@ def restore(
 ) -> None:
     """Restore a backup (the latest) to a new folder, or to an empty database and bucket. Running it again resumes.
 
+    With --project, restore that project, a mission or a file into the existing instance while people work. Nothing
+    there is overwritten: where other bytes have the path of a file, it is restored in the folder "restored TIME".
+
     The exit code is 9 if it was restored, but some files are lost or corrupt; it lists them.
     """
-    pace = {"bytes_per_s": parse_rate(limit_rate), "connections": connections}
-    _execute(_command("restore", location, passphrase_file, as_json, snapshot_id=snapshot, **pace), data_dir)
+    if project is None and (mission is not None or file is not None or dry_run):
+        raise typer.BadParameter("specify the project, too", param_hint="--project")
+    if file is not None and mission is None:
+        raise typer.BadParameter("specify the mission of the file, too", param_hint="--mission")
+    selected = {"project": project, "mission": mission, "file": file, "dry_run": dry_run}
+    more = {"bytes_per_s": parse_rate(limit_rate), "connections": connections, **selected}
+    _execute(_command("restore", location, passphrase_file, as_json, snapshot_id=snapshot, **more), data_dir)
 
 
 def _command(
@@ -223,7 +239,8 @@ def _execute(command: dict[str, object], data_dir: Path | None) -> None:
     _require_server()
     from kleinkram.standalone.backup import BackupTask
 
-    _become(BackupTask(str(resolve_data_dir(data_dir)), command, restores=command["command"] == "restore").command())
+    is_whole = command["command"] == "restore" and command["project"] is None
+    _become(BackupTask(str(resolve_data_dir(data_dir)), command, restores=is_whole).command())
 
 
 def _execute_server(command: dict[str, object]) -> None:

@@ -3,15 +3,20 @@
 `klein --help` must stay fast, so nothing here imports the SDK, pydantic or rich.
 """
 
+import contextlib
 import importlib
 import io
+import logging
+import os
 import sys
 import traceback
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any
 
 import typer
 import typer.main
 
+from kleinkram import traces
 from kleinkram.cli.commands import Group, Subcommands, closest, print_requests, take_flag
 
 # name -> (module of kleinkram.cli, attribute, the line in `klein --help`)
@@ -59,6 +64,8 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "endpoint": ("login", "app", "Show and choose the server that commands use."),
 }
 
+# Their processes export traces of their own.
+_LONG_RUNNING = frozenset({"up", "runner"})
 # Names of these commands in the original Kleinkram.
 ALIASES = {"template": "action", "execution": "run"}
 # Verbs that people type first, as in `klein list projects`.
@@ -138,6 +145,23 @@ def klein(
     """Keep every recording: upload a mission, know what is in it, find it, get it back intact."""
 
 
+@contextlib.contextmanager
+def _traced(arguments: Sequence[str]) -> Iterator[None]:
+    """Run a command as a span, below the one in `TRACEPARENT`; only if the environment asks for traces."""
+    name = next((argument for argument in arguments if argument in COMMANDS), "")
+    if name in _LONG_RUNNING or traces.endpoint() is None:
+        yield
+        return
+    for name_of_logger in ("opentelemetry", "kleinkram.traces"):  # a collector that is away does not concern users
+        logging.getLogger(name_of_logger).setLevel(logging.CRITICAL)
+    traces.start("klein")
+    try:
+        with traces.span(f"klein {name}".strip(), parent=os.environ.get("TRACEPARENT")):
+            yield
+    finally:
+        traces.stop()
+
+
 def main() -> None:
     """Run a command line; a failure is one sentence on stderr and its own exit code (`kleinkram.cli.errors`)."""
     for stream in (sys.stdout, sys.stderr):
@@ -151,7 +175,9 @@ def main() -> None:
     if debug:
         print_requests()
     try:
-        sys.exit(app(standalone_mode=False) or 0)
+        with _traced(sys.argv[1:]):
+            exit_code = app(standalone_mode=False) or 0
+        sys.exit(exit_code)
     except Exception as error:
         from kleinkram.cli.errors import explain
 

@@ -161,6 +161,14 @@ def read_token() -> str:
     return sys.stdin.readline().strip()
 
 
+def type_name(question: str) -> str:
+    """Ask for a name on the terminal, which confirms what cannot be undone; raise InvalidInput without an answer."""
+    try:
+        return str(typer.prompt(escape(question), err=True)).strip()
+    except typer.Abort:
+        raise InvalidInput(what="The confirmation", reason="no name was typed; scripts use --confirm NAME") from None
+
+
 def confirm(question: str, yes: bool) -> None:
     """Ask on the terminal unless `yes`; raise NotConfirmed unless the answer is yes."""
     if yes:

@@ -1,5 +1,10 @@
-"""`klein person …`, `klein group …` and `klein access …`: people and their rights."""
+"""`klein person …`, `klein group …` and `klein access …`: people, their rights, and their personal data."""
 
+import itertools
+import json
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -9,13 +14,16 @@ from kleinkram.cli.commands import Subcommands, Text, argument, flag, option
 from kleinkram.cli.render import Output, as_details, as_table, details, line, moment, note, table
 from kleinkram.cli.units import count, parse_time
 from kleinkram.client import Client
-from kleinkram.client.errors import InvalidInput
+from kleinkram.client.errors import DestinationRefused, InvalidInput
 from kleinkram.client.people import AccessResource, find_grant
 from kleinkram.contract.access import AccessRead, GrantRead, GroupRead, Right
 from kleinkram.contract.accounts import OneTimeLink
-from kleinkram.contract.people import PersonRead
+from kleinkram.contract.errors import NotAuthenticated
+from kleinkram.contract.people import Erasure, PersonalData, PersonRead
 
 person_app = Subcommands("Manage people. You see those who share a group or a project with you; admins see all.")
+# How long `erase` waits for the job that redacts the audit log.
+_REDACTION_WAIT_S = 60.0
 PersonArgument = Annotated[str, argument("PERSON", "Name, id, or an address that you may see.")]
 
 
@@ -73,6 +81,109 @@ def reactivate(client: Client, who: PersonArgument) -> Output:
     return _person(client.people.reactivate(client.people.get(who).id))
 
 
+@person_app.command("erase")
+def erase(
+    client: Client,
+    who: PersonArgument,
+    confirmation: Annotated[
+        Text, option("--confirm", "NAME", "The name of the person, instead of typing it when asked.")
+    ] = None,
+) -> Output:
+    """Erase a person irrevocably: their data is deleted, and a pseudonym replaces their name everywhere.
+
+    What they did stays on record. Texts that mention them are listed, and stay as they are.
+    """
+    person = client.people.get(who)
+    if person.erased_at is not None:
+        return _erased(client.people.erasure(person.id, wait_s=_REDACTION_WAIT_S), [])
+    if confirmation is None:
+        note(f"This cannot be undone: {person.name} ({person.id}) loses all access, and their data is deleted.")
+        confirmation = options.type_name(f"Type the name {person.name!r} to erase this person")
+    made = client.people.erase(person.id, confirmation=confirmation)
+    erasure = made.model_copy(update={"audit_events": _redacted_events(client, person)})
+    ended = f"{erasure.sessions} sessions, {erasure.tokens} tokens and {erasure.links} links ended."
+    notes = [f"{person.name} is erased, and appears as {erasure.person.name}: {ended}"]
+    if erasure.projects:
+        notes.append(f"The admins own now: {', '.join(erasure.projects)}")
+    return _erased(erasure, notes)
+
+
+def _redacted_events(client: Client, person: PersonRead) -> int | None:
+    try:
+        return client.people.erasure(person.id, wait_s=_REDACTION_WAIT_S).audit_events
+    except NotAuthenticated:  # admins may erase themselves
+        return None
+
+
+def _erased(erasure: Erasure, notes: list[str]) -> Output:
+    if erasure.audit_events is None:
+        notes.append("A worker will redact the audit log; run the command again to see whether it is done.")
+    else:
+        notes.append(f"Redacted {count(erasure.audit_events, 'event')} of the audit log.")
+    if not erasure.mentions:
+        return Output(erasure, notes)
+    mentions = erasure.mentions
+
+    def show() -> None:
+        for text in notes:
+            note(text)
+        note("These texts still mention the person; change them where that is necessary:")
+        table(
+            ["what", "name", "where", "id"],
+            [(row.resource_type.value, row.name, ", ".join(row.fields), row.id) for row in mentions],
+        )
+
+    return Output(erasure, show)
+
+
+@person_app.command("export")
+def export(
+    client: Client,
+    who: Annotated[Text, argument("PERSON", "Name, id or address; yourself by default.")] = None,
+    output: Annotated[
+        Path | None, option("--output -o", "FILE", "Write to this new file, which only you can read.")
+    ] = None,
+) -> Output:
+    """Write all that the server keeps of a person to a JSON file: yours, or as an admin, anybody's. No secrets."""
+    if output is None:
+        raise InvalidInput(what="The command", reason="specify the file to write: -o FILE")
+    person_id = client.me.get().person.id if who is None else client.people.get(who).id
+    try:
+        written = _write_sections(output, client.people.export(person_id))
+    except FileExistsError:
+        raise DestinationRefused(path=str(output), reason="it exists; remove it, or choose another name") from None
+    except OSError as error:
+        raise DestinationRefused(path=str(output), reason=error.strerror or str(error)) from None
+    return Output({"path": str(output), "records": written}, f"Wrote {count(written, 'record')} to {output}.")
+
+
+def _write_sections(path: Path, records: Iterable[PersonalData]) -> int:
+    """Write an object with a list for each section, record by record; an incomplete file is removed."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    written = 0
+    try:
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            for piece, is_record in _json_pieces(records):
+                file.write(piece)
+                written += is_record
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
+    return written
+
+
+def _json_pieces(records: Iterable[PersonalData]) -> Iterator[tuple[str, bool]]:
+    """Yield a JSON document piece by piece, and whether a piece is a record."""
+    separator = "{"
+    for section, rows in itertools.groupby(records, key=lambda row: row.section):
+        yield f'{separator}\n"{section.value}": [', False
+        for number, row in enumerate(rows):
+            yield f"{',' if number else ''}\n {json.dumps(row.record, ensure_ascii=False)}", True
+        yield "\n]", False
+        separator = ","
+    yield "\n}\n", False
+
+
 @person_app.command("invite")
 def invite(
     client: Client,
@@ -118,6 +229,7 @@ def _person(person: PersonRead) -> Output:
             ("admin", person.is_admin),
             ("since", person.created_at),
             ("left", person.deactivated_at),
+            ("erased", person.erased_at),
         ],
     )
 

@@ -49,6 +49,14 @@ _Registries = Annotated[
     Many, option("--registry", "R", "Allow images only from this registry; repeatable. Default: from anywhere.")
 ]
 
+_MetricsPort = Annotated[
+    int | None,
+    option("--metrics-port", "PORT", "Serve Prometheus metrics on this port. Default: none.", min=1, max=65535),
+]
+_MetricsAddress = Annotated[
+    str, option("--metrics-address", "ADDRESS", "Serve metrics on this address. They have no access control.")
+]
+
 
 def _limit(name: str, what: str, default: str) -> Any:  # Any: what `option` returns
     return option(name, "SIZE", f"Limit {what}. Default: {default}.")
@@ -72,6 +80,8 @@ def start(
     registry: _Registries = None,
     data_dir: Annotated[Path | None, option("--data-dir", "D", "Set the folder of its runs and inputs.")] = None,
     once: Annotated[bool, flag("--once", "End after one run.")] = False,
+    metrics_port: _MetricsPort = None,
+    metrics_address: _MetricsAddress = "127.0.0.1",
     as_json: Annotated[bool, flag("--json", "Write its log as lines of JSON.")] = False,
 ) -> None:
     """Run actions on this machine. Ctrl-C ends the runner and its runs; SIGTERM leaves its runs to the next one."""
@@ -95,6 +105,8 @@ def start(
         default_image=default_image or DEFAULT_IMAGE,
         registries=registry or None,
         once=once,
+        metrics_port=metrics_port,
+        metrics_address=metrics_address,
         log_format="json" if as_json else "text",
     )
     # A runner runs for a long time; its own process needs less memory than this one.

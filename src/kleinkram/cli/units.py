@@ -4,7 +4,7 @@ import datetime
 from collections.abc import Callable
 
 from kleinkram.client.errors import InvalidInput
-from kleinkram.contract.units import read_size, read_time
+from kleinkram.contract.units import format_size, read_size, read_time
 
 _NS = 1_000_000_000
 _YEAR_S = 365.25 * 86_400
@@ -50,14 +50,7 @@ def expiry(until: str | None, days: int | None, now: Callable[[], datetime.datet
 
 def size(size_bytes: int | None) -> str | None:
     """Return bytes as a person reads them."""
-    if size_bytes is None:
-        return None
-    value = float(size_bytes)
-    for unit in ("B", "kB", "MB", "GB", "TB"):
-        if value < 1000 or unit == "TB":
-            return f"{value:.0f} {unit}" if unit == "B" else f"{value:.1f} {unit}"
-        value /= 1000
-    return None
+    return None if size_bytes is None else format_size(size_bytes)
 
 
 def duration(nanoseconds: int | None) -> str | None:

@@ -18,13 +18,14 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from email.utils import parsedate_to_datetime
 from typing import TYPE_CHECKING, Any, TypeVar
-from urllib.parse import urlencode
+from urllib.parse import urlencode, urlsplit
 
 import urllib3
 from pydantic import BaseModel, ValidationError
 from typing_extensions import Self
 
 import kleinkram
+from kleinkram import traces
 from kleinkram.client._network import WatchedPools
 from kleinkram.client.config import TOKEN_VARIABLE, Endpoint
 from kleinkram.client.errors import AnswerNotUnderstood, ServerUnreachable, StoreUnreachable, remember_request
@@ -273,9 +274,7 @@ class Api:
             headers["Content-Type"] = "application/json"
         began_at, status = time.monotonic(), "no answer"
         try:
-            answer = self._pool.request(
-                method, target, body=content, headers=headers, redirect=False, preload_content=whole
-            )
+            answer = self._exchange(method, target, content, headers, whole)
             status = str(answer.status)
         finally:
             path = target.removeprefix(self.endpoint.url).partition("?")[0]  # a query may hold what is secret
@@ -289,6 +288,31 @@ class Api:
                 # A date is in whole seconds, and old by the time that it took to come.
                 self._server_ahead = ahead if abs(ahead) > _SAME_TIME else datetime.timedelta(0)
         return answer
+
+    def _exchange(
+        self, method: str, target: str, content: bytes | None, headers: Mapping[str, str], whole: bool
+    ) -> urllib3.BaseHTTPResponse:
+        def request(more: Mapping[str, str]) -> urllib3.BaseHTTPResponse:
+            return self._pool.request(
+                method, target, body=content, headers={**headers, **more}, redirect=False, preload_content=whole
+            )
+
+        if not traces.is_on():
+            return request({})
+        with traces.leaf_span(method, self._span_attributes(method, target)) as span:
+            parent = span.traceparent or traces.traceparent()  # the second where traces are not sampled
+            answer = request({} if parent is None else {"traceparent": parent})
+            span.set({"http.response.status_code": answer.status})
+            if answer.status >= 400:
+                span.fail(str(answer.status))
+            return answer
+
+    def _span_attributes(self, method: str, target: str) -> traces.Attributes:
+        server = urlsplit(self.endpoint.url)
+        path = target.removeprefix(self.endpoint.url).partition("?")[0]
+        attributes: dict[str, str | int] = {"http.request.method": method, "url.path": path}
+        attributes["server.address"] = server.hostname or ""
+        return attributes if server.port is None else {**attributes, "server.port": server.port}
 
     def _failure(self, what: str, answer: urllib3.BaseHTTPResponse, request_id: str) -> KleinkramError:
         error: KleinkramError

@@ -1,6 +1,7 @@
 """People, groups, and their access to projects and missions. `if_match` is the ETag that must still hold."""
 
 import datetime
+import time
 from collections.abc import Iterator
 
 from kleinkram.client._http import query_of
@@ -10,8 +11,10 @@ from kleinkram.contract.accounts import InvitationCreate, OneTimeLink
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.names import is_id
-from kleinkram.contract.people import Departure, PersonRead
+from kleinkram.contract.people import Departure, Erasure, PersonalData, PersonErase, PersonRead
 from kleinkram.contract.projects import ProjectRead
+
+_POLL_S = 0.5
 
 
 class People(NamedResource[PersonRead]):
@@ -54,6 +57,37 @@ class People(NamedResource[PersonRead]):
     def reactivate(self, person: Ref) -> PersonRead:
         """Let a person who left sign in again, with the groups and rights they have. For admins."""
         return self._api.send("POST", f"/people/{self.id_of(person)}/reactivate", PersonRead)
+
+    def erase(self, person: Ref, *, confirmation: str) -> Erasure:
+        """Erase a person irrevocably: a pseudonym replaces their name everywhere, and what they did stays on record.
+
+        `confirmation` is their name. Texts that mention them are returned, and stay as they are. A job redacts the
+        audit log: `erasure` returns when. For a person who was erased before, it only returns that. For admins.
+
+        Raises:
+            InvalidRequest: `confirmation` is not their name.
+            LastAdmin: they are the last lasting admin.
+            SignInTooOld: one must have signed in recently.
+        """
+        body = checked(PersonErase, "The confirmation", confirmation=confirmation)
+        return self._api.send("POST", f"/people/{self.id_of(person)}/erase", Erasure, body)
+
+    def erasure(self, person: Ref, *, wait_s: float = 0.0) -> Erasure:
+        """Return how far the erasure of a person is; wait at most `wait_s` for the audit log to be redacted."""
+        path, end = f"/people/{self.id_of(person)}/erasure", time.monotonic() + wait_s
+        while True:
+            erasure = self._api.get(path, Erasure)
+            if erasure.audit_events is not None or time.monotonic() >= end:
+                return erasure
+            time.sleep(_POLL_S)
+
+    def export(self, person: Ref) -> Iterator[PersonalData]:
+        """Yield all that the server keeps of a person, without secrets, as a stream of records.
+
+        For oneself with a credential of scope admin; admins export everybody's. Raises ServerUnreachable where the
+        stream breaks off.
+        """
+        return self._api.stream(f"/people/{self.id_of(person)}/export", PersonalData)
 
     def invite(self, email: str, *, name: str | None = None) -> OneTimeLink:
         """Return a link that creates an account with this address, once; no e-mail is sent. For admins.

@@ -208,6 +208,10 @@ class Admin(ApiResource):
         """Return the state of database, store and workers."""
         return self._api.get("/admin/health", admin.AdminHealth)
 
+    def status(self) -> admin.AdminStatus:
+        """Return whether the server is healthy, what is full and when it will be, and what needs an admin."""
+        return self._api.get("/admin/status", admin.AdminStatus)
+
     def settings(self) -> admin.AdminSettings:
         """Return the settings in force, secrets left out."""
         return self._api.get("/admin/settings", admin.AdminSettings)

@@ -1,11 +1,13 @@
 """The state of the server for admins: store, jobs, health, scrubs and settings."""
 
 import datetime
+import enum
 import uuid
 from typing import Any
 
 from kleinkram.contract.base import Request, Response
 from kleinkram.contract.home import StoreUse
+from kleinkram.contract.projects import ProjectRef
 
 
 class StateAmount(Response):
@@ -99,6 +101,60 @@ class AdminHealth(Response):
     store_checksum: str
     store_refuses_overwrites: bool
     store_allows_browser_uploads: bool
+
+
+class StatusSeverity(str, enum.Enum):
+    """`problem`: something does not work, or data are damaged; `warning`: it will not work for long, or is late."""
+
+    problem = "problem"
+    warning = "warning"
+
+
+class StatusItem(Response):
+    """Something that an admin should attend to. `remedy` says what to do; empty if the message does."""
+
+    severity: StatusSeverity
+    subject: str
+    message: str
+    remedy: str
+
+
+class CapacityUnit(str, enum.Enum):
+    """What a limit counts."""
+
+    bytes = "bytes"
+    files = "files"
+
+
+class CapacityForecast(Response):
+    """A limit, and when it will be reached: the quota of a project, or the store's disk (`project` is null).
+
+    `per_day` is the mean of the last 30 days, or of the project's or server's life if that is shorter: what was added
+    and still exists. `full_at`: null if nothing is added, or for more than ten years.
+    """
+
+    project: ProjectRef | None
+    unit: CapacityUnit
+    used: int
+    limit: int
+    per_day: int
+    full_at: datetime.datetime | None
+
+
+class AdminStatus(Response):
+    """Whether the server is healthy, what is full and when, and what needs an admin; problems come first.
+
+    `capacities` are in the order in which they will be full. The store is one of them if its size is known:
+    KLEINKRAM_STORE_FOLDER or KLEINKRAM_STORE_CAPACITY_BYTES.
+    """
+
+    now: datetime.datetime
+    version: str
+    is_healthy: bool
+    items: list[StatusItem]
+    stored_bytes: int
+    stored_bytes_per_day: int
+    capacities: list[CapacityForecast]
 
 
 class ScrubRequest(Request):

@@ -6,7 +6,7 @@ raises the same class that the server raised. Never match on a message.
     KleinkramError
       sign-in       NotAuthenticated SignInPending SlowDown SignInDenied SignInExpired SignInFailed SignInRefused
                     SignInTooOld SecondFactorNeeded SecondFactorWrong CodeGone ProviderUnavailable LastSignInMethod
-      permissions   Forbidden ScopeMissing TokenTooWide RightExceeded LastOwner LastAdmin GroupFixed
+      permissions   Forbidden ScopeMissing TokenTooWide RightExceeded LastOwner LastAdmin GroupFixed PersonErased
       requests      NotFound WrongClient AmbiguousName NameTaken NotFromLibrary EditConflict InvalidRequest
                     InvalidQuery InvalidCursor YamlInvalid FieldsInvalid MetadataInvalid BodyTooLarge MethodNotAllowed
       files         FileExists PathConflict NameLeased UploadGone UploadIncomplete ChecksumMismatch FileUnavailable
@@ -51,6 +51,7 @@ class ErrorCode(str, enum.Enum):
     last_owner = "last_owner"
     last_admin = "last_admin"
     group_fixed = "group_fixed"
+    person_erased = "person_erased"
     not_found = "not_found"
     wrong_client = "wrong_client"
     ambiguous_name = "ambiguous_name"
@@ -268,6 +269,12 @@ class GroupFixed(KleinkramError, status=409):
 
     name: str
     reason: str
+
+
+class PersonErased(KleinkramError, status=409):
+    """{name} was erased, which cannot be undone. If they sign in again, they get a new account."""
+
+    name: str
 
 
 # Requests

@@ -68,7 +68,7 @@ class ProjectStorage(Response):
 
 
 class StoreUse(Response):
-    """The bytes in the store, and the free space if its disk is on the server's machine."""
+    """The bytes in the store, and the free space if its disk is on the server's machine or its capacity is set."""
 
     used_bytes: int
     free_bytes: int | None

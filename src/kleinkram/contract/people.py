@@ -1,13 +1,14 @@
-"""People, the description of a server, and the rules for e-mail addresses."""
+"""People and their personal data, the description of a server, and the rules for e-mail addresses."""
 
 import datetime
+import enum
 import re
 import uuid
 from typing import Annotated
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, JsonValue
 
-from kleinkram.contract.base import NamedRef, Response
+from kleinkram.contract.base import NamedRef, Request, Response
 
 
 class PersonRef(NamedRef):
@@ -17,7 +18,7 @@ class PersonRef(NamedRef):
 class PersonRead(Response):
     """A person. `emails`, their verified addresses, are for themselves, admins, and editors of a shared group.
 
-    Only admins see deactivated people.
+    Only admins see deactivated people. The `name` of an erased person is a pseudonym.
     """
 
     id: uuid.UUID
@@ -26,6 +27,7 @@ class PersonRead(Response):
     is_admin: bool
     created_at: datetime.datetime
     deactivated_at: datetime.datetime | None
+    erased_at: datetime.datetime | None = None
 
 
 class Departure(Response):
@@ -36,6 +38,81 @@ class Departure(Response):
     tokens: int
     links: int
     projects: list[str]
+
+
+class PersonErase(Request):
+    """Erase a person: `POST /people/{id}/erase`. `confirmation` is their name, as typed by the admin."""
+
+    confirmation: Annotated[str, Field(max_length=200)]
+
+
+class MentionPlace(str, enum.Enum):
+    """The kind of an object with a text that contains somebody's name or address."""
+
+    project = "project"
+    mission = "mission"
+    file = "file"
+    group = "group"
+    share = "share"
+
+
+class Mention(Response):
+    """A text in which a person's name or address is found: which of its fields, and of which object."""
+
+    resource_type: MentionPlace
+    id: uuid.UUID
+    name: str
+    fields: list[str]
+
+
+class Erasure(Response):
+    """What the erasure of a person ended, and where their name is still mentioned, which stays as it is.
+
+    `audit_events` is the number of events in which it was replaced; null until a job has done that. The counts and
+    mentions are null when the person was erased before.
+    """
+
+    person: PersonRef
+    erased_at: datetime.datetime
+    sessions: int | None = None
+    tokens: int | None = None
+    links: int | None = None
+    projects: list[str] | None = None
+    mentions: list[Mention] | None = None
+    audit_events: int | None
+
+
+class DataSection(str, enum.Enum):
+    """A kind of data that is kept of a person, in the order of an export."""
+
+    account = "account"
+    addresses = "addresses"
+    identities = "identities"
+    sign_in = "sign_in"
+    sessions = "sessions"
+    tokens = "tokens"
+    logins = "logins"
+    invitations = "invitations"
+    groups = "groups"
+    rights = "rights"
+    links = "links"
+    runners = "runners"
+    projects = "projects"
+    missions = "missions"
+    uploads = "uploads"
+    files = "files"
+    checks = "checks"
+    actions = "actions"
+    runs = "runs"
+    mentions = "mentions"
+    audit_events = "audit_events"
+
+
+class PersonalData(Response):
+    """One record of `GET /people/{id}/export`, without secrets. Records of a section follow one another."""
+
+    section: DataSection
+    record: dict[str, JsonValue]
 
 
 class ViewerRead(Response):

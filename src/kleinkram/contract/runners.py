@@ -123,7 +123,8 @@ class RunAssignment(Response):
     """A run that is leased to a runner.
 
     `image_digest` is what the image's name was first resolved to, by any runner: only that image may be run.
-    `token` is the run's own and valid while the run lasts; null where the network is `none`.
+    `token` is the run's own and valid while the run lasts; null where the network is `none`. `traceparent` (W3C Trace
+    Context) is the trace that the run belongs to, if the server exports traces.
     """
 
     run_id: uuid.UUID
@@ -144,6 +145,7 @@ class RunAssignment(Response):
     inputs: list[AssignedInput]
     token: Annotated[str | None, Field(repr=False)]
     lease_s: float
+    traceparent: str | None = None
 
 
 class ClaimReply(Response):

@@ -1,4 +1,4 @@
-"""Sizes, durations and times: reading them from text and writing them as text, without rounding."""
+"""Sizes, durations and times: reading them from text and writing them as text; only `format_size` rounds."""
 
 import datetime
 import math
@@ -46,6 +46,15 @@ def read_size(text: str) -> Fraction:
         raise ValueError("write bytes, or a number with kB, MB, GB, TB or KiB, MiB, GiB, TiB")
     power: int = base ** (_LETTERS.index(letter) + 1) if letter else 1
     return Fraction(match["number"]) * power
+
+
+def format_size(size_bytes: float) -> str:
+    """Return bytes as a person reads them: `12 B`, `1.5 GB`."""
+    for unit in ("B", "kB", "MB", "GB"):
+        if size_bytes < 1000:
+            return f"{size_bytes:.0f} {unit}" if unit == "B" else f"{size_bytes:.1f} {unit}"
+        size_bytes /= 1000
+    return f"{size_bytes:.1f} TB"
 
 
 def read_duration(text: str) -> Fraction:

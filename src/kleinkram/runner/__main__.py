@@ -4,9 +4,8 @@ ARGUMENTS is the JSON of `Arguments`. SIGTERM ends the runner but not its runs, 
 ends its runs, too, which the next one starts again.
 """
 
-import datetime
+import contextlib
 import enum
-import json
 import logging
 import os
 import signal
@@ -19,6 +18,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
+from kleinkram import traces
 from kleinkram.client.errors import ConfigurationBroken, CredentialsExposed, InvalidInput, NotConfigured
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.names import Label
@@ -26,6 +26,7 @@ from kleinkram.contract.runners import Isolation
 from kleinkram.environments.cache import EnvironmentCache
 from kleinkram.environments.local import local_index
 from kleinkram.environments.uv import PackageIndex
+from kleinkram.json_logs import JsonLines
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.docker.client import DockerClient, EngineError, EngineUnavailable, find_socket
 from kleinkram.runner.executors.docker.executor import DockerExecutor, Pull
@@ -81,6 +82,8 @@ class Arguments(BaseModel):
     pull: Pull = Pull.missing
     registries: list[str] | None = None
     once: bool = False
+    metrics_port: int | None = None
+    metrics_address: str = "127.0.0.1"
     log_format: Literal["json", "text"] = "text"
 
     def command(self) -> list[str]:
@@ -88,24 +91,16 @@ class Arguments(BaseModel):
         return [sys.executable, "-m", "kleinkram.runner", self.model_dump_json(exclude_defaults=True)]
 
 
-class _JsonLines(logging.Formatter):
-    def format(self, record: logging.LogRecord) -> str:
-        at = datetime.datetime.fromtimestamp(record.created, datetime.timezone.utc).isoformat(timespec="milliseconds")
-        line = {"at": at, "level": record.levelname.lower(), "logger": record.name, "message": record.getMessage()}
-        if record.exc_info:
-            line["exception"] = self.formatException(record.exc_info)
-        return json.dumps(line)
-
-
 def main() -> None:
     """Run until a signal; an error is one sentence on stderr and exit code 1."""
     arguments = Arguments.model_validate_json(sys.argv[1])
     handler = logging.StreamHandler(sys.stderr)
     text = logging.Formatter("%(asctime)s %(levelname)s %(name)s %(message)s")
-    handler.setFormatter(_JsonLines() if arguments.log_format == "json" else text)
+    handler.setFormatter(JsonLines("runner") if arguments.log_format == "json" else text)
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     # It would log URLs, which are signed.
     logging.getLogger("urllib3").setLevel(logging.ERROR)
+    traces.start("kleinkram-runner")
     try:
         with open_state_directory(arguments.data_dir) as state:
             options = RunnerOptions(
@@ -130,12 +125,31 @@ def main() -> None:
                 runner=str(state.runner_id),
                 machine=Machine(state.path, share, find_index(arguments.package_index)),
             )
-            code = _run_until_signal(Runner(options, state, executor), once=arguments.once)
+            runner = Runner(options, state, executor)
+            with _serve_metrics(runner, arguments):
+                code = _run_until_signal(runner, once=arguments.once)
     except KleinkramError as error:
         sys.exit(f"Error: {error}")
+    traces.stop()
     # Do not wait for threads that wait for an unavailable server.
     logging.shutdown()
     os._exit(code)
+
+
+def _serve_metrics(runner: Runner, arguments: Arguments) -> contextlib.AbstractContextManager[object]:
+    """Serve the metrics of a runner, if it is to.
+
+    Raises:
+        InvalidInput: the library is not installed, or the port cannot be opened.
+    """
+    if arguments.metrics_port is None:
+        return contextlib.nullcontext()
+    try:
+        from kleinkram.runner.metrics_server import serve_metrics
+    except ImportError:
+        reason = "metrics need another package: pip install 'open-kleinkram[metrics]'"
+        raise InvalidInput(what="The option --metrics-port", reason=reason) from None
+    return serve_metrics(runner, arguments.data_dir, arguments.metrics_address, arguments.metrics_port)
 
 
 def find_token(file: Path | None) -> str:

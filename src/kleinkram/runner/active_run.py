@@ -10,10 +10,12 @@ import math
 import threading
 from collections.abc import Callable
 
+from kleinkram import traces
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.reports import Progress
 from kleinkram.contract.runners import Heartbeat, HeartbeatReply, LeaseStatus, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason, RunState, UsageSample
+from kleinkram.json_logs import log_fields
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end
 from kleinkram.runner.executors.supervision import CANCELLED, boot_time_s
 from kleinkram.runner.inputs import job_of, prepare_run
@@ -150,13 +152,31 @@ class ActiveRun:
         return job_of(self._context, self._attempt)
 
     def _run(self) -> None:
+        assignment = self.assignment
+        attributes: traces.Attributes = {
+            "kleinkram.run_id": str(assignment.run_id),
+            "kleinkram.attempt": assignment.attempt,
+            "kleinkram.action": assignment.action.name,
+            "kleinkram.mission_id": str(assignment.mission_id),
+        }
+        parent = assignment.traceparent
+        with (
+            log_fields(run_id=str(assignment.run_id), attempt=assignment.attempt),
+            traces.span("run", attributes, kind=traces.Kind.consumer, parent=parent) as span,
+        ):
+            self._run_to_end()
+            if self._attempt.state.ending is not None:
+                span.set({"kleinkram.reason": self._attempt.state.ending.reason.value})
+
+    def _run_to_end(self) -> None:
         is_detached = False
         try:
             try:
                 if self._attempt.state.stage is not RunState.collecting:
                     ending = self._run_job()
                     self._attempt.change(stage=RunState.collecting, ending=ending, usage=self._usage)
-                self._upload_results()
+                with traces.span("upload results"):
+                    self._upload_results()
             except OSError as error:
                 if error.errno not in _DISK_FULL_ERRORS:
                     raise
@@ -166,10 +186,13 @@ class ActiveRun:
             is_detached = stopped.request is StopRequest.detach
             if not is_detached:
                 _log.info("the run %s is not this runner's any more", self.assignment.run_id)
+                self._context.statistics.count_end(None)
         except RunGone:
             _log.info("the run %s is not this runner's any more", self.assignment.run_id)
+            self._context.statistics.count_end(None)
         except (KleinkramError, OSError):
             # Its lease ends, and the server decides what happens.
+            self._context.statistics.count_end(None)
             _log.exception("the run %s is given up", self.assignment.run_id)
         finally:
             if is_detached:
@@ -195,8 +218,10 @@ class ActiveRun:
                 elif ending is not None:
                     return ending
             if not self._is_submitted:
-                self._prepare_and_submit()
-            return self._watch()
+                with traces.span("prepare"):
+                    self._prepare_and_submit()
+            with traces.span("execute"):
+                return self._watch()
         except CannotStart as error:
             # Whatever was starting may have been killed for a stop request.
             self._check_stop()
@@ -320,6 +345,7 @@ class ActiveRun:
         digest = self._attempt.state.image_digest
         changes = {"usage": self._usage, "samples": self._samples[:_MAX_SAMPLES], "image_digest": digest}
         upload.report(finish.model_copy(update=changes))
+        self._context.statistics.count_end(finish.reason)
 
     def _set_state(self, state: RunState) -> None:
         self._state = state

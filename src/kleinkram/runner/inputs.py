@@ -108,6 +108,9 @@ def _place(context: RunnerContext, assignment: RunAssignment, source: "InputDown
         raise _unavailable(str(error)) from error
     except OSError as error:
         raise _unavailable(f"Its inputs cannot be placed: {error.strerror}.") from error
+    placed_bytes = sum(file.size_bytes for file in {*files.values()})
+    context.statistics.count_inputs("store", source.fetched_bytes)
+    context.statistics.count_inputs("cache", placed_bytes - source.fetched_bytes)
     run_context = context.runners.get_context(assignment.run_id, assignment.attempt)
     trusted = os.environ.get("SSL_CERT_FILE") if assignment.network is Network.api else None
     write_context(directory, run_context, assignment.script, Path(trusted).read_text() if trusted else None)
@@ -162,6 +165,7 @@ class InputDownload:
         self._assignment = assignment
         self._stop = stop
         self._urls: dict[str, str] = {}
+        self.fetched_bytes = 0
         self._lock = threading.Lock()
 
     def fetch_into(self, cache: InputCache, missing: Sequence[InputFile]) -> None:
@@ -185,6 +189,7 @@ class InputDownload:
                     for download in done:
                         download.result()
                     self._stop.check()
+                self.fetched_bytes += sum(file.size_bytes for file in batch)
         finally:
             # A thread that waits for the store notices this later.
             is_over.set()

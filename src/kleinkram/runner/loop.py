@@ -11,6 +11,7 @@ import math
 import threading
 import time
 import uuid
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,6 +36,7 @@ from kleinkram.runner.active_run import ActiveRun
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.supervision import boot_time_s
 from kleinkram.runner.state_directory import LEASE_MARGIN_S, Attempt, Lease, RunnerContext, StateDirectory, StopRequest
+from kleinkram.runner.statistics import RunnerStatistics
 from kleinkram.systemd import Watchdog, notify_ready, notify_status, notify_stopping
 
 _log = logging.getLogger("kleinkram.runner")
@@ -76,6 +78,7 @@ class Runner:
         self._executor = executor
         self._api = Api(endpoint)
         self._runners = Runners(self._api)
+        self.statistics = RunnerStatistics()
         # A request that hangs must not cost the leases.
         self._heartbeat_api = Api(endpoint, read_timeout_s=_HEARTBEAT_TIMEOUT_S)
         self._store = StoreClient(_STORE_CONNECTIONS)
@@ -102,6 +105,7 @@ class Runner:
             service=Service(self._api),
             default_image=options.default_image,
             on_change=self._has_changes.set,
+            statistics=self.statistics,
         )
 
     def run(self, *, once: bool = False) -> None:
@@ -133,6 +137,20 @@ class Runner:
                 while self._active:
                     run.join(_ENFORCE_EVERY_S)
                 return
+
+    @property
+    def capacity(self) -> Capacity:
+        """What all runs together may use."""
+        return self._executor.capacity
+
+    @property
+    def active_count(self) -> int:
+        """The number of runs that this runner has."""
+        return len(self._active)
+
+    def reserved(self) -> Capacity:
+        """Return what its runs may use."""
+        return _reserved_by(self._active_runs())
 
     def stop(self) -> None:
         """Have `run` return soon. From any thread, and from a signal handler."""
@@ -219,12 +237,12 @@ class Runner:
         self._has_capacity.clear()
         self._progress_s["claims"] = time.monotonic()
         active = self._active_runs()
-        capacity, used = self._executor.capacity, [run.assignment.resources for run in active]
+        capacity, used = self.capacity, _reserved_by(active)
         free = Capacity(
-            cores=max(0.0, round(capacity.cores - sum(resources.cores for resources in used), 6)),
-            memory_bytes=max(0, capacity.memory_bytes - sum(resources.memory_bytes for resources in used)),
-            disk_bytes=max(0, capacity.disk_bytes - sum(resources.disk_bytes for resources in used)),
-            gpus=max(0, capacity.gpus - sum(resources.gpus for resources in used)),
+            cores=max(0.0, round(capacity.cores - used.cores, 6)),
+            memory_bytes=max(0, capacity.memory_bytes - used.memory_bytes),
+            disk_bytes=max(0, capacity.disk_bytes - used.disk_bytes),
+            gpus=max(0, capacity.gpus - used.gpus),
         )
         if free.cores < _MIN_CORES or min(free.memory_bytes, free.disk_bytes) < _MIN_BYTES:
             self._has_capacity.wait(HEARTBEAT_S)
@@ -239,6 +257,7 @@ class Runner:
         try:
             assignment = self._runners.claim(self._state.runner_id, request)
             self._is_unreachable = False
+            self.statistics.count_answer()
             if assignment is None:
                 return None
             _log.info("got the run %s of %s", assignment.run_id, assignment.action.name)
@@ -248,6 +267,7 @@ class Runner:
         except NotFound:
             self._register_until_accepted()
         except (KleinkramError, OSError) as error:
+            self.statistics.count_error("claim")
             self._log_unreachable(error)
             self._is_stopping.wait(_REFUSED_RETRY_S if isinstance(error, _REFUSALS) else _RETRY_S)
         return None
@@ -287,6 +307,7 @@ class Runner:
                 self._send_heartbeat(runners)
                 backoff = None
             except (KleinkramError, OSError) as error:
+                self.statistics.count_error("heartbeat")
                 if backoff is None:
                     _log.warning("the server gets no heartbeats of %d runs: %s", len(self._active), error)
                 backoff = backoff or Backoff(math.inf, self._is_closed.wait)
@@ -300,6 +321,7 @@ class Runner:
         heartbeats = {run_id: run.heartbeat() for run_id, run in active.items()}
         requested_s = boot_time_s()
         replies = runners.send_heartbeats(self._state.runner_id, Heartbeats(runs=[*heartbeats.values()]))
+        self.statistics.count_answer()
         try:
             self._state.record_heartbeat(requested_s)  # for the next runner
             self._is_heartbeat_recorded = True
@@ -319,3 +341,13 @@ class Runner:
                 watchdog.ping()
             for run in self._active_runs():
                 run.enforce()
+
+
+def _reserved_by(runs: Sequence[ActiveRun]) -> Capacity:
+    resources = [run.assignment.resources for run in runs]
+    return Capacity(
+        cores=sum(one.cores for one in resources),
+        memory_bytes=sum(one.memory_bytes for one in resources),
+        disk_bytes=sum(one.disk_bytes for one in resources),
+        gpus=sum(one.gpus for one in resources),
+    )

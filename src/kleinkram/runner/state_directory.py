@@ -19,7 +19,7 @@ import shutil
 import threading
 import uuid
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -32,6 +32,7 @@ from kleinkram.contract.runners import RunAssignment
 from kleinkram.contract.runs import RunState, Usage
 from kleinkram.runner.executors.base import Ending, Executor
 from kleinkram.runner.executors.supervision import LOG, boot_time_s, write_atomically, write_in_place
+from kleinkram.runner.statistics import RunnerStatistics
 
 LOG_UPLOAD = "log-upload.json"
 _STATE = "state.json"
@@ -200,6 +201,7 @@ class RunnerContext:
     service: Service
     default_image: str | None
     on_change: Callable[[], None]
+    statistics: RunnerStatistics = field(default_factory=RunnerStatistics)
 
 
 class StopRequest(str, enum.Enum):

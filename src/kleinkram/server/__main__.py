@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NoReturn
 
+from kleinkram import traces
 from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.logs import set_up_logs
 from kleinkram.server.settings import Settings, plain_dsn
@@ -35,7 +36,7 @@ def main() -> None:
         sys.exit(str(error))
     if getattr(arguments, "metrics_port", None) is not None:
         settings = settings.model_copy(update={"metrics_port": arguments.metrics_port})
-    set_up_logs(settings.log_format)
+    set_up_logs(settings.log_format, settings.log_level, role=arguments.command)
     if arguments.command == "migrate":
         _migrate(settings)
     elif arguments.command == "create-bucket":
@@ -66,11 +67,12 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _migrate(settings: Settings) -> None:
-    from kleinkram.server.migrations.migrate import MigrationBlocked, SchemaUnsupported, migrate
+    from kleinkram.server.migrations.migrate import MigrationBlocked, SchemaUnsupported, migrate, set_audit_retention
 
     url = plain_dsn(settings.migration_database_url or settings.database_url).replace("://", "+psycopg://", 1)
     try:
         migrate(url, settings.serving_role)
+        set_audit_retention(url, settings.audit_days)
     except (MigrationBlocked, SchemaUnsupported) as error:
         sys.exit(str(error))
 
@@ -99,14 +101,18 @@ def _work(settings: Settings) -> None:
 
     # Requests have priority over jobs. The child processes that read recordings inherit this.
     os.nice(_NICENESS)
+    traces.start("kleinkram-worker")
     try:
         asyncio.run(run_worker(settings))
     except MetricsPortUnusable as error:
         logging.getLogger("kleinkram").critical(str(error))
         sys.exit(_NOT_STARTED)
+    finally:
+        traces.stop()
 
 
 def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
+    traces.start("kleinkram-api")
     with _loading():
         import uvicorn
 
@@ -131,6 +137,7 @@ def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
     server = ApiServer(config, app)
     with contextlib.suppress(KeyboardInterrupt):
         server.run()
+    traces.stop()
     if not server.started:
         sys.exit(_NOT_STARTED)
 

@@ -8,6 +8,8 @@ from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
 import kleinkram
+from kleinkram import traces
+from kleinkram.metric_definitions import MetricSource
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
 from kleinkram.server.actions.routes import library_router as library
 from kleinkram.server.actions.routes import router as actions
@@ -15,9 +17,9 @@ from kleinkram.server.admin.routes import router as admin
 from kleinkram.server.audit.requests import AdminReads, Refusals
 from kleinkram.server.audit.routes import router as audit
 from kleinkram.server.auth.bootstrap import ensure_local_owner, log_bootstrap_code
-from kleinkram.server.auth.dependencies import open_providers
 from kleinkram.server.auth.local_accounts import PasswordHasher
 from kleinkram.server.auth.pages import router as sign_in_pages
+from kleinkram.server.auth.providers import open_providers
 from kleinkram.server.auth.routes import me_router, people_router
 from kleinkram.server.auth.routes import router as auth
 from kleinkram.server.checks.routes import router as checks
@@ -36,6 +38,7 @@ from kleinkram.server.home.routes import router as home_summary
 from kleinkram.server.http.dependencies import requires_actor
 from kleinkram.server.http.errors import install_error_handlers
 from kleinkram.server.http.middleware import RequestMiddleware
+from kleinkram.server.http.trace_middleware import TraceMiddleware
 from kleinkram.server.http.web_app import router as web
 from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.overviews.routes import router as overviews
@@ -107,7 +110,7 @@ def create_app(settings: Settings) -> FastAPI:
                 open_storage(settings) as store,
                 open_providers(settings) as providers,
                 open_hub(settings) as app.state.hub,
-                serve_metrics(settings, database) as app.state.metrics_port,
+                serve_metrics(settings, database, MetricSource.api) as app.state.metrics_port,
             ):
                 abilities = await probe(store)
                 async with database.begin() as db:
@@ -141,11 +144,15 @@ def create_app(settings: Settings) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         responses={"default": _PROBLEM},
+        # Its spans, metrics and logs would be exported with the queries of requests, which may hold secrets.
+        telemetry={"tracing": False, "metrics": False, "logs": False, "auto_configure": False},
     )
     app.state.settings = settings
     app.state.admin_reads, app.state.refusals = AdminReads(), Refusals()
     app.state.slice_slots = SliceSlots(settings.slices_at_once, settings.slices_per_account)
     app.add_middleware(RequestMiddleware, settings=settings)
+    if traces.is_on():
+        app.add_middleware(TraceMiddleware)  # the one added last is the outermost
     install_error_handlers(app)
     for router in ROUTERS:
         app.include_router(router)

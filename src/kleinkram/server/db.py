@@ -7,7 +7,7 @@ the object store opens several with `Database.begin`; reads can do without a tra
 import hashlib
 import select
 from collections.abc import AsyncIterator, Iterable, Iterator, Mapping, Sequence
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import ExitStack, asynccontextmanager, contextmanager
 from typing import Any, overload
 
 import psycopg
@@ -42,6 +42,7 @@ from sqlalchemy.types import UserDefinedType
 
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.contract.names import name_key
+from kleinkram.server import metrics
 from kleinkram.server.settings import Settings, async_dsn
 
 # Longer than any statement of the API on a large database; workers may need longer.
@@ -65,7 +66,7 @@ class Database:
     async def begin(self) -> AsyncIterator[Connection]:
         """Run a transaction: commit at the end, roll back on any error. Raises DatabaseUnavailable."""
         with _translate_errors():
-            async with self._transactions.begin() as connection:
+            async with _connect(self._transactions) as connection, connection.begin():
                 yield connection
 
     @asynccontextmanager
@@ -75,12 +76,23 @@ class Database:
         Raises DatabaseUnavailable.
         """
         with _translate_errors():
-            async with self.engine.connect() as connection:
+            async with _connect(self.engine) as connection:
                 yield connection
 
     async def close(self) -> None:
         """Close every connection."""
         await self.engine.dispose()
+
+
+@asynccontextmanager
+async def _connect(engine: AsyncEngine) -> AsyncIterator[Connection]:
+    """Take a connection from the pool, and measure how long that takes."""
+    with ExitStack() as wait:
+        wait.enter_context(metrics.DATABASE_CONNECTIONS_WAITING.track_inprogress())
+        wait.enter_context(metrics.DATABASE_CONNECTION_WAIT_SECONDS.time())
+        async with engine.connect() as connection:
+            wait.close()
+            yield connection
 
 
 @contextmanager

@@ -1,15 +1,16 @@
-"""Periodic jobs that concern several features: the maintenance of runs, and garbage collection."""
+"""Periodic jobs that concern several features: maintenance of runs, garbage collection, expiry of the audit log."""
 
 from procrastinate import JobContext
 from sqlalchemy import delete, func, or_, select, text
 
+from kleinkram.server.audit.retention import expire_events
 from kleinkram.server.auth.one_time_codes import delete_expired_codes
 from kleinkram.server.blobs import garbage_collection, scrub, service
 from kleinkram.server.checks.jobs import judge_forgotten
 from kleinkram.server.context import AppContext
 from kleinkram.server.http.rate_limit import delete_expired_counts
 from kleinkram.server.jobs.execution import app_context
-from kleinkram.server.jobs.queue import Job, delete_failed_jobs, queue
+from kleinkram.server.jobs.queue import Job, delete_failed_jobs, queue, requeue_unknown_jobs
 from kleinkram.server.recordings.derive import derive_forgotten
 from kleinkram.server.runs.automatic import enqueue_automatic_runs
 from kleinkram.server.runs.lifecycle import cancel_orphans, requeue_lost_runs
@@ -79,6 +80,7 @@ async def collect_garbage(context: AppContext) -> None:
         await service.verify_old(db, store_id=store_id, older_than_days=days, limit=_MAX_REVERIFIED)
         await scrub.begin_due_scrub(db, settings)
     async with context.database.begin() as db:
+        await requeue_unknown_jobs(db)
         await delete_failed_jobs(db)
         await delete_cleaned_uploads(db)
         await delete_expired_codes(db)
@@ -97,3 +99,12 @@ async def collect_garbage(context: AppContext) -> None:
         await context.storage.delete(row.key)
         async with context.database.begin() as db:
             await garbage_collection.delete_row(db, row.id)
+
+
+@queue.periodic(cron="17 3 * * *")
+@queue.task(
+    name=Job.expire_audit_log.value, pass_context=True, queueing_lock="expire_audit_log", lock="expire_audit_log"
+)
+async def run_expiry_of_audit_log(job_context: JobContext, timestamp: int = 0) -> None:
+    """Delete the events of the audit log that are older than the settings allow."""
+    await expire_events(app_context(job_context))

@@ -24,12 +24,15 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from kleinkram.contract.access import Right
 from kleinkram.contract.names import Name, name_key
-from kleinkram.contract.people import EmailDomain
+from kleinkram.contract.people import EmailAddress, EmailDomain
 from kleinkram.environments.uv import PYPI, parse_index
 
 Seconds = Annotated[float, Field(gt=0)]
 PerMinute = Annotated[int, Field(ge=0)]
 
+
+# The database refuses fewer: a mistake must not delete what happened last week.
+MIN_AUDIT_DAYS = 30
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
@@ -40,9 +43,21 @@ def _networks(text: object) -> object:
     return tuple(ipaddress.ip_network(part.strip()) for part in text.split(",") if part.strip())
 
 
+def _separated(text: object) -> object:
+    return tuple(part.strip() for part in text.split(",") if part.strip()) if isinstance(text, str) else text
+
+
 def _package_index(text: str) -> str:
     parse_index(text)
     return text
+
+
+class SmtpSecurity(str, enum.Enum):
+    """How the connection to the mail server is encrypted."""
+
+    starttls = "starttls"
+    tls = "tls"
+    none = "none"
 
 
 class OpenTo(str, enum.Enum):
@@ -78,6 +93,11 @@ class OidcProvider(BaseModel):
         if not (parts.scheme == "https" or is_near) or not parts.hostname or parts.query or parts.fragment:
             raise ValueError("must be an https address (http only on this machine), without query and fragment")
         return issuer
+
+    @property
+    def is_refreshable(self) -> bool:
+        """Whether it grants refresh tokens that outlive the person's session there."""
+        return "offline_access" in self.scopes
 
     def trusts(self, domain: str) -> bool:
         """Return whether it is trusted to verify addresses in exactly this domain."""
@@ -170,6 +190,9 @@ class Settings(BaseSettings):
     store_folder: Path | None = Field(
         default=None, description="A folder on the store's disk, if it is on this machine, to report free space."
     )
+    store_capacity_bytes: int | None = Field(
+        default=None, ge=1, description="Size of a store on another machine, to report free space."
+    )
 
     public_url: str = Field(default="http://127.0.0.1:8000", description="URL of this server, as clients reach it.")
     lab_name: str = Field(
@@ -192,6 +215,19 @@ class Settings(BaseSettings):
     )
     session_s: Seconds = Field(
         default=90 * 86_400, description="Seconds after sign-in after which a browser is signed out."
+    )
+    provider_session_days: int = Field(
+        default=30,
+        ge=0,
+        le=3650,
+        description="Days after which browser sessions and tokens of `klein login` stop working, until the provider "
+        "with which the person signed in confirms their account again; 0: never.",
+    )
+    provider_check_hours: float = Field(
+        default=24,
+        ge=0,
+        description="Hours between checks of an account at its provider by a refresh token, if its `scopes` have "
+        "`offline_access`; 0: never.",
     )
     login_token_days: int = Field(
         default=90, ge=1, le=3650, description="Lifetime of tokens from `klein login`, in days."
@@ -240,7 +276,31 @@ class Settings(BaseSettings):
     metrics_address: str = Field(
         default="127.0.0.1", description="Address for metrics. They have no access control: use a private network."
     )
+    report_to: Annotated[
+        tuple[EmailAddress, ...],
+        NoDecode,
+        BeforeValidator(_separated),
+        Field(description="Addresses that get the status of the server by mail every Monday, separated by commas."),
+    ] = ()
+    smtp_host: str | None = Field(default=None, min_length=1, description="Mail server; needed for `REPORT_TO`.")
+    smtp_port: int = Field(default=587, ge=1, le=65535, description="Port of the mail server.")
+    smtp_security: SmtpSecurity = Field(
+        default=SmtpSecurity.starttls,
+        description="`starttls` (usually port 587), `tls` (usually 465), or `none` for a mail server on this machine.",
+    )
+    smtp_user: str | None = Field(default=None, min_length=1, description="User at the mail server. Default: none.")
+    smtp_password: SecretStr | None = Field(default=None, description="Password of that user.")
+    smtp_ca_file: Path | None = Field(
+        default=None, description="Certificate of the mail server's certificate authority, if that is private."
+    )
+    mail_from: EmailAddress | None = Field(
+        default=None, description="Address from which mail is sent; needed for `REPORT_TO`."
+    )
     log_format: Literal["json", "text"] = Field(default="json", description="Format of log lines.")
+    log_level: Literal["debug", "info", "warning"] = Field(
+        default="info",
+        description="Lowest level of log lines; `debug` adds the starts of jobs and the ends of periodic ones.",
+    )
 
     affiliations: tuple[Affiliation, ...] = Field(
         default=(),
@@ -286,7 +346,7 @@ class Settings(BaseSettings):
         default=600, description="Verification requests for files per token, session or link; 0: no limit."
     )
     exports_per_minute: PerMinute = Field(
-        default=6, description="Exports of the audit log per token, session or link; 0: no limit."
+        default=6, description="Exports of the audit log and of people's data per token, session or link; 0: no limit."
     )
     upload_lease_s: Seconds = Field(
         default=60, description="Seconds for which an upload reserves its name after the last part was signed."
@@ -309,6 +369,16 @@ class Settings(BaseSettings):
         default=1024 * 1024 * 1024, ge=256 * 1024 * 1024, description="Address space of the process that makes a slice."
     )
     share_days_max: int = Field(default=90, ge=1, le=3650, description="Maximum lifetime of share links, in days.")
+    audit_days: int = Field(
+        default=0,
+        ge=0,
+        description="Days for which events of the audit log are kept, at least 30; 0: forever. `migrate` applies it.",
+    )
+    audit_archive: Path | None = Field(
+        default=None,
+        description="A folder to which the worker writes events of the audit log before they are deleted. "
+        "Default: they are not kept.",
+    )
     trash_days: int = Field(default=30, ge=0, description="Days for which deleted objects can be restored.")
     garbage_grace_s: float = Field(
         default=3600,
@@ -332,6 +402,13 @@ class Settings(BaseSettings):
         default=1024**3, ge=128 * 1024**2, description="Address space of the child process that reads recordings."
     )
     summary_timeout_s: Seconds = Field(default=300, description="Maximum seconds for the summary of one recording.")
+
+    @field_validator("audit_days")
+    @classmethod
+    def _is_not_short(cls, days: int) -> int:
+        if 0 < days < MIN_AUDIT_DAYS:
+            raise ValueError(f"must be 0, or at least {MIN_AUDIT_DAYS}")
+        return days
 
     @model_validator(mode="before")
     @classmethod
@@ -357,6 +434,16 @@ class Settings(BaseSettings):
         if len({name_key(affiliation.name) for affiliation in affiliations}) < len(affiliations):
             raise ValueError("two affiliations have the same name")
         return affiliations
+
+    @model_validator(mode="after")
+    def _can_send_reports(self) -> "Settings":
+        if self.report_to and (self.smtp_host is None or self.mail_from is None):
+            raise ValueError("KLEINKRAM_REPORT_TO needs KLEINKRAM_SMTP_HOST and KLEINKRAM_MAIL_FROM")
+        if (self.smtp_user is None) != (self.smtp_password is None):
+            raise ValueError("KLEINKRAM_SMTP_USER and KLEINKRAM_SMTP_PASSWORD belong together")
+        if self.smtp_user is not None and self.smtp_security is SmtpSecurity.none:
+            raise ValueError("KLEINKRAM_SMTP_PASSWORD is not sent without encryption: set KLEINKRAM_SMTP_SECURITY")
+        return self
 
     @property
     def public_origin(self) -> str:

@@ -18,7 +18,10 @@ from procrastinate.jobs import Job as ProcrastinateJob
 from procrastinate.jobs import Status
 
 import kleinkram
+from kleinkram.metric_definitions import MetricSource
 from kleinkram.server import maintenance as _maintenance
+from kleinkram.server.admin import jobs as _admin_jobs
+from kleinkram.server.auth import jobs as _auth_jobs
 from kleinkram.server.blobs import jobs as _blob_jobs
 from kleinkram.server.blobs.readers import ReaderProcesses
 from kleinkram.server.checks import jobs as _check_jobs
@@ -27,9 +30,11 @@ from kleinkram.server.db import Database, open_database
 from kleinkram.server.health.metrics_server import serve_metrics
 from kleinkram.server.health.readiness import heartbeat
 from kleinkram.server.jobs.execution import Attempts, BackPressure, record_failure
+from kleinkram.server.jobs.origin import run_with_origin
 from kleinkram.server.jobs.queue import DEFAULT, DERIVATION, SMALL_BLOBS, VERIFICATION, queue
 from kleinkram.server.overviews import jobs as _derivation_jobs
 from kleinkram.server.overviews.jobs import DerivationDebounce, MetadataCache
+from kleinkram.server.people import jobs as _people_jobs
 from kleinkram.server.runs import jobs as _run_jobs
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
@@ -47,7 +52,17 @@ _STEADY_S = 30.0
 # The database is away, refuses connections, or closed one. psycopg's own errors come from opening the pool.
 _DATABASE_AWAY = (ConnectorException, psycopg.OperationalError)
 # Importing the jobs of a feature registers them with the queue.
-JOB_MODULES = (_blob_jobs, _maintenance, _run_jobs, _derivation_jobs, _check_jobs, _upload_jobs)
+JOB_MODULES = (
+    _admin_jobs,
+    _blob_jobs,
+    _maintenance,
+    _run_jobs,
+    _derivation_jobs,
+    _check_jobs,
+    _upload_jobs,
+    _people_jobs,
+    _auth_jobs,
+)
 
 
 async def run_worker(settings: Settings) -> None:
@@ -122,7 +137,7 @@ async def _run_queues(app: App, settings: Settings, database: Database) -> None:
         open_storage(settings) as storage,
         ReaderProcesses() as readers,
         heartbeat(database),
-        serve_metrics(settings, database),
+        serve_metrics(settings, database, MetricSource.worker),
     ):
         back_pressure = BackPressure(database)
         attempts = Attempts()
@@ -183,7 +198,7 @@ async def _work(app: App, resources: dict[str, object], *, name: str, at_once: i
         update_heartbeat_interval=5,
         stalled_worker_timeout=20,
         delete_jobs="successful",
-        worker_middleware=[record_failure],
+        worker_middleware=[run_with_origin, record_failure],
     )
 
 
@@ -211,11 +226,13 @@ async def _abandoned(app: App, attempts: Attempts) -> Iterable[ProcrastinateJob]
 
 async def _rescue(app: App, job: ProcrastinateJob) -> None:
     """Put one job back; a periodic one is deleted instead, because its next round is waiting already."""
-    _log.warning("job was left unfinished: it will run again", extra={"fields": {"job": job.task_name, "id": job.id}})
+    _log.warning(
+        "job was left unfinished: it will run again", extra={"fields": {"job": job.task_name, "job_id": job.id}}
+    )
     try:
         if job.queueing_lock is not None:
             await app.job_manager.finish_job(job, status=Status.FAILED, delete_job=True)
         else:
             await app.job_manager.retry_job(job, retry_at=datetime.datetime.now(datetime.timezone.utc))
     except ConnectorException as error:  # another worker took it, or the next round finds it
-        _log.warning("job not requeued", extra={"fields": {"id": job.id, "reason": str(error)}})
+        _log.warning("job not requeued", extra={"fields": {"job_id": job.id, "reason": str(error)}})

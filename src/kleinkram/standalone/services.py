@@ -95,6 +95,7 @@ class Plan:
             "KLEINKRAM_OWNER_TOKEN_FILE": str(self.data_dir.token_file),
             "KLEINKRAM_LOG_FORMAT": "json",
             **{name: os.environ.get(name, value) for name, value in _LOW_MEMORY.items()},
+            **_telemetry(),
         }
         if f"{name}_metrics" in METRICS_PORTS:
             environment["KLEINKRAM_METRICS_PORT"] = str(self.ports[f"{name}_metrics"])
@@ -124,7 +125,7 @@ class Plan:
             return None
         certificate = self.listening.tls_cert
         inherited = {name: os.environ[name] for name in _RUNNER_ENVIRONMENT if name in os.environ}
-        environment = {**_LOW_MEMORY, **inherited}
+        environment = {**_LOW_MEMORY, **inherited, **_telemetry()}
         if certificate is not None:
             write_private(self.data_dir.certificates_file, bundle_with(certificate))
             environment["SSL_CERT_FILE"] = str(self.data_dir.certificates_file)
@@ -204,6 +205,11 @@ def make_plan(options: UpOptions) -> Plan:
         ),
         with_runner=options.with_runner,
     )
+
+
+def _telemetry() -> dict[str, str]:
+    """Return the variables of OpenTelemetry, which say where traces are exported to."""
+    return {name: value for name, value in os.environ.items() if name.startswith("OTEL_")}
 
 
 def backup_environment(secrets: Secrets, *, postgres_port: int, store_port: int) -> dict[str, str]:

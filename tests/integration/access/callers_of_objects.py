@@ -236,6 +236,7 @@ OBJECT_OPERATIONS: dict[str, tuple[Caller, ...]] = {
     "get_admin_jobs": (Caller(get("/admin/jobs"), Target.server),),
     "get_admin_scrub": (Caller(get("/admin/scrub"), Target.server),),
     "get_admin_health": (Caller(get("/admin/health"), Target.server),),
+    "get_admin_status": (Caller(get("/admin/status"), Target.server),),
     "get_admin_settings": (Caller(get("/admin/settings"), Target.server),),
     "begin_scrub": (Caller(post("/admin/scrub", lambda _: {}), Target.server),),
     "retry_jobs": (Caller(post("/admin/jobs/retry"), Target.server),),

@@ -191,6 +191,15 @@ PEOPLE_OPERATIONS: dict[str, tuple[Caller, ...]] = {
         ),
     ),
     "reactivate_person": (Caller(post("/people/{unrelated_person}/reactivate"), Target.server),),
+    "erase_person": (
+        Caller(
+            post("/people/{unrelated_person}/erase", lambda _: {"confirmation": "another name"}),
+            Target.server,
+            accepted_code="invalid_request",
+        ),
+    ),
+    "get_erasure": (Caller(get("/people/{unrelated_person}/erasure"), Target.server, accepted_code="not_found"),),
+    "export_person": (Caller(get("/people/{unrelated_person}/export"), Target.unrelated_person),),
     "create_token": (
         Caller(post("/tokens", lambda _: {"name": "another"}), Target.server, needs_unlimited_credential=True),
     ),
@@ -257,6 +266,7 @@ PUBLIC_OPERATIONS = {
     "bootstrap_admin",
     "begin_provider_sign_in",
     "end_provider_sign_in",
+    "end_provider_sessions",
     "begin_device_login",
     "exchange_device_code",
     "exchange_cli_code",

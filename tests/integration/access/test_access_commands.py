@@ -1,15 +1,28 @@
 """`klein group`, `klein access` and `klein person`, as two people and an admin use them."""
 
 import json
+import uuid
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
+import kleinkram.cli.people
 from kleinkram.cli.main import app
-from kleinkram.contract.errors import AmbiguousName, Forbidden, LastOwner, NotFound, RightExceeded
+from kleinkram.client.errors import DestinationRefused, InvalidInput
+from kleinkram.contract.errors import (
+    AmbiguousName,
+    Forbidden,
+    InvalidRequest,
+    LastOwner,
+    NotFound,
+    PersonErased,
+    RightExceeded,
+)
 from tests.integration.api_server import Api
+from tests.integration.jobs import run_jobs
 from tests.integration.people import Person, group, person
 
 Klein = Callable[..., Any]
@@ -107,3 +120,52 @@ def test_an_admin_lists_and_deactivates_people(api: Api, klein: Klein) -> None:
     (left,) = klein(None, "person", "list", ada.name, "--left")["items"]
     assert left["deactivated_at"] is not None
     assert klein(None, "person", "reactivate", ada.id)["deactivated_at"] is None
+
+
+def test_an_admin_erases_a_person_after_typing_their_name(
+    api: Api, klein: Klein, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kleinkram.cli.people, "_REDACTION_WAIT_S", 0.0)
+    ada = person(api, f"Ada {uuid.uuid4().hex[:8]}")
+    project = api.as_(ada.token).project()
+    mission = api.mission(project["id"], notes=f"{ada.name} drove")
+    with pytest.raises(InvalidInput, match="--confirm"):
+        klein(None, "person", "erase", ada.id)  # nothing is typed
+    with pytest.raises(InvalidRequest, match="is not the name"):
+        klein(None, "person", "erase", ada.id, "--confirm", "yes")
+    colleague = person(api)
+    group(api, members=[ada, colleague])
+    with pytest.raises(Forbidden):
+        klein(colleague, "person", "erase", ada.id, "--confirm", ada.name)
+    shown = klein(None, "person", "erase", ada.id, "--confirm", ada.name, as_json=False)
+    assert "A worker will redact the audit log" in shown
+    assert mission["name"] in shown
+    run_jobs(api)
+    again = klein(None, "person", "erase", ada.id)
+    assert again["person"]["name"] == f"erased person {ada.id[:8]}"
+    assert again["audit_events"] > 0
+    with pytest.raises(PersonErased):
+        klein(None, "person", "reactivate", ada.id)
+
+
+def test_people_write_their_own_data_to_a_file(api: Api, klein: Klein, tmp_path: Path) -> None:
+    ada, path = person(api, email=f"{uuid.uuid4().hex}@lab.example"), tmp_path / "ada.json"
+    project = api.as_(ada.token).project()
+    written = klein(ada, "person", "export", "-o", str(path))
+    sections = json.loads(path.read_text())
+    assert sections["account"][0]["id"] == ada.id
+    assert [row["id"] for row in sections["projects"]] == [project["id"]]
+    assert written == {"path": str(path), "records": sum(map(len, sections.values()))}
+    assert path.stat().st_mode & 0o077 == 0
+    with pytest.raises(DestinationRefused, match="exists"):
+        klein(ada, "person", "export", "-o", str(path))
+    with pytest.raises(InvalidInput, match="-o"):
+        klein(ada, "person", "export")
+    with pytest.raises(DestinationRefused):
+        klein(ada, "person", "export", "-o", str(tmp_path / "missing" / "ada.json"))
+    klein(None, "person", "export", ada.id, "-o", str(tmp_path / "by-admin.json"))
+    colleague = person(api)
+    group(api, members=[ada, colleague])
+    with pytest.raises(NotFound):
+        klein(colleague, "person", "export", ada.id, "-o", str(tmp_path / "colleague.json"))
+    assert not (tmp_path / "colleague.json").exists()

@@ -14,6 +14,7 @@ from tests.integration.conftest import StartApi
 from tests.integration.jobs import run_jobs
 from tests.integration.sample import Sample
 from tests.integration.upload_client import begin
+from tests.log_lines import logged_lines
 
 
 @pytest.fixture(scope="module")
@@ -79,9 +80,7 @@ def test_the_error_of_a_failed_job_is_stored_and_deleted_with_it(lab: Api, monke
     assert lab.sql("SELECT 1 FROM job_error WHERE job_id = %s", job_id) == []
 
 
-def test_the_error_of_a_job_is_shown_while_it_is_retried(
-    lab: Api, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_error_of_a_job_is_shown_while_it_is_retried(lab: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     blob_id = str(Sample(lab).blob(size_bytes=3))
     error = StoreUnavailable(reason="it is on holiday")
 
@@ -94,15 +93,15 @@ def test_the_error_of_a_job_is_shown_while_it_is_retried(
         " VALUES ('default', 'summarise_blob', jsonb_build_object('ref', %s::text)) RETURNING id",
         blob_id,
     )[0][0]
-    run_jobs(lab)
+    with logged_lines() as lines:
+        run_jobs(lab)
     with connect(lab.url, lab.token) as client:
         (message,) = [item for item in client.admin.jobs().retrying if item.id == job_id]
     assert (message.attempts, message.ref, message.error) == (1, blob_id, error.sentence())
     assert message.next_attempt_at is not None
-    (line,) = [item for item in caplog.records if item.getMessage() == f"job failed: {error.sentence()}"]
-    assert line.levelname == "WARNING"
-    fields = vars(line)["fields"]
-    assert (fields["id"], fields["job"], fields["ref"], fields["attempt"]) == (job_id, "summarise_blob", blob_id, 1)
+    (line,) = [item for item in lines if item["message"] == f"job failed: {error.sentence()}"]
+    assert (line["level"], line["job_id"], line["job"]) == ("warning", job_id, "summarise_blob")
+    assert (line["ref"], line["attempt"]) == (blob_id, 1)
     assert 'kleinkram_job_attempts_total{outcome="failed",task="summarise_blob"}' in lab.metrics()
     lab.sql("DELETE FROM procrastinate_jobs WHERE id = %s", job_id)
 

@@ -40,6 +40,11 @@ class FakeProvider:
     error: str | None = None
     is_dead: set[str] = field(default_factory=set)
     seen: list[str] = field(default_factory=list)
+    # The claim `sid` of sign-ins from now on.
+    session_id: str | None = None
+    # Whose refresh tokens are valid, and the OAuth error that all others get.
+    refresh_tokens: dict[str, str] = field(default_factory=dict)
+    refresh_error: str = "invalid_grant"
     _codes: dict[str, dict[str, str]] = field(default_factory=dict)
 
     def rotate(self, *, keep_old: bool = False) -> None:
@@ -81,10 +86,41 @@ class FakeProvider:
             return 200, self.person
         return self._token(body, headers)
 
+    def remove(self, subject: str) -> None:
+        """Remove an account: its refresh tokens are refused from now on."""
+        self.refresh_tokens = {key: whose for key, whose in self.refresh_tokens.items() if whose != subject}
+
+    def sign(self, claims: dict[str, Any], *, typ: str | None = None, algorithm: str | None = None) -> str:
+        """Sign claims as this provider."""
+        key, algorithm = self.keys[0], algorithm or self.algorithm
+        header = {"alg": algorithm, "kid": key.kid, **({} if typ is None else {"typ": typ})}
+        return jwt.encode(header, claims, key, algorithms=[algorithm])
+
+    def logout_token(self, **claims: Any) -> str:
+        """Return a logout token; claims that are None are left out."""
+        now = int(time.time())
+        event: dict[str, Any] = {"http://schemas.openid.net/event/backchannel-logout": {}}
+        sent = {"iss": self.url, "aud": CLIENT_ID, "iat": now, "exp": now + 120, "jti": secrets.token_hex(8)}
+        sent |= {"events": event, **claims}
+        return self.sign({name: value for name, value in sent.items() if value is not None}, typ="logout+jwt")
+
+    def _refresh(self, refresh_token: str) -> tuple[int, Any]:
+        subject = self.refresh_tokens.pop(refresh_token, None)
+        if subject is None:
+            return 400, {"error": self.refresh_error}
+        return 200, {"access_token": "at", "token_type": "Bearer", "refresh_token": self._new_refresh_token(subject)}
+
+    def _new_refresh_token(self, subject: str) -> str:
+        made = secrets.token_urlsafe(16)
+        self.refresh_tokens[made] = subject
+        return made
+
     def _token(self, body: dict[str, str], headers: dict[str, str]) -> tuple[int, Any]:
-        requested = self._codes.pop(body.get("code", ""), None)
         sent = base64.b64decode(headers["authorization"].removeprefix("Basic ")).decode()
         assert parse_qs(f"x={sent.partition(':')[2]}")["x"] == [CLIENT_SECRET]
+        if body["grant_type"] == "refresh_token":
+            return self._refresh(body["refresh_token"])
+        requested = self._codes.pop(body.get("code", ""), None)
         digest = hashlib.sha256(body["code_verifier"].encode()).digest()
         challenge = base64.urlsafe_b64encode(digest).decode().rstrip("=")
         if (
@@ -96,10 +132,11 @@ class FakeProvider:
         now = int(time.time())
         person = {"sub": self.person["sub"]} if self.userinfo_claims else self.person
         claims = {"iss": self.url, "aud": CLIENT_ID, "exp": now + 60, "iat": now, "nonce": requested["nonce"], **person}
-        key = self.keys[0]
-        header = {"alg": self.algorithm, "kid": key.kid}
-        signed = jwt.encode(header, self.change(claims), key, algorithms=[self.algorithm])
-        return 200, {"access_token": "at", "token_type": "Bearer", "id_token": signed}
+        claims |= {} if self.session_id is None else {"sid": self.session_id}
+        answer = {"access_token": "at", "token_type": "Bearer", "id_token": self.sign(self.change(claims))}
+        if "offline_access" in requested["scope"].split():
+            answer["refresh_token"] = self._new_refresh_token(self.person["sub"])
+        return 200, answer
 
     def reset(self) -> None:
         """Behave well again."""

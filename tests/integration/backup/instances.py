@@ -34,7 +34,7 @@ RESET = {
     "upload": ("state", "completing_since"),
     "run": ("lease_ends_at",),
 }
-EXCLUDED = {"alembic_version", "store_probe"}
+EXCLUDED = {"alembic_version", "backup_attempt", "store_probe"}
 _TABLES = "SELECT relname FROM pg_class WHERE relnamespace = 'public'::regnamespace AND relkind = 'r'"
 
 
@@ -48,31 +48,32 @@ def back_up(
 ) -> CreatedBackup:
     """Make a backup."""
     repository = make_repository(str(place), passphrase, Rclone({}, 4, bytes_per_s), encrypt=encrypt)
-    return create(settings, repository, _show_nothing)
+    return create(settings, repository, show_nothing)
 
 
 def verify_place(place: object, *, passphrase: str | None = None, read_all: bool = True) -> Verification:
     """Verify backups, by default every byte."""
-    return verify(_opened(place, passphrase), None, _show_nothing, read_all=read_all)
+    return verify(opened(place, passphrase), None, show_nothing, read_all=read_all)
 
 
 def restore_to(
     settings: Settings, place: object, *, passphrase: str | None = None, snapshot_id: str | None = None
 ) -> Restored:
     """Restore a backup."""
-    return restore(settings, _opened(place, passphrase), snapshot_id, _show_nothing)
+    return restore(settings, opened(place, passphrase), snapshot_id, show_nothing)
 
 
 def prune_place(place: object, *, keep: int, passphrase: str | None = None) -> Pruned:
     """Prune backups."""
-    return prune(_opened(place, passphrase), keep=keep)
+    return prune(opened(place, passphrase), keep=keep)
 
 
-def _opened(place: object, passphrase: str | None) -> Repository:
+def opened(place: object, passphrase: str | None) -> Repository:
+    """Open the backups in a location."""
     return open_repository(str(place), passphrase, Rclone({}, 4))
 
 
-def _show_nothing(_: str) -> None:
+def show_nothing(_: str) -> None:
     """Show no progress."""
 
 

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,6 +15,7 @@ from kleinkram.server.health import checks
 from kleinkram.server.http.headers import CHECK_HEADER, RequestOrigin, operator_code
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
+from tests.otlp_collector import collecting
 from tests.ports import choose_port
 from tests.services import RunningPostgres
 
@@ -124,3 +126,40 @@ def test_missing_and_excessive_rights_of_the_serving_role_are_named(start_api: S
         assert (code, actual["rights of the serving role"]["severity"]) == (1, "problem"), change
         assert words in actual["rights of the serving role"]["message"]
         api.sql(undo)
+
+
+def test_a_retention_that_was_not_stored_and_an_unusable_archive_are_named(api: Api, tmp_path: Path) -> None:
+    environment = {**_environment(api), "KLEINKRAM_AUDIT_DAYS": "90", "KLEINKRAM_AUDIT_ARCHIVE": str(tmp_path / "no")}
+    code, actual = _check(environment)
+    assert (code, actual["audit archive"]["severity"]) == (1, "problem")
+    assert (actual["audit log"]["severity"], "migrate" in actual["audit log"]["remedy"]) == ("warning", True)
+    command = [sys.executable, "-m", "kleinkram.server", "migrate"]
+    subprocess.run(command, env={**os.environ, **environment}, check=True)
+    code, actual = _check({**environment, "KLEINKRAM_AUDIT_ARCHIVE": str(tmp_path)})
+    assert (code, actual["audit log"]["severity"], actual["audit archive"]["severity"]) == (0, "ok", "ok")
+    assert actual["audit log"]["message"] == "Events are kept for 90 days."
+    api.sql("DELETE FROM audit_retention")
+    _, actual = _check({**environment, "KLEINKRAM_AUDIT_DAYS": "29"})
+    assert "at least 30" in actual["settings"]["message"]
+
+
+@pytest.mark.parametrize(
+    ("variables", "words"),
+    [
+        ({"OTEL_EXPORTER_OTLP_ENDPOINT": "collector:4318"}, "does not begin with http://"),
+        ({"OTEL_EXPORTER_OTLP_ENDPOINT": "http://127.0.0.1:1"}, "cannot be reached"),
+        ({"OTEL_EXPORTER_OTLP_ENDPOINT": "http://127.0.0.1:1", "OTEL_EXPORTER_OTLP_PROTOCOL": "grpc"}, "http/protobuf"),
+    ],
+)
+def test_a_wrong_collector_of_traces_is_named(api: Api, variables: dict[str, str], words: str) -> None:
+    code, results = _check({**_environment(api), **variables})
+    assert (code, results["traces"]["severity"]) == (0, "warning")
+    assert words in results["traces"]["message"]
+
+
+def test_a_collector_of_traces_is_tried(api: Api) -> None:
+    with collecting() as collector:
+        _, results = _check({**_environment(api), "OTEL_EXPORTER_OTLP_ENDPOINT": collector.url})
+        _, wrong = _check({**_environment(api), "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT": f"{api.url}/v1/traces"})
+    assert (results["traces"]["severity"], wrong["traces"]["severity"]) == ("ok", "warning")
+    assert "traces" not in _check(_environment(api))[1]

@@ -37,8 +37,9 @@ def test_no_created_series_are_exported(api: Api) -> None:
     assert "_created" not in api.metrics()
 
 
-def test_a_metrics_port_serves_nothing_else(api: Api) -> None:
+def test_a_metrics_port_serves_metrics_and_liveness_alone(api: Api) -> None:
     url = f"http://127.0.0.1:{api.app.state.metrics_port}"
+    assert urllib3.request("GET", f"{url}/health/live").data == b"live\n"
     assert urllib3.request("GET", f"{url}/api/v1/projects").status == 404
 
 
@@ -53,7 +54,9 @@ def test_a_job_that_waits_for_another_attempt_counts_as_old(start_api: StartApi)
             api.sql(statement)[0][0],
         )
     text = api.metrics()
-    assert 100 <= _values(text, "kleinkram_queue_oldest_seconds")["kleinkram_queue_oldest_seconds"] < 1000
+    ages = _values(text, "kleinkram_queue_oldest_seconds")
+    assert 100 <= ages.pop('kleinkram_queue_oldest_seconds{queue="default"}') < 1000
+    assert {*ages.values()} == {0}
     assert _values(text, "kleinkram_jobs_retrying") == {'kleinkram_jobs_retrying{task="collect_garbage"}': 1}
 
 

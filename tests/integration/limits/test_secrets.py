@@ -11,10 +11,11 @@ import pytest
 from pydantic import ValidationError
 from sqlalchemy import text
 
+from kleinkram.json_logs import JsonLines
 from kleinkram.server.access.actor import find_actor
 from kleinkram.server.context import AppContext
 from kleinkram.server.http.dependencies import Transaction
-from kleinkram.server.logs import JsonLines, quiet_libraries
+from kleinkram.server.logs import quiet_libraries
 from kleinkram.server.settings import Settings
 from tests.integration.api_server import Answer, Api
 from tests.integration.auth.accounts import PASSWORD, account, any_email, code_of, sign_in
@@ -53,7 +54,7 @@ class Story:
 class _LogCollector(logging.Handler):
     def __init__(self, lines: list[str]) -> None:
         super().__init__(logging.DEBUG)
-        self.setFormatter(JsonLines())
+        self.setFormatter(JsonLines("api"))
         self._lines = lines
 
     def emit(self, record: logging.LogRecord) -> None:

@@ -320,6 +320,6 @@ def test_a_value_that_is_no_number_is_left_out(value: str) -> None:
 
 @pytest.mark.parametrize("text", ["[" * 4_000_000, "rosbag2_bagfile_information:\n  x: " + "[" * 3000, "- " * 100_000])
 def test_deeply_nested_metadata_is_refused_at_once(text: str) -> None:
-    began = time.process_time()
+    began = time.thread_time()
     assert parse_rosbag2_metadata(text) is None
-    assert time.process_time() - began < 1
+    assert time.thread_time() - began < 1

@@ -131,3 +131,34 @@ def test_variables_of_secret_files_ignore_case(monkeypatch: pytest.MonkeyPatch, 
     assert "are both set" in _refusal()
     monkeypatch.delenv("KLEINKRAM_S3_SECRET_KEY")
     assert load_settings().s3_secret_key.get_secret_value() == "of a file"
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"REPORT_TO": "ada@lab.example"}, "KLEINKRAM_REPORT_TO needs KLEINKRAM_SMTP_HOST and KLEINKRAM_MAIL_FROM"),
+        ({"SMTP_USER": "ada"}, "KLEINKRAM_SMTP_USER and KLEINKRAM_SMTP_PASSWORD belong together"),
+        ({"SMTP_USER": "ada", "SMTP_PASSWORD": "hunter22", "SMTP_SECURITY": "none"}, "is not sent without encryption"),
+        ({"REPORT_TO": "Ada <ada@lab.example>"}, "KLEINKRAM_REPORT_TO (0): is not an address such as"),
+        ({"SMTP_SECURITY": "ssl"}, "KLEINKRAM_SMTP_SECURITY: "),
+    ],
+)
+def test_incomplete_mail_settings_are_refused(
+    monkeypatch: pytest.MonkeyPatch, values: dict[str, str], sentence: str
+) -> None:
+    for name, value in values.items():
+        monkeypatch.setenv(f"KLEINKRAM_{name}", value)
+    refusal = _refusal()
+    assert sentence in refusal
+    assert "hunter22" not in refusal
+
+
+def test_the_password_of_the_mail_server_may_come_from_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "password").write_text("hunter22\n")
+    values = {"SMTP_HOST": "mail", "SMTP_USER": "ada", "MAIL_FROM": "k@lab.example", "REPORT_TO": "a@x.org, b@x.org"}
+    for name, value in {**values, "SMTP_PASSWORD_FILE": str(tmp_path / "password")}.items():
+        monkeypatch.setenv(f"KLEINKRAM_{name}", value)
+    settings = load_settings()
+    assert settings.smtp_password is not None
+    assert settings.smtp_password.get_secret_value() == "hunter22"
+    assert settings.report_to == ("a@x.org", "b@x.org")

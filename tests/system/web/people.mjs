@@ -1,6 +1,6 @@
 // An admin and a new user: creates and accepts an invitation, grants and revokes a right by a group, creates and revokes a
 // token, restores a mission from the trash, reads the audit log, appoints and dismisses an admin, resets a password,
-// deactivates and reactivates a person, retries a job.
+// deactivates, reactivates and erases a person, retries a job.
 // Prints the results as JSON. Arguments: the folder with playwright-core and axe-core, the browser, a sign-in link of the
 // owner, the server's address, the id of the project, the number of a failed job, the folder for screenshots.
 import { openBrowser } from "./browsing.mjs";
@@ -176,6 +176,18 @@ await owner.getByRole("button", { name: "Deactivate" }).waitFor();
 await signIn("another long password");
 await ben2.waitForURL((url) => url.pathname === "/");
 results.reactivatedStatus = await newSessionStatus();
+
+// A person is erased, once their name is typed.
+await owner.getByRole("button", { name: "Erase" }).click();
+const erasing = owner.getByRole("dialog");
+await checkPage(owner, "person-erase", erasing.getByRole("button", { name: "Erase" }));
+results.eraseDisabled = await erasing.getByRole("button", { name: "Erase" }).isDisabled();
+await erasing.getByRole("textbox").fill(HOSTILE);
+await erasing.getByRole("button", { name: "Erase" }).click();
+results.erasure = await owner.getByText("The person is erased").first().innerText();
+await owner.getByRole("heading", { name: /^erased person/ }).waitFor();
+results.erasedStatus = await newSessionStatus();
+results.eraseButtons = await owner.getByRole("button", { name: "Erase" }).count();
 
 // A failed job is retried.
 await owner.goto(`${address}/admin?tab=jobs`);

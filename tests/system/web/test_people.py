@@ -69,6 +69,9 @@ def test_people_groups_tokens_trash_and_audit_log(
         "the correct password of a deactivated account is refused like a wrong one"
     )
     assert results["reactivatedStatus"] == 200
+    assert results["eraseDisabled"], "the name must be typed"
+    assert "appears as “erased person" in results["erasure"]
+    assert (results["erasedStatus"], results["eraseButtons"]) == (401, 0)
     assert results["noFailedJobs"] == 1
     ended = "SELECT status::text FROM procrastinate_jobs WHERE id = %s"
     wait_until(lambda: sql(cluster, ended, job) in ([], [("succeeded",)]), "the job to be done")

@@ -34,8 +34,12 @@ def test_the_schema_has_exactly_the_routes_of_the_api() -> None:
     described = {operation["operationId"] for path in app.openapi()["paths"].values() for operation in path.values()}
     served = {route.operation_id for route in _routes() if route.path.startswith("/api/")}
     assert described == served
-    # The pages of signing in are for people, and where providers send them back to.
-    assert {route.operation_id for route in _routes()} - served == {None, "end_provider_sign_in"}
+    # The pages of signing in are for people; providers send them back to one, and logout tokens to another.
+    assert {route.operation_id for route in _routes()} - served == {
+        None,
+        "end_provider_sign_in",
+        "end_provider_sessions",
+    }
 
 
 def test_every_operation_describes_failures_as_problem_documents() -> None:

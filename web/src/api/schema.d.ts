@@ -217,6 +217,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/admin/status": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Admin Status
+         * @description Return whether the server is healthy, what is full and when, and what needs an admin.
+         */
+        get: operations["get_admin_status"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/admin/storage": {
         parameters: {
             query?: never;
@@ -1803,6 +1823,68 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/people/{person_id}/erase": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Erase Person
+         * @description Erase a person irrevocably: their data is deleted, and a pseudonym replaces their name. The second time, report.
+         *
+         *     What they did stays on record. Texts that mention them are reported, and stay as they are.
+         */
+        post: operations["erase_person"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/people/{person_id}/erasure": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get Erasure
+         * @description Return whether the audit log of an erased person is redacted.
+         */
+        get: operations["get_erasure"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/people/{person_id}/export": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Export Person
+         * @description Return all that is kept of a person, one JSON object a line: for yourself, or as an admin for anybody.
+         */
+        get: operations["export_person"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/people/{person_id}/reactivate": {
         parameters: {
             query?: never;
@@ -3246,6 +3328,32 @@ export interface components {
             settings: components["schemas"]["SettingRead"][];
         };
         /**
+         * AdminStatus
+         * @description Whether the server is healthy, what is full and when, and what needs an admin; problems come first.
+         *
+         *     `capacities` are in the order in which they will be full. The store is one of them if its size is known:
+         *     KLEINKRAM_STORE_FOLDER or KLEINKRAM_STORE_CAPACITY_BYTES.
+         */
+        AdminStatus: {
+            /** Capacities */
+            capacities: components["schemas"]["CapacityForecast"][];
+            /** Is Healthy */
+            is_healthy: boolean;
+            /** Items */
+            items: components["schemas"]["StatusItem"][];
+            /**
+             * Now
+             * Format: date-time
+             */
+            now: string;
+            /** Stored Bytes */
+            stored_bytes: number;
+            /** Stored Bytes Per Day */
+            stored_bytes_per_day: number;
+            /** Version */
+            version: string;
+        };
+        /**
          * AdminStorage
          * @description Stored blobs by state, those that only the trash uses, uploads in progress, and what is about to be deleted.
          *
@@ -3468,6 +3576,31 @@ export interface components {
             /** Memory Bytes */
             memory_bytes: number;
         };
+        /**
+         * CapacityForecast
+         * @description A limit, and when it will be reached: the quota of a project, or the store's disk (`project` is null).
+         *
+         *     `per_day` is the mean of the last 30 days, or of the project's or server's life if that is shorter: what was added
+         *     and still exists. `full_at`: null if nothing is added, or for more than ten years.
+         */
+        CapacityForecast: {
+            /** Full At */
+            full_at: string | null;
+            /** Limit */
+            limit: number;
+            /** Per Day */
+            per_day: number;
+            project: components["schemas"]["ProjectRef"] | null;
+            unit: components["schemas"]["CapacityUnit"];
+            /** Used */
+            used: number;
+        };
+        /**
+         * CapacityUnit
+         * @description What a limit counts.
+         * @enum {string}
+         */
+        CapacityUnit: "bytes" | "files";
         /**
          * Cause
          * @description Who launched a run, and which run it retries.
@@ -4109,11 +4242,38 @@ export interface components {
          */
         EndReason: "done" | "exit_code" | "signal" | "memory" | "time" | "disk" | "cancelled" | "command_not_found" | "image_unavailable" | "not_possible" | "inputs_unavailable" | "broken_report" | "results_not_stored" | "lost";
         /**
+         * Erasure
+         * @description What the erasure of a person ended, and where their name is still mentioned, which stays as it is.
+         *
+         *     `audit_events` is the number of events in which it was replaced; null until a job has done that. The counts and
+         *     mentions are null when the person was erased before.
+         */
+        Erasure: {
+            /** Audit Events */
+            audit_events: number | null;
+            /**
+             * Erased At
+             * Format: date-time
+             */
+            erased_at: string;
+            /** Links */
+            links?: number | null;
+            /** Mentions */
+            mentions?: components["schemas"]["Mention"][] | null;
+            person: components["schemas"]["PersonRef"];
+            /** Projects */
+            projects?: string[] | null;
+            /** Sessions */
+            sessions?: number | null;
+            /** Tokens */
+            tokens?: number | null;
+        };
+        /**
          * ErrorCode
          * @description The closed set of failures.
          * @enum {string}
          */
-        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "last_sign_in_method" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "group_fixed" | "not_found" | "wrong_client" | "ambiguous_name" | "name_taken" | "not_from_library" | "edit_conflict" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "method_not_allowed" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "cannot_slice" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "rate_limited" | "too_many_streams" | "too_many_slices" | "store_unavailable" | "database_unavailable" | "internal_error";
+        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "last_sign_in_method" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "group_fixed" | "person_erased" | "not_found" | "wrong_client" | "ambiguous_name" | "name_taken" | "not_from_library" | "edit_conflict" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "method_not_allowed" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "cannot_slice" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "rate_limited" | "too_many_streams" | "too_many_slices" | "store_unavailable" | "database_unavailable" | "internal_error";
         /**
          * ExecutorAbilities
          * @description What an executor supports.
@@ -5173,6 +5333,28 @@ export interface components {
              */
             is_editor: boolean;
         };
+        /**
+         * Mention
+         * @description A text in which a person's name or address is found: which of its fields, and of which object.
+         */
+        Mention: {
+            /** Fields */
+            fields: string[];
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /** Name */
+            name: string;
+            resource_type: components["schemas"]["MentionPlace"];
+        };
+        /**
+         * MentionPlace
+         * @description The kind of an object with a text that contains somebody's name or address.
+         * @enum {string}
+         */
+        MentionPlace: "project" | "mission" | "file" | "group" | "share";
         /**
          * MeRead
          * @description The caller: `GET /me`. `is_admin`: with admin rights, by this credential.
@@ -6263,10 +6445,18 @@ export interface components {
             second_factor?: string | null;
         };
         /**
+         * PersonErase
+         * @description Erase a person: `POST /people/{id}/erase`. `confirmation` is their name, as typed by the admin.
+         */
+        PersonErase: {
+            /** Confirmation */
+            confirmation: string;
+        };
+        /**
          * PersonRead
          * @description A person. `emails`, their verified addresses, are for themselves, admins, and editors of a shared group.
          *
-         *     Only admins see deactivated people.
+         *     Only admins see deactivated people. The `name` of an erased person is a pseudonym.
          */
         PersonRead: {
             /**
@@ -6278,6 +6468,8 @@ export interface components {
             deactivated_at: string | null;
             /** Emails */
             emails: string[];
+            /** Erased At */
+            erased_at?: string | null;
             /**
              * Id
              * Format: uuid
@@ -6820,7 +7012,8 @@ export interface components {
          * @description A run that is leased to a runner.
          *
          *     `image_digest` is what the image's name was first resolved to, by any runner: only that image may be run.
-         *     `token` is the run's own and valid while the run lasts; null where the network is `none`.
+         *     `token` is the run's own and valid while the run lasts; null where the network is `none`. `traceparent` (W3C Trace
+         *     Context) is the trace that the run belongs to, if the server exports traces.
          */
         RunAssignment: {
             action: components["schemas"]["ActionRef"];
@@ -6867,6 +7060,8 @@ export interface components {
             script: string | null;
             /** Token */
             token: string | null;
+            /** Traceparent */
+            traceparent?: string | null;
         };
         /**
          * RunChecks
@@ -7695,6 +7890,25 @@ export interface components {
             size_bytes: number;
         };
         /**
+         * StatusItem
+         * @description Something that an admin should attend to. `remedy` says what to do; empty if the message does.
+         */
+        StatusItem: {
+            /** Message */
+            message: string;
+            /** Remedy */
+            remedy: string;
+            severity: components["schemas"]["StatusSeverity"];
+            /** Subject */
+            subject: string;
+        };
+        /**
+         * StatusSeverity
+         * @description `problem`: something does not work, or data are damaged; `warning`: it will not work for long, or is late.
+         * @enum {string}
+         */
+        StatusSeverity: "problem" | "warning";
+        /**
          * StoredPart
          * @description A part that the store has.
          */
@@ -7708,7 +7922,7 @@ export interface components {
         };
         /**
          * StoreUse
-         * @description The bytes in the store, and the free space if its disk is on the server's machine.
+         * @description The bytes in the store, and the free space if its disk is on the server's machine or its capacity is set.
          */
         StoreUse: {
             /** Disk Bytes */
@@ -8706,6 +8920,35 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["AdminSettings"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_admin_status: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AdminStatus"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */
@@ -11743,6 +11986,103 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Departure"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    erase_person: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                person_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["PersonErase"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Erasure"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_erasure: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                person_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Erasure"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    export_person: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                person_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description One record a line. */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/jsonl": string;
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */

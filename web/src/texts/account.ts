@@ -12,6 +12,8 @@ export const texts = {
   byInvitation: "verified by your invitation",
   byBootstrap: "entered when you set up this server",
   affiliations: (count: number) => (count === 1 ? "Affiliation" : "Affiliations"),
+  export: "Export my data",
+  exportWhy: "Everything that this server keeps about you, one JSON object per line",
   since: "Member since",
 
   methods: "Sign-in methods",

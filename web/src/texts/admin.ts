@@ -76,6 +76,16 @@ export const texts = {
   },
   health: {
     ready: "All required services respond.",
+    healthy: "Nothing needs your attention.",
+    severities: { problem: "Problem", warning: "Warning" },
+    capacity: "Capacity",
+    growth: (stored: string, perDay: string) => `${stored} stored; ${perDay} a day added in the last 30 days.`,
+    noLimits: "No project has a quota, and the size of the store is unknown. Set KLEINKRAM_STORE_FOLDER or KLEINKRAM_STORE_CAPACITY_BYTES to see when it will be full.",
+    columns: { what: "Limit", used: "Used", limit: "Of", perDay: "Added a day", fullAt: "Full" },
+    store: "Store",
+    quota: (project: string) => `Quota of ${project}`,
+    files: (number: number) => counted(number, "file"),
+    notFull: "Not within ten years",
     facts: {
       version: "Kleinkram", schema: "Database schema", database: "PostgreSQL", databaseSize: "Database size", workers: "Workers", clock: "Clock offset",
       checksum: "Store verifies", once: "Store refuses to overwrite objects", pages: "Browsers can upload to the store", now: "Server time",

@@ -3,11 +3,19 @@ import type { components } from "@/api/schema";
 import { counted } from "@/components/format";
 
 type Departure = components["schemas"]["Departure"];
+type Erasure = components["schemas"]["Erasure"];
+type Mention = components["schemas"]["Mention"];
 
 function ended(departure: Departure): string {
   const parts = [counted(departure.sessions, "session"), counted(departure.tokens, "token"), counted(departure.links, "link")];
   const transferred = departure.projects.length === 0 ? "" : ` Projects now owned by the admins: ${departure.projects.join(", ")}.`;
   return `${departure.person.name} is deactivated. Revoked: ${parts.join(", ")}.${transferred}`;
+}
+
+function erased(erasure: Erasure): string {
+  const ended = [counted(erasure.sessions ?? 0, "session"), counted(erasure.tokens ?? 0, "token"), counted(erasure.links ?? 0, "link")];
+  const transferred = erasure.projects?.length ? ` Projects now owned by the admins: ${erasure.projects.join(", ")}.` : "";
+  return `The person is erased and appears as “${erasure.person.name}”. Revoked: ${ended.join(", ")}.${transferred}`;
 }
 
 export const texts = {
@@ -71,6 +79,17 @@ export const texts = {
     reactivateTitle: (name: string) => `Reactivate ${name}?`,
     reactivateWhy: "They get back their rights and memberships. Revoked tokens and links stay revoked.",
     reactivated: (name: string) => `${name} can sign in again.`,
+    erase: "Erase",
+    eraseTitle: (name: string) => `Erase ${name}?`,
+    eraseWhy:
+      "This cannot be undone. Their addresses, sign-in methods, rights, and memberships are deleted. Sessions, tokens, and links are revoked. A pseudonym replaces their name everywhere, also in the audit log; what they did stays on record. Text that others wrote about them is not changed.",
+    erased,
+    gone: "Erased",
+    mentionsTitle: "The person is still mentioned",
+    mentionsWhy: "These texts contain their name or an address. They are not changed automatically.",
+    mention: (mention: Mention) => `${mention.resource_type} ${mention.name}: ${mention.fields.join(", ")}`,
+    export: "Export data",
+    exportWhy: "Everything that is kept about this person, one JSON object per line",
   },
   reach: {
     title: "Access",

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 
 import urllib3
 
+from kleinkram import traces
 from kleinkram.client._client import Client
 from kleinkram.client._http import Backoff
 from kleinkram.client.errors import DestinationDiffers, DestinationRefused, DiskFull, ServerUnreachable, VerifyFailed
@@ -105,7 +106,9 @@ def fetch(
     if plan.targets:
         _check_room(plan)
     watcher.began(len(plan.targets), plan.size_bytes)
-    link = downloader.run(lambda: downloader.queue(plan.targets))
+    attributes: traces.Attributes = {"kleinkram.files": len(plan.targets), "kleinkram.bytes": plan.size_bytes}
+    with traces.span("download", attributes):
+        link = downloader.run(lambda: downloader.queue(plan.targets))
     by_id = {result.file_id: result for result in downloader.results}
     return TransferReport([by_id[target.file.id] for target in plan.targets], plan.left_out, link)
 

@@ -5,6 +5,7 @@ file; any other failure stops all threads, and the caller's thread raises it.
 """
 
 import contextlib
+import contextvars
 import itertools
 import threading
 import time
@@ -90,7 +91,7 @@ class Stop:
             raise Stopped
 
     def start(self, loop: Callable[[], None]) -> threading.Thread:
-        """Run a loop in a new thread; its failure stops everything."""
+        """Run a loop in a new thread, as part of the caller's trace; its failure stops everything."""
 
         def run() -> None:
             try:
@@ -100,7 +101,7 @@ class Stop:
             except BaseException as error:  # the caller's thread raises it
                 self.now(error)
 
-        thread = threading.Thread(target=run, daemon=True)
+        thread = threading.Thread(target=contextvars.copy_context().run, args=(run,), daemon=True)
         thread.start()
         return thread
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from kleinkram import traces
 from kleinkram.client._client import Client
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed, UploadElsewhere
 from kleinkram.client.files import Uploads
@@ -65,7 +66,13 @@ def upload(
         watcher=watcher,
     )
     watcher.began(len(plan.files), plan.size_bytes)
-    link = uploader.run(plan.files)
+    attributes: traces.Attributes = {
+        "kleinkram.mission_id": str(mission_id),
+        "kleinkram.files": len(plan.files),
+        "kleinkram.bytes": plan.size_bytes,
+    }
+    with traces.span("upload", attributes):
+        link = uploader.run(plan.files)
     by_path = {result.path: result for result in uploader.results}
     return TransferReport([by_path[file.path] for file in plan.files], plan.left_out, link)
 

@@ -5,11 +5,14 @@ thread. The store refuses a part whose bytes changed after they were hashed, bec
 """
 
 import contextlib
+import itertools
 import time
 import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from urllib.parse import urlsplit
 
+from kleinkram import traces
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed
 from kleinkram.client.files import Uploads
 from kleinkram.client.transfer import store
@@ -30,6 +33,8 @@ _BATCH_SIZE = 100
 _RENEW_S = 20.0
 _SIGN_BATCH_DELAY_S = 0.02
 _COMPLETE_BATCH_DELAY_S = 0.5
+# Spans of an upload for the first parts that are sent: a trace with many thousands is of no use to anybody.
+_MAX_PUT_SPANS = 100
 
 
 class FileUpload(FileTransfer):
@@ -139,6 +144,7 @@ class UploadPipeline(TransferPool[FilePart]):
         self._to_sign: WorkQueue[FilePart] = WorkQueue(self.stop)
         self._to_finish: WorkQueue[FileUpload] = WorkQueue(self.stop)
         self._leases: dict[uuid.UUID, FileUpload] = {}
+        self._put_count = itertools.count()
         self._loops += [self._sign_parts, self._finish_files]
 
     def submit(self, file: FileUpload) -> None:
@@ -236,7 +242,7 @@ class UploadPipeline(TransferPool[FilePart]):
                     self._watcher.moved(path, sent_bytes - part.shown_bytes, part.file.file.size_bytes)
                     part.shown_bytes = sent_bytes
 
-        result = self._store.put(signed.url, signed.headers, part.size_bytes, body())
+        result = self._put(part, signed, body())
         if result.answer is StoreAnswer.taken:
             part.etag = result.etag
             return None
@@ -244,6 +250,22 @@ class UploadPipeline(TransferPool[FilePart]):
             raise UploadGone(upload_id=str(part.file.upload.id))
         result.sent_bytes = sent_bytes
         return result
+
+    def _put(self, part: FilePart, signed: SignedPart, body: Iterator[FileSlice]) -> PutResult:
+        if next(self._put_count) >= _MAX_PUT_SPANS or not traces.is_active():
+            return self._store.put(signed.url, signed.headers, part.size_bytes, body)
+        attributes: traces.Attributes = {
+            "http.request.method": "PUT",
+            "http.request.body.size": part.size_bytes,
+            "server.address": urlsplit(signed.url).hostname or "",
+            "kleinkram.upload_id": str(part.file.upload.id),
+            "kleinkram.part": part.number,
+        }
+        with traces.leaf_span("PUT", attributes) as span:
+            result = self._store.put(signed.url, signed.headers, part.size_bytes, body)
+            if result.answer is not StoreAnswer.taken:
+                span.fail(result.answer.name)
+            return result
 
     def _check_source(self, part: FilePart) -> None:
         part.file.source.check_unchanged()

@@ -10,14 +10,25 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
-from sqlalchemy import ColumnElement, Select, bindparam, case, exists, func, or_, select, update
+from sqlalchemy import ColumnElement, Integer, Select, bindparam, case, exists, func, or_, select, update
 
 from kleinkram.contract.access import Right, Scope, TokenKind
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.tokens import SecretKind, has_valid_checksum, with_checksum
 from kleinkram.server.access.builtin_groups import ADMINS_ID, OWNER_ID, OWNER_TOKEN_NAME
 from kleinkram.server.db import Connection
-from kleinkram.server.tables import membership, mission, person, project, session, share, share_file, token, token_limit
+from kleinkram.server.tables import (
+    identity,
+    membership,
+    mission,
+    person,
+    project,
+    session,
+    share,
+    share_file,
+    token,
+    token_limit,
+)
 
 ALL_SCOPES = frozenset(Scope)
 _CONTAINED = {
@@ -103,10 +114,13 @@ def unexpired(expires_at: ColumnElement[Any]) -> ColumnElement[bool]:
     return or_(expires_at.is_(None), expires_at > func.now())
 
 
-async def find_actor(db: Connection, secret: str) -> Actor | None:
-    """Return the actor of a token or link; None if it is unknown, expired or revoked, or its owner is deactivated."""
+async def find_actor(db: Connection, secret: str, *, provider_days: int = 0) -> Actor | None:
+    """Return the actor of a token or link; None if it is unknown, expired or revoked, or its owner is deactivated.
+
+    Nor is a token of `klein login` usable whose provider account was not confirmed within `provider_days` (0: any).
+    """
     parameters = {"hashed": secret_hash(secret)}
-    row = (await db.execute(_by_token(), parameters)).one_or_none()
+    row = (await db.execute(_by_token(), {**parameters, "provider_days": provider_days})).one_or_none()
     if row is not None:
         if row.is_use_outdated:
             await db.execute(update(token).where(token.c.id == row.token_id).values(last_used_at=func.now()))
@@ -144,15 +158,19 @@ async def find_actor(db: Connection, secret: str) -> Actor | None:
     )
 
 
-async def find_signed_in(db: Connection, secret: str, *, idle_s: float) -> Actor | None:
-    """Return the actor of a session; None if it is unknown, expired, revoked or idle, or its person is deactivated."""
+async def find_signed_in(db: Connection, secret: str, *, idle_s: float, provider_days: int = 0) -> Actor | None:
+    """Return the actor of a session; None if it is unknown, expired, revoked or idle, or its person is deactivated.
+
+    Nor is a session usable whose provider account was not confirmed within `provider_days` (0: any).
+    """
     is_known = (session.c.secret_sha256 == secret_hash(secret)) & session.c.revoked_at.is_(None)
     age_s_column = _age_s(session.c.authenticated_at).label("sign_in_age_s")
     stmt = _people(session.c.id.label("session_id"), age_s_column, _is_use_outdated(session.c.last_used_at)).join_from(
         session, person
     )
     in_use = session.c.last_used_at > func.now() - datetime.timedelta(seconds=idle_s)
-    row = (await db.execute(stmt.where(is_known, in_use, session.c.expires_at > func.now()))).one_or_none()
+    stmt = stmt.where(is_known, in_use, session.c.expires_at > func.now(), _is_confirmed(session.c.identity_id))
+    row = (await db.execute(stmt, {"provider_days": provider_days})).one_or_none()
     if row is None:
         return None
     if row.is_use_outdated:
@@ -173,6 +191,15 @@ def _people(*columns: ColumnElement[Any]) -> Select[Any]:
     )
     named = select(person.c.id, person.c.name, is_admin.label("is_admin"), *columns)
     return named.where(person.c.deactivated_at.is_(None))
+
+
+def _is_confirmed(identity_id: ColumnElement[Any]) -> ColumnElement[bool]:
+    """Whether a credential depends on no provider account, or on one that was confirmed within `provider_days`."""
+    days = bindparam("provider_days", type_=Integer)
+    was_confirmed = exists().where(
+        identity.c.id == identity_id, identity.c.confirmed_at > func.now() - func.make_interval(0, 0, 0, days)
+    )
+    return or_(days == 0, identity_id.is_(None), was_confirmed)
 
 
 def _is_use_outdated(last_used_at: ColumnElement[Any]) -> ColumnElement[bool]:
@@ -205,6 +232,7 @@ def _by_token() -> Select[Any]:
     )
     of_run = or_(token.c.kind != TokenKind.run.value, token.c.run_id.is_not(None))
     usable = token.c.revoked_at.is_(None) & unexpired(token.c.expires_at) & of_run
+    usable &= _is_confirmed(token.c.identity_id)
     return stmt.join_from(token, person).where(token.c.secret_sha256 == bindparam("hashed"), usable)
 
 

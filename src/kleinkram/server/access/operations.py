@@ -190,6 +190,10 @@ OPERATIONS: dict[str, Permission] = {
     "unmake_admin": Permission(ResourceKind.server, None, _ADMIN),
     "deactivate_person": Permission(ResourceKind.server, None, _ADMIN),
     "reactivate_person": Permission(ResourceKind.server, None, _ADMIN),
+    "erase_person": Permission(ResourceKind.server, None, _ADMIN, fresh=True),
+    "get_erasure": Permission(ResourceKind.server, None, _ADMIN),
+    # One's own data; admins export everybody's.
+    "export_person": Permission(ResourceKind.none, None, _ADMIN, unrestricted=True),
     # Trash
     "list_trash": Permission(ResourceKind.visible, Right.delete, _READ),
     "restore_from_trash": Permission(ResourceKind.mission, Right.delete, _WRITE),
@@ -212,6 +216,8 @@ OPERATIONS: dict[str, Permission] = {
     "bootstrap_admin": _public_endpoint(),
     "begin_provider_sign_in": _public_endpoint(),
     "end_provider_sign_in": _public_endpoint(),
+    # By the provider itself, with a token that it has signed.
+    "end_provider_sessions": _public_endpoint(),
     "begin_device_login": _public_endpoint(),
     "exchange_device_code": _public_endpoint(),
     "exchange_cli_code": _public_endpoint(),
@@ -256,6 +262,7 @@ OPERATIONS: dict[str, Permission] = {
     "get_admin_scrub": Permission(ResourceKind.server, None, _ADMIN),
     "begin_scrub": Permission(ResourceKind.server, None, _ADMIN),
     "get_admin_health": Permission(ResourceKind.server, None, _ADMIN),
+    "get_admin_status": Permission(ResourceKind.server, None, _ADMIN),
     "get_admin_settings": Permission(ResourceKind.server, None, _ADMIN),
     "get_service": Permission(ResourceKind.none, None, _ANY, guests=True, runners=True),
 }

@@ -6,6 +6,7 @@ from fastapi import APIRouter, Path, Request
 
 from kleinkram.contract import admin
 from kleinkram.server.admin import service
+from kleinkram.server.admin.status import get_status
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, CurrentSettings, Transaction
 
 router = APIRouter(prefix="/api/v1/admin", tags=["admin"])
@@ -54,6 +55,12 @@ async def begin_scrub(
 async def get_admin_health(http_request: Request, context: CurrentContext, _actor: CurrentActor) -> admin.AdminHealth:
     """Return the state of database, store and workers."""
     return await service.get_health(context, takes_pages=http_request.app.state.pages_may_send)
+
+
+@router.get("/status", operation_id="get_admin_status")
+async def get_admin_status(http_request: Request, context: CurrentContext, _actor: CurrentActor) -> admin.AdminStatus:
+    """Return whether the server is healthy, what is full and when, and what needs an admin."""
+    return await get_status(context, takes_pages=http_request.app.state.pages_may_send)
 
 
 @router.get("/settings", operation_id="get_admin_settings")

@@ -22,7 +22,9 @@ _ADMIN_LEVEL = Right.delete.level + 1
 # How the verbs of operations change an object; the verbs of no set change it otherwise.
 _CREATED = frozenset({"create", "upload", "link", "move_in", "register", "restore", "bootstrap"})
 _REMOVED = frozenset({"delete", "revoke", "move_out", "abort", "purge"})
-_UNCHANGED = frozenset({"download", "verify", "preview", "denied", "refused", "limited", "approve", "reset_link"})
+_UNCHANGED = frozenset(
+    {"download", "export", "verify", "preview", "denied", "refused", "limited", "approve", "reset_link", "send"}
+)
 
 
 @dataclass(frozen=True)

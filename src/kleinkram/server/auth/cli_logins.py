@@ -44,6 +44,7 @@ class _Approval(NamedTuple):
     label: str
     kind: str
     approved_by_id: uuid.UUID
+    approved_session_id: uuid.UUID
 
 
 class _Poll(NamedTuple):
@@ -230,7 +231,10 @@ async def _create_token(db: Connection, guest: Actor, approval: _Approval, setti
     ends = func.now() + datetime.timedelta(days=days)
     expires_at: datetime.datetime = (await db.execute(select(ends))).scalar_one()
     request = TokenCreate(name=_as_label(approval.label), scopes=[Scope.admin], expires_at=expires_at)
-    token_id, secret = await issue_token(db, approver.person_id, request=request, expires_at=expires_at)
+    session_id = approval.approved_session_id
+    token_id, secret = await issue_token(
+        db, approver.person_id, request=request, expires_at=expires_at, approved_in=session_id
+    )
     actor = approver.for_request(guest.operation or "", request_id=guest.request_id, address=guest.address)
     after: Metadata = {
         "method": f"login by {approval.kind}",

@@ -7,8 +7,6 @@ import asyncio
 import re
 import secrets
 import uuid
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,7 +19,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.auth.local_accounts import PasswordHasher
 from kleinkram.server.auth.one_time_codes import describe_code
 from kleinkram.server.auth.provider_accounts import REQUEST_LIFETIME_S
-from kleinkram.server.auth.sessions import Browser, start_session
+from kleinkram.server.auth.sessions import Browser, SignInMethod, start_session
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, session_cookie
 from kleinkram.server.http.rate_limit import Count, enforce_limits, reserve_slot, subscriber_network
@@ -32,6 +30,8 @@ if TYPE_CHECKING:
 
 # An account may be tried this many times as often as one address may try, before attempts must wait for slots.
 _ADDRESSES_PER_ACCOUNT = 3
+# As many as a lab has browsers; each costs the check of a signature.
+_PROVIDER_LOGOUTS_PER_MINUTE = 600
 # 32 random bytes.
 _BROWSER_SECRET = re.compile(r"[A-Za-z0-9_-]{43}")
 
@@ -72,6 +72,12 @@ class SignInContext:
             count = Count("sign-ins", account.lower(), _ADDRESSES_PER_ACCOUNT * limit)
             await asyncio.sleep(await reserve_slot(self.database, count))
 
+    async def count_provider_logout(self) -> None:
+        """Count a logout token for the client's address: a provider sends many at once. Raises RateLimited."""
+        if self.actor.address:
+            client = subscriber_network(self.actor.address)
+            await enforce_limits(self.database, Count("logouts by providers", client, _PROVIDER_LOGOUTS_PER_MINUTE))
+
     async def hash_with_code(self, password: str, *, code: str, about: tuple[str | None, ...] = ()) -> str:
         """Hash a new password, if a one-time code is valid; the code is not used up.
 
@@ -86,9 +92,10 @@ class SignInContext:
         return await self.hasher.hash_new(password, field=field, about=(*about, self.settings.lab_name))
 
     async def start_session(
-        self, db: Connection, response: Response, *, person_id: uuid.UUID, method: str
+        self, db: Connection, response: Response, *, person_id: uuid.UUID, method: str | SignInMethod
     ) -> BrowserSignedIn:
         """Sign the browser in, as part of the caller's transaction. Raises SignInRefused."""
+        method = SignInMethod(method) if isinstance(method, str) else method
         cookie = session_cookie(self.settings)
         browser = Browser(self.request.headers.get("user-agent"), self.request.cookies.get(cookie))
         session = await start_session(
@@ -101,27 +108,6 @@ class SignInContext:
         """Check that this server has local accounts. Raises NotFound."""
         if not self.settings.local_accounts:
             raise NotFound(resource_type="sign-in method", ref="password")
-
-
-@asynccontextmanager
-async def open_providers(settings: Settings) -> "AsyncIterator[dict[str, OpenIdProvider]]":
-    """Open clients of the providers in the settings; a provider is contacted only when somebody signs in."""
-    if not settings.oidc_providers:
-        yield {}
-        return
-    import aiohttp
-
-    from kleinkram.server.auth.oidc import OpenIdProvider  # 10 MB with its libraries
-
-    async with aiohttp.ClientSession(cookie_jar=aiohttp.DummyCookieJar(), trust_env=True) as http:
-        providers: dict[str, OpenIdProvider] = {}
-        for provider in settings.oidc_providers:
-            secret = None if provider.client_secret is None else provider.client_secret.get_secret_value()
-            if provider.client_secret_file is not None:
-                secret = (await asyncio.to_thread(provider.client_secret_file.read_text, encoding="utf-8")).strip()
-            redirect_url = f"{settings.public_url.rstrip('/')}/sign-in/callback/{provider.name}"
-            providers[provider.name] = OpenIdProvider(provider, http, redirect_url=redirect_url, secret=secret)
-        yield providers
 
 
 async def _sign_in_context(

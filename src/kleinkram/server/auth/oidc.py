@@ -5,6 +5,7 @@ signed by an unknown one. Nothing of a token is ever logged.
 """
 
 import asyncio
+import datetime
 import json
 import time
 from collections.abc import Mapping
@@ -24,6 +25,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, Va
 from kleinkram.contract.errors import ProviderUnavailable, SignInRefused
 from kleinkram.contract.names import check_text
 from kleinkram.server.auth.provider_accounts import AuthorizationRequest, VerifiedIdentity
+from kleinkram.server.auth.provider_checks import LogoutRequest, LogoutTokenInvalid, RefreshedAccount
 from kleinkram.server.settings import OidcProvider
 
 T = TypeVar("T", bound=BaseModel)
@@ -32,6 +34,9 @@ T = TypeVar("T", bound=BaseModel)
 _ALGORITHMS = ("RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES384", "ES512", "Ed25519")
 _CACHE_S = 3600.0
 _CLOCK_LEEWAY_S = 60
+_LOGOUT_EVENT = "http://schemas.openid.net/event/backchannel-logout"
+# The age up to which a logout token is accepted; so long it is remembered, too.
+_LOGOUT_TOKEN_AGE_S = 600
 _DISCOVERY_PATH = "/.well-known/openid-configuration"
 _FORM = "application/x-www-form-urlencoded"
 
@@ -64,6 +69,20 @@ class _Claims(BaseModel):
     name: str | None = None
     preferred_username: str | None = None
     auth_time: int | None = None
+    sid: Annotated[str, Field(max_length=255), AfterValidator(check_text)] | None = None
+
+
+class _LogoutClaims(BaseModel):
+    """The claims of a logout token. Source: OpenID Connect Back-Channel Logout 1.0, section 2.4."""
+
+    iss: str
+    aud: str | list[str]
+    iat: int
+    exp: int | None = None
+    jti: Annotated[str, Field(min_length=1, max_length=255), AfterValidator(check_text)]
+    sub: Annotated[str, Field(max_length=255), AfterValidator(check_text)] | None = None
+    sid: Annotated[str, Field(max_length=255), AfterValidator(check_text)] | None = None
+    events: dict[str, dict[str, JsonValue]]
 
 
 class _Response(NamedTuple):
@@ -129,7 +148,76 @@ class OpenIdProvider:
             email_verified=claims.email_verified in {True, "true"},
             name=claims.name or claims.preferred_username,
             auth_time=claims.auth_time,
+            session_id=claims.sid,
+            refresh_token=self._refresh_token_of(tokens),
         )
+
+    async def refresh(self, refresh_token: str, *, subject: str) -> RefreshedAccount | None:
+        """Ask whether an account still exists; returns None if the provider refuses it.
+
+        Raises ProviderUnavailable if the provider does not say so, or SignInRefused for an invalid ID token.
+
+        Source: OpenID Connect Core 1.0, section 12.
+        """
+        discovery = await self._discover()
+        body = prepare_token_request("refresh_token", refresh_token=refresh_token)
+        url, headers, body = self._add_client_auth(discovery.token_endpoint, body)
+        response = await self._send("POST", url, headers=headers, data=body)
+        tokens = response.body if isinstance(response.body, dict) else {}
+        if response.status in {400, 401} and tokens.get("error") == "invalid_grant":
+            return None
+        if response.status != 200 or not tokens:
+            reason = str(tokens.get("error") or "no reason")[:60]
+            raise self._unavailable(f"it answered a refresh token with status {response.status} ({reason})")
+        if isinstance(id_token := tokens.get("id_token"), str):
+            claims = (await self._verify_signature(id_token)).claims
+            if (claims.get("iss"), claims.get("sub")) != (self.settings.issuer, subject):
+                raise self._refused("it answered a refresh token with another person's ID token")
+        return RefreshedAccount(self._refresh_token_of(tokens) or refresh_token)
+
+    async def verify_logout_token(self, logout_token: str) -> LogoutRequest:
+        """Return whose sessions a logout token ends. Raises LogoutTokenInvalid or ProviderUnavailable.
+
+        Source: OpenID Connect Back-Channel Logout 1.0, section 2.6.
+        """
+        try:
+            token = await self._verify_signature(logout_token)
+            claims = _LogoutClaims.model_validate(token.claims)
+        except SignInRefused as error:
+            raise LogoutTokenInvalid("the logout token is malformed, or its signature is not valid") from error
+        except ValidationError as error:
+            raise LogoutTokenInvalid("the logout token lacks a claim, or one has another form") from error
+        if problem := self._logout_problem(token, claims):
+            raise LogoutTokenInvalid(f"the logout token {problem}")
+        return LogoutRequest(
+            issuer=claims.iss,
+            provider=self.settings.title,
+            subject=claims.sub,
+            session_id=claims.sid,
+            jti=claims.jti,
+            expires_at=datetime.datetime.fromtimestamp(
+                claims.iat + _LOGOUT_TOKEN_AGE_S + 2 * _CLOCK_LEEWAY_S, datetime.timezone.utc
+            ),
+        )
+
+    def _logout_problem(self, token: jwt.Token, claims: _LogoutClaims) -> str | None:
+        now, audience = time.time(), [claims.aud] if isinstance(claims.aud, str) else claims.aud
+        if str(token.header.get("typ") or "logout+jwt").lower() not in {"logout+jwt", "jwt"}:
+            return "is a token of another type"
+        if claims.iss != self.settings.issuer or self.settings.client_id not in audience:
+            return "is of another issuer, or for another client"
+        if not now - _LOGOUT_TOKEN_AGE_S - _CLOCK_LEEWAY_S <= claims.iat <= now + _CLOCK_LEEWAY_S:
+            return "is too old, or from the future"
+        if claims.exp is not None and claims.exp < now - _CLOCK_LEEWAY_S:
+            return "has expired"
+        if _LOGOUT_EVENT not in claims.events or "nonce" in token.claims:
+            return "is not about a logout"
+        return None if claims.sub or claims.sid else "names neither a person nor a session"
+
+    def _refresh_token_of(self, tokens: Mapping[str, JsonValue]) -> str | None:
+        """Return the refresh token of a response, if the settings ask for ones that outlive the provider's session."""
+        refresh_token = tokens.get("refresh_token")
+        return refresh_token if self.settings.is_refreshable and isinstance(refresh_token, str) else None
 
     async def _discover(self) -> DiscoveryDocument:
         if self._discovery is not None and self._discovery[0] > time.monotonic():
@@ -187,17 +275,18 @@ class OpenIdProvider:
         except (ValidationError, TypeError, ValueError) as error:
             raise self._refused("the claims of its ID token are not valid") from error
 
-    async def _verify_signature(self, id_token: str) -> jwt.Token:
+    async def _verify_signature(self, token: str) -> jwt.Token:
+        """Return an ID token or logout token that the provider has signed. Raises SignInRefused."""
         keys, are_fresh = await self._get_keys()
         try:
-            return jwt.decode(id_token, keys, algorithms=_ALGORITHMS)
+            return jwt.decode(token, keys, algorithms=_ALGORITHMS)
         except (InvalidKeyIdError, BadSignatureError) as error:
             if are_fresh:
                 raise self._refused("the signature of its ID token is not valid") from error
         except (JoseError, ValueError) as error:
             raise self._refused("its ID token is malformed") from error
         self._keys = None  # the provider may have rotated its keys
-        return await self._verify_signature(id_token)
+        return await self._verify_signature(token)
 
     async def _get_keys(self) -> tuple[KeySet, bool]:
         """Return the provider's keys, and whether they were fetched just now."""

@@ -17,7 +17,7 @@ from kleinkram.server.access.actor import secret_hash, unexpired
 from kleinkram.server.access.builtin_groups import ADMINS_ID
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import Settings
-from kleinkram.server.tables import login_request, membership, oidc_login, one_time_code, person
+from kleinkram.server.tables import login_request, membership, oidc_login, one_time_code, person, used_logout_token
 from kleinkram.server.tables.sign_in import CodePurpose
 
 _SECRET_BYTES = 32
@@ -144,6 +144,6 @@ def _is_valid_code(secret: str) -> tuple[ColumnElement[bool], ...]:
 
 
 async def delete_expired_codes(db: Connection) -> None:
-    """Delete codes a month after their end, device logins after a day, and expired sign-ins by a provider."""
-    for table, days in ((one_time_code, 30), (login_request, 1), (oidc_login, 0)):
+    """Delete codes a month after their end, device logins after a day, and what expired of sign-ins by providers."""
+    for table, days in ((one_time_code, 30), (login_request, 1), (oidc_login, 0), (used_logout_token, 0)):
         await db.execute(delete(table).where(table.c.expires_at < func.now() - datetime.timedelta(days=days)))

@@ -7,15 +7,18 @@ from functools import cache
 from html import escape
 from importlib import resources
 from typing import Annotated
+from urllib.parse import parse_qs
 
 from fastapi import APIRouter, Query, Request, Response
-from fastapi.responses import HTMLResponse, RedirectResponse
+from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse
 from pydantic import BaseModel, ConfigDict, Field
 
 from kleinkram.contract.errors import KleinkramError, NotFound, SignInRefused
 from kleinkram.server.auth import provider_accounts
 from kleinkram.server.auth.dependencies import CurrentSignIn, SignInContext, bound_browser
 from kleinkram.server.auth.provider_accounts import take_request
+from kleinkram.server.auth.provider_checks import LogoutTokenInvalid, end_provider_sessions
+from kleinkram.server.auth.sessions import SignInMethod
 from kleinkram.server.http.dependencies import CurrentSettings
 from kleinkram.server.http.errors import audit_refusal
 from kleinkram.server.http.headers import PAGE_POLICY
@@ -185,7 +188,9 @@ async def _finish_sign_in(context: SignInContext, name: str, query: CallbackQuer
     async with context.database.begin() as db:
         if request.session_id is None:
             person_id = await provider_accounts.open_account(db, actor, verified=verified, provider=settings)
-            await context.start_session(db, response, person_id=person_id, method=verified.issuer)
+            identity_id = await provider_accounts.confirm_identity(db, verified)
+            method = SignInMethod(verified.issuer, identity_id, verified.session_id)
+            await context.start_session(db, response, person_id=person_id, method=method)
         elif request.session_id != actor.session_id:
             raise SignInRefused(reason="you have signed out, so nothing changed. Sign in and start again.")
         elif request.reauthenticates:
@@ -193,6 +198,23 @@ async def _finish_sign_in(context: SignInContext, name: str, query: CallbackQuer
         else:
             await provider_accounts.link_identity(db, actor, verified=verified, provider=settings)
     return response
+
+
+@router.post("/backchannel-logout/{provider}", operation_id="end_provider_sessions")
+async def end_sessions_of_provider(provider: str, request: Request, context: CurrentSignIn) -> Response:
+    """End the sessions that a provider's logout token names: OpenID Connect Back-Channel Logout 1.0, section 2.5."""
+    await context.count_provider_logout()
+    headers = {"Cache-Control": "no-store"}
+    try:
+        fields = parse_qs((await request.body()).decode("ascii", errors="replace"))
+        logout = await context.provider(provider).verify_logout_token(fields.get("logout_token", [""])[0])
+        async with context.database.begin() as db:
+            await end_provider_sessions(db, context.actor, logout=logout)
+    except LogoutTokenInvalid as error:
+        await audit_refusal(request, SignInRefused(reason=str(error)))
+        problem = {"error": "invalid_request", "error_description": str(error)}
+        return JSONResponse(problem, status_code=400, headers=headers)
+    return Response(status_code=200, headers=headers)
 
 
 @router.get("/{name}")

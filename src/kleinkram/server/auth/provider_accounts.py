@@ -47,6 +47,10 @@ class VerifiedIdentity:
     name: str | None
     # When they last entered their password there, if the provider sends it: seconds since 1970, by its clock.
     auth_time: int | None = None
+    # The id of their session there, if the provider sends it.
+    session_id: str | None = None
+    # With which the account can be checked later, if the provider grants one.
+    refresh_token: str | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True)
@@ -143,6 +147,14 @@ async def open_account(
     return owner
 
 
+async def confirm_identity(db: Connection, verified: VerifiedIdentity) -> uuid.UUID:
+    """Record that a provider has just confirmed a linked identity, and return its id."""
+    now = {"confirmed_at": func.now(), "checked_at": func.now()}
+    confirm = update(identity).where(_same(verified)).values(**now, refresh_token=verified.refresh_token)
+    identity_id: uuid.UUID = (await db.execute(confirm.returning(identity.c.id))).scalar_one()
+    return identity_id
+
+
 async def link_identity(db: Connection, actor: Actor, *, verified: VerifiedIdentity, provider: OidcProvider) -> None:
     """Link an identity to the actor's account. Raises SignInRefused."""
     await db.execute(select(func.pg_advisory_xact_lock(_ACCOUNT_LOCK)))
@@ -163,6 +175,7 @@ async def reauthenticate(db: Connection, actor: Actor, *, verified: VerifiedIden
     if verified.auth_time is not None and verified.auth_time < time.time() - _MAX_AUTH_AGE_S:
         reason = f"{provider.title} did not ask for your password again. Sign out there, then start again."
         raise SignInRefused(reason=reason)
+    await confirm_identity(db, verified)
     await renew_session(db, actor, method=provider.issuer)
 
 

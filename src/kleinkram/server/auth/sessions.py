@@ -17,7 +17,7 @@ from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection
 from kleinkram.server.pagination import Order, PageRequest, read_page
 from kleinkram.server.settings import Settings
-from kleinkram.server.tables import session
+from kleinkram.server.tables import identity, session
 
 _SESSION_ORDER = Order([session.c.created_at, session.c.id], descending=True)
 _SECRET_BYTES = 32
@@ -33,6 +33,18 @@ class Browser:
 
 
 @dataclass(frozen=True)
+class SignInMethod:
+    """How somebody signed in: `name` is `password`, `link`, `bootstrap`, or the URL of an issuer.
+
+    With a provider, also the account there, and the id that the provider gave its own session.
+    """
+
+    name: str
+    identity_id: uuid.UUID | None = None
+    provider_session_id: str | None = None
+
+
+@dataclass(frozen=True)
 class NewSession:
     """A new session: the signed-in person, and the secret for the browser's cookie."""
 
@@ -41,7 +53,7 @@ class NewSession:
 
 
 async def start_session(
-    db: Connection, guest: Actor, *, person_id: uuid.UUID, method: str, browser: Browser, lifetime_s: float
+    db: Connection, guest: Actor, *, person_id: uuid.UUID, method: SignInMethod, browser: Browser, lifetime_s: float
 ) -> NewSession:
     """Sign a browser in with a new secret and end its previous session. Raises SignInRefused or NotAuthenticated."""
     person = await find_person(db, person_id)
@@ -61,13 +73,15 @@ async def start_session(
             id=session_id,
             person_id=person_id,
             secret_sha256=secret_hash(secret),
-            method=method,
+            method=method.name,
+            identity_id=method.identity_id,
+            provider_session_id=method.provider_session_id,
             address=guest.address,
             user_agent=(browser.user_agent or "")[:_MAX_USER_AGENT_CHARACTERS] or None,
             expires_at=func.now() + datetime.timedelta(seconds=lifetime_s),
         )
     )
-    await audit(db, actor, Event("session.create", "session", session_id, person.name, after={"method": method}))
+    await audit(db, actor, Event("session.create", "session", session_id, person.name, after={"method": method.name}))
     if browser.previous_secret:
         await _end(db, actor, session.c.secret_sha256 == secret_hash(browser.previous_secret))
     return NewSession(actor, secret)
@@ -83,9 +97,13 @@ async def renew_session(db: Connection, actor: Actor, *, method: str) -> None:
 async def list_sessions(db: Connection, actor: Actor, *, settings: Settings, page: PageRequest) -> Page[SessionRead]:
     """Return a page of the actor's sessions, latest first. Raises InvalidCursor."""
     idle_timeout = datetime.timedelta(seconds=settings.session_idle_s)
-    ends_at = func.least(session.c.expires_at, session.c.last_used_at + idle_timeout).label("ends_at")
+    ends = [session.c.expires_at, session.c.last_used_at + idle_timeout]
+    if settings.provider_session_days:  # null, and ignored by `least`, without a provider
+        ends.append(identity.c.confirmed_at + datetime.timedelta(days=settings.provider_session_days))
+    ends_at = func.least(*ends).label("ends_at")
     is_live = session.c.revoked_at.is_(None) & (ends_at > func.now())
-    own_sessions = select(session, ends_at).where(session.c.person_id == actor.person_id, is_live)
+    own_sessions = select(session, ends_at).outerjoin(identity, identity.c.id == session.c.identity_id)
+    own_sessions = own_sessions.where(session.c.person_id == actor.person_id, is_live)
 
     def read(row: Row[Any]) -> SessionRead:
         values = {name: value for name, value in row._mapping.items() if name in SessionRead.model_fields}

@@ -7,17 +7,21 @@ ends with the CLI's exit codes. `klein backup` and `klein restore` become this p
 import json
 import os
 import sys
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Literal, NoReturn
 
 from pydantic import BaseModel, ConfigDict
 
+from kleinkram.contract.units import format_size
 from kleinkram.failures import code_of, failure_line
 from kleinkram.server.backup import operations
 from kleinkram.server.backup.errors import BackupDamaged, BackupError, BackupRequestInvalid
-from kleinkram.server.backup.operations import Messages, amount
+from kleinkram.server.backup.operations import Messages
 from kleinkram.server.backup.rclone import Rclone
 from kleinkram.server.backup.repository import Repository, Snapshot, make_repository, open_repository
+from kleinkram.server.backup.saved_rows import RestoreSelection
+from kleinkram.server.backup.selective import restore_selection
 from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.settings import Settings
 
@@ -41,6 +45,18 @@ class BackupRequest(BaseModel):
     keep: int = 0
     bytes_per_s: float | None = None
     connections: int = 8
+    project: str | None = None
+    mission: str | None = None
+    file: str | None = None
+    dry_run: bool = False
+
+    def selection(self) -> RestoreSelection | None:
+        """Return what to restore into the running instance; None for everything, into an empty one."""
+        if self.project is not None:
+            return RestoreSelection(self.project, self.mission, self.file)
+        if self.mission is not None or self.file is not None or self.dry_run:
+            raise BackupRequestInvalid("Name the project, too: a restore without one is of the whole instance.")
+        return None
 
     def repository(self) -> Repository:
         """Open the backups in the location; `create` begins them there."""
@@ -81,12 +97,17 @@ def main() -> None:
 
 
 def _create(request: BackupRequest) -> int:
-    settings = _settings()
-    created = operations.create(settings, request.repository(), request.show_progress)
+    settings, started_at = _settings(), datetime.now(timezone.utc)
+    try:
+        created = operations.create(settings, request.repository(), request.show_progress)
+    except BackupError:
+        _record_attempt(settings, started_at, None)
+        raise
     snapshot, copied = created.snapshot, created.copied
+    _record_attempt(settings, snapshot.created_at, snapshot)
     text = (
-        f"Backup {snapshot.id}: {snapshot.objects} objects ({amount(snapshot.object_bytes)}), of which "
-        f"{copied.count} ({amount(copied.bytes)}) were copied; {snapshot.rows} rows."
+        f"Backup {snapshot.id}: {snapshot.objects} objects ({format_size(snapshot.object_bytes)}), of which "
+        f"{copied.count} ({format_size(copied.bytes)}) were copied; {snapshot.rows} rows."
     )
     if snapshot.elsewhere:
         text += f"\n{snapshot.elsewhere} objects are in other stores than {snapshot.store_id}, and in no backup."
@@ -97,6 +118,15 @@ def _create(request: BackupRequest) -> int:
         "uploaded; all others are in the backup",
         created.problems,
     )
+
+
+def _record_attempt(settings: Settings, started_at: datetime, snapshot: Snapshot | None) -> None:
+    try:
+        operations.record_attempt(settings, started_at, snapshot)
+    except BackupError as error:
+        _clear_progress()
+        text = f"Warning: the metrics do not know of this attempt, because it could not be recorded: {error}"
+        print(text, file=sys.stderr)  # noqa: T201  (this program's output)
 
 
 def _list(request: BackupRequest) -> int:
@@ -116,7 +146,7 @@ def _list(request: BackupRequest) -> int:
         bad = f", {snapshot.lost} lost, {snapshot.corrupt} corrupt" if snapshot.lost or snapshot.corrupt else ""
         lines.append(
             f"{snapshot_id}  {snapshot.created_at:%Y-%m-%d %H:%M} UTC  {snapshot.objects} objects, "
-            f"{amount(snapshot.object_bytes)}{bad}"
+            f"{format_size(snapshot.object_bytes)}{bad}"
         )
     _print(request, results, "\n".join(lines) or "No complete backup yet.")
     return _DAMAGED if is_damaged else 0
@@ -126,10 +156,14 @@ def _verify(request: BackupRequest) -> int:
     result = operations.verify(
         request.repository(), request.snapshot_id, request.show_progress, read_all=request.read_all
     )
-    depth = f"{amount(result.read_bytes)} read" if request.read_all else "by name and size; --read-all reads every byte"
-    text = f"{result.snapshots} backups, {result.objects} objects, {amount(result.object_bytes)} ({depth})."
+    depth = (
+        f"{format_size(result.read_bytes)} read"
+        if request.read_all
+        else "by name and size; --read-all reads every byte"
+    )
+    text = f"{result.snapshots} backups, {result.objects} objects, {format_size(result.object_bytes)} ({depth})."
     if result.unused:
-        text += f"\n{result.unused} objects ({amount(result.unused_bytes)}) are in no complete backup."
+        text += f"\n{result.unused} objects ({format_size(result.unused_bytes)}) are in no complete backup."
     if result.lost_at_source:
         text += f"\n{result.lost_at_source} objects were lost before they were backed up."
     damage = result.damage
@@ -142,26 +176,52 @@ def _verify(request: BackupRequest) -> int:
 def _prune(request: BackupRequest) -> int:
     pruned = operations.prune(request.repository(), keep=request.keep)
     text = (
-        f"Removed {len(pruned.removed)} backups and {pruned.removed_objects} objects ({amount(pruned.removed_bytes)}); "
-        f"{len(pruned.remaining)} backups are kept."
+        f"Removed {len(pruned.removed)} backups and {pruned.removed_objects} objects "
+        f"({format_size(pruned.removed_bytes)}); {len(pruned.remaining)} backups are kept."
     )
     _print(request, vars(pruned), text)
     return 0
 
 
 def _restore(request: BackupRequest) -> int:
+    if (selection := request.selection()) is not None:
+        return _restore_selection(request, selection)
     restored = operations.restore(_settings(), request.repository(), request.snapshot_id, request.show_progress)
     snapshot, problems = restored.snapshot, Messages()
     for lost in restored.unavailable:
         problems.add(f"{lost.key}: {lost.state}: {lost.reason}")
     text = (
         f"Restored {snapshot.id}, the instance at {snapshot.created_at:%Y-%m-%d %H:%M:%S} UTC: {snapshot.objects} "
-        f"objects, {amount(snapshot.object_bytes)}; {snapshot.rows} rows."
+        f"objects, {format_size(snapshot.object_bytes)}; {snapshot.rows} rows."
     )
     _print(request, {**_facts(snapshot), "sent": restored.sent, "problems": problems.first}, text)
     return _print_problems(
         f"{problems.count} objects are lost or corrupt, and shown so; all others are there", problems
     )
+
+
+def _restore_selection(request: BackupRequest, selection: RestoreSelection) -> int:
+    restored = restore_selection(
+        _settings(),
+        request.repository(),
+        request.snapshot_id,
+        selection,
+        request.show_progress,
+        is_dry_run=request.dry_run,
+    )
+    snapshot = restored.snapshot
+    verb = "Would restore" if request.dry_run else "Restored"
+    lines = [
+        f"{verb} from {snapshot.id}, the instance at {snapshot.created_at:%Y-%m-%d %H:%M:%S} UTC: files: "
+        f"{restored.files} ({format_size(restored.file_bytes)}, of which {format_size(restored.copied_bytes)} copied); "
+        f"repaired: {restored.repaired}; there already: {restored.present}.",
+        *(f"Created: {name}" for name in restored.created),
+        *(f"Other bytes are at {path}: restored as {new}" for path, new in [*restored.renamed.items()][:_MAX_SHOWN]),
+    ]
+    values = {name: value for name, value in vars(restored).items() if name not in {"snapshot", "unavailable"}}
+    problems = restored.unavailable
+    _print(request, {**_facts(snapshot), **values, "problems": problems.first}, "\n".join(lines))
+    return _print_problems(f"{problems.count} files could not be restored", problems)
 
 
 def _facts(snapshot: Snapshot) -> dict[str, object]:

@@ -6,7 +6,9 @@ with the table, its columns and a number of bytes, then these bytes.
 
 import contextlib
 import json
+import uuid
 from collections.abc import Callable, Iterable, Iterator
+from datetime import datetime
 from typing import IO, NamedTuple, cast
 
 import psycopg
@@ -321,6 +323,19 @@ def _copy(table: str, columns: tuple[str, ...], direction: str) -> sql.Composed:
 def _run(database: Connection, statement: str, *values: str) -> None:
     # Names in it come from the catalog, quoted, or are constants.
     database.execute(statement, values or None)
+
+
+def record_attempt(dsn: str, started_at: datetime, snapshot_id: str | None, damaged_objects: int) -> None:
+    """Record that a backup was made, or with None that an attempt failed.
+
+    Raises:
+        psycopg.Error: the database is away, or the role may only read.
+    """
+    values = (uuid.uuid4(), started_at, snapshot_id, damaged_objects)
+    with psycopg.connect(dsn, application_name=_APPLICATION) as connection:
+        connection.execute(
+            "INSERT INTO backup_attempt (id, started_at, snapshot_id, damaged_objects) VALUES (%s, %s, %s, %s)", values
+        )
 
 
 def _value(database: Connection, query: str, *values: str) -> object:

@@ -17,6 +17,8 @@ import psycopg
 from sqlalchemy.exc import SQLAlchemyError
 
 import kleinkram
+from kleinkram.contract.errors import DatabaseUnavailable
+from kleinkram.contract.units import format_size
 from kleinkram.server.backup import database
 from kleinkram.server.backup.database import RestoreTarget, UnavailableObject
 from kleinkram.server.backup.errors import (
@@ -123,7 +125,7 @@ def create(settings: Settings, repository: Repository, show: ShowProgress) -> Cr
     """
     dsn, store_id = plain_dsn(settings.migration_database_url or settings.database_url), settings.store_id
     with (
-        _database_errors("The database failed ({}): run the same command again. What was copied stays."),
+        database_errors("The database failed ({}): run the same command again. What was copied stays."),
         repository.locked() as confirm_lock,
         database.deletion_lock(dsn) as confirm_deletion_lock,
         closing(ObjectIndex()) as index,
@@ -165,6 +167,18 @@ def create(settings: Settings, repository: Repository, show: ShowProgress) -> Cr
     return CreatedBackup(snapshot, copied, problems)
 
 
+def record_attempt(settings: Settings, started_at: datetime, snapshot: Snapshot | None) -> None:
+    """Record a backup, or with None an attempt that failed, for the metrics and the health of the instance.
+
+    Raises:
+        BackupUnreachable: the database is away, its schema is older, or the role may only read.
+    """
+    dsn = plain_dsn(settings.migration_database_url or settings.database_url)
+    snapshot_id, damaged = (None, 0) if snapshot is None else (snapshot.id, snapshot.lost + snapshot.corrupt)
+    with database_errors("{}"):
+        database.record_attempt(dsn, started_at, snapshot_id, damaged)
+
+
 def _copy_objects(
     settings: Settings,
     repository: Repository,
@@ -173,7 +187,7 @@ def _copy_objects(
     show: ShowProgress,
 ) -> ObjectTotals:
     """Copy what the location lacks, and read what no earlier backup verified."""
-    rclone, bucket = _with_bucket(repository.rclone, settings)
+    rclone, bucket = bucket_remote(repository.rclone, settings)
     _index_stored(index, rclone, repository.objects)
     for snapshot_id in reversed(repository.snapshot_ids()):  # the latest that can be read
         with suppress(BackupDamaged, BackupNotFound):
@@ -351,8 +365,8 @@ def restore(settings: Settings, repository: Repository, snapshot_id: str | None,
     target = RestoreTarget(plain_dsn(settings.migration_database_url), settings.serving_role, settings.store_id)
     snapshot = repository.snapshot(snapshot_id)
     database.refuse_unknown_schema(snapshot)
-    rclone, bucket = _with_bucket(repository.rclone, settings)
-    with _database_errors("The database refused the backup ({}): the instance is still empty."):
+    rclone, bucket = bucket_remote(repository.rclone, settings)
+    with database_errors("The database refused the backup ({}): the instance is still empty."):
         is_continued = _mark_target(rclone, bucket, settings.s3_bucket, snapshot)
         earlier = database.restored_from(target)
         if earlier is not None and (earlier != snapshot.id or not is_continued):
@@ -431,10 +445,11 @@ def _restore_objects(
 
 
 @contextmanager
-def _database_errors(sentence: str) -> Iterator[None]:
+def database_errors(sentence: str) -> Iterator[None]:
+    """Raise BackupUnreachable with a sentence, which has a place for the reason, when the database fails."""
     try:
         yield
-    except (psycopg.Error, SQLAlchemyError) as error:
+    except (psycopg.Error, SQLAlchemyError, DatabaseUnavailable) as error:
         raise BackupUnreachable(sentence.format(database.first_line(error))) from error
 
 
@@ -442,7 +457,7 @@ def _index_stored(index: ObjectIndex, rclone: Rclone, remote: str) -> None:
     index.put("key, stored_bytes", ((file.path, file.size_bytes) for file in rclone.files(remote)))
 
 
-def _with_bucket(rclone: Rclone, settings: Settings) -> tuple[Rclone, str]:
+def bucket_remote(rclone: Rclone, settings: Settings) -> tuple[Rclone, str]:
     """Return rclone with the instance's bucket as a remote, and that remote."""
     secret_key = settings.s3_secret_key.get_secret_value()
     access = S3Access(
@@ -453,13 +468,4 @@ def _with_bucket(rclone: Rclone, settings: Settings) -> tuple[Rclone, str]:
 
 def _show_progress(show: ShowProgress, done: ObjectTotals, batch: list[BackupObject], total: ObjectTotals) -> None:
     done.add(batch)
-    show(f"{done.count} of {total.count} objects, {amount(done.bytes)} of {amount(total.bytes)}")
-
-
-def amount(size_bytes: float) -> str:
-    """Return bytes as a person reads them."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if size_bytes < 1000:
-            return f"{size_bytes:.0f} {unit}" if unit == "B" else f"{size_bytes:.1f} {unit}"
-        size_bytes /= 1000
-    return f"{size_bytes:.1f} TB"
+    show(f"{done.count} of {total.count} objects, {format_size(done.bytes)} of {format_size(total.bytes)}")

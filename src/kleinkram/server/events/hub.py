@@ -16,6 +16,7 @@ import psycopg
 from psycopg.conninfo import make_conninfo
 
 from kleinkram.contract.errors import TooManyStreams
+from kleinkram.server import metrics
 from kleinkram.server.change_events import CHANNEL, EVERYTHING, ChangeEvent, read_event
 from kleinkram.server.settings import Settings, plain_dsn
 
@@ -144,7 +145,8 @@ class Hub:
             self._replay(after, subscription)
         self._streams[subscription] = person_id
         try:
-            yield subscription
+            with metrics.EVENT_STREAMS.track_inprogress():
+                yield subscription
         finally:
             del self._streams[subscription]
 
@@ -157,7 +159,8 @@ class Hub:
         subscription = EventSubscription(event_filter)
         self._long_polls[subscription] = account_id
         try:
-            yield subscription
+            with metrics.LONG_POLLS.track_inprogress():
+                yield subscription
         finally:
             del self._long_polls[subscription]
 
@@ -188,6 +191,7 @@ class Hub:
             self.reset()
             return
         event = read_event(payload)
+        metrics.EVENTS.inc()
         self._count += 1
         self._history.append(event)
         for subscription in self._subscriptions:
@@ -232,6 +236,7 @@ async def _listen(hub: Hub, dsn: str) -> None:
             async with await psycopg.AsyncConnection.connect(dsn, autocommit=True) as connection:
                 await connection.execute(f"LISTEN {CHANNEL}")
                 hub.reset()
+                metrics.EVENT_LISTENER_UP.set(1)
                 pause_s = _MIN_RECONNECT_S
                 async for notification in connection.notifies():
                     hub.receive(notification.payload)
@@ -239,5 +244,6 @@ async def _listen(hub: Hub, dsn: str) -> None:
             _log.warning(
                 "not listening for changes", extra={"fields": {"reason": type(error).__name__, "pause_s": pause_s}}
             )
+        metrics.EVENT_LISTENER_UP.set(0)
         await asyncio.sleep(pause_s)
         pause_s = min(2 * pause_s, _MAX_RECONNECT_S)

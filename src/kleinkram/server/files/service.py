@@ -26,6 +26,7 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.problems import to_problem
 from kleinkram.contract.projects import Deleted
 from kleinkram.contract.search import FileLabelled, LabelChange
+from kleinkram.server import metrics
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_match, require_mission
 from kleinkram.server.audit.log import Event, audit
@@ -209,7 +210,9 @@ async def link_files(
     async with context.database.begin() as db:
         stored = await _readable_files(db, actor, file_ids)
         await audit(db, actor, *[_event(_FETCHED[purpose], one.read) for one in stored])
-        await count_downloads(db, actor, files=len(stored), size_bytes=sum(one.read.size_bytes for one in stored))
+        amount = {"files": len(stored), "size_bytes": sum(one.read.size_bytes for one in stored)}
+        await count_downloads(db, actor, **amount)
+    metrics.count_downloads(**amount)
     expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
     return [

@@ -6,6 +6,7 @@ unless KLEINKRAM_S3_CORS says otherwise. Never prints a secret.
 
 import asyncio
 import datetime
+import os
 import resource
 import sys
 import tempfile
@@ -22,6 +23,7 @@ from psycopg.rows import class_row
 from pydantic import PostgresDsn, ValidationError
 from typing_extensions import LiteralString
 
+from kleinkram import traces
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.diagnostics import (
     Diagnostic,
@@ -42,6 +44,7 @@ from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.health.readiness import check_schema
 from kleinkram.server.http.headers import CHECK_HEADER, RequestOrigin, operator_code
 from kleinkram.server.logs import quiet_libraries
+from kleinkram.server.mail import MailNotSent, open_mail_server
 from kleinkram.server.s3.capabilities import configure_cors, probe
 from kleinkram.server.s3.storage import Storage, StoreRefused, open_storage
 from kleinkram.server.settings import Settings, plain_dsn
@@ -65,7 +68,8 @@ _ABOUT_RIGHTS = """
 SELECT has_table_privilege('mission', 'SELECT') AND has_table_privilege('mission', 'INSERT')
     AND has_table_privilege('mission', 'UPDATE') AS writes,
   has_table_privilege('audit_event', 'INSERT') AS appends,
-  has_table_privilege('audit_event', 'UPDATE') OR has_table_privilege('audit_event', 'DELETE') AS alters
+  has_table_privilege('audit_event', 'UPDATE') OR has_table_privilege('audit_event', 'DELETE') AS alters,
+  (SELECT coalesce(max(days), 0) FROM audit_retention) AS audit_days
 """
 
 
@@ -86,11 +90,15 @@ class _Server:
 
 @dataclass(frozen=True)
 class _Rights:
-    """Row of `_ABOUT_RIGHTS`: whether a role can change missions, and append to and change the audit log."""
+    """Row of `_ABOUT_RIGHTS`: whether a role can change missions, and append to and change the audit log.
+
+    `audit_days`: for how many days the database keeps the audit log; 0 for ever.
+    """
 
     writes: bool
     appends: bool
     alters: bool
+    audit_days: int
 
 
 def main(*, as_json: bool) -> int:
@@ -107,9 +115,9 @@ async def _collect() -> list[Diagnostic]:
     except SettingsInvalid as error:
         return [*(problem("settings", line) for line in str(error).splitlines()), *_machine(None)]
     results = [ok("settings", "All are known and valid."), *_optional(settings)]
-    for check in (_database, _migrating_role, _store, _public_url):
+    for check in (_database, _migrating_role, _store, _public_url, _traces):
         results += [result async for result in check(settings)]
-    results += await asyncio.to_thread(lambda: [_reader(settings), *_machine(settings)])
+    results += await asyncio.to_thread(lambda: [*_mail(settings), _reader(settings), *_machine(settings)])
     return results
 
 
@@ -117,6 +125,11 @@ def _optional(settings: Settings) -> Iterator[Diagnostic]:
     if settings.metrics_port is None:
         remedy = "Set KLEINKRAM_METRICS_PORT, a different one for each process."
         yield warning("metrics", "They are not served.", remedy)
+    if settings.audit_archive is not None:
+        folder = settings.audit_archive
+        is_writable = folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+        remedy = "KLEINKRAM_AUDIT_ARCHIVE needs a folder to which the worker may write."
+        yield judge("audit archive", is_writable, f"{folder}.", remedy)
     host = urlsplit(settings.public_url).hostname
     if not _is_local(host) and not settings.public_url.startswith("https://"):
         yield warning("public address", f"{settings.public_url} is not encrypted.", "Serve it by https.")
@@ -148,7 +161,9 @@ async def _database(settings: Settings) -> AsyncIterator[Diagnostic]:
     for result in results:
         yield result
     if not find_problems(results):
-        yield _rights_of_role(await _query(_Rights, settings.database_url, _ABOUT_RIGHTS))
+        rights = await _query(_Rights, settings.database_url, _ABOUT_RIGHTS)
+        yield _rights_of_role(rights)
+        yield _retention(settings, rights.audit_days)
 
 
 def _serving_role(settings: Settings, row: _Server) -> Diagnostic:
@@ -174,6 +189,12 @@ def _rights_of_role(rights: _Rights) -> Diagnostic:
         remedy = "Migrations grant that: GRANT again what was revoked by hand (see docs/running.md)."
         return problem(check, f"It may not {missing}.", remedy)
     return ok(check, "It reads and writes, and adds to the audit log.")
+
+
+def _retention(settings: Settings, stored_days: int) -> Diagnostic:
+    message = f"Events are kept for {stored_days} days." if stored_days else "Events are kept forever."
+    remedy = "Run `migrate`: it stores KLEINKRAM_AUDIT_DAYS, which differs."
+    return judge("audit log", stored_days == settings.audit_days, message, remedy, otherwise=DiagnosticSeverity.warning)
 
 
 async def _migrating_role(settings: Settings) -> AsyncIterator[Diagnostic]:
@@ -276,6 +297,34 @@ async def _public_url(settings: Settings) -> AsyncIterator[Diagnostic]:
     yield _proxy(settings, origin)
 
 
+async def _traces(_settings: Settings) -> AsyncIterator[Diagnostic]:
+    """Send a collector no spans, if the environment names one."""
+    check, url = "traces", traces.endpoint()
+    if url is None:
+        return
+    if (reason := traces.misconfiguration()) is not None:
+        yield warning(check, f"None are exported: {reason}.", "Correct the variables of OpenTelemetry, or unset them.")
+        return
+    host = urlsplit(url).hostname  # the address may hold a password
+    try:
+        async with (
+            aiohttp.ClientSession(timeout=_TIMEOUT) as session,
+            session.post(url, headers={"Content-Type": "application/x-protobuf"}) as response,
+        ):
+            status = response.status
+    except (aiohttp.ClientError, asyncio.TimeoutError, OSError, ValueError) as error:
+        message = f"The collector at {host} cannot be reached ({type(error).__name__})."
+        yield warning(check, message, "Start it, or correct OTEL_EXPORTER_OTLP_ENDPOINT.")
+        return
+    # It may want the headers of `OTEL_EXPORTER_OTLP_HEADERS`, which are the exporter's.
+    is_there = status < 300 or status in {401, 403}
+    message, remedy = (
+        f"The collector at {host} answers {status}.",
+        "Set OTEL_EXPORTER_OTLP_ENDPOINT to its address for OTLP over HTTP.",
+    )
+    yield judge(check, is_there, message, remedy, otherwise=DiagnosticSeverity.warning)
+
+
 def _proxy(settings: Settings, origin: RequestOrigin) -> Diagnostic:
     check = "proxy headers"
     if origin.forwarded and not origin.is_trusted:
@@ -294,6 +343,17 @@ def _proxy(settings: Settings, origin: RequestOrigin) -> Diagnostic:
     if settings.public_url.startswith("https://") and origin.scheme != "https":
         return problem(check, "The API takes https for http.", "Let the proxy send X-Forwarded-Proto.")
     return ok(check, f"The API sees requests from here as {origin.address}, by {origin.scheme}.")
+
+
+def _mail(settings: Settings) -> Iterator[Diagnostic]:
+    """Sign in to the mail server, without sending anything."""
+    if settings.smtp_host is None:
+        return
+    try:
+        with open_mail_server(settings):
+            yield ok("mail server", f"{settings.smtp_host} accepts mail from this server.")
+    except MailNotSent as error:
+        yield problem("mail server", str(error), "Correct the settings KLEINKRAM_SMTP_….")
 
 
 def _reader(settings: Settings) -> Diagnostic:

@@ -1,4 +1,6 @@
-"""Serves Prometheus metrics: those of this process, and gauges of the database from one process at a time.
+"""Serves Prometheus metrics: those of this process, and gauges of the installation from one process at a time.
+
+`/health/live` on the same port tells that the event loop runs: the only page of a worker that needs no database.
 
 A separate port, because a proxy publishes everything on the API's port. An advisory lock in the database decides which
 process reports the gauges: the first that is scraped, and another one once it ends or is no longer scraped.
@@ -6,31 +8,36 @@ process reports the gauges: the first that is scraped, and another one once it e
 
 import asyncio
 import logging
-from collections import Counter
-from collections.abc import AsyncIterator, Mapping, Sequence
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 
 import psycopg
 from aiohttp import web
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Metric, generate_latest
-from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.registry import Collector
 from psycopg.conninfo import make_conninfo
-from sqlalchemy import func, select, text
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.pool import QueuePool
 
+import kleinkram
 from kleinkram.contract.errors import DatabaseUnavailable
-from kleinkram.contract.files import BlobState
+from kleinkram.metric_definitions import MetricSource
+from kleinkram.server import metrics
 from kleinkram.server.db import Database
-from kleinkram.server.health.readiness import CachedLookup, find_workers
-from kleinkram.server.metrics import REGISTRY
+from kleinkram.server.health.instance_metrics import read_gauges, read_slow_gauges
+from kleinkram.server.health.readiness import CachedLookup
 from kleinkram.server.settings import Settings, plain_dsn
-from kleinkram.server.tables import blob, scrub, upload
 
 _log = logging.getLogger("kleinkram.metrics")
 # An advisory lock of the database.
 _LOCK = 0x6B6C6D65
 _HOLDS_S = 1.0
+_SLOW_HOLDS_S = 30.0
+# Slow gauges are read for at most a twentieth of the time.
+_SLOW_TIME_FACTOR = 20
+# A scrape without the gauges is better than none: Prometheus waits for 10 s.
+_TIMEOUT_S = 5.0
 # Longer than any usual scrape interval.
 _UNSCRAPED_S = 180.0
 _CONNECTION: dict[str, str | int] = {
@@ -40,37 +47,65 @@ _CONNECTION: dict[str, str | int] = {
     "keepalives_interval": 5,
     "keepalives_count": 3,
 }
-_BLOBS = select(
-    blob.c.state, blob.c.content, func.count().label("number"), func.sum(blob.c.size_bytes).label("size_bytes")
-).group_by(blob.c.state, blob.c.content)
-_UPLOADS = select(upload.c.state, func.count().label("number")).group_by(upload.c.state)
-_JOBS_SQL = text("SELECT task_name, status::text, count(*) FROM procrastinate_jobs GROUP BY 1, 2")
-# Jobs that wait for another attempt count from when they were first deferred; those put off on purpose do not.
-_QUEUE_AGE_SQL = text(
-    "SELECT coalesce(extract(epoch FROM now() - min(e.at)), 0) FROM procrastinate_jobs j"
-    " JOIN procrastinate_events e ON e.job_id = j.id AND e.type = 'deferred' WHERE j.status = 'todo'"
-    " AND (j.attempts > 0 OR j.scheduled_at IS NULL OR j.scheduled_at <= now())"
-)
-_RETRYING_SQL = text(
-    "SELECT task_name, count(*) FROM procrastinate_jobs WHERE status = 'todo' AND attempts > 0 GROUP BY 1"
-)
-_OLDEST_VERIFICATION = select(func.coalesce(func.extract("epoch", func.now() - func.min(blob.c.verified_at)), 0)).where(
-    blob.c.state == BlobState.verified.value, blob.c.marked_for_deletion_at.is_(None)
-)
-_SCRUB = select(scrub).where(scrub.c.ended_at.is_not(None)).order_by(scrub.c.ended_at.desc()).limit(1)
-_FINDINGS = ("lost", "corrupt", "recovered", "unknown")
+# The database is away, busy, or its schema is another.
+_DATABASE_ERRORS = (psycopg.Error, DatabaseUnavailable, SQLAlchemyError, asyncio.TimeoutError)
 
 
 class MetricsPortUnusable(Exception):
     """The port for metrics cannot be opened. The text has the port, and what to do."""
 
 
-class _ServerGauges:
-    """Gauges of the server, if this process is the one that reports them."""
+class _SlowGauges:
+    """Gauges that are too slow for a scrape: it gets the last ones, and they are read again in the background."""
+
+    def __init__(self, look_up: Callable[[], Awaitable[list[Metric]]]) -> None:
+        self._look_up = look_up
+        self._gauges: list[Metric] = []
+        self._due_at_s = float("-inf")
+        self._reading: asyncio.Task[None] | None = None
+
+    async def get(self) -> list[Metric]:
+        """Return the last gauges; waits only for the first ones, and then for a limited time."""
+        if self._reading is None and time.monotonic() >= self._due_at_s:
+            self._reading = asyncio.create_task(self._read())
+        if not self._gauges and self._reading is not None:
+            await asyncio.wait({self._reading}, timeout=_TIMEOUT_S)
+        return self._gauges
+
+    def forget(self) -> None:
+        """Drop the gauges, because they will be too old when this process reports again."""
+        if self._reading is not None:
+            self._reading.cancel()
+        self._gauges, self._due_at_s = [], float("-inf")
+
+    async def _read(self) -> None:
+        started_s = time.monotonic()
+        try:
+            self._gauges = await self._look_up()
+            took_s = time.monotonic() - started_s
+            self._due_at_s = time.monotonic() + max(_SLOW_HOLDS_S, _SLOW_TIME_FACTOR * took_s)
+        except _DATABASE_ERRORS as error:
+            _log.warning("no slow gauges", extra={"fields": {"reason": type(error).__name__}})
+            self._gauges = []
+        finally:
+            self._reading = None
+
+
+class _InstanceGauges:
+    """Gauges of the installation, if this process is the one that reports them."""
 
     def __init__(self, settings: Settings, database: Database) -> None:
+        async def look_up() -> list[Metric]:
+            async with database.autocommit() as db:
+                return await read_gauges(db, settings)
+
+        async def look_up_slowly() -> list[Metric]:
+            async with database.autocommit() as db:
+                return await read_slow_gauges(db)
+
         self._dsn = make_conninfo(plain_dsn(settings.database_url), **_CONNECTION)
-        self._recent = CachedLookup(lambda: _server_metrics(database), holds_s=_HOLDS_S)
+        self._recent = CachedLookup(look_up, holds_s=_HOLDS_S)
+        self._slow = _SlowGauges(look_up_slowly)
         self._lock = asyncio.Lock()
         self._connection: psycopg.AsyncConnection[tuple[object, ...]] | None = None
         self._release: asyncio.TimerHandle | None = None
@@ -82,14 +117,15 @@ class _ServerGauges:
             try:
                 if not await self._is_reporter():
                     return []
-                return await self._recent.get()
-            except (psycopg.Error, DatabaseUnavailable, SQLAlchemyError) as error:  # away, or its schema is another
-                _log.warning("no gauges of the server", extra={"fields": {"reason": type(error).__name__}})
+                return [*await asyncio.wait_for(self._recent.get(), _TIMEOUT_S), *await self._slow.get()]
+            except _DATABASE_ERRORS as error:
+                _log.warning("no gauges of the installation", extra={"fields": {"reason": type(error).__name__}})
                 await self.close()
                 return []
 
     async def close(self) -> None:
         """Release the lock."""
+        self._slow.forget()
         if self._release is not None:
             self._release.cancel()
         connection, self._connection = self._connection, None
@@ -116,19 +152,28 @@ class _ServerGauges:
 
 
 @asynccontextmanager
-async def serve_metrics(settings: Settings, database: Database) -> AsyncIterator[int | None]:
-    """Serve `/metrics` on its own port, if one is set; yields the port. Raises MetricsPortUnusable."""
+async def serve_metrics(settings: Settings, database: Database, role: MetricSource) -> AsyncIterator[int | None]:
+    """Serve `/metrics` and `/health/live` of an `api` or `worker` on a port of its own, if set; yields the port.
+
+    Raises MetricsPortUnusable.
+    """
     if settings.metrics_port is None:
         yield None
         return
-    gauges = _ServerGauges(settings, database)
+    metrics.BUILD_INFO.labels(kleinkram.__version__, role.name).set(1)
+    gauges = _InstanceGauges(settings, database)
 
     async def respond(_request: web.Request) -> web.Response:
-        body = exposition(await gauges.collect())
+        _measure_pool(database)
+        body = _exposition(role, await gauges.collect())
         return web.Response(body=body, headers={"Content-Type": CONTENT_TYPE_LATEST})
+
+    async def live(_request: web.Request) -> web.Response:
+        return web.Response(text="live\n")
 
     app = web.Application()
     app.router.add_get("/metrics", respond)
+    app.router.add_get("/health/live", live)
     runner = web.AppRunner(app, access_log=None, shutdown_timeout=1)
     await runner.setup()
     try:
@@ -148,67 +193,20 @@ async def serve_metrics(settings: Settings, database: Database) -> AsyncIterator
         await gauges.close()
 
 
-async def _server_metrics(database: Database) -> list[Metric]:
-    """Read the gauges in one transaction."""
-    async with database.begin() as db:
-        blobs = (await db.execute(_BLOBS)).all()
-        uploads = (await db.execute(_UPLOADS)).all()
-        jobs = (await db.execute(_JOBS_SQL)).all()
-        retrying = {row[0]: row[1] for row in await db.execute(_RETRYING_SQL)}
-        workers = await find_workers(db)
-        age_s = float((await db.execute(_QUEUE_AGE_SQL)).scalar_one())
-        verification_age_s = float((await db.execute(_OLDEST_VERIFICATION)).scalar_one())
-        last = (await db.execute(_SCRUB)).one_or_none()
-    states, sizes, contents = Counter[str](), Counter[str](), Counter[str]()
-    for row in blobs:
-        states[row.state] += row.number
-        sizes[row.state] += int(row.size_bytes)
-        contents[row.content] += row.number
-    job_counts = GaugeMetricFamily("kleinkram_jobs", "Jobs by task and status.", labels=["task", "status"])
-    for task, status, count in jobs:
-        job_counts.add_metric([task, status], count)
-    last_seen_at_s = workers.last_seen_at.timestamp() if workers.last_seen_at else 0
-    upload_states = {row.state: row.number for row in uploads}
-    gauges: list[Metric] = [
-        _by_label("kleinkram_blobs", "Blobs by state.", "state", states),
-        _by_label("kleinkram_stored_bytes", "Bytes by state of their blob.", "state", sizes),
-        _by_label("kleinkram_blob_content", "Blobs by what is known of their content.", "content", contents),
-        _by_label("kleinkram_uploads", "Uploads by state.", "state", upload_states),
-        job_counts,
-        _by_label("kleinkram_jobs_retrying", "Jobs that failed and wait for another attempt.", "task", retrying),
-        _gauge("kleinkram_queue_oldest_seconds", "Age of the oldest job that waits, or waits for a retry.", age_s),
-        _gauge("kleinkram_workers", "Worker processes that are alive.", len(workers.seen_at)),
-        _gauge("kleinkram_worker_last_heartbeat_timestamp_seconds", "Last heartbeat of a worker.", last_seen_at_s),
-        _gauge("kleinkram_oldest_verification_seconds", "Seconds since the oldest verification.", verification_age_s),
-    ]
-    if last is not None:
-        findings = {name: getattr(last, name) for name in _FINDINGS}
-        is_stopped = int(last.aborted_reason is not None)
-        gauges += [
-            _gauge("kleinkram_scrub_ended_timestamp_seconds", "When the last scrub ended.", last.ended_at.timestamp()),
-            _gauge("kleinkram_scrub_stopped", "Whether the last scrub stopped and marked nothing.", is_stopped),
-            _gauge("kleinkram_scrub_compared", "Blobs that the last scrub compared.", last.compared),
-            _by_label("kleinkram_scrub_findings", "Objects by result of the last scrub.", "finding", findings),
-        ]
-    return gauges
+def _measure_pool(database: Database) -> None:
+    pool = database.engine.pool
+    if isinstance(pool, QueuePool):
+        metrics.DATABASE_CONNECTIONS.labels("in_use").set(pool.checkedout())
+        metrics.DATABASE_CONNECTIONS.labels("idle").set(pool.checkedin())
+        metrics.DATABASE_CONNECTIONS_MAX.set(pool.size())
 
 
-def _gauge(name: str, text: str, value: float) -> GaugeMetricFamily:
-    return GaugeMetricFamily(name, text, value=value)
-
-
-def _by_label(name: str, text: str, label: str, values: Mapping[str, int]) -> GaugeMetricFamily:
-    family = GaugeMetricFamily(name, text, labels=[label])
-    for label_value, value in values.items():
-        family.add_metric([label_value], value)
-    return family
-
-
-def exposition(gauges: Sequence[Metric]) -> bytes:
-    """Return this process's counters and the given gauges in the Prometheus text format."""
-    server_registry = CollectorRegistry()
-    server_registry.register(_GaugeCollector(gauges))
-    return generate_latest(REGISTRY) + generate_latest(server_registry)
+def _exposition(role: MetricSource, gauges: Sequence[Metric]) -> bytes:
+    """Return this process's metrics and the given gauges in the Prometheus text format."""
+    instance = CollectorRegistry()
+    instance.register(_GaugeCollector(gauges))
+    own = [metrics.REGISTRIES[source] for source in (MetricSource.process, MetricSource.server, role)]
+    return b"".join(generate_latest(registry) for registry in [*own, instance])
 
 
 class _GaugeCollector(Collector):

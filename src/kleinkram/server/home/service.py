@@ -87,7 +87,7 @@ async def get_home(context: AppContext, actor: Actor) -> HomeRead:
         attention = await _attention(db, actor)
         failed_checks = await _failed_checks(db, actor)
         if _sees_server(actor):
-            attention = [*await _server_attention(db, context.settings), *attention]
+            attention = [*await server_attention(db, context.settings), *attention]
     sent = await asyncio.gather(*(_sent_bytes(context, one) for one in uploads))
     return HomeRead(
         missions=[
@@ -131,10 +131,13 @@ async def get_storage(db: Connection, actor: Actor, settings: Settings) -> HomeS
 
 
 async def store_use(db: Connection, settings: Settings) -> StoreUse:
-    """Return the bytes in the store, each counted once, and the free bytes if its disk is on this machine."""
-    used = select(func.coalesce(func.sum(blob.c.size_bytes), 0)).where(blob.c.marked_for_deletion_at.is_(None))
+    """Return the bytes in the store, each counted once, and the free bytes: of its disk, or by the given capacity."""
+    stmt = select(func.coalesce(func.sum(blob.c.size_bytes), 0)).where(blob.c.marked_for_deletion_at.is_(None))
+    used, capacity = int((await db.execute(stmt)).scalar_one()), settings.store_capacity_bytes
     free, total = _disk(settings) or (None, None)
-    return StoreUse(used_bytes=int((await db.execute(used)).scalar_one()), free_bytes=free, disk_bytes=total)
+    if total is None and capacity is not None:
+        free, total = max(0, capacity - used), capacity
+    return StoreUse(used_bytes=used, free_bytes=free, disk_bytes=total)
 
 
 def is_low(settings: Settings) -> bool:
@@ -194,7 +197,8 @@ async def _failed_checks(db: Connection, actor: Actor) -> FailedChecks:
     return FailedChecks(since=since, count=count, missions=missions)
 
 
-async def _server_attention(db: Connection, settings: Settings) -> list[Attention]:
+async def server_attention(db: Connection, settings: Settings) -> list[Attention]:
+    """Return what needs attention on the whole server."""
     ended = select(scrub.c.aborted_reason).where(scrub.c.store_id == settings.store_id, scrub.c.ended_at.is_not(None))
     last = ended.order_by(scrub.c.created_at.desc()).limit(1).subquery()
     failed_jobs = select(func.count()).select_from(text("procrastinate_jobs")).where(text("status = 'failed'"))

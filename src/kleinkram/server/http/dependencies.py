@@ -91,8 +91,9 @@ async def _find_credential_holder(
     settings: Settings = request.app.state.settings
     if credentials is None:
         cookie = request.cookies.get(session_cookie(settings), "")
-        return await find_signed_in(db, cookie, idle_s=settings.session_idle_s)
-    actor = await find_actor(db, credentials.credentials)
+        days = settings.provider_session_days
+        return await find_signed_in(db, cookie, idle_s=settings.session_idle_s, provider_days=days)
+    actor = await find_actor(db, credentials.credentials, provider_days=settings.provider_session_days)
     if actor is not None and actor.kind is ActorKind.share and not await still_shares(db, actor):
         return None
     return actor

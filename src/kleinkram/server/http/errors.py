@@ -10,6 +10,8 @@ from starlette.exceptions import HTTPException
 
 from kleinkram.contract import errors
 from kleinkram.contract.problems import message_of, to_problem
+from kleinkram.metric_definitions import SIGN_IN_REFUSALS
+from kleinkram.server import metrics
 from kleinkram.server.access.actor import STRANGER, Actor, ActorKind
 from kleinkram.server.audit.log import Event
 from kleinkram.server.audit.requests import OTHER_REFUSALS, request_target
@@ -32,6 +34,7 @@ def install_error_handlers(app: FastAPI) -> None:
 
 def problem_response(error: errors.KleinkramError, request_id: str | None) -> JSONResponse:
     """Return the response for an error."""
+    metrics.PROBLEMS.labels(error.code.value).inc()
     problem = to_problem(error, request_id)
     headers = {"Retry-After": "2"} if error.status == 503 else {}
     if isinstance(error, errors.RateLimited):
@@ -47,7 +50,9 @@ def problem_response(error: errors.KleinkramError, request_id: str | None) -> JS
 
 
 async def audit_refusal(request: Request, error: errors.KleinkramError) -> None:
-    """Write a refused request to the audit log."""
+    """Count a refused request, and write it to the audit log."""
+    if error.code.value in SIGN_IN_REFUSALS.values:
+        metrics.SIGN_IN_REFUSALS.labels(error.code.value).inc()
     state = request.app.state
     actor: Actor | None = getattr(request.state, "actor", None)
     address = request.client.host if request.client else None
@@ -122,5 +127,5 @@ async def _on_crash(request: Request, error: Exception) -> JSONResponse:
     request_id = _request_id(request) or "unknown"
     if isinstance(error, ConnectionError | TimeoutError):
         return problem_response(errors.DatabaseUnavailable(), request_id)
-    _log.error("crash", exc_info=error, extra={"fields": {"request_id": request_id}})
+    _log.error("crash", exc_info=error)
     return problem_response(errors.InternalError(request_id=request_id), request_id)

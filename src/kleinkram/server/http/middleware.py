@@ -11,7 +11,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from kleinkram.contract.errors import BodyTooLarge, WrongClient
 from kleinkram.contract.reports import MAX_REPORT_BODY_BYTES
+from kleinkram.json_logs import log_fields
 from kleinkram.server import metrics
+from kleinkram.server.access.actor import Actor
 from kleinkram.server.http.errors import problem_response
 from kleinkram.server.http.headers import set_client_address, with_security_headers
 from kleinkram.server.settings import Settings
@@ -33,7 +35,7 @@ _DISCONNECT_CHECK_AFTER_S = 0.25
 
 
 def mark_as_stream(scope: Scope) -> None:
-    """Exclude a streamed response, which lasts as long as its client stays connected, from the request durations."""
+    """Exclude a response that streams, or waits for something to happen, from the request durations."""
     scope["state"]["is_stream"] = True
 
 
@@ -70,11 +72,12 @@ class RequestMiddleware:
                 message["headers"] = with_security_headers(own_headers, is_https=self._is_https)
             await send(message)
 
-        try:
-            await self._limit_body(scope, receive, send_with_headers, headers)
-        finally:
-            status = _CLIENT_CLOSED_REQUEST if scope["state"].get("is_abandoned") else status
-            _log_request(scope, status, time.perf_counter() - started, request_id)
+        with log_fields(request_id=request_id):
+            try:
+                await self._limit_body(scope, receive, send_with_headers, headers)
+            finally:
+                status = _CLIENT_CLOSED_REQUEST if scope["state"].get("is_abandoned") else status
+                _log_request(scope, status, time.perf_counter() - started)
 
     async def _limit_body(self, scope: Scope, receive: Receive, send: Send, headers: dict[bytes, bytes]) -> None:
         request_id = scope["state"]["request_id"]
@@ -156,20 +159,41 @@ class CancelAbandonedReads:
             stop_watching()
 
 
-def _log_request(scope: Scope, status: int, seconds: float, request_id: str) -> None:
-    path = getattr(scope.get("route"), "path", "unmatched")
+def _log_request(scope: Scope, status: int, seconds: float) -> None:
+    path = route_of(scope)
     metrics.REQUESTS.labels(scope["method"], path, str(status)).inc()
     if "is_stream" not in scope["state"]:
         metrics.REQUEST_SECONDS.labels(scope["method"], path).observe(seconds)
     if path.startswith("/health") and status < 500:
         return
-    # Parts that are longer than any id may be tokens, pasted by mistake.
-    parts = (part if len(part) <= _MAX_ID_CHARACTERS else f"{part[:8]}…" for part in scope["path"].split("/"))
     fields = {
         "method": scope["method"],
-        "path": "/".join(parts),
+        "route": path,
+        "path": printed_path(scope),
         "status": status,
-        "request_id": request_id,
         "duration_ms": round(seconds * 1000, 1),
+        **actor_fields(scope),
     }
     _log.info("request", extra={"fields": fields})
+
+
+def route_of(scope: Scope) -> str:
+    """Return the template of a request's path: of few values, unlike the path."""
+    path: str = getattr(scope.get("route"), "path", "unmatched")
+    return path
+
+
+def printed_path(scope: Scope) -> str:
+    """Return a request's path for logs and traces."""
+    # Parts that are longer than any id may be tokens, pasted by mistake.
+    parts = (part if len(part) <= _MAX_ID_CHARACTERS else f"{part[:8]}…" for part in scope["path"].split("/"))
+    return "/".join(parts)
+
+
+def actor_fields(scope: Scope) -> dict[str, str]:
+    """Return the ids of who sent a request: of the person, and of the token or the link."""
+    actor: Actor | None = scope["state"].get("actor")
+    if actor is None:
+        return {}
+    ids = {"person_id": actor.person_id, "token_id": actor.token_id, "share_id": actor.share_id}
+    return {name: str(value) for name, value in ids.items() if value is not None}

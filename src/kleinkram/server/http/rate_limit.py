@@ -15,6 +15,7 @@ from sqlalchemy import delete, func, text
 from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.errors import RateLimited
+from kleinkram.server import metrics
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.settings import Settings
@@ -52,6 +53,7 @@ _OPERATION_KINDS = {
     "begin_uploads": "uploads",
     "verify_file": "verifications",
     "export_audit_events": "exports",
+    "export_person": "exports",
 }
 _LIST_OPERATIONS = frozenset({"list_projects", "list_missions", "list_files"})
 
@@ -86,6 +88,7 @@ async def enforce_limits(database: Database, *counts: Count) -> None:
         count = by_key[counted.key]
         if counted.requests > count.limit:
             retry_after_s = max(1, counted.seconds_left)
+            metrics.RATE_LIMITED.labels(count.what).inc()
             raise RateLimited(what=count.what, limit=count.limit, window_s=WINDOW_S, retry_after_s=retry_after_s)
 
 
@@ -107,6 +110,7 @@ async def reserve_slot(database: Database, count: Count) -> float:
             if (row := reserved.one_or_none()) is not None:
                 return max(0.0, float(row[0]))
     retry_after_s = int(_MAX_SLOTS_AHEAD * _SLOT.total_seconds())
+    metrics.RATE_LIMITED.labels(count.what).inc()
     raise RateLimited(what=count.what, limit=count.limit, window_s=WINDOW_S, retry_after_s=retry_after_s)
 
 

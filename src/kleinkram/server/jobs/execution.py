@@ -124,7 +124,9 @@ async def record_failure(call_next: Callable[[], Awaitable[Any]], job_context: J
         attempts.running.add(job.id)
         attempts.worker_ids.add(worker.worker_id)
     try:
-        result = await call_next()
+        _log.debug("job started")
+        with metrics.JOBS_IN_PROGRESS.track_inprogress():
+            result = await call_next()
         outcome = "succeeded"
         return result
     except Exception as error:
@@ -134,10 +136,7 @@ async def record_failure(call_next: Callable[[], Awaitable[Any]], job_context: J
         outcome = "given_up" if retry is None and not has_next_round else "failed"
         sentence = error_sentence(error)
         next_at = retry.retry_decision.retry_at if retry is not None else None
-        fields = {"job": job.task_name, "id": job.id, "ref": job.task_kwargs.get("ref"), "attempt": job.attempts + 1}
-        _log.warning(
-            f"job failed: {sentence}", extra={"fields": {**fields, "outcome": outcome, "next_attempt_at": next_at}}
-        )
+        _log.warning(f"job failed: {sentence}", extra={"fields": {"outcome": outcome, "next_attempt_at": next_at}})
         if has_next_round:
             return None
         if job.id is not None:
@@ -147,11 +146,16 @@ async def record_failure(call_next: Callable[[], Awaitable[Any]], job_context: J
                 async with app_context(job_context).database.begin() as db:
                     await db.execute(row)
             except (SQLAlchemyError, KleinkramError) as store_error:  # must not replace the error of the job
-                _log.warning("error not stored", extra={"fields": {"id": job.id, "reason": str(store_error)}})
+                _log.warning("error not stored", extra={"fields": {"reason": str(store_error)}})
         raise
     finally:
+        seconds = time.monotonic() - started
         metrics.JOB_ATTEMPTS.labels(job.task_name, outcome).inc()
-        metrics.JOB_SECONDS.labels(job.task_name).observe(time.monotonic() - started)
+        metrics.JOB_SECONDS.labels(job.task_name).observe(seconds)
+        if outcome == "succeeded":
+            # Periodic jobs, which have a queueing lock, mostly find nothing to do.
+            level = logging.INFO if job.queueing_lock is None else logging.DEBUG
+            _log.log(level, "job done", extra={"fields": {"duration_ms": round(seconds * 1000, 1)}})
         if isinstance(attempts, Attempts) and job.id is not None:
             attempts.running.discard(job.id)
 

@@ -9,6 +9,7 @@ from procrastinate import App, PsycopgConnector
 from sqlalchemy import ColumnElement, Text, cast, column, exists, literal, select, table, text
 
 from kleinkram.server.db import Connection
+from kleinkram.server.jobs.origin import origin_here
 
 
 class Job(str, enum.Enum):
@@ -24,7 +25,11 @@ class Job(str, enum.Enum):
     maintain_runs = "maintain_runs"
     start_automatic_runs = "start_automatic_runs"
     collect_garbage = "collect_garbage"
+    redact_audit_log = "redact_audit_log"
+    expire_audit_log = "expire_audit_log"
+    check_provider_accounts = "check_provider_accounts"
     scrub = "scrub"
+    send_status_report = "send_status_report"
 
 
 class Priority(enum.IntEnum):
@@ -49,15 +54,29 @@ _DELETE_FAILED = text(
     " (SELECT 1 FROM procrastinate_events e WHERE e.job_id = j.id AND e.at > now() - interval '7 days')"
 )
 
+# During an upgrade, a worker of the earlier version may take a job of a kind that it does not know. The queue then
+# marks the job as failed without running it, so that no error is stored. Periodic jobs are due again anyway.
+_REQUEUE_UNKNOWN = text(
+    "UPDATE procrastinate_jobs j SET status = 'todo', attempts = 0, scheduled_at = NULL, worker_id = NULL"
+    " WHERE status = 'failed' AND queueing_lock IS NULL AND task_name = ANY(:known)"
+    " AND NOT EXISTS (SELECT 1 FROM job_error e WHERE e.job_id = j.id)"
+)
+_DELETE_UNKNOWN = text(
+    "DELETE FROM procrastinate_jobs j WHERE status = 'failed' AND queueing_lock IS NOT NULL AND task_name = ANY(:known)"
+    " AND NOT EXISTS (SELECT 1 FROM job_error e WHERE e.job_id = j.id)"
+)
+
 # The worker sets its own connector; the API enqueues in its own transactions.
 queue = App(connector=PsycopgConnector())
 
-# Calls the library's SQL function: its client would build, log and serialize each job.
+# Calls the library's SQL function: its client would build, log and serialize each job. The column `origin` has the
+# setting as its default; it is set first, because the function needs the rows that it joins.
 _DEFER = text(
     "SELECT procrastinate_defer_jobs_v1(array_agg(ROW(CAST(:queue AS varchar), CAST(:task AS varchar),"
     " CAST(:priority AS integer), NULL, NULL, jsonb_build_object('ref', ref), now() + CAST(:later AS interval))"
     "::procrastinate_job_to_defer_v1 ORDER BY number))"
     " FROM unnest(CAST(:ids AS text[])) WITH ORDINALITY AS given (ref, number)"
+    " JOIN (SELECT set_config('kleinkram.job_origin', :origin, true) AS set) AS origin ON origin.set IS NOT NULL"
 )
 
 _RAISE_PRIORITY = text(
@@ -76,7 +95,7 @@ async def enqueue(
     """Enqueue a job for each id, in order, in the caller's transaction; with `later`, to start after that time."""
     if ids:
         parameters = {"queue": _QUEUES.get(job, DEFAULT), "task": job.value, "priority": int(priority), "ids": [*ids]}
-        await db.execute(_DEFER, {**parameters, "later": later})
+        await db.execute(_DEFER, {**parameters, "later": later, "origin": origin_here()})
 
 
 async def raise_priority(db: Connection, job: Job, ref: uuid.UUID) -> None:
@@ -131,6 +150,21 @@ async def enqueued_at(db: Connection, job_id: int | None) -> datetime.datetime |
     return at
 
 
+# Ids ascend, so the lowest was deferred first. Jobs that wait for another attempt count from when they were first
+# deferred; those put off on purpose do not.
+_QUEUE_AGES = text(
+    "SELECT queue_name, extract(epoch FROM now() - min(e.at)) AS seconds FROM"
+    " (SELECT queue_name, min(id) AS id FROM procrastinate_jobs WHERE status = 'todo'"
+    " AND (attempts > 0 OR scheduled_at IS NULL OR scheduled_at <= now()) GROUP BY queue_name) oldest"
+    " JOIN procrastinate_events e ON e.job_id = oldest.id AND e.type = 'deferred' GROUP BY queue_name"
+)
+
+
+async def queue_ages_s(db: Connection) -> dict[str, float]:
+    """Return for how many seconds the oldest job of each queue has been waiting, without queues where none waits."""
+    return {row.queue_name: max(0.0, float(row.seconds)) for row in await db.execute(_QUEUE_AGES)}
+
+
 _jobs = table("procrastinate_jobs", column("task_name"), column("status"), column("args"))
 
 
@@ -145,3 +179,10 @@ def has_job(job: Job, ref: ColumnElement[uuid.UUID]) -> ColumnElement[bool]:
 async def delete_failed_jobs(db: Connection) -> None:
     """Delete failed jobs after a week."""
     await db.execute(_DELETE_FAILED)
+
+
+async def requeue_unknown_jobs(db: Connection) -> None:
+    """Queue jobs again that a worker of an earlier version took and did not know."""
+    known = {"known": [job.value for job in Job]}
+    await db.execute(_DELETE_UNKNOWN, known)
+    await db.execute(_REQUEUE_UNKNOWN, known)

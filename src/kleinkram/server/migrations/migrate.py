@@ -13,10 +13,11 @@ from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, create_engine, pool, text
+from sqlalchemy import Connection, create_engine, delete, insert, pool, text
 from sqlalchemy.exc import DBAPIError
 
 from kleinkram.server.migrations import HEAD, alembic_config, development_schema_problem, later_schema_problem
+from kleinkram.server.tables import audit_retention
 
 _log = logging.getLogger("kleinkram.migrations")
 # The advisory lock that migrators of one database take.
@@ -39,6 +40,7 @@ class SchemaUnsupported(Exception):
 class LockTimeouts:
     """Timeout of one attempt to lock tables, and of all attempts of a revision."""
 
+    # With half a second, a migration under the load of twenty clients got no locks in five minutes.
     attempt_s: float = 2.0
     total_s: float = 600.0
 
@@ -62,6 +64,18 @@ def migrate(url: str, serving_role: str, timeouts: LockTimeouts = LockTimeouts()
             for revision in revisions:
                 _apply(connection, config, revision, timeouts)
             return revisions
+    finally:
+        engine.dispose()
+
+
+def set_audit_retention(url: str, days: int) -> None:
+    """Store for how many days the audit log is kept, 0 for ever; the serving role can only read it."""
+    engine = create_engine(url, poolclass=pool.NullPool)
+    try:
+        with engine.begin() as connection:
+            connection.execute(delete(audit_retention))
+            if days:
+                connection.execute(insert(audit_retention).values(days=days))
     finally:
         engine.dispose()
 

@@ -1,7 +1,7 @@
 """People: lists, admin rights, deactivation. Changes that remove admin rights or accounts begin with `lock_rights`.
 
-Deactivated people keep their name in the audit log, and their memberships and grants in case they are reactivated.
-Their sessions, tokens, one-time codes and share links end permanently.
+Deactivated people keep their name in the audit log, and their memberships and grants in case they are reactivated;
+`erasure.py` removes these. Their sessions, tokens, one-time codes and share links end permanently.
 """
 
 import uuid
@@ -12,7 +12,7 @@ from sqlalchemy import Row, Select, Table, case, delete, exists, func, select, u
 
 from kleinkram.contract.access import Right
 from kleinkram.contract.base import Page
-from kleinkram.contract.errors import NotFound
+from kleinkram.contract.errors import NotFound, PersonErased
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
 from kleinkram.contract.people import Departure, PersonRead, PersonRef
@@ -89,8 +89,17 @@ async def deactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Depa
     Raises NotFound or LastAdmin.
     """
     await lock_rights(db)
-    name = await _lock_active(db, person_id)
-    await db.execute(update(person).where(person.c.id == person_id).values(deactivated_at=func.now()))
+    departure, events = await end_access(db, person_id, await _lock_active(db, person_id))
+    after = departure.model_dump(mode="json", exclude={"person"})
+    deactivated = Event("person.deactivate", "person", person_id, departure.person.name, after=after, needs_admin=True)
+    await audit(db, actor, deactivated, *events)
+    return departure
+
+
+async def end_access(db: Connection, person_id: uuid.UUID, name: str) -> tuple[Departure, list[Event]]:
+    """Deactivate a locked person and return what ended, with the events of that. Raises LastAdmin."""
+    ended_at = func.coalesce(person.c.deactivated_at, func.now())
+    await db.execute(update(person).where(person.c.id == person_id).values(deactivated_at=ended_at))
     await ensure_admin_remains(db)
     await revoke_codes(db, person_id)
     open_sessions = select(session.c.id).where(session.c.person_id == person_id, session.c.revoked_at.is_(None))
@@ -110,10 +119,8 @@ async def deactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Depa
         links=len(shares),
         projects=[project.name for project in inherited],
     )
-    after = departure.model_dump(mode="json", exclude={"person"})
     owner_right: Metadata = {"right": Right.delete.value, "expires_at": None}
-    events = [Event("person.deactivate", "person", person_id, name, after=after, needs_admin=True)]
-    events += [Event("token.revoke", "token", row.id, row.name, needs_admin=True) for row in tokens]
+    events = [Event("token.revoke", "token", row.id, row.name, needs_admin=True) for row in tokens]
     events += [
         Event("share.revoke", "share", row.id, row.name, row.project_id, mission_id=row.mission_id, needs_admin=True)
         for row in shares
@@ -122,14 +129,15 @@ async def deactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Depa
         Event("grant.create", "grant", None, "admins", project.id, after=owner_right, needs_admin=True)
         for project in inherited
     ]
-    await audit(db, actor, *events)
-    return departure
+    return departure, events
 
 
 async def reactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> PersonRead:
-    """Let a deactivated person sign in again, with their memberships and grants. Raises NotFound."""
+    """Let a deactivated person sign in again, with their memberships and grants. Raises NotFound or PersonErased."""
     await lock_rights(db)
     target = await get_person(db, actor, person_id)
+    if target.erased_at is not None:
+        raise PersonErased(name=target.name)
     if target.deactivated_at is None:
         return target
     await db.execute(update(person).where(person.c.id == person_id).values(deactivated_at=None))
@@ -157,6 +165,7 @@ def _to_person(row: Row[Any]) -> PersonRead:
         is_admin=row.is_admin,
         created_at=row.created_at,
         deactivated_at=row.deactivated_at,
+        erased_at=row.erased_at,
     )
 
 

@@ -100,6 +100,7 @@ class AssignedRun(NamedTuple):
     samples: list[dict[str, Any]]
     started_at: datetime.datetime | None
     cancel_requested_at: datetime.datetime | None
+    traceparent: str | None
     definition: ActionDefinition
     pinned_digest: str | None
     version_number: int | None
@@ -114,7 +115,7 @@ async def lock_run(db: Connection, condition: ColumnElement[bool], *, is_queued:
     With `is_queued`, the oldest queued run that no other transaction has locked.
     """
     columns = (
-        *(run.c[name] for name in AssignedRun._fields[:16]),
+        *(run.c[name] for name in AssignedRun._fields[:17]),
         action_version.c.definition,
         action_version.c.image_digest.label("pinned_digest"),
         action_version.c.number,

@@ -28,6 +28,7 @@ from kleinkram.contract.runners import (
 )
 from kleinkram.contract.runs import ActionRef, EndReason, RunState
 from kleinkram.contract.tokens import SecretKind
+from kleinkram.server import metrics
 from kleinkram.server.access.actor import Actor, find_person, new_secret, unexpired
 from kleinkram.server.access.visible import level_on_mission, visible_missions
 from kleinkram.server.audit.log import Event, audit
@@ -235,7 +236,11 @@ async def _assign(db: Connection, row: AssignedRun, runner_id: uuid.UUID, attemp
     state = RunState.preparing.value if attempt != row.attempt else row.state
     lease = {"state": state, "runner_id": runner_id, "attempt": attempt, "lease_ends_at": func.now() + LEASE}
     claimed_at = func.coalesce(run.c.claimed_at, func.now())
-    await db.execute(update(run).where(run.c.id == row.id).values(claimed_at=claimed_at, **lease))
+    waited_s = func.extract("epoch", func.now() - run.c.created_at)
+    stmt = update(run).where(run.c.id == row.id).values(claimed_at=claimed_at, **lease).returning(waited_s)
+    seconds = (await db.execute(stmt)).scalar_one()
+    if row.attempt == 0:
+        metrics.RUN_WAIT_SECONDS.observe(float(seconds))
     await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
     definition = row.definition
     inputs = select(run_input).where(run_input.c.run_id == row.id).order_by(run_input.c.path)
@@ -261,6 +266,7 @@ async def _assign(db: Connection, row: AssignedRun, runner_id: uuid.UUID, attemp
         ],
         token=None if definition.network is Network.none else await _create_token(db, row),
         lease_s=LEASE_S,
+        traceparent=row.traceparent,
     )
 
 

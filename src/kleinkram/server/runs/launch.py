@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol
 
 from sqlalchemy import false, func, insert, or_, select
 
+from kleinkram import traces
 from kleinkram.contract.access import Right
 from kleinkram.contract.actions import ActionDefinition, ParametersWrong, ParameterValues
 from kleinkram.contract.errors import (
@@ -202,6 +203,7 @@ async def start_run(
         "mission_id": mission_id,
         "started_by_id": actor.person_id,
         "retry_of_id": retry_of_id,
+        "traceparent": traces.traceparent(),
     }
     await db.execute(insert(run).values(id=run_id, **values, **(reused or {})))
     rows = [

@@ -3,6 +3,7 @@
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from decimal import Decimal
 from typing import NamedTuple
 
 from sqlalchemy import delete, func, insert, or_, select, update
@@ -17,6 +18,7 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.reports import MissionFile
 from kleinkram.contract.runs import EndReason, RunRead, RunState
 from kleinkram.contract.uploads import UploadState
+from kleinkram.server import metrics
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.log import Event, audit
@@ -68,14 +70,22 @@ async def end_run(db: Connection, run_id: uuid.UUID, reason: EndReason, message:
     state = {EndReason.done: RunState.done, EndReason.cancelled: RunState.cancelled}.get(reason, RunState.failed)
     values |= {"state": state.value, "reason": reason.value, "message": message, "lease_ends_at": None}
     await _discard_attempt(db, run_id, keep_results=reason is not EndReason.lost)
-    await _update(db, run_id, ended_at=func.now(), **values)
+    claimed_s = await _update(db, run_id, ended_at=func.now(), **values)
+    metrics.RUNS_ENDED.labels(state.value, reason.value).inc()
+    if claimed_s is not None:
+        metrics.RUN_SECONDS.labels(state.value).observe(float(claimed_s))
 
 
-async def _update(db: Connection, run_id: uuid.UUID, **values: object) -> None:
-    stmt = update(run).where(run.c.id == run_id).values(**values).returning(run.c.mission_id)
-    mission_id = (await db.execute(stmt)).scalar_one()
+async def _update(db: Connection, run_id: uuid.UUID, **values: object) -> Decimal | None:
+    """Change a run; return the seconds since a runner claimed it, if one did."""
+    claimed_s = func.extract("epoch", func.now() - run.c.claimed_at)
+    stmt = update(run).where(run.c.id == run_id).values(**values).returning(run.c.mission_id, claimed_s)
+    mission_id: uuid.UUID
+    seconds: Decimal | None
+    mission_id, seconds = (await db.execute(stmt)).one()
     await publish(db, [ChangeEvent("run", ChangeKind.changed, run_id, mission_id=mission_id)])
     await judge_again_for_run(db, run_id)
+    return seconds
 
 
 async def _discard_attempt(db: Connection, run_id: uuid.UUID, *, keep_results: bool) -> None:

@@ -12,6 +12,7 @@ from kleinkram.contract.metrics import MetricNameFilter, MetricNames, MetricTabl
 from kleinkram.contract.previews import MissionPictures, MissionPreviews, PicturesRequest
 from kleinkram.contract.project_actions import ProjectActionAdd, ProjectActionList, ProjectActionRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
+from kleinkram.server.http.middleware import mark_as_stream
 from kleinkram.server.pagination import CountedPageQuery, PageQuery
 from kleinkram.server.runs import launch, lifecycle, logs, metric_tables, previews, project_actions, service
 
@@ -143,6 +144,8 @@ async def get_run_log(
     actor: CurrentActor,
 ) -> runs.LogChunkRead:
     """Get a chunk of the log of a run. The next one starts at `next_offset`, until `is_over`."""
+    if query.wait_s:
+        mark_as_stream(request.scope)
     hub = request.app.state.hub
     return await logs.read_log(context, hub, actor, run_id=run_id, offset=query.offset, wait_s=query.wait_s)
 

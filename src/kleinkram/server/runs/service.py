@@ -20,6 +20,7 @@ from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.reports import Finding, Metric, Severity
+from kleinkram.server import metrics
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files
 from kleinkram.server.audit.log import Event, audit
@@ -228,6 +229,8 @@ async def link_artifacts(
         operation, project_id = _FETCHED[requested.purpose], where.project.id
         event = Event(operation, "run", run_id, name, project_id, after=after, mission_id=where.id)
         await audit(db, actor, event)
+    size_bytes = sum(row.size_bytes for row in rows_by_id.values())
+    metrics.count_downloads(files=len(rows_by_id), size_bytes=size_bytes)
     expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
     return [

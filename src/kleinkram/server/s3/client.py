@@ -19,6 +19,7 @@ from xml.etree import ElementTree
 import aiohttp
 from yarl import URL
 
+from kleinkram.server import metrics
 from kleinkram.server.s3.signing import Presigner
 from kleinkram.server.settings import Settings
 
@@ -31,6 +32,17 @@ _FIRST_PAUSE_S = 0.2
 _CLOCK_TIMEOUT_S = 2.0
 _FORBIDDEN = 403
 _TRANSIENT = frozenset({429, 500, 502, 503, 504})
+# The operations of the S3 API that are not the method and its resource, by method and query parameter.
+_OPERATIONS = {
+    ("GET", "list-type"): "ListObjectsV2",
+    ("GET", "uploads"): "ListMultipartUploads",
+    ("GET", "uploadId"): "ListParts",
+    ("POST", "uploads"): "CreateMultipartUpload",
+    ("POST", "uploadId"): "CompleteMultipartUpload",
+    ("PUT", "uploadId"): "UploadPart",
+    ("PUT", "cors"): "PutBucketCors",
+    ("DELETE", "uploadId"): "AbortMultipartUpload",
+}
 _METHODS_WITH_XML = frozenset({"GET", "POST"})
 _TIMEOUT = aiohttp.ClientTimeout(total=None, sock_connect=5, sock_read=60)
 _CONNECTIONS = 32
@@ -55,6 +67,15 @@ class S3Request:
     query: Mapping[str, str] = field(default_factory=dict)
     headers: Mapping[str, str] = field(default_factory=dict)
     body: bytes = b""
+
+    @property
+    def operation(self) -> str:
+        """The name of the operation in the S3 API."""
+        named = (name for (method, parameter), name in _OPERATIONS.items() if self._is(method, parameter))
+        return next(named, self.method.capitalize() + ("Object" if self.key else "Bucket"))
+
+    def _is(self, method: str, parameter: str) -> bool:
+        return method == self.method and parameter in self.query
 
 
 @dataclass(frozen=True)
@@ -106,6 +127,7 @@ class S3Client:
         """
         async with self._open(request, attempts) as response:
             while chunk := await response.content.read(READ_BYTES):
+                metrics.STORE_READ_BYTES.inc(len(chunk))
                 yield chunk
 
     async def read_clock(self) -> None:
@@ -145,6 +167,7 @@ class S3Client:
                     raise
             else:
                 has_clock_changed = self._signer.clock.adjust(response.headers.get("Date"))
+                metrics.STORE_CLOCK_OFFSET_SECONDS.set(self._signer.clock.offset_s)
                 if has_clock_changed and response.status == _FORBIDDEN and not is_last:
                     response.close()
                     continue  # it was signed for the wrong time
@@ -161,17 +184,30 @@ class S3Client:
         url = self._signer.sign(
             request.method, request.key, query=request.query, headers=request.headers, expires_s=_URL_LIFETIME_S
         )
-        return await self._session.request(
-            request.method,
-            URL(url, encoded=True),  # exactly what was signed
-            headers=request.headers,
-            data=io.BytesIO(request.body) if request.body else None,
-            allow_redirects=False,
-        )
+        outcome = "cancelled"
+        try:
+            with metrics.STORE_REQUEST_SECONDS.labels(request.operation).time():
+                response = await self._session.request(
+                    request.method,
+                    URL(url, encoded=True),  # exactly what was signed
+                    headers=request.headers,
+                    data=io.BytesIO(request.body) if request.body else None,
+                    allow_redirects=False,
+                )
+            outcome = {4: "refused", 5: "failed"}.get(response.status // 100, "succeeded")
+        except CONNECTION_ERRORS:
+            outcome = "unreachable"
+            raise
+        else:
+            return response
+        finally:
+            metrics.STORE_REQUESTS.labels(request.operation, outcome).inc()
 
 
 @asynccontextmanager
-async def open_s3(settings: Settings, signer: Presigner) -> AsyncIterator[S3Client]:
+async def open_s3(
+    settings: Settings, signer: Presigner, client_class: type[S3Client] = S3Client
+) -> AsyncIterator[S3Client]:
     """Open a client for the life of a process."""
     tls = ssl.create_default_context(cafile=str(settings.s3_ca_file)) if settings.s3_ca_file else True
     session = aiohttp.ClientSession(
@@ -183,7 +219,7 @@ async def open_s3(settings: Settings, signer: Presigner) -> AsyncIterator[S3Clie
         cookie_jar=aiohttp.DummyCookieJar(),
     )
     async with session:
-        yield S3Client(session, signer)
+        yield client_class(session, signer)
 
 
 def describe_connection_error(error: BaseException) -> str:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 from xml.sax.saxutils import escape
 
+from kleinkram import traces
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.names import file_name
 from kleinkram.contract.uploads import ChecksumKind, StoredPart
@@ -25,6 +26,7 @@ from kleinkram.server.s3.client import (
     open_s3,
 )
 from kleinkram.server.s3.signing import Presigner, StoreClock
+from kleinkram.server.s3.traced_client import TracedS3Client
 from kleinkram.server.settings import Settings
 
 CHECKSUM_HEADERS = {
@@ -478,6 +480,7 @@ async def open_storage(settings: Settings) -> AsyncIterator[Storage]:
         Presigner(settings, settings.s3_internal_url, clock),
         settings.s3_bucket,
     )
-    async with open_s3(settings, signers.internal) as client:
+    client_class = TracedS3Client if traces.is_on() else S3Client
+    async with open_s3(settings, signers.internal, client_class) as client:
         await client.read_clock()
         yield Storage(client, signers, StoreCapabilities(ChecksumKind.md5, writes_once=False))

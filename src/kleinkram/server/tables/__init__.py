@@ -13,12 +13,13 @@ from kleinkram.server.tables.missions import (
     project,
     recording,
 )
-from kleinkram.server.tables.operations import audit_event, job_error, worker_process
+from kleinkram.server.tables.operations import audit_event, audit_retention, backup_attempt, job_error, worker_process
 from kleinkram.server.tables.people import (
     access_grant,
     access_group,
     affiliation,
     affiliation_domain,
+    erasure,
     membership,
     person,
     person_email,
@@ -52,4 +53,5 @@ from kleinkram.server.tables.sign_in import (
     rate_count,
     recovery_code,
     totp,
+    used_logout_token,
 )

@@ -1,7 +1,8 @@
-"""Tables of the audit log, the last errors of jobs, and the worker processes.
+"""Tables of the audit log, the last errors of jobs, the worker processes, and attempts at backups.
 
-The serving role can only add to the audit log and read it. A row of `job_error` is deleted with its job, by a foreign
-key that only the migration declares.
+The serving role can only add to the audit log and read it. Beyond that, it may call two functions of the migrations:
+one replaces the names of an erased person, the other deletes events that are older than `audit_retention` says. A row
+of `job_error` is deleted with its job, by a foreign key that only the migration declares.
 """
 
 import sqlalchemy as sa
@@ -41,6 +42,16 @@ audit_event = sa.Table(
     sa.Index("ix_audit_event_as_admin", "id", postgresql_where=sa.text("as_admin")),
 )
 
+# How many days events are kept: at most one row, which `migrate` writes; without it, they are kept forever.
+audit_retention = sa.Table(
+    "audit_retention",
+    metadata,
+    sa.Column("is_set", sa.Boolean, primary_key=True, server_default=sa.true()),
+    sa.Column("days", sa.Integer, nullable=False),
+    sa.CheckConstraint("is_set", name="is_set"),
+    sa.CheckConstraint("days >= 30", name="days"),
+)
+
 
 job_error = sa.Table(
     "job_error",
@@ -60,4 +71,19 @@ worker_process = sa.Table(
     sa.Column("started_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.func.now()),
     sa.Column("seen_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.func.now()),
     sa.Column("ended_at", sa.DateTime(timezone=True)),
+)
+
+
+backup_attempt = sa.Table(
+    "backup_attempt",
+    metadata,
+    sa.Column("id", sa.Uuid, primary_key=True),
+    # The moment that the backup shows.
+    sa.Column("started_at", sa.DateTime(timezone=True), nullable=False),
+    sa.Column("ended_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.func.now()),
+    # Null if it failed.
+    sa.Column("snapshot_id", sa.Text),
+    # Objects that were lost or corrupt in the store.
+    sa.Column("damaged_objects", sa.BigInteger, nullable=False, server_default="0"),
+    sa.Index("ix_backup_attempt_ended_at", "ended_at"),
 )

@@ -1,4 +1,4 @@
-"""Tables of people, e-mail addresses, sessions, tokens, groups, grants, and share links.
+"""Tables of people, erasures, e-mail addresses, sessions, tokens, groups, grants, and share links.
 
 Every right is a grant to a group. Only the SHA-256 of a secret is stored, which suffices for 256 random bits.
 """
@@ -16,6 +16,25 @@ person = sa.Table(
     created_at_column(),
     # A deactivated person has no valid session or token and cannot sign in; their name stays in the audit log.
     sa.Column("deactivated_at", sa.DateTime(timezone=True)),
+    # The name of an erased person is a pseudonym; they stay deactivated.
+    sa.Column("erased_at", sa.DateTime(timezone=True)),
+    sa.CheckConstraint("erased_at IS NULL OR deactivated_at IS NOT NULL", name="erased"),
+)
+
+# What is to be replaced in the audit log for an erased person, until a job has done it in `event_count` events.
+erasure = sa.Table(
+    "erasure",
+    metadata,
+    sa.Column("person_id", sa.Uuid, sa.ForeignKey("person.id"), primary_key=True),
+    sa.Column("names", sa.ARRAY(sa.Text)),
+    sa.Column("addresses", sa.ARRAY(sa.Text)),
+    sa.Column("finished_at", sa.DateTime(timezone=True)),
+    sa.Column("event_count", sa.BigInteger),
+    sa.CheckConstraint(
+        "num_nulls(names, addresses) = 0 AND num_nonnulls(finished_at, event_count) = 0"
+        " OR num_nulls(names, addresses) = 2 AND num_nonnulls(finished_at, event_count) = 2",
+        name="finished",
+    ),
 )
 
 # `verified_by`: what verified the address: the URL of an issuer, `invitation` or `bootstrap`.
@@ -38,6 +57,9 @@ session = sa.Table(
     sa.Column("secret_sha256", sa.LargeBinary, nullable=False, unique=True),
     # How the person signed in: `password`, `link`, `bootstrap`, or the issuer's URL.
     sa.Column("method", sa.Text, nullable=False),
+    # The account at a provider that started it, and the id of the session there, if the provider sent one.
+    sa.Column("identity_id", sa.Uuid, sa.ForeignKey("identity.id", ondelete="SET NULL"), index=True),
+    sa.Column("provider_session_id", sa.Text),
     sa.Column("address", sa.Text),
     sa.Column("user_agent", sa.Text),
     created_at_column(),
@@ -68,6 +90,8 @@ token = sa.Table(
     sa.Column("revoked_at", sa.DateTime(timezone=True)),
     # The token that created it, whose revocation revokes it too; null if a browser session created it.
     sa.Column("created_by_token_id", sa.Uuid, sa.ForeignKey("token.id"), index=True),
+    # For tokens of `klein login`: the account at a provider with which the person signed in to approve it.
+    sa.Column("identity_id", sa.Uuid, sa.ForeignKey("identity.id", ondelete="SET NULL"), index=True),
     # The token of a run is valid during the run, for at most `max_right`. The row stays for the audit log.
     sa.Column("run_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
     sa.Column("max_right", sa.Text),

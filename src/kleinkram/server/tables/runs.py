@@ -131,6 +131,8 @@ run = sa.Table(
     # By severity.
     sa.Column("finding_counts", JSONB, nullable=False, server_default="{}"),
     sa.Column("log_blob_id", sa.Uuid, sa.ForeignKey("blob.id"), index=True),
+    # Of the request or job that launched it, for its runner.
+    sa.Column("traceparent", sa.Text),
     created_at_column(),
     sa.Column("claimed_at", sa.DateTime(timezone=True)),
     sa.Column("started_at", sa.DateTime(timezone=True)),

@@ -2,6 +2,8 @@
 
 Random secrets are stored as SHA-256, passwords as argon2id. `nonce` and `code_verifier` of a login in progress are
 stored in plain: they are useless without the browser or program that started it, and are deleted after some minutes.
+Refresh tokens are stored in plain, too, since checking an account requires them: they are useless without the secret of
+the client, and are deleted with the last session that depends on them.
 """
 
 import enum
@@ -40,6 +42,11 @@ identity = sa.Table(
     created_at_column(),
     sa.Column("last_used_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.text("now()")),
     sa.Column("unlinked_at", sa.DateTime(timezone=True)),
+    # When the provider last confirmed that the account exists, by a sign-in or a refresh token.
+    sa.Column("confirmed_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.text("now()")),
+    # When the account was last checked; null to check it soon.
+    sa.Column("checked_at", sa.DateTime(timezone=True)),
+    sa.Column("refresh_token", sa.Text),
     sa.UniqueConstraint("issuer", "subject"),
 )
 
@@ -112,6 +119,15 @@ oidc_login = sa.Table(
     created_at_column(),
     sa.Column("expires_at", sa.DateTime(timezone=True), nullable=False, index=True),
     sa.CheckConstraint("octet_length(state_sha256) = 32 AND octet_length(browser_sha256) = 32", name="sha256"),
+)
+
+# The ids of logout tokens, so that none is accepted twice (OpenID Connect Back-Channel Logout 1.0, section 2.6).
+used_logout_token = sa.Table(
+    "used_logout_token",
+    metadata,
+    sorted_text("issuer", primary_key=True),
+    sorted_text("jti", primary_key=True),
+    sa.Column("expires_at", sa.DateTime(timezone=True), nullable=False, index=True),
 )
 
 # Programs that request a token. `secret_sha256` is that of the code that they exchange.

@@ -21,7 +21,7 @@ from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, among
 from kleinkram.server.pagination import Order, PageRequest, fetch_page
 from kleinkram.server.settings import Settings
-from kleinkram.server.tables import audit_event, mission, person, project, runner, token, token_limit
+from kleinkram.server.tables import audit_event, mission, person, project, runner, session, token, token_limit
 
 _TOKEN_ORDER = Order([token.c.created_at, token.c.id], descending=True)
 
@@ -65,8 +65,11 @@ async def issue_token(
     request: TokenCreate,
     expires_at: datetime.datetime | None,
     made_by: uuid.UUID | None = None,
+    approved_in: uuid.UUID | None = None,
 ) -> tuple[uuid.UUID, NewSecret]:
     """Insert a token for a person, created with the token `made_by`; the caller checks permissions and audits it.
+
+    With `approved_in`, it depends on the provider account with which that session was started.
 
     Raises NotAuthenticated if the person was deactivated or `made_by` was revoked just now.
     """
@@ -88,6 +91,7 @@ async def issue_token(
             is_limited=request.is_limited,
             expires_at=expires_at,
             created_by_token_id=made_by,
+            identity_id=select(session.c.identity_id).where(session.c.id == approved_in).scalar_subquery(),
             runner_id=request.runner_id,
             runner_labels=request.runner_labels,
         )

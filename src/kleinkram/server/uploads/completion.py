@@ -31,6 +31,7 @@ from kleinkram.contract.uploads import (
     UploadOutcome,
     UploadState,
 )
+from kleinkram.server import metrics
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.blobs.service import enqueue_reading
@@ -94,6 +95,8 @@ async def finish_uploads(context: AppContext, actor: Actor, uploads: Sequence[Up
                 failures |= await _make_files(db, actor, mission_id, joined)
             else:
                 failures |= await make_artifacts(db, run_id, joined)
+        arrived = [row.size_bytes for row in joined if row.id not in failures]
+        metrics.count_uploads("stored", files=len(arrived), size_bytes=sum(arrived))
     if failures:
         async with context.database.begin() as db:
             await _record_failures(db, actor, failures)

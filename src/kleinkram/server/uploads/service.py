@@ -20,6 +20,7 @@ from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import name_key
 from kleinkram.contract.problems import to_problem
 from kleinkram.contract.uploads import UploadRead, UploadState
+from kleinkram.server import metrics
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.log import Event, audit
@@ -74,6 +75,8 @@ async def begin_uploads(
         decisions = await _reserve_names(db, context, actor, mission_id, decisions)
         decisions = await _link_duplicates(db, actor, mission_id, decisions)
         uploads = await queries.lock_own_uploads(db, actor, [d.upload_id for d in decisions if d.upload_id])
+    linked = [decision.requested.size_bytes for decision in decisions if decision.action is FileAction.link]
+    metrics.count_uploads("linked", files=len(linked), size_bytes=sum(linked))
     parts = await _open_at_store(context, decisions, uploads)
     file_ids = [decision.file_id for decision in decisions if decision.file_id]
     visible_files: dict[uuid.UUID, FileRead] = {}

@@ -174,10 +174,10 @@ def test_total_number_of_nested_fields_is_bounded() -> None:
 
 @pytest.mark.parametrize("text", ["/*" * 500_000, '"' * 500_000, "@" * 300_000, "a" * 1_000_000, "[" * 500_000])
 def test_hostile_texts_are_refused_quickly(text: str) -> None:
-    start = time.process_time()
+    start = time.thread_time()
     assert isinstance(idl(text, "S"), Undecodable)
     assert isinstance(decoder_for("cdr", "a/S", "ros2msg", text.encode()), Undecodable)
-    assert time.process_time() - start < 2
+    assert time.thread_time() - start < 2
 
 
 def test_a_type_used_by_many_fields_is_resolved_once() -> None:
@@ -185,9 +185,9 @@ def test_a_type_used_by_many_fields_is_resolved_once() -> None:
     many = "".join(f" T a{number};" for number in range(900))
     constants = "".join(f" const long c{number} = 1;" for number in range(2_000))
     text = f"struct T {{{inner} }}; struct S {{{many} }}; module T_Constants {{{constants} }};"
-    start = time.process_time()
+    start = time.thread_time()
     assert "more than 6000 fields" in reason(idl(text, "S"))
-    assert time.process_time() - start < 1  # 0.05 s; 4.5 s where each mention builds it anew
+    assert time.thread_time() - start < 1  # 0.05 s; 4.5 s where each mention builds it anew
 
 
 def test_repeated_typedefs_do_not_multiply_dimensions() -> None:

@@ -7,11 +7,14 @@ import { texts as all } from "@/texts/admin";
 
 export type Setting = components["schemas"]["SettingRead"];
 export type FailedJob = components["schemas"]["FailedJob"];
+export type CapacityForecast = components["schemas"]["CapacityForecast"];
 export type JobAmount = components["schemas"]["JobAmount"];
 export type Storage = components["schemas"]["AdminStorage"];
 
 const POLL_MS = 10_000;
 const FAST_POLL_MS = 1_000;
+// The status sums up all files.
+const SLOW_POLL_MS = 60_000;
 
 export function useStorage() {
   return useQuery({ queryKey: ["admin", "storage"], queryFn: ({ signal }) => call(api.GET("/api/v1/admin/storage", { signal })), refetchInterval: POLL_MS });
@@ -41,6 +44,11 @@ export function useJobs() {
 
 export function useHealth() {
   return useQuery({ queryKey: ["admin", "health"], queryFn: ({ signal }) => call(api.GET("/api/v1/admin/health", { signal })), refetchInterval: POLL_MS });
+}
+
+/** What needs an admin, what is full, and when it will be. */
+export function useStatus() {
+  return useQuery({ queryKey: ["admin", "status"], queryFn: ({ signal }) => call(api.GET("/api/v1/admin/status", { signal })), refetchInterval: SLOW_POLL_MS });
 }
 
 export function useSettings() {

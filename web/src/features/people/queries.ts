@@ -44,6 +44,7 @@ export function usePersonChanges(personId: string) {
     unmakeAdmin: () => done(call(api.DELETE("/api/v1/people/{person_id}/admin", { params }))),
     deactivate: () => done(call(api.POST("/api/v1/people/{person_id}/deactivate", { params }))),
     reactivate: () => done(call(api.POST("/api/v1/people/{person_id}/reactivate", { params }))),
+    erase: (confirmation: string) => done(call(api.POST("/api/v1/people/{person_id}/erase", { params, body: { confirmation } }))),
     reset: () => call(api.POST("/api/v1/people/{person_id}/reset", { params })),
   };
 }
