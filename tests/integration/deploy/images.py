@@ -85,7 +85,7 @@ def upgrade() -> None:
     op.execute("ALTER TABLE project ADD COLUMN of_the_next_release text")
 """
 
-# Notifications of Debian's Alertmanager need their templates. The configuration is that of the blackbox exporter's image.
+# Debian's Alertmanager needs the templates. The configuration is that of the blackbox exporter's image.
 _MONITOR = """\
 FROM {base}
 COPY templates /usr/share/prometheus/alertmanager

@@ -179,9 +179,7 @@ def test_a_backup_is_made_and_verified(site: Site) -> None:
 
 
 @pytest.mark.parametrize("service", images.MONITORS)
-def test_monitors_read_their_files_and_write_their_data(
-    site: Site, receiver: monitors.Receiver, service: str
-) -> None:
+def test_monitors_read_their_files_and_write_their_data(site: Site, receiver: monitors.Receiver, service: str) -> None:
     mounts = site.project.inspect(service)["Mounts"]
     others = ("/host", "/var/run/docker.sock")
     files = [it["Destination"] for it in mounts if it["Type"] == "bind" and it["Destination"] not in others]
