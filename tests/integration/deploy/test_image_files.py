@@ -34,7 +34,7 @@ def compose() -> Any:
 
 @pytest.mark.parametrize("path", _DOCKERFILES, ids=lambda path: path.parent.name)
 def test_hadolint_finds_nothing(path: Path) -> None:
-    done = subprocess.run([_PROGRAMS / "hadolint", str(path)], capture_output=True, text=True, check=False)
+    done = subprocess.run([str(_PROGRAMS / "hadolint"), str(path)], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "")
 
 
