@@ -127,7 +127,9 @@ def debian_root() -> Path:
             root, packed = Path(folder, "root"), tar.with_suffix(f".{os.getpid()}")
             command = ["debootstrap", "--variant=minbase", f"--include={_PACKAGES}", "bookworm", str(root)]
             subprocess.run(command, check=True, capture_output=True)
-            subprocess.run(["tar", "-C", str(root), "--exclude=./var/cache/apt/*.bin", "-cf", str(packed), "."], check=True)
+            subprocess.run(
+                ["tar", "-C", str(root), "--exclude=./var/cache/apt/*.bin", "-cf", str(packed), "."], check=True
+            )
             packed.rename(tar)
     return tar
 

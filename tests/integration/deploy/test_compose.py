@@ -20,7 +20,7 @@ import pytest
 import urllib3
 
 from tests.integration.deploy import images, monitors
-from tests.integration.deploy.compose import NETWORK, Project, project
+from tests.integration.deploy.compose import NETWORK, Project, initialise, project
 from tests.integration.runner import engines
 from tests.integration.runner.engines import Dockerd
 from tests.integration.upload_client import wait_until
@@ -224,6 +224,19 @@ def test_prometheus_scrapes_the_processes_of_the_upgrade(site: Site, receiver: m
     started = datetime.fromisoformat(site.project.inspect("api-1")["State"]["StartedAt"][:19] + "+00:00")
     query = f'sum by (job) (process_start_time_seconds{{job=~"kleinkram-.*"}} >= bool {started.timestamp() - 1})'
     wait_until(lambda: _query(site.project, query) == {"kleinkram-api": 2, "kleinkram-worker": 1}, limit_s=60)
+
+
+def test_secrets_are_rotated(site: Site, tmp_path: Path) -> None:
+    secrets = site.project.folder / "secrets"
+    for name in ("s3-secret-key", "store-identities.json", "database-password"):
+        (secrets / name).unlink()
+    initialise(site.project.folder, "localhost")
+    command = f"ALTER ROLE kleinkram_serve PASSWORD '{(secrets / 'database-password').read_text()}'"
+    site.project.compose("exec", "postgres", "psql", "--username", "postgres", "--command", command)
+    services = ("store", "api-1", "api-2", "worker", "backup")
+    site.project.compose("up", "--detach", "--wait", "--force-recreate", *services)
+    site.check_files(tmp_path)
+    site.upload("after-the-rotation", tmp_path)
 
 
 def test_a_wrong_secret_is_named(site: Site) -> None:
