@@ -10,8 +10,11 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
 
-def make_certificate(folder: Path, address: str) -> tuple[Path, Path]:
-    """Write a self-signed certificate for an IP address or `localhost`, good for an hour, and its key; return them."""
+def make_certificate(folder: Path, *addresses: str, hours: float = 1) -> tuple[Path, Path]:
+    """Write a self-signed certificate for IP addresses or `localhost`, and its key; return their paths.
+
+    It is valid for so many hours; expired for as many if that is negative.
+    """
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "kleinkram")])
     now = datetime.datetime.now(datetime.timezone.utc)
@@ -21,9 +24,9 @@ def make_certificate(folder: Path, address: str) -> tuple[Path, Path]:
         .issuer_name(name)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - datetime.timedelta(hours=1))
-        .not_valid_after(now + datetime.timedelta(hours=1))
-        .add_extension(x509.SubjectAlternativeName([_general_name(address)]), critical=False)
+        .not_valid_before(now - datetime.timedelta(hours=1 + abs(hours)))
+        .not_valid_after(now + datetime.timedelta(hours=hours))
+        .add_extension(x509.SubjectAlternativeName([*map(_general_name, addresses)]), critical=False)
         .sign(key, hashes.SHA256())
     )
     certificate, private = folder / "cert.pem", folder / "key.pem"

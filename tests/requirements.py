@@ -43,6 +43,7 @@ PROGRAMS = {
     "prometheus-node-exporter": "prometheus-node-exporter",
     "amtool": "prometheus-alertmanager",
     "systemd-analyze": "systemd",
+    "systemd-nspawn": "systemd-container",
     "systemd-sysusers": "systemd",
     "systemd-tmpfiles": "systemd",
     "node": "nodejs npm",

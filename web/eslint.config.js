@@ -13,7 +13,7 @@ export default tseslint.config(
       parser: vueParser,
       parserOptions: {
         parser: tseslint.parser,
-        project: ["./tsconfig.app.json", "./tsconfig.test.json"],
+        project: "./tsconfig.lint.json",
         tsconfigRootDir: import.meta.dirname,
         extraFileExtensions: [".vue"],
       },

@@ -48,7 +48,7 @@ def add(lab: Terminal, name: str) -> None:
 
 
 def runs_of(lab: Terminal) -> list[Any]:
-    listed: list[Any] = lab.run_here("run", "list", *PROJECT, "--json").json()["items"]
+    listed: list[Any] = lab.run("run", "list", *PROJECT, "--json").json()["items"]
     return listed
 
 

@@ -11,7 +11,7 @@ from urllib.parse import urlencode, urlsplit
 
 from tests.integration.api_server import Api
 
-_PATIENCE_S = 20.0
+_PATIENCE_S = 60.0
 
 
 class Ears:

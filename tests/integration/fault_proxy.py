@@ -3,11 +3,13 @@
 Requests are passed on byte for byte, with the caller's Host, so signatures hold at the store behind.
 """
 
+import datetime
 import http.client
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from email.utils import format_datetime
 from http.server import BaseHTTPRequestHandler
 from urllib.parse import parse_qsl, urlsplit
 
@@ -58,13 +60,15 @@ Edit = Callable[[ProxiedRequest, bytes], bytes]
 class Middleman:
     """Stands before a store, at `url`.
 
-    `rule` says what becomes of each request: None lets it through. `edit` may change what an answer says.
+    `rule` says what becomes of each request: None lets it through. `edit` may change what an answer says. Its clock is
+    `ahead` of this machine's.
     """
 
     def __init__(self, url: str, store: str) -> None:
         self.url = url
         self.rule: Rule = lambda _proxied: None
         self.edit: Edit = lambda _proxied, body: body
+        self.ahead = datetime.timedelta(0)
         self._store = urlsplit(store).netloc
 
     def pass_on(self, request: BaseHTTPRequestHandler) -> None:
@@ -79,6 +83,8 @@ class Middleman:
             _answer(request, decided.status, {"content-type": "application/xml"}, decided.body)
             return
         status, answered, content = self._ask_store(request, headers, body)
+        if self.ahead:
+            answered["date"] = format_datetime(datetime.datetime.now(datetime.timezone.utc) + self.ahead, usegmt=True)
         if isinstance(decided, Lost):
             request.close_connection = True
             return

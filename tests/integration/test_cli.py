@@ -3,7 +3,6 @@
 import json
 import os
 import subprocess
-import sys
 import uuid
 from collections.abc import Callable
 from pathlib import Path
@@ -13,8 +12,8 @@ import pytest
 
 from tests.integration.api_server import Api
 from tests.integration.jobs import run_jobs
+from tests.klein import KLEIN, run_klein
 
-KLEIN = Path(sys.executable).parent / "klein"
 Klein = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
@@ -31,11 +30,8 @@ def klein_at(api: Api, home: Path) -> Klein:
     known = {"KLEINKRAM_URL": api.url, "KLEINKRAM_TOKEN": str(api.token)}
 
     def run(*arguments: object, code: int = 0, **environment: str) -> "subprocess.CompletedProcess[str]":
-        words = [str(KLEIN), *map(str, arguments)]
-        done = subprocess.run(
-            words, env={**inherited, **ours, **known, **environment}, capture_output=True, text=True, timeout=100
-        )
-        assert done.returncode == code, f"{words}: {done}"
+        done = run_klein([*map(str, arguments)], {**inherited, **ours, **known, **environment})
+        assert done.returncode == code, f"{done}"
         return done
 
     return run

@@ -31,7 +31,7 @@ from kleinkram.recordings.writing.conversion import convert_recording
 from tests.integration.api_server import Api
 from tests.integration.jobs import run_jobs
 from tests.integration.people import person
-from tests.integration.test_cli import KLEIN
+from tests.klein import KLEIN
 from tests.recording_files.builders import T0
 from tests.recording_files.ros_messages import SECOND, TimedMessage, ros2_mcap
 from tests.recording_files.whole_mcap import read_whole_mcap

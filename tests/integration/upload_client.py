@@ -129,7 +129,7 @@ def fetch(url: str, **headers: str) -> tuple[int, bytes]:
     return int(answer.status), bytes(answer.data)
 
 
-def wait_until(holds: Callable[[], bool], *, limit_s: float = 20) -> None:
+def wait_until(holds: Callable[[], bool], *, limit_s: float = 60) -> None:
     """Ask again until something holds."""
     deadline = time.monotonic() + limit_s
     while not holds():

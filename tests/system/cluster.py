@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from kleinkram.standalone.processes import marked_processes
-from tests.acceptance.conftest import KLEIN, Terminal, wait_until
+from tests.acceptance.conftest import Terminal, wait_until
+from tests.klein import KLEIN
 from tests.ports import choose_port
 from tests.template_instance import copy_template
 

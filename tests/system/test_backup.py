@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from kleinkram.standalone.processes import marked_processes
-from tests.acceptance.conftest import KLEIN, wait_until
+from tests.acceptance.conftest import wait_until
+from tests.klein import KLEIN
 from tests.system.cluster import Cluster, environment
 
 _LARGE_BYTES, _RATE = 40_000_000, "4M"

@@ -52,12 +52,17 @@ class MentionPlace(str, enum.Enum):
     project = "project"
     mission = "mission"
     file = "file"
+    action = "action"
+    run = "run"
     group = "group"
     share = "share"
 
 
 class Mention(Response):
-    """A text in which a person's name or address is found: which of its fields, and of which object."""
+    """A text in which a person's name or address is found: which of its fields, and of which object.
+
+    The `name` of a run is that of its mission.
+    """
 
     resource_type: MentionPlace
     id: uuid.UUID

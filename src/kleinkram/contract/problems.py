@@ -87,6 +87,7 @@ _KINDS = {
     "time": "it must be a time",
     "date": "it must be a date",
     "list": "it must be a list",
+    "tuple": "it must be a list",
     "dict": "it must be a mapping of names to values",
     "model": "it must be a mapping of names to values",
     "path": "it must be a path",

@@ -33,6 +33,7 @@ _OF_A_SERVICE = re.compile(r".*(SERVICE_HOST|SERVICE_PORT(_.+)?|PORT_\d+_(TCP|UD
 # How pydantic-settings names what it cannot parse.
 _FIELD = re.compile(r'field "(\w+)"')
 _ADDRESS = re.compile(r"(tcp|udp)://")
+_SEE_REFERENCE = "docs/reference/settings.md shows its form"
 
 
 class SettingsInvalid(Exception):
@@ -42,39 +43,43 @@ class SettingsInvalid(Exception):
 def load_settings() -> Settings:
     """Return the settings of this process. Raises SettingsInvalid."""
     problems = [_unknown(name) for name, value in sorted(os.environ.items()) if not _is_known(name.upper(), value)]
-    secrets: dict[str, object] = {}
-    unread: list[str] = []
-    for name in filter(is_secret, Settings.model_fields):
-        try:
-            text = secret_from_file(_variable(name))
-        except SettingsInvalid as error:
-            problems.append(str(error))
-            unread.append(name)
-            continue
-        if text is not None:
-            secrets[name] = text
+    faults = {name: fault for name, value in _values().items() if (fault := _malformation(_variable(name), value))}
     try:
-        if "oidc_providers" in secrets:
-            secrets["oidc_providers"] = json.loads(str(secrets["oidc_providers"]))
-        settings = Settings(**secrets)  # type: ignore[arg-type]  # validated, whatever they are
-    except json.JSONDecodeError:
-        problems.append(f"{_variable('oidc_providers')}{_FILE}: the file does not hold JSON.")
+        settings = Settings(**_secrets_in_files(faults))  # type: ignore[arg-type]  # validated, whatever they are
     except SettingsError as error:
         named = _FIELD.search(str(error))
-        problems.append(f"{_variable(named[1]) if named else 'A setting'} does not hold JSON.")
+        problems.append(f"{_variable(named[1]) if named else 'A setting'} does not hold JSON; {_SEE_REFERENCE}.")
     except ValidationError as error:
         problems += [
-            _sentence(issue) for issue in error.errors() if issue["loc"][:1] not in {(name,) for name in unread}
+            _sentence(issue) for issue in error.errors() if issue["loc"][:1] not in {(name,) for name in faults}
         ]
-    if problems:
-        raise SettingsInvalid("\n".join(problems))
+    if problems or faults:
+        raise SettingsInvalid("\n".join([*problems, *faults.values()]))
     return settings
+
+
+def _secrets_in_files(faults: dict[str, str]) -> dict[str, object]:
+    """Return the secrets that files hold, by the names of settings; adds to `faults` what cannot be used."""
+    secrets: dict[str, object] = {}
+    for name in filter(is_secret, Settings.model_fields):
+        variable = _variable(name)
+        try:
+            text = secret_from_file(variable)
+            if text is not None:
+                secrets[name] = json.loads(text) if _is_list(name) else text
+        except SettingsInvalid as error:
+            faults[name] = str(error)
+        except json.JSONDecodeError:
+            faults[name] = f"{variable}{_FILE}: the file does not hold JSON; {_SEE_REFERENCE}."
+        else:
+            if text and not _is_list(name) and (fault := _malformation(variable + _FILE, text)):
+                faults[name] = fault
+    return secrets
 
 
 def secret_from_file(variable: str) -> str | None:
     """Return the stripped content of the file in `<variable>_FILE`; None if it is not set. Raises SettingsInvalid."""
-    # Ignoring case, like pydantic-settings.
-    environment = {name.upper(): value for name, value in os.environ.items()}
+    environment = _environment()
     path = environment.get(variable + _FILE)
     if path is None:
         return None
@@ -92,6 +97,11 @@ def secret_from_file(variable: str) -> str | None:
     return text
 
 
+def _environment() -> dict[str, str]:
+    """Return the environment ignoring case, like pydantic-settings."""
+    return {name.upper(): value for name, value in os.environ.items()}
+
+
 def known_variables() -> list[str]:
     """Return all variables that a server's environment may have."""
     settings = [_variable(name) for name in Settings.model_fields]
@@ -101,6 +111,28 @@ def known_variables() -> list[str]:
 
 def _variable(name: str) -> str:
     return _PREFIX + name.upper()
+
+
+def _values() -> dict[str, str]:
+    """Return the values in the environment by the names of settings, except for lists, which are parsed anyway."""
+    environment = _environment()
+    texts = [name for name in Settings.model_fields if not _is_list(name)]
+    return {name: environment[_variable(name)] for name in texts if _variable(name) in environment}
+
+
+def _is_list(name: str) -> bool:
+    return isinstance(Settings.model_fields[name].default, tuple)
+
+
+def _malformation(variable: str, value: str) -> str | None:
+    """Return a sentence if a value is empty, or has what an editor or a shell left in it."""
+    if not value:
+        return f"{variable} is empty: set it, or unset it."
+    if value != value.strip():
+        return f"{variable} begins or ends with white space: remove that."
+    if not value.isprintable():
+        return f"{variable} contains a line break or another control character: remove that."
+    return None
 
 
 def _is_known(variable: str, value: str) -> bool:

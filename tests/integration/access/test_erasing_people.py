@@ -201,19 +201,18 @@ def test_the_record_of_somebody_with_the_same_name_is_not_changed(api: Api) -> N
     assert api.as_(second.token).get("/me").ok()["person"]["name"] == name
 
 
-@pytest.mark.parametrize("shown", ["{0}", "{0}, again", "({0})", "<{0}>."])
-def test_addresses_are_redacted_inside_texts_of_the_record(api: Api, ada: Person, shown: str) -> None:
-    email, mark = email_of(api, ada), uuid.uuid4().hex
-    text = shown.format(email.upper())
+def test_addresses_are_redacted_inside_texts_of_the_record(api: Api, ada: Person) -> None:
+    email, mark, pseudonym = email_of(api, ada), uuid.uuid4().hex, f"erased person {ada.id[:8]}"
+    shown = ["{0}", "{0}, again", "({0})", "<{0}>.", "two\nlines\n{0}"]
     longer = {"other": f"x{email}", "host": f"{email}.evil.example", "list": [f"un-{email}"]}
     api.sql(
         "INSERT INTO audit_event (operation, resource_type, resource_name, address, after)"
         " VALUES ('auth.refused', 'request', %s, '192.0.2.9', %s)",
-        *(mark, json.dumps({"reason": text, **longer})),
+        *(mark, json.dumps({"reasons": [text.format(email.upper()) for text in shown], **longer})),
     )
     erase(api, ada)
     ((address, after),) = api.sql("SELECT address, after FROM audit_event WHERE resource_name = %s", mark)
-    assert after == {"reason": text.replace(email.upper(), f"erased person {ada.id[:8]}"), **longer}
+    assert after == {"reasons": [text.format(pseudonym) for text in shown], **longer}
     assert address is None
 
 
@@ -245,3 +244,87 @@ def test_tokens_of_a_run_and_robots_are_renamed(api: Api, ada: Person) -> None:
     assert api.sql("SELECT name, revoked_at IS NOT NULL FROM token WHERE id = %s", robot.id) == [
         (f"erased person {ada.id[:8]}", True)
     ]
+
+
+def grant_event(api: Api, who: Person) -> dict[str, Any]:
+    """Grant READ to a person; return the event."""
+    project = api.project()
+    api.post(f"/projects/{project['id']}/grants", {"person_id": who.id, "right": "READ"}).ok(201)
+    (event,) = api.all("/audit", {"project_id": project["id"], "operation": "grant.create"})
+    return dict(event)
+
+
+def test_a_name_that_is_a_word_of_the_record_is_replaced_only_where_it_names_the_person(api: Api) -> None:
+    who, other = person(api, "READ"), person(api)
+    about_others, about_them, team = grant_event(api, other), grant_event(api, who), group(api)
+    api.call("PUT", f"/groups/{team}/members/{who.id}", {"is_editor": True}).ok()
+    erase(api, who)
+    events = {event["id"]: event for event in api.all("/audit", {"operation": "grant.create"})}
+    assert events[about_others["id"]] == about_others
+    pseudonym = f"erased person {who.id[:8]}"
+    assert events[about_them["id"]] == {**about_them, "resource_name": pseudonym}
+    (added,) = (event for event in api.events(team) if event["operation"] == "group.member")
+    assert added["after"]["person"] == pseudonym
+
+
+def test_what_a_provider_sent_instead_of_an_address_redacts_nothing(api: Api, ada: Person) -> None:
+    other = grant_event(api, person(api))
+    for claimed in ("READ", '", "', "READ@", ".*@.*"):
+        api.sql(
+            "INSERT INTO audit_event (operation, resource_type, resource_name, after)"
+            " VALUES ('identity.link', 'identity', 'The Lab', %s)",
+            json.dumps({"person_id": ada.id, "email": claimed, "list": ["a", "b"]}),
+        )
+    erase(api, ada)
+    assert api.all("/audit", {"project_id": other["project_id"], "operation": "grant.create"}) == [other]
+    ((is_finished,),) = api.sql("SELECT finished_at IS NOT NULL FROM erasure WHERE person_id = %s", ada.id)
+    assert is_finished
+
+
+def test_names_of_their_tokens_and_addresses_of_their_programs_are_redacted(api: Api, ada: Person) -> None:
+    made = api.as_(ada.token).post("/tokens", {"name": "klein on adas-laptop", "scopes": ["admin"]}).ok(201)
+    api.as_(made["secret"]).post("/tokens", {"name": "adas-script"}).ok(201)
+    api.as_(ada.token).delete(f"/tokens/{made['token']['id']}").ok(204)
+    login = uuid.uuid4()
+    api.sql(
+        "INSERT INTO audit_event (actor_id, operation, resource_type, resource_id, resource_name, after)"
+        " VALUES (%s, 'login.approve', 'login', %s, 'klein', %s)",
+        *(ada.id, login, json.dumps({"by": "code", "from": "192.0.2.44"})),
+    )
+    erase(api, ada)
+    assert places_with(api, "adas-laptop") | places_with(api, "adas-script") | places_with(api, "192.0.2.44") == set()
+    assert api.sql("SELECT after FROM audit_event WHERE resource_id = %s", login) == [({"by": "code"},)]
+
+
+# A run, with a copy of its mission's metadata, of an action.
+_RUN = """
+WITH made AS (
+    INSERT INTO action (id, name, name_key, project_id, created_by_id)
+        VALUES (gen_random_uuid(), 'count', 'count', %(project)s, %(person)s) RETURNING id),
+  version AS (
+    INSERT INTO action_version (id, action_id, number, definition, definition_sha256, created_by_id)
+        SELECT gen_random_uuid(), id, 1, %(definition)s, sha256('x'), %(person)s FROM made RETURNING id)
+INSERT INTO run (id, version_id, mission_id, parameters, network, cores, memory_bytes, disk_bytes, gpus, needs_images,
+    inputs_fingerprint, started_by_id, input_count, input_bytes, input_metadata)
+  SELECT gen_random_uuid(), id, %(mission)s, %(parameters)s, 'none', 1, 1, 1, 0, false, sha256('x'), %(person)s, 1, 1,
+    %(metadata)s FROM version
+"""
+
+
+def test_actions_runs_and_checks_that_mention_them_are_reported(api: Api, ada: Person) -> None:
+    project = api.project()
+    mission = api.mission(project["id"])
+    values = {"project": project["id"], "mission": mission["id"], "person": str(OWNER_ID)}
+    values |= {name: json.dumps({"by": ada.name}) for name in ("definition", "parameters", "metadata")}
+    api.database.execute(_RUN, values)
+    api.sql(
+        "INSERT INTO project_checks (project_id, number, text, sha256, created_by_id)"
+        " VALUES (%s, 1, %s, sha256('x'), %s)",
+        *(project["id"], f"# by {ada.name}", OWNER_ID),
+    )
+    mentions = {(row["resource_type"], row["name"]): row["fields"] for row in erase(api, ada)["mentions"]}
+    assert mentions == {
+        ("project", project["name"]): ["checks.yaml"],
+        ("action", "count"): ["definition"],
+        ("run", mission["name"]): ["parameters", "metadata"],
+    }

@@ -11,7 +11,7 @@ from kleinkram.contract.people import DataSection
 from kleinkram.server.people import export
 from kleinkram.server.tables import metadata
 from tests.integration.api_server import Api
-from tests.integration.people import Person, grant, group, person, session, token
+from tests.integration.people import Person, grant, group, person, session, share, token
 
 # Tables that refer to people, but whose rows are about something else, which they only created, changed or deleted.
 _NOT_ABOUT_PEOPLE = {"blob", "scrub", "project_checks", "project_action", "erasure"}
@@ -79,6 +79,35 @@ def test_only_the_person_and_admins_may_export(api: Api) -> None:
     exported(api.as_(ada.token), ada)
     events = [event for event in api.events(ada.id) if event["operation"] == "person.export"]
     assert [(event["actor"]["id"], event["as_admin"]) for event in events] == [(ada.id, False), (boss.id, True)]
+
+
+def test_of_texts_that_mention_a_person_they_get_those_that_they_may_see(api: Api) -> None:
+    # Where accounts are open to anybody, people choose their names.
+    word = f"falcon{uuid.uuid4().hex[:8]}"
+    eve = person(api, word)
+    project = api.project(description=f"Project {word} is secret")
+    mission = api.mission(project["id"], notes=f"{word} flew", metadata={"robot": word})
+    api.mission(project["id"], name=word)
+    group(api, f"group {word}")
+    link = share(api, mission["id"])
+    api.sql("UPDATE share SET name = %s WHERE id = %s", f"link of {word}", link.id)
+    hers = api.as_(eve.token)
+    assert "mentions" not in exported(hers, eve)
+    assert project["id"] not in hers.get(f"/people/{eve.id}/export").ok()
+    grant(api, eve, Right.read, mission_id=mission["id"])
+    assert [(row["id"], row["fields"]) for row in exported(hers, eve)["mentions"]] == [
+        (mission["id"], ["notes", "metadata"])
+    ]
+    grant(api, eve, Right.write, project_id=project["id"])
+    assert len(exported(hers, eve)["mentions"]) == 4
+    assert len(exported(api, eve)["mentions"]) == 5
+
+
+def test_names_and_addresses_of_people_invited_by_them_are_left_out(api: Api) -> None:
+    boss, email = person(api, admin=True), f"{uuid.uuid4().hex}@lab.example"
+    api.as_(boss.token).post("/people/invitations", {"email": email, "name": "Grace Hopper"}).ok(201)
+    (invitation,) = exported(api.as_(boss.token), boss)["invitations"]
+    assert (invitation["purpose"], invitation["email"], invitation["name"]) == ("invitation", None, None)
 
 
 def test_addresses_of_others_are_left_out(api: Api) -> None:

@@ -45,6 +45,10 @@ class FakeProvider:
     # Whose refresh tokens are valid, and the OAuth error that all others get.
     refresh_tokens: dict[str, str] = field(default_factory=dict)
     refresh_error: str = "invalid_grant"
+    # The errors of the next refusals, before `refresh_error`.
+    refresh_errors: list[str] = field(default_factory=list)
+    refreshed_id_token: str | None = None
+    grants_refresh_tokens: bool = True
     _codes: dict[str, dict[str, str]] = field(default_factory=dict)
 
     def rotate(self, *, keep_old: bool = False) -> None:
@@ -107,8 +111,9 @@ class FakeProvider:
     def _refresh(self, refresh_token: str) -> tuple[int, Any]:
         subject = self.refresh_tokens.pop(refresh_token, None)
         if subject is None:
-            return 400, {"error": self.refresh_error}
-        return 200, {"access_token": "at", "token_type": "Bearer", "refresh_token": self._new_refresh_token(subject)}
+            return 400, {"error": self.refresh_errors.pop(0) if self.refresh_errors else self.refresh_error}
+        answer = {"access_token": "at", "token_type": "Bearer", "refresh_token": self._new_refresh_token(subject)}
+        return 200, answer | ({} if self.refreshed_id_token is None else {"id_token": self.refreshed_id_token})
 
     def _new_refresh_token(self, subject: str) -> str:
         made = secrets.token_urlsafe(16)
@@ -134,7 +139,7 @@ class FakeProvider:
         claims = {"iss": self.url, "aud": CLIENT_ID, "exp": now + 60, "iat": now, "nonce": requested["nonce"], **person}
         claims |= {} if self.session_id is None else {"sid": self.session_id}
         answer = {"access_token": "at", "token_type": "Bearer", "id_token": self.sign(self.change(claims))}
-        if "offline_access" in requested["scope"].split():
+        if self.grants_refresh_tokens and "offline_access" in requested["scope"].split():
             answer["refresh_token"] = self._new_refresh_token(self.person["sub"])
         return 200, answer
 

@@ -1,6 +1,8 @@
 """Access that depends on an account at a provider ends when the provider ends the account or the session."""
 
+import asyncio
 import hashlib
+import json
 import secrets
 import time
 import uuid
@@ -12,6 +14,7 @@ from urllib.parse import parse_qs, urlencode, urlsplit
 import pytest
 import urllib3
 
+from kleinkram.server.auth import oidc, provider_accounts
 from kleinkram.server.auth.jobs import check_provider_accounts
 from tests.integration.api_server import Answer, Api
 from tests.integration.auth.accounts import any_email, sign_in
@@ -130,6 +133,57 @@ def test_an_error_that_is_not_about_the_account_ends_nothing(lab: Lab, error: st
     assert browser.is_signed_in()
 
 
+def test_an_account_about_which_the_provider_says_nothing_does_not_delay_others(lab: Lab) -> None:
+    unclear = lab.sign_in("unclear", **known_as(any_email()))
+    browser = lab.sign_in("behind it", **known_as(any_email()))
+    lab.provider.remove("unclear")
+    lab.provider.remove("behind it")
+    lab.api.sql("UPDATE identity SET checked_at = now() - interval '25 hours' WHERE subject = 'behind it'")
+    lab.api.sql("UPDATE identity SET checked_at = NULL WHERE subject = 'unclear'")
+    lab.provider.refresh_errors = ["interaction_required"]
+    check(lab, is_due=False)
+    assert (unclear.is_signed_in(), browser.is_signed_in()) == (True, False)
+    lab.provider.seen.clear()
+    check(lab, is_due=False)
+    assert "/token" not in lab.provider.seen, "it is asked again with its next check"
+
+
+def test_an_id_token_for_another_client_confirms_nothing(lab: Lab) -> None:
+    lab.sign_in("mixed up", **known_as(any_email()))
+    now = int(time.time())
+    claims = {"iss": lab.provider.url, "sub": "mixed up", "iat": now, "exp": now + 60}
+    for audience, is_confirmed in ((["other", CLIENT_ID], True), ("other", False)):
+        lab.api.sql("UPDATE identity SET confirmed_at = now() - interval '2 days' WHERE subject = 'mixed up'")
+        lab.provider.refreshed_id_token = lab.provider.sign({**claims, "aud": audience})
+        check(lab)
+        assert lab.api.sql(
+            "SELECT confirmed_at > now() - interval '1 day' FROM identity WHERE subject = 'mixed up'"
+        ) == [(is_confirmed,)]
+
+
+def test_tokens_that_were_created_with_a_token_of_klein_login_end_with_it(lab: Lab) -> None:
+    secret = logged_in(lab, lab.sign_in("crafty", **known_as(any_email())))
+    theirs = lab.api.as_(secret)
+    second = theirs.post("/tokens", {"name": "second", "scopes": ["admin"]}).ok(201)["secret"]
+    third = lab.api.as_(second).post("/tokens", {"name": "third"}).ok(201)["secret"]
+    robot = theirs.post("/tokens", {"name": "robot", "kind": "robot", "project_ids": [theirs.project()["id"]]}).ok(201)[
+        "secret"
+    ]
+    lab.provider.remove("crafty")
+    check(lab)
+    assert [is_valid(lab, token) for token in (secret, second, third, robot)] == [False, False, False, True]
+
+
+def test_a_sign_in_without_a_refresh_token_keeps_the_earlier_one(lab: Lab) -> None:
+    email = any_email()
+    lab.sign_in("first only", **known_as(email))
+    lab.provider.grants_refresh_tokens = False
+    browser = lab.sign_in("first only", **known_as(email))
+    lab.provider.remove("first only")
+    check(lab)
+    assert not browser.is_signed_in()
+
+
 def test_a_dead_provider_ends_nothing(lab: Lab) -> None:
     browser = lab.sign_in("waiting", **known_as(any_email()))
     lab.provider.is_dead.add("/token")
@@ -166,9 +220,37 @@ def test_without_offline_access_no_refresh_token_is_stored(start_api: StartApi, 
     lab = Lab(api, provider)
     lab.sign_in("plain", **known_as(any_email()))
     assert api.sql("SELECT refresh_token FROM identity") == [(None,)]
+    api.sql("UPDATE identity SET refresh_token = 'from when the scope was requested'")
     lab.provider.seen.clear()
     check(lab)
     assert lab.provider.seen == []
+    assert api.sql("SELECT refresh_token FROM identity") == [(None,)]
+
+
+def test_refresh_tokens_that_need_no_secret_of_the_client_are_not_stored() -> None:
+    assert provider_settings("lab", "https://id.example", scopes=_SCOPES).is_refreshable
+    assert not provider_settings("lab", "https://id.example", scopes=_SCOPES, client_secret=None).is_refreshable
+    assert not provider_settings("lab", "https://id.example", scopes=_SCOPES, client_auth="none").is_refreshable
+
+
+def test_an_identity_is_not_linked_to_somebody_who_is_erased_meanwhile(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    browser = lab.sign_in("erased", **known_as(any_email()))
+    me = browser.me()["person"]
+    url = browser.post("/auth/providers/lab/link", {"return_to": "/account"}).ok()["url"]
+    lab.provider.sign_in_as("late", **known_as(any_email()))
+
+    link = provider_accounts.link_identity
+
+    async def erase_and_link(*arguments: Any, **options: Any) -> None:
+        body = {"confirmation": me["name"]}
+        (await asyncio.to_thread(lab.api.post, f"/people/{me['id']}/erase", body)).ok()
+        await link(*arguments, **options)
+
+    monkeypatch.setattr(provider_accounts, "link_identity", erase_and_link)
+    assert browser.get(lab.provider.authorize(url)).status == 401
+    assert lab.api.sql("SELECT * FROM identity WHERE person_id = %s OR subject = 'late'", me["id"]) == []
 
 
 # The maximum age of a confirmation
@@ -294,6 +376,27 @@ def test_an_id_token_is_no_logout_token(lab: Lab) -> None:
     events = {"jti": uuid.uuid4().hex, "events": _EVENT}
     assert log_out(lab, lab.provider.sign({**claims, **events}, typ="at+jwt")).status == 400
     assert browser.is_signed_in()
+
+
+@pytest.mark.parametrize("critical", [None, 1, "nonce", ["nonce"]])
+def test_an_unexpected_header_is_refused(lab: Lab, critical: object) -> None:
+    header = urlsafe_b64encode(json.dumps({"alg": "RS256", "crit": critical}).encode()).decode().rstrip("=")
+    good = lab.provider.logout_token(sub="anybody")
+    assert log_out(lab, f"{header}.{good.partition('.')[2]}").status == 400
+
+
+def test_logout_tokens_of_unknown_keys_do_not_make_the_server_fetch_keys_all_the_time(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    browser = lab.sign_in("rotated", **known_as(any_email()))
+    lab.provider.seen.clear()
+    lab.provider.rotate()
+    for _ in range(3):
+        assert log_out(lab, lab.provider.logout_token(sub="rotated")).status == 400
+    assert lab.provider.seen == []
+    monkeypatch.setattr(oidc, "_LOGOUT_REFETCH_S", 0.0)
+    assert log_out(lab, lab.provider.logout_token(sub="rotated")).status == 200
+    assert not browser.is_signed_in()
 
 
 def test_a_logout_token_works_once(lab: Lab) -> None:

@@ -301,7 +301,7 @@ def test_a_busy_store_is_not_treated_as_dead() -> None:
 
 def _wait_for_patience(connection: WatchedConnection, *, at_least_s: int) -> None:
     """Wait until the kernel lets the other side be silent for more than `at_least_s` and less than a minute more."""
-    gives_up_at = time.monotonic() + 20
+    gives_up_at = time.monotonic() + 60
     while True:
         patience_s = connection.sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) / 1000
         if at_least_s < patience_s <= at_least_s + 60:

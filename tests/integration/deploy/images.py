@@ -142,7 +142,15 @@ def load_base(docker: Dockerd) -> None:
 def build(docker: Dockerd, image: str, name: str) -> None:
     """Build one of our images as docs say."""
     environment = {**os.environ, "DOCKER_HOST": f"unix://{docker.socket}", "PYTHON": sys.executable}
-    command = [ROOT / "deploy" / "images" / "build", image, name, "--network", "host", "--build-arg", f"BASE={BASE}"]
+    command = [
+        str(ROOT / "deploy" / "images" / "build"),
+        image,
+        name,
+        "--network",
+        "host",
+        "--build-arg",
+        f"BASE={BASE}",
+    ]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
 

@@ -47,7 +47,11 @@ def nginx_command(folder: Path, changes: Mapping[str, str], ports: Mapping[str, 
 def caddy_command(folder: Path, changes: Mapping[str, str], ports: Mapping[str, int]) -> list[str]:
     """Write the configuration with some changes; return the command that serves it."""
     options = f"admin off\n\thttp_port {ports['http']}\n\thttps_port {ports['https']}\n\t"
-    own_changes = {"servers {": f"{options}servers {{", "# tls ": "tls ", f"SITE:{_NAME}}}": "SITE:127.0.0.1}"}
+    own_changes = {
+        "servers {": f"{options}servers {{",
+        "# tls ": "tls ",
+        f"SITE:{_NAME}}}": "SITE:127.0.0.1, 127.0.0.5}",
+    }
     (folder / "Caddyfile").write_text(_changed(_DEPLOY / "caddy" / "Caddyfile", {**changes, **own_changes}))
     return [str(locate_caddy()), "run", "--config", str(folder / "Caddyfile"), "--adapter", "caddyfile"]
 

@@ -39,7 +39,8 @@ def test_hadolint_finds_nothing(path: Path) -> None:
 
 
 def test_the_project_follows_the_compose_specification() -> None:
-    command = [_PROGRAMS / "check-jsonschema", "--builtin-schema", "vendor.compose-spec", _COMPOSE / "compose.yaml"]
+    schema = "vendor.compose-spec"
+    command = [str(_PROGRAMS / "check-jsonschema"), "--builtin-schema", schema, str(_COMPOSE / "compose.yaml")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
 

@@ -1,5 +1,6 @@
 """The proxies of `deploy/`: two API processes and the store behind one address with TLS."""
 
+import asyncio
 import json
 import os
 import socket
@@ -15,6 +16,10 @@ from typing import Any
 import pytest
 import urllib3
 
+from kleinkram.diagnostics import Diagnostic
+from kleinkram.server.health.public_address import check_public_address, check_public_store
+from kleinkram.server.s3.storage import open_storage
+from kleinkram.server.settings import Settings
 from tests.certificate import make_certificate
 from tests.integration.api_server import Api, serving
 from tests.integration.deploy.proxies import caddy_command, nginx_command, run
@@ -27,6 +32,8 @@ _MIB = 2**20
 # nginx is a package of the system, which only slow tests install.
 _PROXIES = [pytest.param("nginx", marks=pytest.mark.slow), "caddy"]
 _FORGED, _CLIENT = "203.0.113.7", "127.0.0.9"
+# To `check` an address of another machine: there, requests must pass a proxy.
+_NOT_LOOPBACK = "127.0.0.5"
 
 
 @dataclass(frozen=True)
@@ -65,7 +72,7 @@ def backend(
     postgres: RunningPostgres, store: RunningStore, template_database: str, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Backend]:
     folder = tmp_path_factory.mktemp("backend")
-    certificate, key = make_certificate(folder, "127.0.0.1")
+    certificate, key = make_certificate(folder, "127.0.0.1", _NOT_LOOPBACK)
     database, bucket = postgres.create_database(template=template_database), store.create_bucket()
     ports = {name: choose_port() for name in ("http", "https")}
     settings: dict[str, Any] = {
@@ -99,10 +106,11 @@ def site(request: pytest.FixtureRequest, backend: Backend, tmp_path_factory: pyt
 
 
 @contextmanager
-def _serving(proxy: str, backend: Backend, folder: Path) -> Iterator[Site]:
-    """Run a proxy with the configuration of `deploy/`, changed to the addresses of the backend."""
+def _serving(proxy: str, backend: Backend, folder: Path, mistakes: Mapping[str, str] | None = None) -> Iterator[Site]:
+    """Run a proxy with the configuration of `deploy/`, changed to the addresses of the backend, and with mistakes."""
     first, second = (api.url.removeprefix("http://") for api in backend.apis)
     changes = {
+        **(mistakes or {}),
         "127.0.0.1:8000": first,
         "127.0.0.1:8001": second,
         "127.0.0.1:9000": backend.store,
@@ -230,21 +238,35 @@ def test_a_report_of_a_run_may_be_large(site: Site) -> None:
 
 def test_a_slow_client_is_served_beside_others(site: Site) -> None:
     """It sends its request in pieces, while another one is answered."""
-    context = ssl.create_default_context(cafile=str(site.backend.certificate))
-    raw = socket.create_connection(("127.0.0.1", site.backend.ports["https"]), timeout=30)
     body = json.dumps({"name": f"slow {os.urandom(4).hex()}"}).encode()
-    head = (
-        f"POST /api/v1/projects HTTP/1.1\r\nHost: 127.0.0.1:{site.backend.ports['https']}\r\n"
-        f"Authorization: Bearer {site.api.token}\r\nContent-Type: application/json\r\n"
-        f"Content-Length: {len(body)}\r\nConnection: close\r\n\r\n"
-    )
+    headers = {"Authorization": f"Bearer {site.api.token}", "Content-Type": "application/json"}
+    assert _send_slowly(site, "POST", "/api/v1/projects", headers, body, pieces=8).startswith(b"HTTP/1.1 201")
+
+
+def test_a_part_on_a_slow_line_is_stored_beside_other_requests(site: Site) -> None:
+    body = os.urandom(_MIB)
+    mission = site.api.mission(site.api.project()["id"])
+    upload = begin(site.api, mission["id"], {"slow.bin": body})[0]["upload"]
+    (signed,) = sign(site.api, upload, parts_of(upload, body)).ok()["items"]
+    path = signed["url"].removeprefix(site.api.url)
+    assert _send_slowly(site, "PUT", path, signed["headers"], body, pieces=20).startswith(b"HTTP/1.1 200")
+    assert complete(site.api, upload, body)["outcome"] == "completed"
+
+
+def _send_slowly(site: Site, method: str, path: str, headers: Mapping[str, str], body: bytes, *, pieces: int) -> bytes:
+    """Send a request in pieces, and another one after each; return the beginning of the response."""
+    context = ssl.create_default_context(cafile=str(site.backend.certificate))
+    address = f"127.0.0.1:{site.backend.ports['https']}"
+    own = {"Host": address, "Content-Length": str(len(body)), "Connection": "close"}
+    lines = [f"{method} {path} HTTP/1.1", *(f"{name}: {value}" for name, value in {**own, **headers}.items())]
+    head, size, pause = ("\r\n".join(lines) + "\r\n\r\n").encode(), -(-len(body) // pieces), threading.Event()
+    raw = socket.create_connection(("127.0.0.1", site.backend.ports["https"]), timeout=30)
     with context.wrap_socket(raw, server_hostname="127.0.0.1") as line:
-        pause = threading.Event()
-        for piece in (head.encode()[:40], head.encode()[40:], *(body[at : at + 4] for at in range(0, len(body), 4))):
+        for piece in (head[:40], head[40:], *(body[at : at + size] for at in range(0, len(body), size))):
             line.sendall(piece)
             assert site.get("/health/live").status == 200
             pause.wait(0.05)
-        assert line.recv(4096).startswith(b"HTTP/1.1 201")
+        return line.recv(4096)
 
 
 @pytest.mark.parametrize("proxy", _PROXIES)
@@ -263,3 +285,77 @@ def test_no_signature_is_logged_if_the_store_does_not_run(proxy: str, backend: B
         assert answer.status == 502
         wait_until(lambda: f"/{backend.bucket}/key" in site.log())
         assert "secret" not in site.log()
+
+
+def _diagnose(backend: Backend, monkeypatch: pytest.MonkeyPatch) -> dict[str, Diagnostic]:
+    """Run `check` of both public addresses, as from another machine."""
+    monkeypatch.setenv("SSL_CERT_FILE", str(backend.certificate))
+    url = f"https://{_NOT_LOOPBACK}:{backend.ports['https']}"
+    settings: Settings = backend.apis[0].app.state.settings
+    settings = settings.model_copy(update={"public_url": url, "s3_public_url": url})
+
+    async def collect() -> list[Diagnostic]:
+        results = [result async for result in check_public_address(settings)]
+        async with open_storage(settings) as storage:
+            return [*results, *[result async for result in check_public_store(settings, storage)]]
+
+    return {result.check: result for result in asyncio.run(collect())}
+
+
+def test_check_finds_nothing_wrong_with_the_proxies_of_deploy(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    results = _diagnose(site.backend, monkeypatch)
+    assert results.pop("certificate").severity.value == "warning", "it is valid for an hour"
+    assert {result.severity.value for result in results.values()} == {"ok"}, results
+    assert {"proxy headers", "size of requests", "event streams", "public address of the store"} <= results.keys()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("mistakes", "named"),
+    [
+        (
+            {
+                "proxy_set_header Host $http_host;": "proxy_set_header Host $proxy_host;",
+                "client_max_body_size 33m;": "client_max_body_size 1m; proxy_ignore_headers X-Accel-Buffering;",
+                "client_max_body_size 5g;": "client_max_body_size 1m;",
+                "proxy_set_header X-Forwarded-For $remote_addr;": "",
+            },
+            {
+                "public address of the store": "proxy_set_header Host $http_host",
+                "size of requests": "client_max_body_size 33m",
+                "size of parts": "client_max_body_size 0",
+                "event streams": "proxy_buffering off",
+                "proxy headers": "does not send X-Forwarded-For",
+            },
+        ),
+        (
+            {"X-Forwarded-For $remote_addr;": "X-Forwarded-For $http_x_forwarded_for;"},
+            {"proxy headers": "does not send X-Forwarded-For"},
+        ),
+        (
+            {"proxy_set_header X-Forwarded-Proto $scheme;": ""},
+            {"proxy headers": "The API takes https for http. Let the proxy set X-Forwarded-Proto"},
+        ),
+        (
+            {
+                "location = /metrics { return 404; }": "location = /metrics { return 200 'kleinkram_workers 1'; }",
+                "proxy_pass http://kleinkram_store;": "proxy_pass http://127.0.0.1:9;",
+            },
+            {
+                "metrics not public": "Let the proxy answer 404 for /metrics",
+                "public address of the store": "answers 502",
+            },
+        ),
+    ],
+    ids=["limits and headers", "forwarded for", "forwarded proto", "metrics and store"],
+)
+def test_check_names_the_mistakes_of_a_proxy(
+    backend: Backend, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mistakes: dict[str, str], named: dict[str, str]
+) -> None:
+    backend = replace(backend, ports={name: choose_port() for name in backend.ports})
+    with _serving("nginx", backend, tmp_path, mistakes):
+        results = _diagnose(backend, monkeypatch)
+    for check, words in named.items():
+        assert results[check].severity.value == "problem", results[check]
+        assert words in f"{results[check].message} {results[check].remedy}"
+    assert {check for check, result in results.items() if result.severity.value == "problem"} == named.keys()

@@ -118,6 +118,7 @@ def host(postgres: RunningPostgres, store: RunningStore) -> Iterator[Host]:
             KLEINKRAM_S3_PUBLIC_URL=store.endpoint,
             KLEINKRAM_S3_ACCESS_KEY=store.access_key,
             KLEINKRAM_S3_BUCKET=store.create_bucket(),
+            KLEINKRAM_STORE_FOLDER=name,
         )
         yield host
     postgres.drop_database(database)

@@ -120,16 +120,16 @@ def test_a_killed_build_leaves_nothing_that_is_used(index: PackageIndex, tmp_pat
     lock = lock_of(index, "robot")
     (tmp_path / "lock").write_text(lock)
     index.requests.clear()
-    index.delay_s = 1
+    index.delay_s = 3
     command = [sys.executable, "-c", _BUILD, str(tmp_path), index.url, str(tmp_path / "lock")]
     with subprocess.Popen(command, cwd=Path(__file__).parents[3]) as process:
-        until_s = time.monotonic() + 20
+        until_s = time.monotonic() + 60
         while not index.downloads():
             assert time.monotonic() < until_s
             time.sleep(0.01)
         process.send_signal(signal.SIGKILL)
     assert not list((tmp_path / "environments").glob("*/complete.json"))
-
+    index.delay_s = 0
     environment = get(a_cache(tmp_path, index), lock)
     assert imported(environment, "import robot, arm; print(robot.VERSION, arm.VERSION)") == "1.0 1.0"
     # What the killed build left is gone.
@@ -182,13 +182,13 @@ def test_a_caller_that_is_over_ends_the_build(index: PackageIndex, tmp_path: Pat
 
     lock = lock_of(index, "arm")
     index.requests.clear()
-    index.delay_s = 5
+    index.delay_s = 30
     started_s = time.monotonic()
     with pytest.raises(Over):
         a_cache(tmp_path, index).get(
             EnvironmentRequest(lock, this_python()), wait=wait, show=lambda *_: None, compile_in=lambda *_: None
         )
-    assert time.monotonic() - started_s < 4
+    assert time.monotonic() - started_s < 25
     assert not list((tmp_path / "environments").glob("*.new-*"))
 
 

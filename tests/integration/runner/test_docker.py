@@ -207,7 +207,7 @@ def another_runner(bench: Bench, engine: Dockerd, job: RunJob, text: str) -> Ite
 
 
 def until_logged(job: RunJob, words: str) -> None:
-    until = time.monotonic() + 20
+    until = time.monotonic() + 60
     while words not in log_of(job):
         assert time.monotonic() < until, f"the log never had {words!r}"
         time.sleep(0.02)
@@ -242,13 +242,13 @@ def test_killed_runners_lose_and_duplicate_no_line_of_the_log(bench: Bench, engi
 
 
 def test_the_time_limit_includes_time_without_a_runner(bench: Bench, engine: Dockerd) -> None:
-    job = bench.job(COUNTS, time_s=6)
+    job = bench.job(COUNTS, time_s=15)
     with another_runner(bench, engine, job, COUNTS):
         until_logged(job, "line 1\n")
-    time.sleep(6)
+    time.sleep(15)
     began = time.monotonic()
     assert bench.end_of(job).reason is EndReason.time
-    assert time.monotonic() - began < 5, "counted anew"
+    assert time.monotonic() - began < 14, "counted anew"
 
 
 def test_the_next_runner_opens_the_port_forwards_again(bench: Bench) -> None:
@@ -262,7 +262,7 @@ def test_the_next_runner_opens_the_port_forwards_again(bench: Bench) -> None:
         bench.executor._monitors.pop(job.key).close()  # as if the runner were killed
         assert wait_for_end(bench.executor, job, timeout_s=1) is None
         before = log_of(job).count("api:")
-        until = time.monotonic() + 10
+        until = time.monotonic() + 60
         while log_of(job).count("api:") < before + 3:
             assert time.monotonic() < until
             time.sleep(0.05)

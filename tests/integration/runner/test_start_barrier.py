@@ -53,7 +53,7 @@ def behind_barrier(bench: Bench, job: RunJob) -> Iterator[tuple[DockerClient, st
 
 def log_after_end(client: DockerClient, name: str) -> bytes:
     """Wait for the end of a container, and return what it wrote."""
-    until = time.monotonic() + 20
+    until = time.monotonic() + 60
     while (container := client.find_container(name)) is None or container.status != "exited":
         assert time.monotonic() < until
         time.sleep(0.05)

@@ -27,7 +27,7 @@ from tests.integration.runner_loop.fake_server import FakeServer
 _SHARE = MachineShare(cores=2, memory_bytes=10**9, disk_bytes=10**9, cache_bytes=10**9)
 
 
-def wait_until(condition: Callable[[], object], *, timeout_s: float = 20) -> None:
+def wait_until(condition: Callable[[], object], *, timeout_s: float = 60) -> None:
     """Wait for a condition; fail after the timeout."""
     until = time.monotonic() + timeout_s
     while not condition():
@@ -110,7 +110,7 @@ def runners(server: FakeServer, tmp_path: Path) -> Iterator[Runners]:
     made.close()
 
 
-def ended(run: FakeRun, *, timeout_s: float = 30) -> FakeRun:
+def ended(run: FakeRun, *, timeout_s: float = 60) -> FakeRun:
     """Wait until the end of a run was reported."""
     wait_until(lambda: run.finishes, timeout_s=timeout_s)
     return run

@@ -17,7 +17,7 @@ def test_a_log_is_uploaded_while_it_grows(server: FakeServer, runners: Runners) 
     runners.start()
     run = server.launch(
         "import time\nfrom kleinkram.action import progress\n"
-        "for n in range(4):\n    progress(n / 4)\n    print('line', n, flush=True)\n    time.sleep(0.6 if n else 2)\n"
+        "for n in range(4):\n    progress(n / 4)\n    print('line', n, flush=True)\n    time.sleep(0.6 if n else 5)\n"
     )
     wait_until(lambda: run.shown_log)
     assert run.finishes == []
@@ -57,7 +57,7 @@ def test_a_large_log_is_complete_after_the_runner_is_killed(server: FakeServer, 
     wait_until(lambda: len(run.segments) >= 2)
     runners.kill(first)
     runners.spawn()
-    finish = ended(run, timeout_s=60).finishes[0]
+    finish = ended(run).finishes[0]
     assert finish.reason is EndReason.done
     lines = run.artifacts[LOG_PATH].splitlines()
     assert len(lines) == count

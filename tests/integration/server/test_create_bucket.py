@@ -48,7 +48,7 @@ def test_a_region_is_named(store: RunningStore) -> None:
     [
         ({"s3_access_key": "nobody"}, "it does not know the access key: correct KLEINKRAM_S3_ACCESS_KEY"),
         ({"s3_secret_key": "wrong"}, "the secret key does not fit the access key: correct KLEINKRAM_S3_SECRET_KEY"),
-        ({"s3_internal_url": "http://127.0.0.1:1"}, "it does not answer: ClientConnectorError"),
+        ({"s3_internal_url": "http://127.0.0.1:1"}, "it does not answer: Connect call failed ('127.0.0.1', 1)"),
     ],
 )
 def test_a_refusal_is_explained(store: RunningStore, changes: dict[str, str], reason: str) -> None:

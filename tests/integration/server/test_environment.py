@@ -1,13 +1,18 @@
 """Settings from the environment: misspelt names are errors, and secrets may come from files."""
 
+import enum
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from pydantic.fields import FieldInfo
 
 from kleinkram.server.environment import SettingsInvalid, known_variables, load_settings
+from kleinkram.server.health import checks
+from kleinkram.server.settings import Settings, is_secret
 
 _REPOSITORY = Path(__file__).parents[3]
 _NEEDED = {
@@ -16,6 +21,124 @@ _NEEDED = {
     "S3_ACCESS_KEY": "key",
     "S3_SECRET_KEY": "hunter22",
 }
+
+_NO_ADDRESS = "must be an address such as"
+_NO_LIST = "it must be a list"
+_NO_JSON = "does not hold JSON"
+_PROVIDER = '[{"name": "lab", "title": "Lab", "issuer": "https://id.example", "client_id": "k", %s}]'
+_WRONG_URLS = tuple(
+    (url, _NO_ADDRESS)
+    for url in ("host:9000", "ftp://host", "https://", "http://host:99999", "http://me:hunter22@host", "http://a/?b=c")
+)
+_WRONG_DSNS = tuple(
+    (url, _NO_ADDRESS)
+    for url in (
+        *("db", "mysql://me@db/kleinkram", "postgresql://me@db:port/kleinkram", "postgresql://me:hunter22#x@db/k"),
+        *("postgresql://me:hunter22%zz@db/kleinkram", "postgresql://me:hunter22@db/kleinkram?mode=x"),
+    )
+)
+_WRONG_CERTIFICATES = (("/nowhere/ca", "No such file"), ("/etc/passwd", "no certificates"), ("/", "Is a directory"))
+_WRONG_NETWORKS = (("10.0.0.1/8", "has host bits set"), ("proxy", "such as 10.0.0.0/8"), ("10.0.0.0/8;::1", "such as"))
+# What is wrong for the settings that are no numbers and no choices, and the words that say so.
+_WRONG: dict[str, tuple[tuple[str, str], ...]] = {
+    "affiliations": (
+        ("Lab", _NO_JSON),
+        ('{"name": "Lab"}', _NO_LIST),
+        ('[{"name": "Lab", "domains": []}]', "(0.domains): there are fewer than 1"),
+        ('[{"name": "Lab", "domains": ["@lab.example"]}]', "(0.domains.0): "),
+        ('[{"name": "Lab", "domain": ["lab.example"]}]', "(0.domain): there is no such field"),
+    ),
+    "audit_days": (("7", "must be 0, or at least 30"),),
+    "database_password": (("hunter22", "needs a database URL with a user and no password"),),
+    "database_url": _WRONG_DSNS,
+    "lab_name": (("x" * 65, "more than 64 characters"),),
+    "mail_from": (("kleinkram", "is not an address such as"),),
+    "metrics_address": (("http://127.0.0.1", "it must match"),),
+    "migration_database_password": (("hunter22", "needs a database URL with a user and no password"),),
+    "migration_database_url": _WRONG_DSNS,
+    "monitoring_networks": _WRONG_NETWORKS,
+    "oidc_providers": (
+        ("{hunter22", _NO_JSON),
+        ("{}", _NO_LIST),
+        ("[{}]", "(0.name): it is required"),
+        (_PROVIDER % '"scopes": "openid"', f"(0.scopes): {_NO_LIST}"),
+        (_PROVIDER % '"client_secret": ""', "(0.client_secret): is empty"),
+        (_PROVIDER % '"client_secret_file": "/nowhere"', "/nowhere cannot be read (No such file"),
+        (_PROVIDER % '"client_secret_file": "hunter22"', "(not an absolute path) cannot be read"),
+        (_PROVIDER % '"issuer": "http://id.example"', "(0.issuer): must be an https address"),
+    ),
+    "owner_token_file": (("/nowhere/token", "No such file"), ("/", "Is a directory")),
+    "package_index": (("hunter22", "must be 'pypi'"), ("ftp://me:hunter22@index", "must be 'pypi'")),
+    "public_url": _WRONG_URLS,
+    "report_to": (("ada", "(0): is not an address such as"), ("ada@lab.example", "needs KLEINKRAM_SMTP_HOST")),
+    "s3_access_key": (("hunter22/x", "it must match"),),
+    "s3_bucket": (("ab", "it must match"), ('"kleinkram"', "it must match"), ("a/b/c", "it must match")),
+    "s3_ca_file": _WRONG_CERTIFICATES,
+    "s3_internal_url": _WRONG_URLS,
+    "s3_public_url": _WRONG_URLS,
+    "s3_region": (("eu central", "it must match"),),
+    "s3_secret_key": (("hunter22 ", "white space"),),
+    "serving_role": (("kleinkram-serve", "it must match"), ("x; DROP TABLE run", "it must match")),
+    "smtp_ca_file": _WRONG_CERTIFICATES,
+    "smtp_host": (("smtp://mail", "it must match"),),
+    "smtp_password": (("hunter22", "belong together"),),
+    "smtp_user": (("ada", "belong together"),),
+    "store_id": (("x" * 65, "it must match"),),
+    "trusted_proxies": _WRONG_NETWORKS,
+    "viewers": (
+        ("Lichtblick", _NO_JSON),
+        ('"Lichtblick"', _NO_LIST),
+        ('[{"name": "Lichtblick", "url": "https://viewer.example"}]', "(0.url): it must match"),
+        ('[{"name": "Lichtblick"}]', "(0.url): it is required"),
+    ),
+}
+# What only `check` notices, since a server works without it, or since it changes while a server runs.
+_WRONG_ON_THIS_MACHINE = {
+    "audit_archive": ("/nowhere", "/nowhere."),
+    "metrics_address": ("192.0.2.1", "This machine has no address 192.0.2.1"),
+    "store_folder": ("/nowhere", "/nowhere is no folder"),
+}
+
+
+def _type(field: FieldInfo) -> type:
+    return field.annotation if isinstance(field.annotation, type) else object
+
+
+def _wrong_values(name: str, field: FieldInfo) -> Iterator[tuple[str, str]]:
+    """Yield the wrong values that follow from the declaration, and those of the table, with words of the refusal."""
+    bounds = {
+        kind: getattr(limit, kind) for limit in field.metadata for kind in ("ge", "gt", "le") if hasattr(limit, kind)
+    }
+    if bounds:
+        yield from (
+            ("eleven", "number"),
+            ("1e400", "number" if "int" in str(field.annotation) else "at most"),
+            ("nan", ""),
+        )
+    for kind, words in (("ge", "it must be at least"), ("gt", "it must be more than"), ("le", "it must be at most")):
+        if kind in bounds:
+            yield str(bounds[kind] + {"ge": -1, "gt": 0, "le": 1}[kind]), words
+    if field.annotation is bool:
+        yield "maybe", "it must be true or false"
+    if "Literal" in str(field.annotation) or issubclass(_type(field), enum.Enum):
+        yield "maybe", "it is one of '"
+    yield from _WRONG.get(name, ())
+
+
+def _wrong_variables(name: str) -> Iterator[tuple[str, str, str]]:
+    """Yield variables of a setting with what is wrong in them: its values, what no text may have, and secret files."""
+    field, variable = Settings.model_fields[name], f"KLEINKRAM_{name.upper()}"
+    for value, words in _wrong_values(name, field):
+        yield variable, value, words
+    if not isinstance(field.default, tuple):  # an empty list of networks is one
+        yield variable, "", "is empty: set it, or unset it"
+        yield variable, "hunter22\nhunter22", "contains a line break"
+        yield variable, "hunter22\n", "begins or ends with white space"
+    if is_secret(name):
+        yield f"{variable}_FILE", "/nowhere/secret", "/nowhere/secret cannot be read (No such file or directory)"
+        yield f"{variable}_FILE", "/", "/ cannot be read (Is a directory)"
+        yield f"{variable}_FILE", "/dev/null", "/dev/null is empty"
+        yield f"{variable}_FILE", "hunter22", "what it names (not an absolute path) cannot be read"
 
 
 @pytest.fixture(autouse=True)
@@ -76,7 +199,7 @@ def test_all_invalid_settings_are_reported_at_once_by_name(monkeypatch: pytest.M
     assert any(line.startswith("KLEINKRAM_TRASHDAYS is not") for line in lines)
     assert len(lines) == 3
     monkeypatch.setenv("KLEINKRAM_VIEWERS", "Lichtblick")
-    assert "KLEINKRAM_VIEWERS does not hold JSON." in _refusal()
+    assert "KLEINKRAM_VIEWERS does not hold JSON; docs/reference/settings.md shows its form." in _refusal()
 
 
 @pytest.mark.parametrize("command", ["migrate", "api", "worker"])
@@ -131,6 +254,49 @@ def test_variables_of_secret_files_ignore_case(monkeypatch: pytest.MonkeyPatch, 
     assert "are both set" in _refusal()
     monkeypatch.delenv("KLEINKRAM_S3_SECRET_KEY")
     assert load_settings().s3_secret_key.get_secret_value() == "of a file"
+
+
+@pytest.mark.parametrize("name", [*Settings.model_fields])
+def test_check_answers_every_wrong_value_of_a_setting_with_a_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    wrong_values = [*_wrong_values(name, Settings.model_fields[name])]
+    assert wrong_values or name in _WRONG_ON_THIS_MACHINE, "the table says nothing of this setting"
+    for variable, value, words in _wrong_variables(name):
+        with monkeypatch.context() as patch:
+            if variable.endswith("_FILE"):
+                patch.delenv(variable.removesuffix("_FILE"), raising=False)
+            if "no password" in words:
+                patch.setenv(variable.replace("PASSWORD", "URL"), "postgresql://me:hunter22@db/kleinkram")
+            patch.setenv(variable, value)
+            assert checks.main(as_json=False) == 1, (variable, value)
+        printed = capsys.readouterr()
+        problems = [line for line in printed.out.splitlines() if line.startswith("PROBLEM settings: ")]
+        assert any(words in line for line in problems), (variable, value, problems)
+        assert all(variable in line and line.endswith((".", ".)")) for line in problems), (variable, value, problems)
+        assert "hunter22" not in printed.out + printed.err, (variable, value)
+
+
+def test_check_notices_what_this_machine_does_not_have(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("KLEINKRAM_METRICS_PORT", "9101")
+    for name, (value, _) in _WRONG_ON_THIS_MACHINE.items():
+        monkeypatch.setenv(f"KLEINKRAM_{name.upper()}", value)
+    settings = load_settings()
+    results = [*checks._optional(settings), *checks._machine(settings)]
+    for name, (_, words) in _WRONG_ON_THIS_MACHINE.items():
+        (diagnostic,) = [result for result in results if words in result.message]
+        assert diagnostic.severity.value == "problem"
+        assert f"KLEINKRAM_{name.upper()}" in diagnostic.remedy
+
+
+def test_the_process_prints_the_sentence_and_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    command = [sys.executable, "-m", "kleinkram.server", "check"]
+    monkeypatch.setenv("KLEINKRAM_S3_CA_FILE", "/nowhere/ca.pem")
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stderr) == (1, "")
+    assert "PROBLEM settings: KLEINKRAM_S3_CA_FILE: /nowhere/ca.pem cannot be read" in ran.stdout
 
 
 @pytest.mark.parametrize(

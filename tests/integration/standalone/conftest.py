@@ -21,7 +21,7 @@ from tests.ports import choose_port
 FAKE_SERVER = (sys.executable, str(Path(__file__).with_name("fake_server.py")))
 
 
-def wait_until(condition: Callable[[], object], *, timeout_s: float = 30) -> None:
+def wait_until(condition: Callable[[], object], *, timeout_s: float = 60) -> None:
     """Wait for a condition; fail the test after a timeout."""
     deadline = time.monotonic() + timeout_s
     while not condition():

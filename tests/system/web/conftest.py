@@ -2,47 +2,21 @@
 
 import json
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from kleinkram.server.http.web_app import BUILT
-from tests.acceptance.conftest import Ran, Terminal
 from tests.requirements import missing, need, path_of
-from tests.system.cluster import Cluster, environment
+from tests.system.cluster import Cluster
 
 WEB = Path(__file__).parents[3] / "web"
 OUTPUT = Path(__file__).parents[3] / "output" / "web"
 
 # Runs a program of this folder with a sign-in link of the owner, and returns the JSON that it prints.
 RunBrowser = Callable[..., dict[str, Any]]
-
-
-class InProcessTerminal(Terminal):
-    """A terminal whose commands run in this process: they only prepare what a browser shows."""
-
-    def run(self, *arguments: object, code: int | None = 0, stdin: str = "") -> Ran:
-        """Run a command to its end, and check its exit code unless `code` is None."""
-        return self.run_here(*arguments, code=code, stdin=stdin)
-
-
-class WebCluster(Cluster):
-    """A `klein up` for a browser."""
-
-    @property
-    def terminal(self) -> Terminal:
-        """A person on the same machine."""
-        return InProcessTerminal(self.home, environment(self.home, KLEINKRAM_DATA_DIR=str(self.data_dir)))
-
-
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    """A Kleinkram that is not started yet; ended after the test."""
-    cluster = WebCluster(tmp_path)
-    yield cluster
-    cluster.end()
 
 
 @pytest.fixture

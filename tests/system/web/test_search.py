@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from kleinkram.recordings.sample import generate_mcap
-from tests.acceptance.conftest import KLEIN, Terminal, wait_until
+from tests.acceptance.conftest import Terminal, wait_until
+from tests.klein import KLEIN
 from tests.system.cluster import Cluster
 from tests.system.web.conftest import RunBrowser
 

@@ -34,7 +34,7 @@ def copy(directory: Path, pieces: list[bytes], offset: int = 0) -> ContainerLog:
     log = ContainerLog(StoredOutput(pieces), RunJob("a-job", directory, [], None, Resources(), Network.none))
     log.follow(ContainerInfo("one", "exited", 0, 0, was_out_of_memory=False, labels={LOG_LABEL: str(offset)}))
     log.finish()
-    until = time.monotonic() + 20
+    until = time.monotonic() + 60
     while not log.is_complete:
         assert time.monotonic() < until
         time.sleep(0.01)

@@ -5336,6 +5336,8 @@ export interface components {
         /**
          * Mention
          * @description A text in which a person's name or address is found: which of its fields, and of which object.
+         *
+         *     The `name` of a run is that of its mission.
          */
         Mention: {
             /** Fields */
@@ -5354,7 +5356,7 @@ export interface components {
          * @description The kind of an object with a text that contains somebody's name or address.
          * @enum {string}
          */
-        MentionPlace: "project" | "mission" | "file" | "group" | "share";
+        MentionPlace: "project" | "mission" | "file" | "action" | "run" | "group" | "share";
         /**
          * MeRead
          * @description The caller: `GET /me`. `is_admin`: with admin rights, by this credential.

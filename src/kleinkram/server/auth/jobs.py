@@ -2,7 +2,7 @@
 
 from procrastinate import JobContext
 
-from kleinkram.server.auth.provider_checks import check_accounts
+from kleinkram.server.auth.provider_checks import check_accounts, forget_refresh_tokens
 from kleinkram.server.auth.providers import open_providers
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.execution import app_context
@@ -21,9 +21,11 @@ async def run_provider_checks(job_context: JobContext, timestamp: int = 0) -> No
 async def check_provider_accounts(context: AppContext) -> None:
     """Check the accounts whose check is due, of all providers that grant refresh tokens for it."""
     settings = context.settings
-    refreshable = [provider.name for provider in settings.oidc_providers if provider.is_refreshable]
-    if not refreshable or not settings.provider_check_hours:
+    checked = [provider for provider in settings.oidc_providers if provider.is_refreshable]
+    checked = checked if settings.provider_check_hours else []
+    await forget_refresh_tokens(context, except_issuers=[provider.issuer for provider in checked])
+    if not checked:
         return
     async with open_providers(settings) as providers:
-        for name in refreshable:
-            await check_accounts(context, providers[name])
+        for provider in checked:
+            await check_accounts(context, providers[provider.name])

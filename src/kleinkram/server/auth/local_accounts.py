@@ -23,7 +23,7 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.people import email_key
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.access.builtin_groups import add_person, add_verified_address
-from kleinkram.server.access.rights import lock_person
+from kleinkram.server.access.rights import ensure_active_person, lock_person
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.auth.one_time_codes import CodeRequest, create_code, require_person, use_code
 from kleinkram.server.auth.sessions import end_sessions
@@ -304,7 +304,8 @@ async def has_account(db: Connection, email: str) -> bool:
 
 
 async def set_password(db: Connection, person_id: uuid.UUID, password_hash: str) -> None:
-    """Set or replace a person's password."""
+    """Set or replace a person's password. Raises NotAuthenticated if they were deactivated or erased just now."""
+    await ensure_active_person(db, person_id)
     row = upsert(password).values(person_id=person_id, hash=password_hash)
     renewed = {"hash": password_hash, "changed_at": func.now()}
     await db.execute(row.on_conflict_do_update(index_elements=["person_id"], set_=renewed))

@@ -7,6 +7,7 @@ signed by an unknown one. Nothing of a token is ever logged.
 import asyncio
 import datetime
 import json
+import math
 import time
 from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple, TypeVar
@@ -37,6 +38,10 @@ _CLOCK_LEEWAY_S = 60
 _LOGOUT_EVENT = "http://schemas.openid.net/event/backchannel-logout"
 # The age up to which a logout token is accepted; so long it is remembered, too.
 _LOGOUT_TOKEN_AGE_S = 600
+# Anybody can send logout tokens: those of unknown keys must not make the server fetch keys all the time.
+_LOGOUT_REFETCH_S = 60.0
+# OAuth errors of the client or the provider, not of an account: RFC 6749, sections 4.1.2.1 and 5.2.
+_CLIENT_ERRORS = {"invalid_client", "unauthorized_client", "server_error", "temporarily_unavailable", "slow_down"}
 _DISCOVERY_PATH = "/.well-known/openid-configuration"
 _FORM = "application/x-www-form-urlencoded"
 
@@ -102,6 +107,7 @@ class OpenIdProvider:
         self._redirect_url = redirect_url
         self._discovery: tuple[float, DiscoveryDocument] | None = None
         self._keys: tuple[float, KeySet] | None = None
+        self._keys_requested_at = -math.inf
 
     async def authorization_url(self, request: AuthorizationRequest) -> str:
         """Return the URL to which the browser goes, with state, nonce and the PKCE challenge.
@@ -155,7 +161,7 @@ class OpenIdProvider:
     async def refresh(self, refresh_token: str, *, subject: str) -> RefreshedAccount | None:
         """Ask whether an account still exists; returns None if the provider refuses it.
 
-        Raises ProviderUnavailable if the provider does not say so, or SignInRefused for an invalid ID token.
+        Raises ProviderUnavailable if the provider fails, or SignInRefused if its answer is not about this account.
 
         Source: OpenID Connect Core 1.0, section 12.
         """
@@ -164,15 +170,22 @@ class OpenIdProvider:
         url, headers, body = self._add_client_auth(discovery.token_endpoint, body)
         response = await self._send("POST", url, headers=headers, data=body)
         tokens = response.body if isinstance(response.body, dict) else {}
-        if response.status in {400, 401} and tokens.get("error") == "invalid_grant":
+        error = str(tokens.get("error", ""))[:60]
+        if response.status in {400, 401} and error == "invalid_grant":
             return None
+        if response.status in {400, 401, 403} and error and error not in _CLIENT_ERRORS:
+            raise self._refused(f"it answered a refresh token with {error}")
         if response.status != 200 or not tokens:
-            reason = str(tokens.get("error") or "no reason")[:60]
-            raise self._unavailable(f"it answered a refresh token with status {response.status} ({reason})")
+            raise self._unavailable(
+                f"it answered a refresh token with status {response.status} ({error or 'no reason'})"
+            )
         if isinstance(id_token := tokens.get("id_token"), str):
             claims = (await self._verify_signature(id_token)).claims
+            audience = claims.get("aud")
             if (claims.get("iss"), claims.get("sub")) != (self.settings.issuer, subject):
                 raise self._refused("it answered a refresh token with another person's ID token")
+            if self.settings.client_id not in (audience if isinstance(audience, list) else [audience]):
+                raise self._refused("it answered a refresh token with an ID token for another client")
         return RefreshedAccount(self._refresh_token_of(tokens) or refresh_token)
 
     async def verify_logout_token(self, logout_token: str) -> LogoutRequest:
@@ -181,7 +194,7 @@ class OpenIdProvider:
         Source: OpenID Connect Back-Channel Logout 1.0, section 2.6.
         """
         try:
-            token = await self._verify_signature(logout_token)
+            token = await self._verify_signature(logout_token, refetch_s=_LOGOUT_REFETCH_S)
             claims = _LogoutClaims.model_validate(token.claims)
         except SignInRefused as error:
             raise LogoutTokenInvalid("the logout token is malformed, or its signature is not valid") from error
@@ -275,31 +288,44 @@ class OpenIdProvider:
         except (ValidationError, TypeError, ValueError) as error:
             raise self._refused("the claims of its ID token are not valid") from error
 
-    async def _verify_signature(self, token: str) -> jwt.Token:
-        """Return an ID token or logout token that the provider has signed. Raises SignInRefused."""
+    async def _verify_signature(self, token: str, *, refetch_s: float = 0.0) -> jwt.Token:
+        """Return an ID token or logout token that the provider has signed. Raises SignInRefused.
+
+        If no key fits, they are fetched again, unless that was tried within the last `refetch_s`.
+        """
         keys, are_fresh = await self._get_keys()
+        verified = self._decode(token, keys)
+        if verified is None and not are_fresh and time.monotonic() >= self._keys_requested_at + refetch_s:
+            verified = self._decode(token, await self._fetch_keys())  # the provider may have rotated its keys
+        if verified is None:
+            raise self._refused("the signature of its ID token is not valid")
+        return verified
+
+    def _decode(self, token: str, keys: KeySet) -> jwt.Token | None:
+        """Return a token, or None if none of the keys has signed it. Raises SignInRefused if it is malformed."""
         try:
             return jwt.decode(token, keys, algorithms=_ALGORITHMS)
-        except (InvalidKeyIdError, BadSignatureError) as error:
-            if are_fresh:
-                raise self._refused("the signature of its ID token is not valid") from error
-        except (JoseError, ValueError) as error:
+        except (InvalidKeyIdError, BadSignatureError):
+            return None
+        except (JoseError, ValueError, TypeError) as error:  # joserfc: TypeError for a header `crit` that is no list
             raise self._refused("its ID token is malformed") from error
-        self._keys = None  # the provider may have rotated its keys
-        return await self._verify_signature(token)
 
     async def _get_keys(self) -> tuple[KeySet, bool]:
         """Return the provider's keys, and whether they were fetched just now."""
         if self._keys is not None and self._keys[0] > time.monotonic():
             return self._keys[1], False
+        return await self._fetch_keys(), True
+
+    async def _fetch_keys(self) -> KeySet:
+        self._keys_requested_at = time.monotonic()
         discovery = await self._discover()
         published: Any = await self._get(discovery.jwks_uri)
         try:
-            keys = KeySet.import_key_set(published)
+            keys: KeySet = KeySet.import_key_set(published)
         except (JoseError, ValueError, TypeError, KeyError) as error:
             raise self._unavailable("its keys cannot be read") from error
         self._keys = (time.monotonic() + _CACHE_S, keys)
-        return keys, True
+        return keys
 
     async def _add_userinfo(self, discovery: DiscoveryDocument, claims: _Claims, access_token: str) -> _Claims:
         if discovery.userinfo_endpoint is None:

@@ -24,6 +24,7 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.people import check_email, email_domain, email_key
 from kleinkram.server.access.actor import Actor, secret_hash
 from kleinkram.server.access.builtin_groups import add_person, add_verified_address
+from kleinkram.server.access.rights import ensure_active_person
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.auth.one_time_codes import is_valid
 from kleinkram.server.auth.sessions import renew_session
@@ -107,8 +108,15 @@ async def take_request(db: Connection, *, provider: str, state: str, browser_sec
 
 # The maximum age of a password entry at a provider that was asked for reauthentication.
 _MAX_AUTH_AGE_S = 900
-# Serializes first sign-ins, so that the second one of a person finds the account of the first.
 _ACCOUNT_LOCK = 0x6B6C4143
+
+
+async def lock_identities(db: Connection) -> None:
+    """Serialize sign-ins with providers, so that the second one of a person finds the account of the first.
+
+    Erasing a person begins with it, too: otherwise, an address or identity could be added to them concurrently.
+    """
+    await db.execute(select(func.pg_advisory_xact_lock(_ACCOUNT_LOCK)))
 
 
 async def open_account(
@@ -118,7 +126,7 @@ async def open_account(
 
     Raises SignInRefused.
     """
-    await db.execute(select(func.pg_advisory_xact_lock(_ACCOUNT_LOCK)))
+    await lock_identities(db)
     address = _address(verified)
     trusted_address = address if _is_trusted(verified, address, provider) else None
     person_id = await _find_linked_person(db, verified)
@@ -150,14 +158,17 @@ async def open_account(
 async def confirm_identity(db: Connection, verified: VerifiedIdentity) -> uuid.UUID:
     """Record that a provider has just confirmed a linked identity, and return its id."""
     now = {"confirmed_at": func.now(), "checked_at": func.now()}
-    confirm = update(identity).where(_same(verified)).values(**now, refresh_token=verified.refresh_token)
+    # Some providers send a refresh token only at the first sign-in.
+    refresh_token = func.coalesce(verified.refresh_token, identity.c.refresh_token)
+    confirm = update(identity).where(_same(verified)).values(**now, refresh_token=refresh_token)
     identity_id: uuid.UUID = (await db.execute(confirm.returning(identity.c.id))).scalar_one()
     return identity_id
 
 
 async def link_identity(db: Connection, actor: Actor, *, verified: VerifiedIdentity, provider: OidcProvider) -> None:
-    """Link an identity to the actor's account. Raises SignInRefused."""
-    await db.execute(select(func.pg_advisory_xact_lock(_ACCOUNT_LOCK)))
+    """Link an identity to the actor's account. Raises SignInRefused, or NotAuthenticated if it was erased just now."""
+    await lock_identities(db)
+    await ensure_active_person(db, actor.person_id)
     linked_to = await _find_linked_person(db, verified)
     if linked_to is not None and linked_to != actor.person_id:
         raise SignInRefused(reason=f"this account of {provider.title} is linked to another person's account here.")

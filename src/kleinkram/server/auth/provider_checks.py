@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from sqlalchemy import ColumnElement, Table, Update, func, or_, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.errors import KleinkramError
+from kleinkram.contract.access import TokenKind
+from kleinkram.contract.errors import KleinkramError, ProviderUnavailable, SignInRefused
 from kleinkram.contract.metadata import Metadata
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.audit.log import Event, audit
@@ -62,6 +63,13 @@ class _Account(NamedTuple):
     refresh_token: str
 
 
+async def forget_refresh_tokens(context: AppContext, *, except_issuers: Sequence[str]) -> None:
+    """Delete the refresh tokens of providers that are not checked, such as those that left the settings."""
+    is_checked = identity.c.issuer.in_(except_issuers) | identity.c.refresh_token.is_(None)
+    async with context.database.begin() as db:
+        await db.execute(update(identity).where(~is_checked).values(refresh_token=None))
+
+
 async def end_provider_sessions(db: Connection, provider: Actor, *, logout: LogoutRequest) -> int:
     """End the sessions that a logout token names; returns their number. Raises LogoutTokenInvalid if it was used."""
     used = {"issuer": logout.issuer, "jti": logout.jti, "expires_at": logout.expires_at}
@@ -84,21 +92,31 @@ async def end_provider_sessions(db: Connection, provider: Actor, *, logout: Logo
 async def check_accounts(context: AppContext, provider: "OpenIdProvider", *, limit: int = _BATCH) -> None:
     """Check the accounts of a provider whose check is due, and end the access of those that it refuses.
 
-    If the provider does not answer properly, the rest waits for the next round.
+    If the provider fails, the rest waits for the next round. An account about which it does not answer properly waits
+    for its next check, so that it does not delay the others.
     """
     for account in await _due_accounts(context, provider.settings, limit):
         try:
             refreshed = await provider.refresh(account.refresh_token, subject=account.subject)
-        except KleinkramError as error:
-            fields = {"provider": provider.settings.name, "reason": str(error)}
-            _log.warning("accounts not checked", extra={"fields": fields})
+        except ProviderUnavailable as error:
+            _log_unchecked(provider.settings, account, error)
             return
+        except SignInRefused as error:
+            _log_unchecked(provider.settings, account, error)
+            async with context.database.begin() as db:
+                await db.execute(_unchanged(account).values(checked_at=func.now()))
+            continue
         async with context.database.begin() as db:
             if refreshed is None:
                 await _end_access(db, account, provider.settings)
             else:
                 now = {"confirmed_at": func.now(), "checked_at": func.now()}
                 await db.execute(_unchanged(account).values(**now, refresh_token=refreshed.refresh_token))
+
+
+def _log_unchecked(provider: OidcProvider, account: _Account, error: KleinkramError) -> None:
+    fields = {"provider": provider.name, "identity_id": str(account.id), "reason": str(error)}
+    _log.warning("account not checked", extra={"fields": fields})
 
 
 async def _due_accounts(context: AppContext, provider: OidcProvider, limit: int) -> Sequence[_Account]:
@@ -124,7 +142,11 @@ async def _end_access(db: Connection, account: _Account, provider: OidcProvider)
         return
     reason = f"account ended at {provider.title}"
     sessions = await _end_sessions(db, None, session.c.identity_id == account.id, reason=reason)
-    revoke = update(token).where(token.c.identity_id == account.id, token.c.revoked_at.is_(None))
+    # As when people revoke them, with those that were created with them; an admin decides about robots and runners.
+    dependent = select(token.c.id).where(token.c.identity_id == account.id).cte("dependent_token", recursive=True)
+    derived = select(token.c.id).join(dependent, token.c.created_by_token_id == dependent.c.id)
+    dependent = dependent.union(derived.where(token.c.kind == TokenKind.personal.value))
+    revoke = update(token).where(token.c.id.in_(select(dependent.c.id)), token.c.revoked_at.is_(None))
     rows = (await db.execute(revoke.values(revoked_at=func.now()).returning(token.c.id, token.c.name))).all()
     after: Metadata = {"person_id": str(account.person_id), "sessions": sessions, "tokens": len(rows)}
     events = [Event("token.revoke", "token", row.id, row.name, after={"reason": reason}) for row in rows]

@@ -8,10 +8,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kleinkram.server.events.service import EventStream, stream_events
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, Reauthenticate
+from kleinkram.server.http.headers import EVENT_STREAM, UNBUFFERED
 from kleinkram.server.http.middleware import mark_as_stream
 
 router = APIRouter(prefix="/api/v1/events", tags=["events"])
-_EVENT_STREAM = "text/event-stream"
 _MAX_DURATION_S = 3600.0
 EventId = Annotated[str, Field(max_length=64, pattern=r"^[ -~]*$")]
 
@@ -31,7 +31,7 @@ class EventsQuery(BaseModel):
     "",
     operation_id="watch_events",
     response_class=StreamingResponse,
-    responses={200: {"description": "Server-sent events.", "content": {_EVENT_STREAM: {}}}},
+    responses={200: {"description": "Server-sent events.", "content": {EVENT_STREAM: {}}}},
 )
 async def watch_events(
     query: Annotated[EventsQuery, Query()],
@@ -50,5 +50,4 @@ async def watch_events(
     hub.require_free_stream(actor.person_id)
     mark_as_stream(request.scope)
     stream = EventStream(hub, database, authenticate, last_event_id or query.after, query.for_s)
-    headers = {"X-Accel-Buffering": "no"}  # nginx: do not buffer
-    return StreamingResponse(stream_events(stream, actor), media_type=_EVENT_STREAM, headers=headers)
+    return StreamingResponse(stream_events(stream, actor), media_type=EVENT_STREAM, headers=UNBUFFERED)

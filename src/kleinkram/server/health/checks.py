@@ -8,6 +8,7 @@ import asyncio
 import datetime
 import os
 import resource
+import socket
 import sys
 import tempfile
 import uuid
@@ -20,7 +21,7 @@ from urllib.parse import urlsplit
 import aiohttp
 import psycopg
 from psycopg.rows import class_row
-from pydantic import PostgresDsn, ValidationError
+from pydantic import PostgresDsn
 from typing_extensions import LiteralString
 
 from kleinkram import traces
@@ -41,8 +42,8 @@ from kleinkram.recordings import SummaryFailed
 from kleinkram.recordings.isolation import FileRequest, summarise_isolated
 from kleinkram.server.db import open_database
 from kleinkram.server.environment import SettingsInvalid, load_settings
+from kleinkram.server.health.public_address import check_public_address, check_public_store, is_local
 from kleinkram.server.health.readiness import check_schema
-from kleinkram.server.http.headers import CHECK_HEADER, RequestOrigin, operator_code
 from kleinkram.server.logs import quiet_libraries
 from kleinkram.server.mail import MailNotSent, open_mail_server
 from kleinkram.server.s3.capabilities import configure_cors, probe
@@ -50,7 +51,11 @@ from kleinkram.server.s3.storage import Storage, StoreRefused, open_storage
 from kleinkram.server.settings import Settings, plain_dsn
 
 T = TypeVar("T")
+_CORRECT_MIGRATION = "Correct KLEINKRAM_MIGRATION_DATABASE_URL or KLEINKRAM_MIGRATION_DATABASE_PASSWORD."
+_GRANT_AGAIN = "Migrations grant that: GRANT again what was revoked by hand (see docs/running.md)."
 _OLDEST_POSTGRES = 150_000
+# Beside their pools: 2 of an API process and 13 of a worker.
+_OTHER_CONNECTIONS = 15
 _MIN_OPEN_FILES = 4096
 _READER_TIMEOUT_S = 60
 _TIMEOUT = aiohttp.ClientTimeout(total=15)
@@ -62,7 +67,14 @@ SELECT current_setting('server_version') AS version, current_setting('server_ver
   current_database()::text AS database,
   EXISTS (SELECT 1 FROM pg_available_extensions WHERE name = 'pg_trgm') AS has_trgm,
   (SELECT rolsuper FROM pg_roles WHERE rolname = current_user) AS is_superuser,
-  has_schema_privilege('public', 'CREATE') AS can_create
+  has_schema_privilege('public', 'CREATE') AS can_create,
+  current_setting('max_connections')::int AS max_connections,
+  (SELECT coalesce(string_agg(relname, ', ' ORDER BY relname), '') FROM pg_class
+    WHERE relnamespace = 'public'::regnamespace AND relkind = 'r' AND NOT has_table_privilege(oid, 'SELECT')
+  ) AS unreadable_tables,
+  (SELECT coalesce(min(pg_get_userbyid(relowner)), '') FROM pg_class
+    WHERE relnamespace = 'public'::regnamespace AND relkind = 'r' AND NOT pg_has_role(relowner, 'USAGE')
+  ) AS other_owner
 """
 _ABOUT_RIGHTS = """
 SELECT has_table_privilege('mission', 'SELECT') AND has_table_privilege('mission', 'INSERT')
@@ -75,7 +87,7 @@ SELECT has_table_privilege('mission', 'SELECT') AND has_table_privilege('mission
 
 @dataclass(frozen=True)
 class _Server:
-    """Row of `_ABOUT_SERVER`: facts about the server and the current role."""
+    """Row of `_ABOUT_SERVER`: facts about the server and the current role; `other_owner` has tables that it has not."""
 
     version: str
     version_number: int
@@ -86,6 +98,9 @@ class _Server:
     database: str
     is_superuser: bool
     can_create: bool
+    max_connections: int
+    unreadable_tables: str
+    other_owner: str
 
 
 @dataclass(frozen=True)
@@ -115,23 +130,20 @@ async def _collect() -> list[Diagnostic]:
     except SettingsInvalid as error:
         return [*(problem("settings", line) for line in str(error).splitlines()), *_machine(None)]
     results = [ok("settings", "All are known and valid."), *_optional(settings)]
-    for check in (_database, _migrating_role, _store, _public_url, _traces):
+    for check in (_database, _migrating_role, _store, check_public_address, _traces):
         results += [result async for result in check(settings)]
     results += await asyncio.to_thread(lambda: [*_mail(settings), _reader(settings), *_machine(settings)])
     return results
 
 
 def _optional(settings: Settings) -> Iterator[Diagnostic]:
-    if settings.metrics_port is None:
-        remedy = "Set KLEINKRAM_METRICS_PORT, a different one for each process."
-        yield warning("metrics", "They are not served.", remedy)
     if settings.audit_archive is not None:
         folder = settings.audit_archive
         is_writable = folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
         remedy = "KLEINKRAM_AUDIT_ARCHIVE needs a folder to which the worker may write."
         yield judge("audit archive", is_writable, f"{folder}.", remedy)
     host = urlsplit(settings.public_url).hostname
-    if not _is_local(host) and not settings.public_url.startswith("https://"):
+    if not is_local(host) and not settings.public_url.startswith("https://"):
         yield warning("public address", f"{settings.public_url} is not encrypted.", "Serve it by https.")
 
 
@@ -140,7 +152,7 @@ async def _database(settings: Settings) -> AsyncIterator[Diagnostic]:
     try:
         row = await _query(_Server, settings.database_url, _ABOUT_SERVER)
     except psycopg.Error as error:
-        remedy = "Correct KLEINKRAM_DATABASE_URL, or start it."
+        remedy = "Correct KLEINKRAM_DATABASE_URL or KLEINKRAM_DATABASE_PASSWORD, or start it."
         yield problem("database", f"It cannot be used: {_first_line(error)}.", remedy)
         return
     is_new_enough = row.version_number >= _OLDEST_POSTGRES
@@ -151,7 +163,12 @@ async def _database(settings: Settings) -> AsyncIterator[Diagnostic]:
     yield judge("extension pg_trgm", row.has_trgm, availability, "Install PostgreSQL's contrib package.")
     ahead = row.now - datetime.datetime.now(datetime.timezone.utc)
     yield check_clock("clock of the database", ahead.total_seconds())
+    yield _connections(settings, row.max_connections)
     yield _serving_role(settings, row)
+    if row.unreadable_tables:
+        message = f"It may not read these tables: {row.unreadable_tables}."
+        yield problem("rights of the serving role", message, _GRANT_AGAIN)
+        return
     database = open_database(settings)
     try:
         async with database.begin() as db:
@@ -164,6 +181,13 @@ async def _database(settings: Settings) -> AsyncIterator[Diagnostic]:
         rights = await _query(_Rights, settings.database_url, _ABOUT_RIGHTS)
         yield _rights_of_role(rights)
         yield _retention(settings, rights.audit_days)
+
+
+def _connections(settings: Settings, allowed: int) -> Diagnostic:
+    needed = 2 * settings.database_connections + _OTHER_CONNECTIONS
+    message = f"PostgreSQL allows {allowed}; an API process and a worker use up to {needed}."
+    remedy = "Raise max_connections, or lower KLEINKRAM_DATABASE_CONNECTIONS."
+    return judge("connections", allowed > needed, message, remedy, otherwise=DiagnosticSeverity.warning)
 
 
 def _serving_role(settings: Settings, row: _Server) -> Diagnostic:
@@ -186,8 +210,7 @@ def _rights_of_role(rights: _Rights) -> Diagnostic:
         return problem(check, "It may alter the audit log.", "REVOKE UPDATE and DELETE on audit_event from it.")
     if not (rights.writes and rights.appends):
         missing = "add to the audit log" if rights.writes else "read and write all tables"
-        remedy = "Migrations grant that: GRANT again what was revoked by hand (see docs/running.md)."
-        return problem(check, f"It may not {missing}.", remedy)
+        return problem(check, f"It may not {missing}.", _GRANT_AGAIN)
     return ok(check, "It reads and writes, and adds to the audit log.")
 
 
@@ -206,13 +229,17 @@ async def _migrating_role(settings: Settings) -> AsyncIterator[Diagnostic]:
         row = await _query(_Server, settings.migration_database_url, _ABOUT_SERVER)
         served = await _query(_Server, settings.database_url, _ABOUT_SERVER)
     except psycopg.Error as error:
-        yield problem(check, f"It cannot be used: {_first_line(error)}.", "Correct KLEINKRAM_MIGRATION_DATABASE_URL.")
+        yield problem(check, f"It cannot be used: {_first_line(error)}.", _CORRECT_MIGRATION)
         return
     if row.database != served.database:
         message = f"It migrates {row.database}, but {served.database} is served."
         yield problem(check, message, "Let both addresses name one database.")
+    elif row.other_owner:
+        message = f"{row.role} cannot change the tables, which {row.other_owner} owns."
+        yield problem(check, message, f"Migrate as {row.other_owner}, or REASSIGN OWNED BY it TO {row.role}.")
     else:
-        yield judge(check, row.can_create, f"{row.role}.", f"Let {row.role} own the database.")
+        message = f"{row.role} may {'' if row.can_create else 'not '}create tables."
+        yield judge(check, row.can_create, message, f"Let {row.role} own the database.")
 
 
 async def _store(settings: Settings) -> AsyncIterator[Diagnostic]:
@@ -221,7 +248,8 @@ async def _store(settings: Settings) -> AsyncIterator[Diagnostic]:
         try:
             await storage.check()
         except StoreUnavailable as error:
-            yield problem("store", f"{error.reason}.", "See docs/running.md, what it needs.")
+            remedy = "Start it, or correct the settings KLEINKRAM_S3_…: see docs/running.md, what it needs."
+            yield problem("store", f"{settings.s3_internal_url}: {error.reason}.", remedy)
             return
         yield ok("store", f"The bucket {settings.s3_bucket} is there.")
         yield check_clock("clock of the store", storage.clock_offset_s)
@@ -233,6 +261,8 @@ async def _store(settings: Settings) -> AsyncIterator[Diagnostic]:
             yield problem("checksums of the store", f"{error}")
         else:
             yield ok("checksums of the store", f"It verifies {abilities.checksum.value}.")
+        async for result in check_public_store(settings, storage):
+            yield result
         if await configure_cors(storage, settings):
             yield ok("CORS rules", "Pages of this server may send to the store.")
         else:
@@ -266,37 +296,6 @@ async def _try_right(right: str, attempt: Callable[[], Awaitable[object]]) -> Di
     return ok(f"right {right}", "Granted.")
 
 
-async def _public_url(settings: Settings) -> AsyncIterator[Diagnostic]:
-    """Request the public address as clients do; the API reports how the request reached it."""
-    check, url = "public address", settings.public_url.rstrip("/")
-    try:
-        async with aiohttp.ClientSession(timeout=_TIMEOUT) as session:
-            live_status, live = await _get(session, f"{url}/health/live", {CHECK_HEADER: operator_code(settings)})
-            metrics_status, metrics = await _get(session, f"{url}/metrics")
-            store_status, _ = await _get(session, settings.store_public_url)
-    except (aiohttp.ClientError, asyncio.TimeoutError, OSError) as error:
-        where = f"{url} or the store's address {settings.store_public_url}"
-        message = f"{where} cannot be reached from here ({type(error).__name__})."
-        yield warning(check, message, "Start the API and the proxy.")
-        return
-    if live_status != 200:
-        message = f"{url}/health/live answers {live_status}."
-        yield problem(check, message, "Let the proxy pass it on to the API.")
-        return
-    yield ok(check, f"The API answers at {url}, the store at {settings.store_public_url} ({store_status}).")
-    if metrics_status == 200 and "kleinkram_" in metrics:
-        message = "They are served at the public address."
-        yield problem("metrics not public", message, "Let the proxy answer 404 for /metrics.")
-    else:
-        yield ok("metrics not public", "They are not served at the public address.")
-    try:
-        origin = RequestOrigin.model_validate_json(live)
-    except ValidationError:
-        yield warning("proxy headers", "Not checked: the API has other settings, or is of another version.")
-        return
-    yield _proxy(settings, origin)
-
-
 async def _traces(_settings: Settings) -> AsyncIterator[Diagnostic]:
     """Send a collector no spans, if the environment names one."""
     check, url = "traces", traces.endpoint()
@@ -325,26 +324,6 @@ async def _traces(_settings: Settings) -> AsyncIterator[Diagnostic]:
     yield judge(check, is_there, message, remedy, otherwise=DiagnosticSeverity.warning)
 
 
-def _proxy(settings: Settings, origin: RequestOrigin) -> Diagnostic:
-    check = "proxy headers"
-    if origin.forwarded and not origin.is_trusted:
-        return problem(
-            check,
-            f"The API does not trust the proxy at {origin.peer}: all requests seem to come from one address.",
-            f"Set KLEINKRAM_TRUSTED_PROXIES={origin.peer}, or to the proxy's network.",
-        )
-    is_remote = not _is_local(urlsplit(settings.public_url).hostname)
-    if not origin.forwarded and is_remote and _is_local(origin.peer):
-        return problem(
-            check,
-            "The proxy does not send X-Forwarded-For: all requests seem to come from this machine.",
-            "Configure it to send the header, and set KLEINKRAM_TRUSTED_PROXIES: see docs/running.md.",
-        )
-    if settings.public_url.startswith("https://") and origin.scheme != "https":
-        return problem(check, "The API takes https for http.", "Let the proxy send X-Forwarded-Proto.")
-    return ok(check, f"The API sees requests from here as {origin.address}, by {origin.scheme}.")
-
-
 def _mail(settings: Settings) -> Iterator[Diagnostic]:
     """Sign in to the mail server, without sending anything."""
     if settings.smtp_host is None:
@@ -371,11 +350,11 @@ def _reader(settings: Settings) -> Diagnostic:
 
 
 def _machine(settings: Settings | None) -> Iterator[Diagnostic]:
-    folders = {"temporary files": Path(tempfile.gettempdir())}
-    if settings is not None and settings.store_folder is not None:
-        folders["disk of the store"] = settings.store_folder
-    for check, folder in folders.items():
-        yield check_disk(check, folder, "Free some.", otherwise=DiagnosticSeverity.warning)
+    folder = Path(tempfile.gettempdir())
+    yield check_disk("temporary files", folder, "Free some.", otherwise=DiagnosticSeverity.warning)
+    if settings is not None:
+        yield from _disk_of_store(settings.store_folder)
+        yield _metrics(settings)
     _, files = resource.getrlimit(resource.RLIMIT_NOFILE)  # the API raises the soft limit to the hard one
     is_unlimited = files == resource.RLIM_INFINITY
     remedy = f"Raise the hard limit to {_MIN_OPEN_FILES} (`ulimit -Hn`, or LimitNOFILE= of a unit)."
@@ -384,20 +363,34 @@ def _machine(settings: Settings | None) -> Iterator[Diagnostic]:
     yield judge("open files", is_enough, message, remedy, otherwise=DiagnosticSeverity.warning)
 
 
+def _disk_of_store(folder: Path | None) -> Iterator[Diagnostic]:
+    check = "disk of the store"
+    if folder is not None and not folder.is_dir():
+        yield problem(check, f"{folder} is no folder.", "Mount it, or correct KLEINKRAM_STORE_FOLDER.")
+    elif folder is not None:
+        yield check_disk(check, folder, "Free some.", otherwise=DiagnosticSeverity.warning)
+
+
+def _metrics(settings: Settings) -> Diagnostic:
+    check, address = "metrics", settings.metrics_address
+    if settings.metrics_port is None:
+        remedy = "Set KLEINKRAM_METRICS_PORT, a different one for each process."
+        return warning(check, "They are not served.", remedy)
+    try:
+        family, *_, place = socket.getaddrinfo(address, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, socket.SOCK_STREAM) as listener:
+            listener.bind(place)
+    except OSError as error:
+        message = f"This machine has no address {address} ({error.strerror})."
+        return problem(check, message, "Correct KLEINKRAM_METRICS_ADDRESS.")
+    return ok(check, f"Each process can serve them at {address}.")
+
+
 async def _query(kind: type[T], url: PostgresDsn, statement: LiteralString) -> T:
     async with await psycopg.AsyncConnection.connect(plain_dsn(url), connect_timeout=5, autocommit=True) as connection:
         cursor = connection.cursor(row_factory=class_row(kind))
         await cursor.execute(statement)
         return await anext(aiter(cursor))
-
-
-async def _get(session: aiohttp.ClientSession, url: str, headers: dict[str, str] | None = None) -> tuple[int, str]:
-    async with session.get(url, headers=headers, allow_redirects=False) as response:
-        return response.status, (await response.content.read(65_536)).decode(errors="replace")
-
-
-def _is_local(host: str | None) -> bool:
-    return host in {"localhost", "127.0.0.1", "::1"}
 
 
 def _first_line(error: BaseException) -> str:

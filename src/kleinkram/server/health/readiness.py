@@ -136,7 +136,7 @@ async def check_schema(db: Connection) -> list[Diagnostic]:
     """Check that this program can use the database's schema, and that workers are alive."""
     reason = await schema_problem(db)
     if reason is not None:
-        return [problem("schema", f"{reason}.", "Run `python -m kleinkram.server migrate` of this version.")]
+        return [problem("schema", f"{reason[0].upper()}{reason[1:]}.")]
     workers = await find_workers(db)
     if workers.seen_at:
         return [ok("schema", "This program works on it."), ok("workers", f"{len(workers.seen_at)} alive.")]

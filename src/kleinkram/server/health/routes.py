@@ -1,9 +1,11 @@
 """`/health/live`, `/health/ready` and `/api/v1/service`."""
 
+import asyncio
 import ipaddress
+from collections.abc import AsyncIterator
 
 from fastapi import APIRouter, Request, Response
-from fastapi.responses import PlainTextResponse
+from fastapi.responses import PlainTextResponse, StreamingResponse
 
 import kleinkram
 from kleinkram.contract.access import TokenKind
@@ -11,12 +13,14 @@ from kleinkram.contract.people import ServiceRead, ViewerRead
 from kleinkram.diagnostics import Diagnostic, DiagnosticSeverity, find_problems
 from kleinkram.server.health.readiness import CachedLookup, check_service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
-from kleinkram.server.http.headers import request_origin
+from kleinkram.server.http.headers import EVENT_STREAM, UNBUFFERED, request_origin
+from kleinkram.server.http.middleware import mark_as_stream
 from kleinkram.server.settings import Settings
 from kleinkram.server.tokens.service import default_days
 
 # Probes need no token, so the result is cached for this long.
 _HOLDS_S = 1
+_PAUSE_S = 4
 
 probes = APIRouter(include_in_schema=False)
 router = APIRouter(prefix="/api/v1", tags=["service"])
@@ -26,8 +30,17 @@ router = APIRouter(prefix="/api/v1", tags=["service"])
 async def live(request: Request, settings: CurrentSettings) -> Response:
     """Answer; for `check`, with how its request reached this process."""
     if (origin := request_origin(request, settings)) is not None:
+        if request.headers.get("accept") == EVENT_STREAM:
+            mark_as_stream(request.scope)
+            return StreamingResponse(_event_and_pause(), media_type=EVENT_STREAM, headers=UNBUFFERED)
         return Response(origin.model_dump_json(), media_type="application/json")
     return PlainTextResponse("live\n")
+
+
+async def _event_and_pause() -> AsyncIterator[str]:
+    """Yield an event, and the end only later: a proxy that collects a whole response holds the event back."""
+    yield "event: live\n\n"
+    await asyncio.sleep(_PAUSE_S)
 
 
 @probes.get("/health/ready")

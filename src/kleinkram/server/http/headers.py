@@ -107,17 +107,21 @@ IfMatch = Annotated[
 
 
 CHECK_HEADER = "X-Kleinkram-Check"
+EVENT_STREAM = "text/event-stream"
+UNBUFFERED = {"X-Accel-Buffering": "no"}  # nginx: do not buffer
 _CODE_LIFETIME_S = 300
 
 
 class RequestOrigin(BaseModel):
-    """How a request reached this process: `peer` connected; `address` and `scheme` are attributed to the client."""
+    """How a request reached this process: `peer` connected; `address` and `scheme` are attributed to the client.
+
+    `forwarded_for`: X-Forwarded-For, nearest last.
+    """
 
     model_config = ConfigDict(frozen=True)
 
     peer: str
-    is_trusted: bool
-    forwarded: bool
+    forwarded_for: tuple[str, ...]
     address: str
     scheme: str
 
@@ -138,8 +142,7 @@ def request_origin(request: Request, settings: Settings) -> RequestOrigin | None
     peer: str = request.state.peer
     return RequestOrigin(
         peer=peer,
-        is_trusted=is_trusted(peer, settings.trusted_proxies),
-        forwarded="x-forwarded-for" in request.headers,
+        forwarded_for=tuple(_list_values(request.scope["headers"], b"x-forwarded-for")),
         address=request.client.host,
         scheme=request.url.scheme,
     )

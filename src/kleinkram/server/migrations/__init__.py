@@ -40,14 +40,14 @@ async def schema_problem(db: Connection) -> str | None:
     except ProgrammingError:  # no schema
         row = None
     if row is None or not row.version_num.isdecimal():
-        return "the database has no schema; run the migrations"
+        return "the database has no schema: run `python -m kleinkram.server migrate`"
     if row.version_num == HEAD:
         return None
     if row.version_num > HEAD:
         return later_schema_problem(row.version_num, row.compatible_from)
     return (
         development_schema_problem(row.version_num)
-        or "the database schema is older than this program; run the migrations"
+        or "the database schema is older than this program: run `python -m kleinkram.server migrate` of this version"
     )
 
 

@@ -16,6 +16,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.builtin_groups import OWNER_ID
 from kleinkram.server.access.rights import lock_rights
 from kleinkram.server.audit.log import Event, audit
+from kleinkram.server.auth.provider_accounts import lock_identities
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.jobs.queue import Job, Priority, enqueue
@@ -54,6 +55,7 @@ async def erase_person(db: Connection, actor: Actor, *, person_id: uuid.UUID, co
 
     Raises NotFound, InvalidRequest (`confirmation` is not their name) or LastAdmin.
     """
+    await lock_identities(db)
     await lock_rights(db)
     row = (await db.execute(select(person).where(person.c.id == person_id).with_for_update())).one_or_none()
     if row is None:

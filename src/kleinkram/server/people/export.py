@@ -48,6 +48,7 @@ from kleinkram.server.tables import (
 
 _BATCH = 500
 _ORIGIN = ("token_id", "session_id", "address")
+_INVITED = ("email", "name")
 
 
 @dataclass(frozen=True)
@@ -68,15 +69,16 @@ async def begin_export(db: Connection, actor: Actor, person_id: uuid.UUID) -> No
     await audit(db, actor, Event("person.export", "person", person_id, name, needs_admin=is_other))
 
 
-async def export_person(database: Database, person_id: uuid.UUID) -> AsyncIterator[PersonalData]:
+async def export_person(database: Database, actor: Actor, person_id: uuid.UUID) -> AsyncIterator[PersonalData]:
     """Yield all records of a person in the order of `DataSection`, with at most `_BATCH` in memory.
 
-    Each batch has its own transaction, so that a slow reader holds no connection.
+    Of texts that mention them, only those that the actor may see: somebody who chose the name of a project as their own
+    must not learn what mentions it. Each batch has its own transaction, so that a slow reader holds no connection.
     """
     sources = _sources(person_id)
     for section in DataSection:
         if section is DataSection.mentions:
-            async for record in _mentions(database, person_id):
+            async for record in _mentions(database, actor, person_id):
                 yield record
         for source in (source for source in sources if source.section is section):
             async for record in _read(database, source):
@@ -97,12 +99,12 @@ async def _read(database: Database, source: _Source) -> AsyncIterator[PersonalDa
         last = rows[-1]["_key"]
 
 
-async def _mentions(database: Database, person_id: uuid.UUID) -> AsyncIterator[PersonalData]:
+async def _mentions(database: Database, actor: Actor, person_id: uuid.UUID) -> AsyncIterator[PersonalData]:
     addresses = select(person_email.c.email).where(person_email.c.person_id == person_id)
     names = select(person.c.name).where(person.c.id == person_id, person.c.erased_at.is_(None))
     async with database.begin() as db:
         terms = [*(await db.execute(names)).scalars(), *(await db.execute(addresses)).scalars()]
-        mentions = await find_mentions(db, terms)
+        mentions = await find_mentions(db, terms, visible_to=None if actor.is_admin else actor)
     for mention in mentions:
         yield _record(DataSection.mentions, mention.model_dump(mode="json"))
 
@@ -127,9 +129,11 @@ def _of(section: DataSection, table: Table, column: str, person_id: uuid.UUID, *
 
 def _account(person_id: uuid.UUID) -> list[_Source]:
     own_addresses = select(person_email.c.email_key).where(person_email.c.person_id == person_id)
-    is_invitation = func.lower(one_time_code.c.email).in_(own_addresses)
-    codes = select(*_columns(one_time_code, "secret_sha256"))
-    is_code = or_(one_time_code.c.person_id == person_id, is_invitation, one_time_code.c.created_by_id == person_id)
+    is_own = or_(one_time_code.c.person_id == person_id, func.lower(one_time_code.c.email).in_(own_addresses))
+    # Without the addresses and names of others whom they invited.
+    about = [case((is_own, one_time_code.c[name])).label(name) for name in _INVITED]
+    codes = select(*_columns(one_time_code, "secret_sha256", *_INVITED), *about)
+    codes = codes.where(is_own | (one_time_code.c.created_by_id == person_id))
     has_password = select(literal("password").label("method"), password.c.changed_at)
     has_totp = select(literal("second factor").label("method"), totp.c.created_at, totp.c.confirmed_at)
     addresses = select(*person_email.c).where(person_email.c.person_id == person_id)
@@ -142,7 +146,7 @@ def _account(person_id: uuid.UUID) -> list[_Source]:
         _of(DataSection.sessions, session, "person_id", person_id, "secret_sha256"),
         _of(DataSection.tokens, token, "person_id", person_id, "secret_sha256"),
         _of(DataSection.logins, login_request, "approved_by_id", person_id, "secret_sha256", "code_challenge"),
-        _Source(DataSection.invitations, codes.where(is_code), one_time_code.c.id),
+        _Source(DataSection.invitations, codes, one_time_code.c.id),
     ]
 
 

@@ -1,15 +1,31 @@
-"""Searches the texts of projects for a name or an address, to report where an erasure leaves it."""
+"""Searches the texts that people wrote for a name or an address, to report where an erasure leaves it."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import sqlalchemy as sa
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.names import name_key
 from kleinkram.contract.people import Mention, MentionPlace
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import visible_files, visible_groups, visible_missions, visible_projects
 from kleinkram.server.db import ESCAPE, Connection, containing
-from kleinkram.server.tables import access_group, check_acceptance, check_note, file, mission, project, share
+from kleinkram.server.tables import (
+    access_group,
+    action,
+    action_version,
+    check_acceptance,
+    check_note,
+    file,
+    mission,
+    project,
+    project_checks,
+    run,
+    share,
+)
 
 # Of each kind of object: an admin who finds so many does not correct them one by one.
 MOST = 500
@@ -19,13 +35,42 @@ _NOT_WORD, _ESCAPED = re.compile(r"(\W)"), r"\\\1"
 
 @dataclass(frozen=True)
 class _Place:
-    """Objects with texts: where their names are, and their fields, each with the expression that is searched."""
+    """Objects with texts: where their names are, and their fields, each with the expression that is searched.
+
+    `is_visible` is the condition on the objects that an actor may see.
+    """
 
     resource_type: MentionPlace
     rows: sa.FromClause
     id: sa.ColumnElement[object]
     name: sa.ColumnElement[str]
     fields: Mapping[str, sa.ColumnElement[str]]
+    is_visible: Callable[[Actor], sa.ColumnElement[bool]]
+
+
+def _in_project(column: sa.ColumnElement[Any]) -> Callable[[Actor], sa.ColumnElement[bool]]:
+    return lambda actor: column.in_(visible_projects(actor).with_only_columns(project.c.id).correlate(None))
+
+
+def _in_mission(column: sa.ColumnElement[Any], right: Right = Right.read) -> Callable[[Actor], sa.ColumnElement[bool]]:
+    def condition(actor: Actor) -> sa.ColumnElement[bool]:
+        missions = visible_missions(actor, right).with_only_columns(mission.c.id, maintain_column_froms=True)
+        return column.in_(missions.correlate(None))
+
+    return condition
+
+
+def _is_visible_file(actor: Actor) -> sa.ColumnElement[bool]:
+    files = visible_files(actor).with_only_columns(file.c.id, maintain_column_froms=True)
+    return file.c.id.in_(files.correlate(None))
+
+
+def _is_visible_group(actor: Actor) -> sa.ColumnElement[bool]:
+    return access_group.c.id.in_(visible_groups(actor).with_only_columns(access_group.c.id).correlate(None))
+
+
+def _is_visible_action(actor: Actor) -> sa.ColumnElement[bool]:
+    return action.c.project_id.is_(None) | _in_project(action.c.project_id)(actor)
 
 
 _PLACES = (
@@ -35,6 +80,15 @@ _PLACES = (
         project.c.id,
         project.c.name,
         {name: project.c[name] for name in ("name", "description", "licence", "citation")},
+        _in_project(project.c.id),
+    ),
+    _Place(
+        MentionPlace.project,
+        project_checks.join(project),
+        project.c.id,
+        project.c.name,
+        {"checks.yaml": project_checks.c.text},
+        _in_project(project.c.id),
     ),
     _Place(
         MentionPlace.mission,
@@ -48,6 +102,7 @@ _PLACES = (
             "metadata": sa.cast(mission.c.metadata, sa.Text),
             "metadata_yaml": mission.c.metadata_yaml,
         },
+        _in_mission(mission.c.id),
     ),
     _Place(
         MentionPlace.mission,
@@ -55,6 +110,7 @@ _PLACES = (
         mission.c.id,
         mission.c.name,
         {"note on a check": check_note.c.text},
+        _in_mission(mission.c.id),
     ),
     _Place(
         MentionPlace.mission,
@@ -62,6 +118,7 @@ _PLACES = (
         mission.c.id,
         mission.c.name,
         {"accepted check": check_acceptance.c.because},
+        _in_mission(mission.c.id),
     ),
     _Place(
         MentionPlace.file,
@@ -69,6 +126,28 @@ _PLACES = (
         file.c.id,
         file.c.path,
         {"path": file.c.path_key, "labels": sa.func.joined(file.c.labels)},
+        _is_visible_file,
+    ),
+    _Place(
+        MentionPlace.action,
+        action.join(action_version),
+        action.c.id,
+        action.c.name,
+        {"name": action.c.name, "definition": sa.cast(action_version.c.definition, sa.Text)},
+        _is_visible_action,
+    ),
+    _Place(
+        MentionPlace.run,
+        run.join(mission, mission.c.id == run.c.mission_id),
+        run.c.id,
+        mission.c.name,
+        {
+            "parameters": sa.cast(run.c.parameters, sa.Text),
+            # Copies of the mission's, from then.
+            "metadata": sa.func.concat(run.c.input_metadata, run.c.proposed),
+            "message": run.c.message,
+        },
+        _in_mission(mission.c.id),
     ),
     _Place(
         MentionPlace.group,
@@ -76,19 +155,32 @@ _PLACES = (
         access_group.c.id,
         access_group.c.name,
         {"name": sa.case((access_group.c.kind == "custom", access_group.c.name), else_="")},
+        _is_visible_group,
     ),
-    _Place(MentionPlace.share, share, share.c.id, share.c.name, {"name": share.c.name}),
+    _Place(
+        MentionPlace.share,
+        share,
+        share.c.id,
+        share.c.name,
+        {"name": share.c.name},
+        _in_mission(share.c.mission_id, Right.write),
+    ),
 )
 
 
-async def find_mentions(db: Connection, terms: Sequence[str]) -> list[Mention]:
-    """Return at most `MOST` objects of each kind with a text that contains one of the terms as whole words."""
+async def find_mentions(db: Connection, terms: Sequence[str], *, visible_to: Actor | None = None) -> list[Mention]:
+    """Return at most `MOST` objects of each kind with a text that contains one of the terms as whole words.
+
+    With `visible_to`, only objects that this actor may see.
+    """
     mentions: list[Mention] = []
     for place in _PLACES if terms else ():
         matches = {field: sa.or_(*(_contains(text, term) for term in terms)) for field, text in place.fields.items()}
-        columns = [sa.func.coalesce(match, False).label(field) for field, match in matches.items()]
-        stmt = sa.select(place.id.label("object_id"), place.name.label("object_name"), *columns).distinct()
-        stmt = stmt.select_from(place.rows).where(sa.or_(*matches.values())).order_by(place.id).limit(MOST)
+        columns = [sa.func.coalesce(sa.func.bool_or(match), False).label(field) for field, match in matches.items()]
+        stmt = sa.select(place.id.label("object_id"), place.name.label("object_name"), *columns)
+        stmt = stmt.select_from(place.rows).where(sa.or_(*matches.values()))
+        stmt = stmt if visible_to is None else stmt.where(place.is_visible(visible_to))
+        stmt = stmt.group_by(place.id, place.name).order_by(place.id).limit(MOST)
         for row in (await db.execute(stmt)).mappings():
             fields = [field for field in matches if row[field]]
             mentions.append(

@@ -90,7 +90,7 @@ async def export_person(person_id: uuid.UUID, database: CurrentDatabase, actor: 
         await export.begin_export(db, actor, person_id)
 
     async def lines() -> AsyncIterator[str]:
-        async for record in export.export_person(database, person_id):
+        async for record in export.export_person(database, actor, person_id):
             yield record.model_dump_json() + "\n"
 
     return StreamingResponse(lines(), media_type=_JSON_LINES)

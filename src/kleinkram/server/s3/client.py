@@ -224,9 +224,20 @@ async def open_s3(
 
 def describe_connection_error(error: BaseException) -> str:
     """Return why a connection failed, for people; never a URL, which is a secret when signed."""
-    if isinstance(error, aiohttp.ClientSSLError):
-        return "its certificate is not trusted, or it speaks no TLS (KLEINKRAM_S3_CA_FILE names trusted issuers)"
-    return type(error).__name__
+    if is_certificate_error(error):
+        # Both kinds have the cause: that which connecting raises, and OpenSSL's own.
+        cause = getattr(error, "certificate_error", error)
+        return f"its certificate is refused: {getattr(cause, 'verify_message', '') or 'unknown reason'}"
+    if isinstance(error, (aiohttp.ClientSSLError, ssl.SSLError)):
+        return "it does not speak TLS: its address may begin with http://"
+    if isinstance(error, aiohttp.ServerDisconnectedError):
+        return "it closed the connection"
+    return getattr(error, "strerror", None) or type(error).__name__
+
+
+def is_certificate_error(error: BaseException) -> bool:
+    """Whether a connection failed because the server's certificate is not trusted, expired, or of another name."""
+    return isinstance(error, (aiohttp.ClientConnectorCertificateError, ssl.SSLCertVerificationError))
 
 
 def _parse_xml(body: bytes) -> ElementTree.Element | None:

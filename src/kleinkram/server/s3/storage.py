@@ -23,6 +23,7 @@ from kleinkram.server.s3.client import (
     S3Request,
     S3Response,
     describe_connection_error,
+    is_certificate_error,
     open_s3,
 )
 from kleinkram.server.s3.signing import Presigner, StoreClock
@@ -47,6 +48,13 @@ _MISCONFIGURED = {
     "InvalidAccessKeyId": "it does not know the access key: correct KLEINKRAM_S3_ACCESS_KEY",
     "SignatureDoesNotMatch": "the secret key does not fit the access key: correct KLEINKRAM_S3_SECRET_KEY",
     "AccessDenied": "the access key has no right to list the bucket '{bucket}': grant it s3:ListBucket",
+    **dict.fromkeys(
+        ("AuthorizationHeaderMalformed", "AuthorizationQueryParametersError", "PermanentRedirect", "InvalidRegion"),
+        "it is in another region: correct KLEINKRAM_S3_REGION",
+    ),
+    "400": "it does not understand requests: KLEINKRAM_S3_INTERNAL_URL may have to begin with https://",
+    "NotAStore": "the server at KLEINKRAM_S3_INTERNAL_URL is no S3 store",
+    "404": "there is no bucket '{bucket}': create it, or correct KLEINKRAM_S3_BUCKET",
     "RequestTimeTooSkewed": "its clock and this machine's differ: let both set their clocks (NTP)",
 }
 _MAY_NOT_CREATE = "the access key may not create the bucket: grant it s3:CreateBucket, or create the bucket yourself"
@@ -171,7 +179,10 @@ class Storage:
             reason = _MISCONFIGURED.get(code, f"check the bucket: {code}")
             raise StoreUnavailable(reason=reason.format(bucket=self._signers.bucket)) from error
         except CONNECTION_ERRORS as error:
-            raise StoreUnavailable(reason=f"it does not answer: {describe_connection_error(error)}") from error
+            reason = f"it does not answer: {describe_connection_error(error)}"
+            if is_certificate_error(error):
+                reason += " (KLEINKRAM_S3_CA_FILE names the certificate of a private authority)"
+            raise StoreUnavailable(reason=reason) from error
 
     async def create_bucket(self, region: str) -> bool:
         """Create the bucket unless it exists; return whether it was created.
@@ -194,7 +205,7 @@ class Storage:
 
     async def _code_of_refusal(self, refusal: S3Error) -> str:
         """Return the store's error code; the response to HEAD has no body, so a GET repeats the request."""
-        if refusal.status not in {403, 404}:
+        if refusal.status not in {301, 400, 403, 404}:
             return refusal.code
         try:
             await self._client.request(S3Request("GET", query={"list-type": "2", "max-keys": "1", "prefix": "probe/"}))
