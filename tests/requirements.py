@@ -39,6 +39,8 @@ PROGRAMS = {
     "prometheus": "prometheus",
     "promtool": "prometheus",
     "prometheus-alertmanager": "prometheus-alertmanager",
+    "prometheus-blackbox-exporter": "prometheus-blackbox-exporter",
+    "prometheus-node-exporter": "prometheus-node-exporter",
     "amtool": "prometheus-alertmanager",
     "systemd-analyze": "systemd",
     "systemd-nspawn": "systemd-container",

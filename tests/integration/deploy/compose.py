@@ -21,7 +21,7 @@ from tests.integration.runner.engines import Dockerd
 from tests.ports import choose_port
 from tests.requirements import need_compose
 
-_SUBNET = "10.199.77.0/24"
+NETWORK = "10.199.77"
 
 
 @dataclass(frozen=True)
@@ -93,10 +93,11 @@ class Project:
 
 def prepare(folder: Path) -> Path:
     """Copy what a machine needs of `deploy` into a folder; return the folder of the project."""
-    ignored = shutil.ignore_patterns(".env", "settings.env", "secrets", "tls", "backups")
-    for name in ("caddy", "compose"):
-        shutil.copytree(ROOT / "deploy" / name, folder / name, ignore=ignored)
-    return folder / "compose"
+    written_by_init = (ROOT / "deploy" / "compose" / ".gitignore").read_text().split()
+    ignored = shutil.ignore_patterns(*(Path(name).name for name in written_by_init))
+    for name in ("caddy", "observability"):
+        shutil.copytree(ROOT / "deploy" / name, folder / name)
+    return Path(shutil.copytree(ROOT / "deploy" / "compose", folder / "compose", ignore=ignored))
 
 
 def initialise(folder: Path, name: str) -> str:
@@ -123,7 +124,8 @@ def project(docker: Dockerd, parent: Path) -> Iterator[Project]:
         POSTGRES_IMAGE=images.POSTGRES,
         STORE_IMAGE=images.STORE,
         PROXY_IMAGE=images.PROXY,
-        SUBNET=_SUBNET,
+        SUBNET=f"{NETWORK}.0/24",
+        **{f"{name.upper()}_IMAGE": images.monitor_image(name) for name in images.MONITORS},
     )
     try:
         yield one

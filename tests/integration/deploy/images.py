@@ -1,7 +1,9 @@
 """Images for the Compose project of `deploy/`: ours, built on Debian, and substitutes for those of a registry.
 
 No registry can be reached here. PostgreSQL, SeaweedFS and Caddy are the programs of wheels on the same Debian; the
-entry point of the PostgreSQL image does what Compose relies on in the official one.
+entry point of the PostgreSQL image does what Compose relies on in the official one. Of the profile `observability`,
+what Debian has is real; Loki, Tempo, Alloy and Grafana are images that do nothing, as the users and with the data
+directories of the official ones.
 """
 
 import os
@@ -11,6 +13,7 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import platformdirs
 
@@ -19,7 +22,7 @@ from kleinkram.standalone.object_store import locate_weed
 from kleinkram.standalone.postgres import locate_postgres
 from tests.integration.deploy.proxies import locate_caddy
 from tests.integration.runner.engines import Dockerd
-from tests.requirements import need
+from tests.requirements import need, path_of
 
 ROOT = Path(__file__).parents[3]
 BASE = "kleinkram.test/debian-python"
@@ -82,6 +85,37 @@ def upgrade() -> None:
     op.execute("ALTER TABLE project ADD COLUMN of_the_next_release text")
 """
 
+# Debian's Alertmanager needs the templates. The configuration is that of the blackbox exporter's image.
+_MONITOR = """\
+FROM {base}
+COPY templates /usr/share/prometheus/alertmanager
+RUN mkdir -p {data} /etc/blackbox_exporter && chown {user} {data} \\
+ && echo 'modules: {{http_2xx: {{prober: http}}}}' > /etc/blackbox_exporter/config.yml
+USER {user}
+ENTRYPOINT ["sh", "-c", "exec sleep infinity", "sh"]
+"""
+
+
+class Monitor(NamedTuple):
+    """An image of the profile `observability`: its user, the directory that it writes to, the program of Debian."""
+
+    user: int
+    data: str
+    program: str | None = None
+
+
+# By service. Users and directories are those of the official images.
+MONITORS = {
+    "prometheus": Monitor(65534, "/prometheus", "prometheus"),
+    "alertmanager": Monitor(65534, "/alertmanager", "prometheus-alertmanager"),
+    "blackbox": Monitor(0, "/blackbox", "prometheus-blackbox-exporter"),
+    "node": Monitor(65534, "/node", "prometheus-node-exporter"),
+    "loki": Monitor(10001, "/loki"),
+    "tempo": Monitor(10001, "/var/tempo"),
+    "alloy": Monitor(0, "/data"),
+    "grafana": Monitor(472, "/var/lib/grafana"),
+}
+
 
 def debian_root() -> Path:
     """Return a tar of Debian with Python. debootstrap takes minutes, so it is kept for later sessions."""
@@ -93,7 +127,9 @@ def debian_root() -> Path:
             root, packed = Path(folder, "root"), tar.with_suffix(f".{os.getpid()}")
             command = ["debootstrap", "--variant=minbase", f"--include={_PACKAGES}", "bookworm", str(root)]
             subprocess.run(command, check=True, capture_output=True)
-            subprocess.run(["tar", "-C", root, "--exclude=./var/cache/apt/*.bin", "-cf", packed, "."], check=True)
+            subprocess.run(
+                ["tar", "-C", str(root), "--exclude=./var/cache/apt/*.bin", "-cf", str(packed), "."], check=True
+            )
             packed.rename(tar)
     return tar
 
@@ -131,6 +167,22 @@ def build_substitutes(docker: Dockerd) -> None:
     _build_from(docker, POSTGRES, _POSTGRES, {"entrypoint": _POSTGRES_ENTRYPOINT}, sources)
     for name, source in ((STORE, locate_weed()), (PROXY, locate_caddy())):
         _build_from(docker, name, f"FROM {BASE}\nCOPY {source.name} /usr/bin/\n", {}, {source.name: source})
+
+
+def build_monitors(docker: Dockerd) -> None:
+    """Build the images of the profile `observability`."""
+    for service, (user, data, program) in MONITORS.items():
+        text = _MONITOR.format(base=BASE, user=user, data=data)
+        sources = {"templates": Path("/usr/share/prometheus/alertmanager")}
+        if program is not None:
+            sources[program] = Path(str(path_of(program)))
+            text += f'COPY {program} /usr/bin/\nENTRYPOINT ["{program}"]\n'
+        _build_from(docker, monitor_image(service), text, {}, sources)
+
+
+def monitor_image(service: str) -> str:
+    """Return the image of a service of the profile."""
+    return f"kleinkram.test/{service}"
 
 
 def _build_from(

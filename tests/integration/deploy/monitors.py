@@ -83,8 +83,8 @@ class Receiver:
 
 
 @contextmanager
-def receiving() -> Iterator[Receiver]:
-    """Receive the webhooks of an Alertmanager."""
+def receiving(address: str = "127.0.0.1") -> Iterator[Receiver]:
+    """Receive the webhooks of an Alertmanager at an address of this machine."""
     receiver = Receiver()
 
     class Handler(BaseHTTPRequestHandler):
@@ -97,8 +97,8 @@ def receiving() -> Iterator[Receiver]:
         def log_message(self, *_arguments: object) -> None:
             """Log nothing."""
 
-    with Server(("127.0.0.1", 0), Handler) as server:
-        receiver.url = f"http://127.0.0.1:{server.server_address[1]}/"
+    with Server((address, 0), Handler) as server:
+        receiver.url = f"http://{address}:{server.server_address[1]}/"
         thread = threading.Thread(target=server.serve_forever, name="receiver")
         thread.start()
         try:
@@ -145,18 +145,23 @@ def prometheus(
         yield Prometheus(url)
 
 
-@contextmanager
-def alertmanager(folder: Path, receiver: Receiver) -> Iterator[str]:
-    """Run Alertmanager with the shipped routes, without their pauses; yields its address."""
-    need("prometheus-alertmanager")
-    config = load_yaml(FOLDER / "alertmanager.yml")
+def alertmanager_config(receiver: Receiver) -> dict[str, Any]:
+    """Return the shipped configuration with this receiver, and without pauses."""
+    config: dict[str, Any] = load_yaml(FOLDER / "alertmanager.yml")
     del config["global"]
     for route in (config["route"], *config["route"]["routes"]):
         route["group_wait"] = "0s"
     config["route"]["group_interval"] = "1s"
     webhook = {"url": receiver.url, "send_resolved": True}
     config["receivers"] = [{"name": it["name"], "webhook_configs": [webhook]} for it in config["receivers"]]
-    save_yaml(folder / "alertmanager.yml", config)
+    return config
+
+
+@contextmanager
+def alertmanager(folder: Path, receiver: Receiver) -> Iterator[str]:
+    """Run Alertmanager with the shipped routes, without their pauses; yields its address."""
+    need("prometheus-alertmanager")
+    save_yaml(folder / "alertmanager.yml", alertmanager_config(receiver))
     address = f"127.0.0.1:{choose_port()}"
     options = {
         "config.file": folder / "alertmanager.yml",

@@ -1,6 +1,7 @@
-"""The Compose project, started for real: claim, upload, verify, kill, back up, upgrade."""
+"""The Compose project, started for real: claim, upload, verify, kill, back up, watch, upgrade."""
 
 import hashlib
+import json
 import os
 import re
 import signal
@@ -10,14 +11,16 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import datetime
 from functools import partial
 from pathlib import Path
+from urllib.parse import urlencode
 
 import pytest
 import urllib3
 
-from tests.integration.deploy import images
-from tests.integration.deploy.compose import Project, project
+from tests.integration.deploy import images, monitors
+from tests.integration.deploy.compose import NETWORK, Project, initialise, project
 from tests.integration.runner import engines
 from tests.integration.runner.engines import Dockerd
 from tests.integration.upload_client import wait_until
@@ -28,6 +31,9 @@ pytestmark = [pytest.mark.soak, pytest.mark.timeout(900)]
 _PASSWORD = "correct horse battery"
 _SERVICES = ("postgres", "store", "api-1", "api-2", "worker", "proxy", "backup")
 _SERVER_SERVICES = ("api-1", "api-2", "worker", "backup")
+# Not every machine of tests shares the mounts of its root.
+_OVERRIDE = "services: {node: {volumes: !override [/:/host:ro]}}\n"
+_QUERY = "import sys, urllib.request as r; print(r.urlopen(sys.argv[1]).read().decode())"
 
 
 @dataclass
@@ -61,13 +67,14 @@ def docker() -> Iterator[Dockerd]:
     """An engine with all images."""
     if os.geteuid() != 0:
         missing("a Docker for tests needs root")
-    need(*engines.PROGRAMS, "debootstrap")
+    need(*engines.PROGRAMS, "debootstrap", *(it.program for it in images.MONITORS.values() if it.program))
     need_compose()
     with engines.bridge() as (name, gateway), engines.dockerd(name, gateway) as docker:
         images.load_base(docker)
         images.build(docker, "server", images.SERVER)
         images.build_next(docker)
         images.build_substitutes(docker)
+        images.build_monitors(docker)
         yield docker
 
 
@@ -79,6 +86,22 @@ def site(docker: Dockerd, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
         site = Site(started, _claim(started))
         started.klein(site.token, "project", "create", "lab")
         yield site
+
+
+@pytest.fixture(scope="module")
+def receiver(site: Site) -> Iterator[monitors.Receiver]:
+    """What gets the alerts of the profile `observability`, which is started. Alerts fire after seconds."""
+    folder = site.project.folder
+    rules = folder.parent / "observability" / "prometheus" / "rules.yml"
+    rules.write_text(re.sub(r"for: \d+[mhd]", "for: 5s", rules.read_text()))
+    # No container reaches the public address, which is of this machine alone.
+    (folder / "targets" / "public.yml").write_text('- targets: ["http://api-1:8000/health/ready"]\n')
+    (folder / "compose.override.yaml").write_text(_OVERRIDE)
+    site.project.change(COMPOSE_PROFILES="observability")
+    with monitors.receiving(f"{NETWORK}.1") as receiver:
+        monitors.save_yaml(folder / "alertmanager.yml", monitors.alertmanager_config(receiver))
+        site.project.compose("up", "--detach", "--wait")
+        yield receiver
 
 
 def _claim(project: Project) -> str:
@@ -155,6 +178,32 @@ def test_a_backup_is_made_and_verified(site: Site) -> None:
     assert _is_healthy(site.project, "backup")
 
 
+@pytest.mark.parametrize("service", images.MONITORS)
+def test_monitors_read_their_files_and_write_their_data(site: Site, receiver: monitors.Receiver, service: str) -> None:
+    mounts = site.project.inspect(service)["Mounts"]
+    others = ("/host", "/var/run/docker.sock")
+    files = [it["Destination"] for it in mounts if it["Type"] == "bind" and it["Destination"] not in others]
+    directories = [it["Destination"] for it in mounts if it["Type"] == "volume"]
+    for name in files:
+        site.project.compose("exec", service, "find", name, "-type", "f", "-exec", "cat", "{}", "+")
+    for name in directories:
+        site.project.compose("exec", service, "touch", f"{name}/test")
+
+
+def test_prometheus_scrapes_every_process(site: Site, receiver: monitors.Receiver) -> None:
+    jobs = {"kleinkram-api": 2, "kleinkram-worker": 1, "kleinkram-public": 1, "node": 1}
+    wait_until(lambda: _query(site.project, "sum by (job) (up)") == jobs, limit_s=60)
+    assert _query(site.project, "sum by (job) (probe_success)") == {"kleinkram-public": 1}
+    assert _query(site.project, 'count by (job) (node_filesystem_size_bytes{mountpoint="/"})')["node"] >= 1
+
+
+def test_an_alert_arrives(site: Site, receiver: monitors.Receiver) -> None:
+    site.project.compose("stop", "worker")
+    alert = receiver.wait_for("KleinkramNoWorker", "firing", limit_s=150)
+    assert alert["labels"]["severity"] == "critical"
+    site.project.compose("up", "--detach", "--wait", "worker")
+
+
 def test_an_upgrade_fails_no_request(site: Site, tmp_path: Path) -> None:
     assert site.project.request("GET", "/health/ready").status == 200
     with _load(site) as answers:
@@ -171,6 +220,25 @@ def test_an_upgrade_fails_no_request(site: Site, tmp_path: Path) -> None:
     site.upload("after-the-upgrade", tmp_path)
 
 
+def test_prometheus_scrapes_the_processes_of_the_upgrade(site: Site, receiver: monitors.Receiver) -> None:
+    started = datetime.fromisoformat(site.project.inspect("api-1")["State"]["StartedAt"][:19] + "+00:00")
+    query = f'sum by (job) (process_start_time_seconds{{job=~"kleinkram-.*"}} >= bool {started.timestamp() - 1})'
+    wait_until(lambda: _query(site.project, query) == {"kleinkram-api": 2, "kleinkram-worker": 1}, limit_s=60)
+
+
+def test_secrets_are_rotated(site: Site, tmp_path: Path) -> None:
+    secrets = site.project.folder / "secrets"
+    for name in ("s3-secret-key", "store-identities.json", "database-password"):
+        (secrets / name).unlink()
+    initialise(site.project.folder, "localhost")
+    command = f"ALTER ROLE kleinkram_serve PASSWORD '{(secrets / 'database-password').read_text()}'"
+    site.project.compose("exec", "postgres", "psql", "--username", "postgres", "--command", command)
+    services = ("store", "api-1", "api-2", "worker", "backup")
+    site.project.compose("up", "--detach", "--wait", "--force-recreate", *services)
+    site.check_files(tmp_path)
+    site.upload("after-the-rotation", tmp_path)
+
+
 def test_a_wrong_secret_is_named(site: Site) -> None:
     secret = site.project.folder / "secrets" / "s3-secret-key"
     right = secret.read_text()
@@ -180,6 +248,14 @@ def test_a_wrong_secret_is_named(site: Site) -> None:
     finally:
         secret.write_text(right)
     assert "the secret key does not fit the access key" in report
+
+
+def _query(project: Project, expression: str) -> dict[str, float]:
+    """Return the values of a query of Prometheus by job; none if it does not answer."""
+    url = f"http://127.0.0.1:9090/api/v1/query?{urlencode({'query': expression})}"
+    answer = project.compose("exec", "watch", "python", "-c", _QUERY, url, check=False)
+    series = json.loads(answer)["data"]["result"] if answer else []
+    return {it["metric"]["job"]: float(it["value"][1]) for it in series}
 
 
 def _is_healthy(project: Project, service: str) -> bool:

@@ -15,7 +15,9 @@ from kleinkram.standalone import object_store
 from kleinkram.standalone.object_store import PORT_NAMES, StoreFolder
 from kleinkram.standalone.processes import ChildCommand
 from tests.integration.deploy.compose import initialise, prepare
-from tests.integration.deploy.images import ROOT
+from tests.integration.deploy.images import MONITORS, ROOT
+from tests.integration.deploy.monitors import FOLDER, load_yaml
+from tests.requirements import need_compose
 
 _DEPLOY = ROOT / "deploy"
 _COMPOSE = _DEPLOY / "compose"
@@ -32,7 +34,7 @@ def compose() -> Any:
 
 @pytest.mark.parametrize("path", _DOCKERFILES, ids=lambda path: path.parent.name)
 def test_hadolint_finds_nothing(path: Path) -> None:
-    done = subprocess.run([_PROGRAMS / "hadolint", str(path)], capture_output=True, text=True, check=False)
+    done = subprocess.run([str(_PROGRAMS / "hadolint"), str(path)], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "")
 
 
@@ -53,8 +55,51 @@ def test_files_that_are_mounted_exist(compose: Any) -> None:
     text = (_COMPOSE / "compose.yaml").read_text()
     sources = re.findall(r"- (\.\.?/[^:\s]+):", text)
     assert len(sources) > 5
-    written_by_init = {"./tls", "./backups"}
+    written_by_init = {"./alertmanager.yml", "./tls", "./backups"}
     assert not [source for source in sources if source not in written_by_init and not (_COMPOSE / source).exists()]
+
+
+def test_docker_compose_renders_the_project_with_its_profile(tmp_path: Path) -> None:
+    folder = prepare(tmp_path)
+    (folder / ".env").write_text((folder / ".env.example").read_text())
+    (folder / "settings.env").touch()
+    command = [need_compose(), "--profile", "observability", "config", "--services"]
+    environment = {"PATH": os.environ["PATH"], "HOME": str(tmp_path)}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    assert {*MONITORS} < {*done.stdout.split()}
+
+
+def test_addresses_of_the_profile_agree(compose: Any) -> None:
+    services = compose["services"]
+    flags = {name: " ".join(service.get("command", [])) for name, service in services.items()}
+    config = load_yaml(FOLDER / "prometheus" / "prometheus.yml")
+    (manager,) = config["alerting"]["alertmanagers"][0]["static_configs"][0]["targets"]
+    assert f"--web.listen-address={manager}" in flags["alertmanager"]
+    probes = next(job for job in config["scrape_configs"] if job["job_name"] == "kleinkram-public")
+    assert f"--web.listen-address={probes['relabel_configs'][-1]['replacement']}" in flags["blackbox"]
+    (node,) = load_yaml(_COMPOSE / "targets" / "node.yml")[0]["targets"]
+    assert f"--web.listen-address={node}" in flags["node"]
+    patterns = [pattern for job in config["scrape_configs"] for it in job["file_sd_configs"] for pattern in it["files"]]
+    for path in (_COMPOSE / "targets").glob("*.yml"):
+        assert any(path.match(pattern) for pattern in patterns), path
+    for kind in ("api", "worker"):
+        hosts = {target.split(":")[0] for target in load_yaml(_COMPOSE / "targets" / f"{kind}.yml")[0]["targets"]}
+        assert hosts == {name for name in services if name.startswith(kind)}
+    dashboards = load_yaml(FOLDER / "grafana" / "provisioning" / "dashboards" / "kleinkram.yaml")
+    path = dashboards["providers"][0]["options"]["path"]
+    assert f"../observability/grafana/dashboards:{path}:ro" in services["grafana"]["volumes"]
+    for monitor in MONITORS:
+        assert services[monitor]["network_mode"] == "service:watch"
+
+
+def test_alloy_sends_what_it_sends_without_containers() -> None:
+    """Logs and traces have the same labels, fields and addresses; only their sources differ."""
+    ours, theirs = ((folder / "config.alloy").read_text() for folder in (_COMPOSE, FOLDER))
+    shared = 'loki.process "kleinkram" {', 'otelcol.processor.batch "traces" {'
+    for head in shared:
+        assert ours[ours.index(head) :].split("\n}\n")[0] == theirs[theirs.index(head) :].split("\n}\n")[0]
+    assert {*re.findall(r"127\.0\.0\.1:\d+", ours)} == {*re.findall(r"127\.0\.0\.1:\d+", theirs)} - {"127.0.0.1:4318"}
 
 
 def test_settings_are_known_and_secrets_are_files(compose: Any) -> None:
@@ -91,6 +136,7 @@ def test_init_writes_what_is_missing_and_keeps_the_rest(tmp_path: Path) -> None:
     folder = prepare(tmp_path)
     initialise(folder, "data.robots.example")
     assert "SITE=data.robots.example\nPUBLIC_URL=https://data.robots.example\n" in (folder / ".env").read_text()
+    assert "https://data.robots.example/health/ready" in (folder / "targets" / "public.yml").read_text()
     secrets = {path.name: path.read_text() for path in (folder / "secrets").iterdir()}
     assert len({*secrets.values()}) == 7
     assert secrets["s3-secret-key"] in secrets["store-identities.json"]
