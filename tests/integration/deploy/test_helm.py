@@ -11,6 +11,7 @@ import pytest
 import kleinkram
 from kleinkram.server.environment import load_settings
 from kleinkram.server.settings import Settings
+from tests.certificate import make_certificate
 from tests.integration.deploy.chart import (
     CHART,
     EXAMPLES,
@@ -227,11 +228,18 @@ def test_only_what_needs_it_gets_the_password_of_the_owner_of_the_schema(everyth
     assert holders == {"backup"}
 
 
+def _write_secret(folder: Path, name: str) -> None:
+    if name.endswith(".pem"):
+        make_certificate(folder, "127.0.0.1")[0].rename(folder / name)
+    else:
+        (folder / name).write_text("[]" if name == "oidc-providers.json" else "secret")
+
+
 def test_servers_accept_the_environment(chart: Chart, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for pod, container in chart.containers():
         environment = variables(container)
         for name in secret_files(pod):
-            (tmp_path / name).write_text("[]" if name == "oidc-providers.json" else "secret")
+            _write_secret(tmp_path, name)
         with monkeypatch.context() as patch:
             for name, value in environment.items():
                 patch.setenv(name, value.replace(SECRETS, str(tmp_path)))
@@ -245,7 +253,7 @@ def test_servers_accept_the_environment(chart: Chart, tmp_path: Path, monkeypatc
 def test_settings_arrive_unchanged(everything: Chart, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (container,) = everything.pods()["worker"]["spec"]["containers"]
     for name in secret_files(everything.pods()["worker"]["spec"]):
-        (tmp_path / name).write_text("[]" if name == "oidc-providers.json" else "secret")
+        _write_secret(tmp_path, name)
     for name, value in variables(container).items():
         monkeypatch.setenv(name, value.replace(SECRETS, str(tmp_path)))
     settings = load_settings()
