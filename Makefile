@@ -11,7 +11,7 @@ APP_SOURCES := $(shell find web \( -name node_modules -o -name dist \) -prune -o
 unexport PYTHONDONTWRITEBYTECODE
 export KLEINKRAM_RECORDINGS ?= $(abspath ../shared/recordings)
 
-.PHONY: setup demo story test-unit test test-all test-both soak check check-python check-web-sources check-web-tests bench pictures dev requirements generated clean
+.PHONY: setup demo story test-unit test test-all soak check check-python check-web-sources check-web-tests bench pictures dev requirements generated clean
 
 setup: $(STAMP) $(APP)
 
@@ -54,11 +54,6 @@ test-unit: setup
 test-all: setup
 	@$(BIN)/python -m tests.requirements
 	@$(BIN)/python -m pytest -m "slow and not soak" -q -n 4 --dist loadfile --no-loadscope-reorder --timeout=300 -o faulthandler_timeout=1000
-
-# `make test` and `make test-all` in one session, for CI: the tests are collected once, and workers have one set of services.
-test-both: setup
-	@$(BIN)/python -m tests.requirements
-	@$(BIN)/python -m pytest -m "not soak" -q -n 4 --dist loadfile --no-loadscope-reorder --timeout=300 -o faulthandler_timeout=1000
 
 soak: setup
 	@$(BIN)/python -m tests.requirements
