@@ -239,7 +239,7 @@ class Settings(BaseSettings):
         description="The bucket; it must exist.",
     )
     s3_region: str = Field(default="us-east-1", pattern=r"^[A-Za-z0-9_-]+$", description="Region in signatures.")
-    s3_access_key: str = Field(pattern=r"^[^\s/]+$", description="Access key that may read, write and list the bucket.")
+    s3_access_key: str = Field(pattern=r"^\S+$", description="Access key that may read, write and list the bucket.")
     s3_secret_key: Secret = Field(description="Secret key of the access key.")
     s3_ca_file: CertificateFile | None = Field(
         default=None, description="Certificate of the store's certificate authority, if that is private."

@@ -71,7 +71,7 @@ _WRONG: dict[str, tuple[tuple[str, str], ...]] = {
     "package_index": (("hunter22", "must be 'pypi'"), ("ftp://me:hunter22@index", "must be 'pypi'")),
     "public_url": _WRONG_URLS,
     "report_to": (("ada", "(0): is not an address such as"), ("ada@lab.example", "needs KLEINKRAM_SMTP_HOST")),
-    "s3_access_key": (("hunter22/x", "it must match"),),
+    "s3_access_key": (("hunter 22", "it must match"),),
     "s3_bucket": (("ab", "it must match"), ('"kleinkram"', "it must match"), ("a/b/c", "it must match")),
     "s3_ca_file": _WRONG_CERTIFICATES,
     "s3_internal_url": _WRONG_URLS,

@@ -18,8 +18,11 @@ def example(page: str, variable: str) -> str:
     return result[1]
 
 
-def test_the_provider_of_the_documentation_is_valid() -> None:
-    (provider,) = TypeAdapter(tuple[OidcProvider, ...]).validate_json(example(SIGN_IN, "KLEINKRAM_OIDC_PROVIDERS"))
+def test_the_provider_of_the_documentation_is_valid(tmp_path: Path) -> None:
+    (fields,) = json.loads(example(SIGN_IN, "KLEINKRAM_OIDC_PROVIDERS"))
+    secret = tmp_path / Path(fields["client_secret_file"]).name
+    secret.write_text("a secret of the provider")
+    provider = OidcProvider.model_validate({**fields, "client_secret_file": str(secret)})
     assert f"/sign-in/callback/{provider.name}`" in SIGN_IN, "the redirect URI has the provider's name"
     assert provider.trusts("lab.example")
     assert not provider.trusts("students.lab.example")
