@@ -12,6 +12,7 @@ from procrastinate import JobContext
 from procrastinate.worker import Worker
 from pydantic_core import to_json
 from sqlalchemy import text
+from sqlalchemy.exc import SQLAlchemyError
 
 from kleinkram import traces
 from kleinkram.contract.errors import DatabaseUnavailable
@@ -64,6 +65,7 @@ async def _find_origin(database: Database, job_id: int | None) -> JobOrigin:
     try:
         async with database.autocommit() as db:
             origin: dict[str, str] | None = (await db.execute(_ORIGIN, {"id": job_id})).scalar_one_or_none()
-    except DatabaseUnavailable:  # the job says so itself
+    except (DatabaseUnavailable, SQLAlchemyError):  # away, or its schema is older: the job says so itself
         return JobOrigin()
-    return JobOrigin(**origin) if origin else JobOrigin()
+    # A program of a later version may have stored more.
+    return JobOrigin(origin.get("request_id"), origin.get("traceparent")) if origin else JobOrigin()
