@@ -198,6 +198,7 @@ class _Restoration:
             mission_id = await self._place_mission(db, chosen, saved)
             await lock_mission(db, mission_id)
             # Again under the lock: people work meanwhile.
+            await self._find_mission(db, saved)
             plan = await self._plan(db, mission_id, [one for one in available if one.key not in missing])
             if plan.objects().keys() - copied:
                 raise BackupConflict("Files were deleted or damaged meanwhile: run the same command again.")
