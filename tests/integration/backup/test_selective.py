@@ -213,7 +213,7 @@ def test_damaged_backups_restore_what_they_can(lab: Api, tmp_path: Path) -> None
 def test_damaged_bytes_of_the_instance_stay_if_the_backup_does_not_have_better_ones(lab: Api, tmp_path: Path) -> None:
     project = lab.project()
     mission = lab.mission(project["id"])
-    item = upload(lab, mission["id"], "a.bin", b"intact")
+    upload(lab, mission["id"], "a.bin", b"intact")
     back_up(settings_of(lab), tmp_path)
     content_files(tmp_path)[-1].unlink()
     for (key,) in lab.sql("UPDATE blob SET state = 'corrupt', damaged_at = now() RETURNING key"):
