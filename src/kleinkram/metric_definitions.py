@@ -114,7 +114,7 @@ RATE_LIMITED = _counter(
     MetricSource.api,
     "Requests refused because of a rate limit.",
     "what",
-    values=("sign-ins", "searches", "downloads", "uploads", "verifications", "exports"),
+    values=("sign-ins", "logouts by providers", "searches", "downloads", "uploads", "verifications", "exports"),
 )
 EVENT_STREAMS = _gauge("event_streams", MetricSource.api, "Open event streams.")
 LONG_POLLS = _gauge("long_polls", MetricSource.api, "Requests that wait for a run to claim, or for lines of a log.")

@@ -4,6 +4,7 @@ A failed attempt is the caller's to repeat; nothing is queued here.
 """
 
 import contextlib
+import logging
 import smtplib
 import ssl
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from email.utils import formatdate, make_msgid
 
 from kleinkram.server.settings import Settings, SmtpSecurity
 
+_log = logging.getLogger("kleinkram.mail")
 _TIMEOUT_S = 30.0
 
 
@@ -20,7 +22,15 @@ class MailNotSent(Exception):
 
 
 def send_mail(settings: Settings, *, subject: str, text: str) -> None:
-    """Send a text to all addresses of `report_to`, in one message for each. Raises MailNotSent."""
+    """Send a text to all addresses of `report_to`, in one message for each.
+
+    An address that the mail server refuses does not keep the others from their messages: a repetition would send these
+    again.
+
+    Raises:
+        MailNotSent: the mail server failed, or refused all addresses.
+    """
+    refusals: list[smtplib.SMTPRecipientsRefused] = []
     with open_mail_server(settings) as server:
         for address in settings.report_to:
             message = EmailMessage()
@@ -33,7 +43,13 @@ def send_mail(settings: Settings, *, subject: str, text: str) -> None:
             # So that no automatic reply comes back. Source: RFC 3834, section 5.
             message["Auto-Submitted"] = "auto-generated"
             message.set_content(text)
-            server.send_message(message)
+            try:
+                server.send_message(message)
+            except smtplib.SMTPRecipientsRefused as error:
+                _log.warning("the mail server refused an address", extra={"fields": {"reason": str(error)}})
+                refusals.append(error)
+        if len(refusals) == len(settings.report_to):
+            raise refusals[0]
 
 
 @contextlib.contextmanager

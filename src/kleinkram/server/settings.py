@@ -337,7 +337,8 @@ class Settings(BaseSettings):
         ge=0,
         le=60,
         description="Seconds for which a stopping API process behind `TRUSTED_PROXIES` still serves: it is not ready, "
-        "and its responses close their connections. Longer than proxies keep idle connections to it.",
+        "and its responses close their connections. Longer than proxies keep idle connections to it. systemd, Compose "
+        "or Kubernetes must wait 15 s longer before they kill it.",
     )
     monitoring_networks: Annotated[
         tuple[Network, ...],

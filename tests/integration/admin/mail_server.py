@@ -21,13 +21,13 @@ USER, PASSWORD = "kleinkram", "hunter22"
 
 @dataclass
 class MailServer:
-    """What it received, and how it is reached. `is_refusing`: it refuses every recipient."""
+    """What it received, and how it is reached. `refused`: recipients whose address has this in it; None for none."""
 
     security: SmtpSecurity
     tls: ssl.SSLContext
     ca_file: Path
     port: int = 0
-    is_refusing: bool = False
+    refused: str | None = None
     messages: list[EmailMessage] = field(default_factory=list)
 
     def settings(self) -> dict[str, object]:
@@ -106,7 +106,7 @@ class _Handler(socketserver.BaseRequestHandler):
             self._say("235 welcome" if self._is_signed_in else "535 wrong password")
         elif not self._is_signed_in:
             self._say("530 sign in first")
-        elif verb == "RCPT" and state.is_refusing:
+        elif verb == "RCPT" and state.refused is not None and state.refused in rest:
             self._say("550 no such mailbox")
         elif verb == "DATA":
             self._say("354 go")

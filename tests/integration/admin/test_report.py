@@ -46,12 +46,22 @@ def test_each_recipient_gets_the_status_once_a_week(start_api: StartApi, inbox: 
 
 def test_a_report_that_is_not_accepted_is_sent_later(start_api: StartApi, inbox: MailServer) -> None:
     api = _start(start_api, inbox)
-    inbox.is_refusing = True
+    inbox.refused = "@"
     with pytest.raises(MailNotSent, match="no such mailbox"):
         on_site(api, send_due_report)
     assert api.all("/audit", {"operation": "report.send"}) == []
-    inbox.is_refusing = False
+    inbox.refused = None
     assert on_site(api, send_due_report)
+
+
+def test_an_address_that_is_refused_does_not_make_others_get_the_report_again(
+    start_api: StartApi, inbox: MailServer
+) -> None:
+    api = _start(start_api, inbox)
+    inbox.refused = _TO[0]
+    assert on_site(api, send_due_report)
+    assert not on_site(api, send_due_report)
+    assert [message["To"] for message in inbox.messages] == [_TO[1]]
 
 
 def test_check_signs_in_and_names_what_is_wrong(inbox: MailServer) -> None:

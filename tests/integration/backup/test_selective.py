@@ -25,6 +25,7 @@ from tests.integration.backup.instances import (
     opened,
     settings_of,
     show_nothing,
+    write_object,
 )
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site, run_jobs
@@ -207,6 +208,19 @@ def test_damaged_backups_restore_what_they_can(lab: Api, tmp_path: Path) -> None
     assert (done.files, done.unavailable.count, "long.bin" in done.unavailable.first[0]) == (1, 1, True)
     assert [*_files(lab, mission["id"])] == ["good.bin"]
     assert "lost" not in contents(settings_of(lab)).values(), "no row without its object"
+
+
+def test_damaged_bytes_of_the_instance_stay_if_the_backup_does_not_have_better_ones(lab: Api, tmp_path: Path) -> None:
+    project = lab.project()
+    mission = lab.mission(project["id"])
+    upload(lab, mission["id"], "a.bin", b"intact")
+    back_up(settings_of(lab), tmp_path)
+    content_files(tmp_path)[-1].unlink()
+    for (key,) in lab.sql("UPDATE blob SET state = 'corrupt', damaged_at = now() RETURNING key"):
+        write_object(settings_of(lab), key, b"intacT")
+    done = _restore(lab, tmp_path, project["name"])
+    assert (done.repaired, done.unavailable.count) == (0, 1)
+    assert [*contents(settings_of(lab)).values()] == [sha256(b"intacT")]
 
 
 def test_an_interrupted_restore_continues(lab: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

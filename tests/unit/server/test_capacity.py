@@ -16,15 +16,15 @@ NOW = datetime.datetime(2026, 5, 6, 12, tzinfo=datetime.timezone.utc)  # a Wedne
 ROBOTS = ProjectRef(id=uuid.UUID(int=1), name="Robots")
 
 
-def _forecast(used: int, limit: int, per_day: int) -> datetime.datetime | None:
+def _forecast(used: int, limit: int, per_day: float) -> datetime.datetime | None:
     return forecast(None, CapacityUnit.bytes, used=used, limit=limit, per_day=per_day, now=NOW).full_at
 
 
 @pytest.mark.parametrize(
     ("used", "limit", "per_day", "days"),
-    [(40, 100, 6, 10), (100, 100, 0, 0), (120, 100, 5, 0), (0, 1, 4, 0.25), (0, 0, 0, 0)],
+    [(40, 100, 6, 10), (100, 100, 0, 0), (120, 100, 5, 0), (0, 1, 4, 0.25), (0, 0, 0, 0), (98, 100, 0.25, 8)],
 )
-def test_the_rate_gives_when_a_limit_is_reached(used: int, limit: int, per_day: int, days: float) -> None:
+def test_the_rate_gives_when_a_limit_is_reached(used: int, limit: int, per_day: float, days: float) -> None:
     assert _forecast(used, limit, per_day) == NOW + datetime.timedelta(days=days)
 
 

@@ -1,9 +1,8 @@
-"""The names of requests to the store in traces are those of the S3 API."""
+"""The names of requests to the store in metrics and traces are those of the S3 API."""
 
 import pytest
 
 from kleinkram.server.s3.client import S3Request
-from kleinkram.server.s3.traced_client import operation_of
 
 
 @pytest.mark.parametrize(
@@ -18,6 +17,7 @@ from kleinkram.server.s3.traced_client import operation_of
         (S3Request("PUT", "", {"cors": ""}), "PutBucketCors"),
         (S3Request("HEAD", "k"), "HeadObject"),
         (S3Request("HEAD"), "HeadBucket"),
+        (S3Request("PUT"), "CreateBucket"),
         (S3Request("GET", "k", headers={"Range": "bytes=0-1"}), "GetObject"),
         (S3Request("PUT", "k"), "PutObject"),
         (S3Request("DELETE", "k", {"uploadId": "u"}), "AbortMultipartUpload"),
@@ -26,4 +26,4 @@ from kleinkram.server.s3.traced_client import operation_of
     ],
 )
 def test_an_operation_has_its_name(request_: S3Request, name: str) -> None:
-    assert operation_of(request_) == name
+    assert request_.operation == name

@@ -37,7 +37,7 @@ async def quota_capacities(db: Connection, now: datetime.datetime) -> list[Capac
         ref = ProjectRef(id=row.id, name=row.name)
         for unit, limit in ((CapacityUnit.bytes, row.quota_bytes), (CapacityUnit.files, row.quota_files)):
             if limit is not None:
-                used, per_day = int(getattr(row, unit.value)), int(getattr(row, f"{unit.value}_per_day"))
+                used, per_day = int(getattr(row, unit.value)), float(getattr(row, f"{unit.value}_per_day"))
                 capacities.append(forecast(ref, unit, used=used, limit=limit, per_day=per_day, now=now))
     return capacities
 
@@ -51,15 +51,15 @@ def store_capacity(store: StoreUse, per_day: int, now: datetime.datetime) -> Cap
 
 
 def forecast(
-    ref: ProjectRef | None, unit: CapacityUnit, *, used: int, limit: int, per_day: int, now: datetime.datetime
+    ref: ProjectRef | None, unit: CapacityUnit, *, used: int, limit: int, per_day: float, now: datetime.datetime
 ) -> CapacityForecast:
-    """Return a limit with the time at which it will be reached at a constant rate."""
+    """Return a limit with the time at which it will be reached at a constant rate, also one of few files a month."""
     full_at = None
     if used >= limit:
         full_at = now
     elif per_day > 0 and (days := (limit - used) / per_day) <= _HORIZON_DAYS:
         full_at = now + datetime.timedelta(days=days)
-    return CapacityForecast(project=ref, unit=unit, used=used, limit=limit, per_day=per_day, full_at=full_at)
+    return CapacityForecast(project=ref, unit=unit, used=used, limit=limit, per_day=round(per_day), full_at=full_at)
 
 
 def _quotas() -> Select[Any]:

@@ -198,6 +198,7 @@ class _Restoration:
             mission_id = await self._place_mission(db, chosen, saved)
             await lock_mission(db, mission_id)
             # Again under the lock: people work meanwhile.
+            await self._find_mission(db, saved)
             plan = await self._plan(db, mission_id, [one for one in available if one.key not in missing])
             if plan.objects().keys() - copied:
                 raise BackupConflict("Files were deleted or damaged meanwhile: run the same command again.")
@@ -413,13 +414,13 @@ async def _require_people(
 def _copy_batch(
     rclone: Rclone, source: str, bucket: str, batch: dict[str, SavedFile], result: SelectiveRestore
 ) -> set[str]:
-    """Copy objects that the bucket does not have, and remove copies that differ from what was uploaded."""
-    hashes = rclone.sha256(bucket, [*batch])
-    wrong = [key for key, saved in batch.items() if hashes.get(key) != saved.sha256]
+    """Copy objects that the bucket does not have, and remove new copies that differ from what was uploaded."""
+    before = rclone.sha256(bucket, [*batch])
+    wrong = [key for key, saved in batch.items() if before.get(key) != saved.sha256]
     rclone.copy(source, bucket, wrong)
-    hashes |= rclone.sha256(bucket, wrong)
+    hashes = rclone.sha256(bucket, wrong)
     failed = {key for key in wrong if hashes.get(key) != batch[key].sha256}
-    rclone.delete(bucket, [*failed])
+    rclone.delete(bucket, [*failed - before.keys()])  # damaged bytes of a file of the instance are better than none
     for key in failed:
         result.unavailable.add(f"{batch[key].path}: the backup does not have its bytes, or they were damaged there")
     result.copied_bytes += sum(batch[key].size_bytes for key in wrong if key not in failed)

@@ -308,7 +308,7 @@ async def _traces(_settings: Settings) -> AsyncIterator[Diagnostic]:
     try:
         async with (
             aiohttp.ClientSession(timeout=_TIMEOUT) as session,
-            session.post(url, headers={"Content-Type": "application/x-protobuf"}) as response,
+            session.post(url, headers={"Content-Type": "application/x-protobuf"}, allow_redirects=False) as response,
         ):
             status = response.status
     except (aiohttp.ClientError, asyncio.TimeoutError, OSError, ValueError) as error:

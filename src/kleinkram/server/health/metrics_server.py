@@ -79,16 +79,17 @@ class _SlowGauges:
         self._gauges, self._due_at_s = [], float("-inf")
 
     async def _read(self) -> None:
-        started_s = time.monotonic()
+        started_s, gauges = time.monotonic(), list[Metric]()
         try:
-            self._gauges = await self._look_up()
-            took_s = time.monotonic() - started_s
-            self._due_at_s = time.monotonic() + max(_SLOW_HOLDS_S, _SLOW_TIME_FACTOR * took_s)
+            gauges = await self._look_up()
         except _DATABASE_ERRORS as error:
             _log.warning("no slow gauges", extra={"fields": {"reason": type(error).__name__}})
-            self._gauges = []
         finally:
             self._reading = None
+        took_s = time.monotonic() - started_s
+        # After an error soon again, unless the database spent long on it, up to its limit for a statement.
+        shortest_s = _SLOW_HOLDS_S if gauges else 0.0
+        self._gauges, self._due_at_s = gauges, time.monotonic() + max(shortest_s, _SLOW_TIME_FACTOR * took_s)
 
 
 class _InstanceGauges:

@@ -232,7 +232,8 @@ def _cut(response: aiohttp.ClientResponse) -> None:
 async def _gets_events(session: aiohttp.ClientSession, url: str, headers: dict[str, str]) -> bool:
     """Whether the first event of a stream arrives before the API ends the stream."""
     started = time.monotonic()
-    async with session.get(url, headers={**headers, "Accept": EVENT_STREAM}) as response:
+    accepting = {**headers, "Accept": EVENT_STREAM}
+    async with session.get(URL(url, encoded=True), headers=accepting, allow_redirects=False) as response:
         await response.content.readline()
         _cut(response)
     return time.monotonic() - started < _EVENT_TIMEOUT_S

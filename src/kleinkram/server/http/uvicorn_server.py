@@ -122,8 +122,11 @@ class ApiServer(uvicorn.Server):
                     while True:
                         waiting.append(own.accept()[0])
             server.close()
-        for connection in waiting:
-            await asyncio.get_running_loop().connect_accepted_socket(self._protocol, connection, ssl=self.config.ssl)
+        loop, tls = asyncio.get_running_loop(), self.config.ssl
+        accepted = (loop.connect_accepted_socket(self._protocol, connection, ssl=tls) for connection in waiting)
+        # A client that breaks off the handshake of TLS, or never begins it, does not keep this process from stopping.
+        attempts = (asyncio.wait_for(attempt, _LAST_REQUEST_S) for attempt in accepted)
+        await asyncio.gather(*attempts, return_exceptions=True)
 
     def _protocol(self) -> asyncio.Protocol:
         return self.config.http_protocol_class(  # type: ignore[call-arg]  # uvicorn declares it as any protocol

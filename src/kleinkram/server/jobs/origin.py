@@ -5,6 +5,7 @@ same trace. A periodic job has none. In PostgreSQL, the column takes it from a s
 procrastinate's function inserts the rows.
 """
 
+import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Any, NamedTuple
 
@@ -12,6 +13,7 @@ from procrastinate import JobContext
 from procrastinate.worker import Worker
 from pydantic_core import to_json
 from sqlalchemy import text
+from sqlalchemy.exc import SQLAlchemyError
 
 from kleinkram import traces
 from kleinkram.contract.errors import DatabaseUnavailable
@@ -19,6 +21,8 @@ from kleinkram.json_logs import bound_fields, log_fields
 from kleinkram.server.db import Database
 from kleinkram.server.jobs.execution import app_context
 
+# The job has not begun meanwhile: the worker would take it for one that was left unfinished, and run it twice.
+_TIMEOUT_S = 5.0
 _ORIGIN = text("SELECT origin FROM procrastinate_jobs WHERE id = :id")
 
 
@@ -61,9 +65,14 @@ async def run_with_origin(call_next: Callable[[], Awaitable[Any]], job_context: 
 
 
 async def _find_origin(database: Database, job_id: int | None) -> JobOrigin:
-    try:
+    async def read() -> dict[str, str] | None:
         async with database.autocommit() as db:
             origin: dict[str, str] | None = (await db.execute(_ORIGIN, {"id": job_id})).scalar_one_or_none()
-    except DatabaseUnavailable:  # the job says so itself
+            return origin
+
+    try:
+        origin = await asyncio.wait_for(read(), _TIMEOUT_S)
+    except (DatabaseUnavailable, SQLAlchemyError, asyncio.TimeoutError):  # away, busy, or its schema is older
         return JobOrigin()
-    return JobOrigin(**origin) if origin else JobOrigin()
+    # A program of a later version may have stored more.
+    return JobOrigin(origin.get("request_id"), origin.get("traceparent")) if origin else JobOrigin()

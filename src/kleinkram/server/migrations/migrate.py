@@ -16,7 +16,8 @@ from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import Script, ScriptDirectory
-from sqlalchemy import Connection, create_engine, delete, insert, pool, text
+from sqlalchemy import Connection, create_engine, delete, pool, text
+from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.exc import DBAPIError
 
 from kleinkram.server.migrations import HEAD, alembic_config, development_schema_problem, later_schema_problem
@@ -79,9 +80,11 @@ def set_audit_retention(url: str, days: int) -> None:
     engine = create_engine(url, poolclass=pool.NullPool)
     try:
         with engine.begin() as connection:
-            connection.execute(delete(audit_retention))
-            if days:
-                connection.execute(insert(audit_retention).values(days=days))
+            if days:  # one statement: migrators may run at once
+                stmt = upsert(audit_retention).values(is_set=True, days=days)
+                connection.execute(stmt.on_conflict_do_update(index_elements=["is_set"], set_={"days": days}))
+            else:
+                connection.execute(delete(audit_retention))
     finally:
         engine.dispose()
 

@@ -32,17 +32,25 @@ _FIRST_PAUSE_S = 0.2
 _CLOCK_TIMEOUT_S = 2.0
 _FORBIDDEN = 403
 _TRANSIENT = frozenset({429, 500, 502, 503, 504})
-# The operations of the S3 API that are not the method and its resource, by method and query parameter.
+# By method, whether the request is about an object, and the parameter of the query that distinguishes it.
+# Source: Amazon S3 API Reference.
 _OPERATIONS = {
-    ("GET", "list-type"): "ListObjectsV2",
-    ("GET", "uploads"): "ListMultipartUploads",
-    ("GET", "uploadId"): "ListParts",
-    ("POST", "uploads"): "CreateMultipartUpload",
-    ("POST", "uploadId"): "CompleteMultipartUpload",
-    ("PUT", "uploadId"): "UploadPart",
-    ("PUT", "cors"): "PutBucketCors",
-    ("DELETE", "uploadId"): "AbortMultipartUpload",
+    ("POST", True, "uploads"): "CreateMultipartUpload",
+    ("POST", True, "uploadId"): "CompleteMultipartUpload",
+    ("DELETE", True, "uploadId"): "AbortMultipartUpload",
+    ("PUT", True, "uploadId"): "UploadPart",
+    ("GET", True, "uploadId"): "ListParts",
+    ("GET", False, "uploads"): "ListMultipartUploads",
+    ("GET", False, "list-type"): "ListObjectsV2",
+    ("PUT", False, "cors"): "PutBucketCors",
+    ("PUT", False, ""): "CreateBucket",
+    ("HEAD", False, ""): "HeadBucket",
+    ("HEAD", True, ""): "HeadObject",
+    ("GET", True, ""): "GetObject",
+    ("PUT", True, ""): "PutObject",
+    ("DELETE", True, ""): "DeleteObject",
 }
+_DISTINCTIVE = ("uploadId", "uploads", "list-type", "cors")
 _METHODS_WITH_XML = frozenset({"GET", "POST"})
 _TIMEOUT = aiohttp.ClientTimeout(total=None, sock_connect=5, sock_read=60)
 _CONNECTIONS = 32
@@ -70,12 +78,9 @@ class S3Request:
 
     @property
     def operation(self) -> str:
-        """The name of the operation in the S3 API."""
-        named = (name for (method, parameter), name in _OPERATIONS.items() if self._is(method, parameter))
-        return next(named, self.method.capitalize() + ("Object" if self.key else "Bucket"))
-
-    def _is(self, method: str, parameter: str) -> bool:
-        return method == self.method and parameter in self.query
+        """The name of the operation in the S3 API; the method for a request of another kind."""
+        parameter = next((name for name in _DISTINCTIVE if name in self.query), "")
+        return _OPERATIONS.get((self.method, bool(self.key), parameter), self.method)
 
 
 @dataclass(frozen=True)

@@ -9,32 +9,13 @@ from contextlib import aclosing
 from kleinkram import traces
 from kleinkram.server.s3.client import S3Client, S3Error, S3Request, S3Response
 
-# By method, whether the request is about an object, and the parameter of the query that distinguishes it.
-# Source: Amazon S3 API Reference.
-_OPERATIONS = {
-    ("POST", True, "uploads"): "CreateMultipartUpload",
-    ("POST", True, "uploadId"): "CompleteMultipartUpload",
-    ("DELETE", True, "uploadId"): "AbortMultipartUpload",
-    ("PUT", True, "uploadId"): "UploadPart",
-    ("GET", True, "uploadId"): "ListParts",
-    ("GET", False, "uploads"): "ListMultipartUploads",
-    ("GET", False, "list-type"): "ListObjectsV2",
-    ("PUT", False, "cors"): "PutBucketCors",
-    ("HEAD", False, ""): "HeadBucket",
-    ("HEAD", True, ""): "HeadObject",
-    ("GET", True, ""): "GetObject",
-    ("PUT", True, ""): "PutObject",
-    ("DELETE", True, ""): "DeleteObject",
-}
-_DISTINCTIVE = ("uploadId", "uploads", "list-type", "cors")
-
 
 class TracedS3Client(S3Client):
     """An S3 client whose requests are spans."""
 
     async def request(self, request: S3Request) -> S3Response:
         """Send a request and read the whole answer. Raises as `S3Client.request`."""
-        with traces.leaf_span(f"S3/{operation_of(request)}", _attributes(request)) as span:
+        with traces.leaf_span(f"S3/{request.operation}", _attributes(request)) as span:
             try:
                 return await super().request(request)
             except S3Error as error:
@@ -44,7 +25,7 @@ class TracedS3Client(S3Client):
 
     async def stream(self, request: S3Request, *, attempts: int = 3) -> AsyncGenerator[bytes, None]:
         """Yield the answer's body. Raises as `S3Client.stream`."""
-        with traces.leaf_span(f"S3/{operation_of(request)}", _attributes(request)) as span:
+        with traces.leaf_span(f"S3/{request.operation}", _attributes(request)) as span:
             size_bytes = 0
             try:
                 async with aclosing(super().stream(request, attempts=attempts)) as chunks:
@@ -55,12 +36,6 @@ class TracedS3Client(S3Client):
                 span.set({"http.response.body.size": size_bytes})
 
 
-def operation_of(request: S3Request) -> str:
-    """Return the name of the operation that a request is."""
-    parameter = next((name for name in _DISTINCTIVE if name in request.query), "")
-    return _OPERATIONS.get((request.method, bool(request.key), parameter), request.method)
-
-
 def _attributes(request: S3Request) -> traces.Attributes:
-    attributes = {"rpc.system": "aws-api", "rpc.service": "S3", "rpc.method": operation_of(request)}
+    attributes = {"rpc.system": "aws-api", "rpc.service": "S3", "rpc.method": request.operation}
     return {**attributes, "aws.s3.key": request.key} if request.key else attributes
