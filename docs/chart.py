@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from pydantic_settings import NoDecode
 from ruamel.yaml import YAML
 
 from kleinkram.server.settings import Settings, is_secret
@@ -42,14 +43,23 @@ def chart_pages() -> dict[Path, str]:
 
 def _settings() -> Iterator[tuple[str, dict[str, Any]]]:
     """Return the limits of each setting that is neither a secret nor another value of the chart."""
-    limits = Settings.model_json_schema()["properties"]
+    schema = Settings.model_json_schema()
     for name in sorted(Settings.model_fields):
         if name == "package_index":
             yield f"KLEINKRAM_{name.upper()}", _PUBLIC_INDEX
         elif not is_secret(name) and name not in _SET_BY_VALUES:
-            own = {key: value for key, value in limits[name].items() if key in _LIMITS}
+            own = _limits(schema["properties"][name], schema["$defs"])
+            if NoDecode in Settings.model_fields[name].metadata:  # separated by commas, not JSON
+                own = {"type": "string"}
             is_list = own.get("type") not in {"string", "integer", "number", "boolean"}
             yield f"KLEINKRAM_{name.upper()}", {"type": ["string", "array"]} if is_list else own
+
+
+def _limits(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the limits in the schema of a setting; one that may be unset has those of its value."""
+    value = next((option for option in field.get("anyOf", ()) if option.get("type") != "null"), field)
+    value = definitions.get(value.get("$ref", "").rpartition("/")[2], value)
+    return {key: value[key] for key in value if key in _LIMITS}
 
 
 def _rows(group: Mapping[str, Any], defaults: Mapping[str, Any], prefix: str, required: str) -> Iterator[str]:

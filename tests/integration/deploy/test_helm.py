@@ -60,9 +60,15 @@ _EVERYTHING: Mapping[str, Any] = {
         "KLEINKRAM_VIEWERS": [{"name": "Lichtblick", "url": "https://lichtblick.lab.example/?ds.url={url}"}],
         "KLEINKRAM_MONITORING_NETWORKS": "10.1.0.0/16",
         "KLEINKRAM_PACKAGE_INDEX": "off",
+        "KLEINKRAM_STORE_CAPACITY_BYTES": 10**13,
+        "KLEINKRAM_REPORT_TO": "ada@lab.example,bob@lab.example",
+        "KLEINKRAM_MAIL_FROM": "kleinkram@lab.example",
+        "KLEINKRAM_SMTP_HOST": "mail.lab.example",
+        "KLEINKRAM_SMTP_USER": "kleinkram",
     },
     "environment": {"HTTPS_PROXY": "http://proxy.lab.example:3128"},
     "oidcProvidersSecret": {"name": "oidc", "key": "providers.json"},
+    "smtpPasswordSecret": {"name": "mail", "key": "password"},
     "database": {"caSecret": {"name": "database", "key": "ca.crt"}},
     "store": {
         "url": "http://rgw.rook-ceph.svc",
@@ -259,9 +265,11 @@ def test_settings_arrive_unchanged(everything: Chart, tmp_path: Path, monkeypatc
     settings = load_settings()
     assert settings.local_accounts is False
     assert settings.scrub_hours == 0
+    assert settings.store_capacity_bytes == 10**13
     assert settings.slice_memory_bytes == 2**31
     assert settings.lab_name == 'Robotics: "north"'
     assert [viewer.name for viewer in settings.viewers] == ["Lichtblick"]
+    assert settings.report_to == ("ada@lab.example", "bob@lab.example")
     assert [str(network) for network in settings.trusted_proxies] == ["10.0.0.0/8", "fd00::/8"]
     assert settings.store_public_url == settings.public_url
     assert variables(container)["PGSSLMODE"] == "verify-full"
@@ -383,6 +391,7 @@ _WRONG: tuple[tuple[Mapping[str, Any], str], ...] = (
     ({"api": {"replicas": "2"}}, "got string, want integer"),
     ({"settings": {"KLEINKRAM_TRASHDAYS": 1}}, "additional properties 'KLEINKRAM_TRASHDAYS' not allowed"),
     ({"settings": {"KLEINKRAM_TRASH_DAYS": -1}}, "minimum: got -1, want 0"),
+    ({"settings": {"KLEINKRAM_REPORT_TO": ["ada@lab.example"]}}, "got array, want string"),
     ({"settings": {"KLEINKRAM_S3_SECRET_KEY": "x"}}, "additional properties 'KLEINKRAM_S3_SECRET_KEY' not allowed"),
     ({"database": {"url": "postgresql://serve:secret@db/kleinkram"}}, "/database/url"),
     ({"database": {"url": "postgresql://serve@db/kleinkram?password=secret"}}, "must not contain a password"),

@@ -141,6 +141,7 @@ def test_init_writes_what_is_missing_and_keeps_the_rest(tmp_path: Path) -> None:
     assert len({*secrets.values()}) == 7
     assert secrets["s3-secret-key"] in secrets["store-identities.json"]
     assert oct((folder / "secrets").stat().st_mode & 0o777) == "0o700", "only root reads the files in it"
+    assert oct((folder / "settings.env").stat().st_mode & 0o777) == "0o600", "it may have secrets"
     (folder / "secrets" / "postgres-password").write_text("mine")
     initialise(folder, "other.example")
     assert (folder / "secrets" / "postgres-password").read_text() == "mine"

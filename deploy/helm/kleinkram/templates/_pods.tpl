@@ -12,6 +12,7 @@
   (dict "variable" "KLEINKRAM_S3_CA_FILE" "file" "s3-ca.pem" "secret" $store.caSecret)
   (dict "variable" "KLEINKRAM_OIDC_PROVIDERS_FILE" "file" "oidc-providers.json" "secret" .root.Values.oidcProvidersSecret)
   (dict "variable" "KLEINKRAM_PACKAGE_INDEX_FILE" "file" "package-index" "secret" .root.Values.packageIndexSecret)
+  (dict "variable" "KLEINKRAM_SMTP_PASSWORD_FILE" "file" "smtp-password" "secret" .root.Values.smtpPasswordSecret)
 -}}
 {{- if has "migration" .with -}}
 {{- $secrets = append $secrets
