@@ -4,6 +4,7 @@ Its arguments, environment, folder, output and exit code are those of a command 
 Python and the imports: half a second of CPU time for each of the hundreds of commands that tests run.
 """
 
+import contextlib
 import functools
 import gc
 import importlib
@@ -69,9 +70,12 @@ def _fork(arguments: Sequence[str], environment: Mapping[str, str], files: list[
         pid = int(answers.readline())
         try:
             return int(answers.readline())
-        except TimeoutError:
-            os.kill(pid, signal.SIGKILL)
-            raise subprocess.TimeoutExpired(["klein", *arguments], _TIMEOUT_S) from None
+        except BaseException as error:  # also of the test's own timeout: no command outlives its test
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+            if isinstance(error, TimeoutError):
+                raise subprocess.TimeoutExpired(["klein", *arguments], _TIMEOUT_S) from None
+            raise
 
 
 @functools.cache
