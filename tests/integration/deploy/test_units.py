@@ -258,7 +258,7 @@ def _running(host: Host, unit: Unit, *writable: Path, **more: str) -> AbstractCo
 
 
 def _is_alive_until_stopped(service: Service) -> None:
-    """Check that it pings in time: at least as often as systemd demands."""
+    """Check that it pings again and again. When, depends on the load of this machine."""
     service.wait_for("WATCHDOG=1", times=3)
 
 
