@@ -1,6 +1,5 @@
 """The password of the serving role is rotated as `docs/operating.md` says, with real processes."""
 
-import os
 import re
 import signal
 import subprocess
@@ -13,6 +12,7 @@ import pytest
 import urllib3
 
 from kleinkram.standalone import postgres as pg
+from tests.integration.deploy.units import clean_environment
 from tests.integration.upload_client import wait_until
 from tests.ports import choose_port
 from tests.services import RunningPostgres, RunningStore
@@ -49,7 +49,7 @@ def test_the_password_of_the_serving_role_is_rotated(
     _, host, name = re.fullmatch(r"postgresql://(.*)@(.*)/(.*)", postgres.serve_url(database)).groups()  # type: ignore[union-attr]  # it matches
     secret, port = tmp_path / "database-password", choose_port()
     environment = {
-        **{key: os.environ[key] for key in ("PATH", "PYTHONPATH", "LANG", "HOME") if key in os.environ},
+        **clean_environment(),
         "KLEINKRAM_DATABASE_URL": f"postgresql://{_ROLE}@{host}/{name}",
         "KLEINKRAM_DATABASE_PASSWORD_FILE": str(secret),
         "KLEINKRAM_S3_INTERNAL_URL": store.endpoint,
