@@ -4,6 +4,7 @@ Its arguments, environment, folder, output and exit code are those of a command 
 Python and the imports: half a second of CPU time for each of the hundreds of commands that tests run.
 """
 
+import contextlib
 import functools
 import gc
 import importlib
@@ -18,6 +19,7 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TextIO
 
 KLEIN = Path(sys.executable).parent / "klein"
 _TIMEOUT_S = 100
@@ -66,12 +68,21 @@ def _fork(arguments: Sequence[str], environment: Mapping[str, str], files: list[
             socket.send_fds(_forking_process()[0], [b"x"], [*files, theirs.fileno()])
         ours.settimeout(_TIMEOUT_S)
         ours.sendall(json.dumps([[str(KLEIN), *arguments], {**environment}, str(Path.cwd())]).encode() + b"\n")
-        pid = int(answers.readline())
+        pid = _number(answers)
         try:
-            return int(answers.readline())
-        except TimeoutError:
-            os.kill(pid, signal.SIGKILL)
-            raise subprocess.TimeoutExpired(["klein", *arguments], _TIMEOUT_S) from None
+            return _number(answers)
+        except BaseException as error:  # also of the test's own timeout: no command outlives its test
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+            if isinstance(error, TimeoutError):
+                raise subprocess.TimeoutExpired(["klein", *arguments], _TIMEOUT_S) from None
+            raise
+
+
+def _number(answers: TextIO) -> int:
+    line = answers.readline()
+    assert line, "a process that forks commands has ended; its traceback is on stderr"
+    return int(line)
 
 
 @functools.cache

@@ -158,9 +158,10 @@ def _install_compose() -> None:
         (archive,) = Path(name).glob("*.tar.gz")
         with tarfile.open(archive) as tar:
             (member,) = [entry for entry in tar if entry.name.endswith("/docker-compose") and entry.isfile()]
-            member.name, member.mode = "docker-compose", 0o755
+            member.name, member.mode = "docker-compose.partial", 0o755
             folder.mkdir(parents=True, exist_ok=True)
             tar.extract(member, folder)
+    (folder / member.name).rename(folder / "docker-compose")
 
 
 def _helm() -> Path:

@@ -22,6 +22,8 @@ _HOUR, _DAY = 3600, 86_400
 _RED, _ORANGE = "red", "orange"
 _FAILED = '{status=~"5.."}'
 _ANY_LINE = '{service_name="kleinkram"}'
+# Messages of workers, of requests, and of the listener for change events.
+_LOST_CONNECTION = "the database went away|database error|not listening for changes"
 
 
 def _rate(metric: str, *, by: str = "", where: str = "") -> str:
@@ -722,7 +724,7 @@ DATABASE = Dashboard(
         ),
         Row(
             "Details",
-            (log_lines("Lost connections", "Of workers and API.", f'{_ANY_LINE} |= "the database went away" | json'),),
+            (log_lines("Lost connections", "Of workers and API.", f'{_ANY_LINE} |~ "{_LOST_CONNECTION}" | json'),),
         ),
     ),
 )

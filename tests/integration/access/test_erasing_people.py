@@ -4,6 +4,7 @@ import json
 import uuid
 from typing import Any
 
+import psycopg
 import pytest
 
 from kleinkram.contract.access import Right
@@ -220,8 +221,6 @@ def test_the_serving_role_redacts_only_what_was_erased(api: Api, ada: Person) ->
     settings = api.app.state.settings
     api.as_(ada.token).project()
     before = api.sql("SELECT count(*), max(id) FROM audit_event")
-    import psycopg
-
     with psycopg.connect(str(settings.database_url).replace("+psycopg", ""), autocommit=True) as serving:
         for statement in (
             "UPDATE audit_event SET resource_name = ''",

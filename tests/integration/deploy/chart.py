@@ -6,7 +6,6 @@ import subprocess
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
@@ -102,11 +101,6 @@ def helm(*arguments: str, values: Mapping[str, Any]) -> str:
 def render(values: Mapping[str, Any] = MINIMAL, *, release: str = RELEASE) -> Chart:
     """Render the chart. Raises ChartRefused."""
     return _render(json.dumps(values), release)
-
-
-def load(path: Path) -> Any:
-    """Return the content of a YAML file."""
-    return YAML(typ="safe").load(path)
 
 
 def variables(container: Manifest) -> dict[str, str]:

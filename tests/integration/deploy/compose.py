@@ -21,7 +21,8 @@ from tests.integration.runner.engines import Dockerd
 from tests.ports import choose_port
 from tests.requirements import need_compose
 
-NETWORK = "10.199.77"
+# Of this process: another session may have a project at the same time.
+NETWORK = f"10.199.{os.getpid() % 256}"
 
 
 @dataclass(frozen=True)

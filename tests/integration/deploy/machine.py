@@ -34,8 +34,9 @@ class Machine:
 
     def boot(self) -> None:
         """Start it; returns when all that starts at boot has started."""
+        name = f"klein-test-{os.getpid()}"  # another session may have a machine
         options = ["--quiet", "--register=no", "--keep-unit", "--private-network", "--console=pipe"]
-        command = ["systemd-nspawn", "--boot", *options, "--machine=klein-test", "--directory", str(self.disk)]
+        command = ["systemd-nspawn", "--boot", *options, f"--machine={name}", "--directory", str(self.disk)]
         with self.disk.with_name("console").open("ab") as console:
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=console, stderr=console)
         wait_until(lambda: self._is_started(), limit_s=_BOOT_S)

@@ -154,8 +154,8 @@ def _working(site: Site, folder: Path) -> Iterator[_Load]:
             yield load
         finally:
             load.is_over.set()
-        for future in working:
-            future.result(180)
+            for future in working:  # if a client failed, this is the reason of everything else
+                future.result(180)
     with connect(url, token) as owner:
         for mission_id in missions:
             listed = [*owner.files.list(FileFilter(mission_id=mission_id))]

@@ -31,8 +31,13 @@ pytestmark = [pytest.mark.soak, pytest.mark.timeout(900)]
 _PASSWORD = "correct horse battery"
 _SERVICES = ("postgres", "store", "api-1", "api-2", "worker", "proxy", "backup")
 _SERVER_SERVICES = ("api-1", "api-2", "worker", "backup")
-# Not every machine of tests shares the mounts of its root.
-_OVERRIDE = "services: {node: {volumes: !override [/:/host:ro]}}\n"
+# Not every machine of tests shares the mounts of its root. The socket is that of the daemon for tests: where this
+# machine has none, Docker would make a directory of that name.
+_OVERRIDE = """\
+services:
+  node: {volumes: !override ["/:/host:ro"]}
+  alloy: {volumes: ["SOCKET:/var/run/docker.sock:ro"]}
+"""
 _QUERY = "import sys, urllib.request as r; print(r.urlopen(sys.argv[1]).read().decode())"
 
 
@@ -96,7 +101,7 @@ def receiver(site: Site) -> Iterator[monitors.Receiver]:
     rules.write_text(re.sub(r"for: \d+[mhd]", "for: 5s", rules.read_text()))
     # No container reaches the public address, which is of this machine alone.
     (folder / "targets" / "public.yml").write_text('- targets: ["http://api-1:8000/health/ready"]\n')
-    (folder / "compose.override.yaml").write_text(_OVERRIDE)
+    (folder / "compose.override.yaml").write_text(_OVERRIDE.replace("SOCKET", str(site.project.docker.socket)))
     site.project.change(COMPOSE_PROFILES="observability")
     with monitors.receiving(f"{NETWORK}.1") as receiver:
         monitors.save_yaml(folder / "alertmanager.yml", monitors.alertmanager_config(receiver))
@@ -156,7 +161,9 @@ def test_a_recording_is_uploaded_read_verified_and_downloaded(site: Site, tmp_pa
 def test_processes_that_are_killed_start_again(site: Site, tmp_path: Path) -> None:
     killed = ("postgres", "store", "api-1", "worker", "proxy")
     for service in killed:
-        os.kill(site.project.inspect(service)["State"]["Pid"], signal.SIGKILL)
+        pid = site.project.inspect(service)["State"]["Pid"]
+        assert pid > 0, f"{service} does not run; 0 would be the processes of this test"
+        os.kill(pid, signal.SIGKILL)
     wait_until(lambda: all(site.project.inspect(service)["RestartCount"] for service in killed), limit_s=60)
     for service in ("postgres", "api-1", "worker"):
         wait_until(partial(_is_healthy, site.project, service), limit_s=120)

@@ -1,6 +1,5 @@
 """An API process behind a proxy gets SIGTERM: the proxy can leave it without losing a request."""
 
-import os
 import signal
 import socket
 import subprocess
@@ -10,6 +9,7 @@ from pathlib import Path
 import pytest
 import urllib3
 
+from tests.integration.deploy.units import clean_environment
 from tests.integration.upload_client import wait_until
 from tests.ports import choose_port
 from tests.services import RunningPostgres, RunningStore
@@ -23,7 +23,7 @@ _HEAD = b"POST /api/v1/auth/password HTTP/1.1\r\nHost: x\r\nContent-Type: applic
 
 def _environment(postgres: RunningPostgres, store: RunningStore, database: str) -> dict[str, str]:
     return {
-        **{key: os.environ[key] for key in ("PATH", "PYTHONPATH", "LANG", "HOME") if key in os.environ},
+        **clean_environment(),
         "KLEINKRAM_DATABASE_URL": postgres.serve_url(database),
         "KLEINKRAM_S3_INTERNAL_URL": store.endpoint,
         "KLEINKRAM_S3_BUCKET": store.create_bucket(),

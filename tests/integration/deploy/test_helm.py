@@ -21,13 +21,13 @@ from tests.integration.deploy.chart import (
     ChartRefused,
     amount_bytes,
     helm,
-    load,
     merged,
     render,
     secret_files,
     variables,
 )
 from tests.integration.deploy.custom_resources import problems_of
+from tests.integration.deploy.monitors import load_yaml
 
 pytestmark = pytest.mark.slow
 _VERSIONS = ("1.27", "1.30", "1.33", "1.37")
@@ -116,7 +116,7 @@ _CHANGES: Mapping[str, Mapping[str, Any]] = {
 }
 _VALUES: Mapping[str, Mapping[str, Any]] = {
     **{name: merged(MINIMAL, changes) for name, changes in _CHANGES.items()},
-    **{name: load(path) for name, path in EXAMPLES.items()},
+    **{name: load_yaml(path) for name, path in EXAMPLES.items()},
 }
 
 
@@ -136,7 +136,7 @@ def test_helm_finds_nothing_to_correct(name: str) -> None:
 
 
 def test_the_chart_has_the_version_of_the_program() -> None:
-    chart = load(CHART / "Chart.yaml")
+    chart = load_yaml(CHART / "Chart.yaml")
     assert chart["appVersion"] == chart["version"] == kleinkram.__version__
 
 
@@ -371,7 +371,7 @@ def test_a_backup_is_verified_before_old_ones_are_deleted(everything: Chart) -> 
 
 def test_alerts_are_those_of_the_file(everything: Chart) -> None:
     (rule,) = everything.of_kind("PrometheusRule")
-    assert rule["spec"]["groups"] == load(CHART / "rules.yml")["groups"]
+    assert rule["spec"]["groups"] == load_yaml(CHART / "rules.yml")["groups"]
 
 
 def test_pods_may_connect_only_where_the_policy_says(everything: Chart) -> None:

@@ -17,7 +17,7 @@ from kleinkram.standalone.processes import ChildCommand
 from tests.integration.deploy.compose import initialise, prepare
 from tests.integration.deploy.images import MONITORS, ROOT
 from tests.integration.deploy.monitors import FOLDER, load_yaml
-from tests.requirements import need_compose
+from tests.requirements import missing, need_compose
 
 _DEPLOY = ROOT / "deploy"
 _COMPOSE = _DEPLOY / "compose"
@@ -59,6 +59,7 @@ def test_files_that_are_mounted_exist(compose: Any) -> None:
     assert not [source for source in sources if source not in written_by_init and not (_COMPOSE / source).exists()]
 
 
+@pytest.mark.slow  # make test installs no programs
 def test_docker_compose_renders_the_project_with_its_profile(tmp_path: Path) -> None:
     folder = prepare(tmp_path)
     (folder / ".env").write_text((folder / ".env.example").read_text())
@@ -132,7 +133,7 @@ def test_the_store_has_the_flags_of_klein_up(tmp_path: Path, monkeypatch: pytest
 
 def test_init_writes_what_is_missing_and_keeps_the_rest(tmp_path: Path) -> None:
     if os.geteuid() != 0:
-        pytest.skip("init must be root")
+        missing("only root can make the folder of backups for another user")
     folder = prepare(tmp_path)
     initialise(folder, "data.robots.example")
     assert "SITE=data.robots.example\nPUBLIC_URL=https://data.robots.example\n" in (folder / ".env").read_text()

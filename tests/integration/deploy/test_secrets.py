@@ -1,6 +1,5 @@
 """The password of the serving role is rotated as `docs/operating.md` says, with real processes."""
 
-import os
 import re
 import signal
 import subprocess
@@ -13,12 +12,14 @@ import pytest
 import urllib3
 
 from kleinkram.standalone import postgres as pg
+from tests.integration.deploy.units import clean_environment
 from tests.integration.upload_client import wait_until
 from tests.ports import choose_port
 from tests.services import RunningPostgres, RunningStore
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 _ROLE = "kleinkram_rotated"
+_OLD, _NEW = "old-password-hunter22", "new-password-hunter22"
 
 
 @contextmanager
@@ -45,11 +46,11 @@ def test_the_password_of_the_serving_role_is_rotated(
 ) -> None:
     database = postgres.create_database(template=template_database)
     # A role with the rights of the serving one, which other tests use meanwhile.
-    postgres.sql(f"CREATE ROLE {_ROLE} LOGIN PASSWORD 'old' IN ROLE {pg.SERVE}")
+    postgres.sql(f"CREATE ROLE {_ROLE} LOGIN PASSWORD '{_OLD}' IN ROLE {pg.SERVE}")
     _, host, name = re.fullmatch(r"postgresql://(.*)@(.*)/(.*)", postgres.serve_url(database)).groups()  # type: ignore[union-attr]  # it matches
     secret, port = tmp_path / "database-password", choose_port()
     environment = {
-        **{key: os.environ[key] for key in ("PATH", "PYTHONPATH", "LANG", "HOME") if key in os.environ},
+        **clean_environment(),
         "KLEINKRAM_DATABASE_URL": f"postgresql://{_ROLE}@{host}/{name}",
         "KLEINKRAM_DATABASE_PASSWORD_FILE": str(secret),
         "KLEINKRAM_S3_INTERNAL_URL": store.endpoint,
@@ -58,15 +59,15 @@ def test_the_password_of_the_serving_role_is_rotated(
         "KLEINKRAM_S3_SECRET_KEY": store.secret_key,
     }
     try:
-        secret.write_text("old\n")
+        secret.write_text(f"{_OLD}\n")
         with _process(environment, tmp_path, port):
             wait_until(lambda: _status(port) == 200, limit_s=120)
-            secret.write_text("new\n")
-            postgres.sql(f"ALTER ROLE {_ROLE} PASSWORD 'new'")
+            secret.write_text(f"{_NEW}\n")
+            postgres.sql(f"ALTER ROLE {_ROLE} PASSWORD '{_NEW}'")
             assert _status(port) == 200, "connections stay"
         with _process(environment, tmp_path, port):
             wait_until(lambda: _status(port) == 200, limit_s=120)
-        assert "'new'" not in (tmp_path / "api.log").read_text()
+        assert "hunter22" not in (tmp_path / "api.log").read_text()
     finally:
         postgres.drop_database(database)
         postgres.sql(f"DROP ROLE {_ROLE}")

@@ -83,6 +83,7 @@ def test_a_file_goes_through_the_proxy_and_into_the_backup_of_the_timer(server: 
 )
 def test_systemd_restarts(server: Machine, unit: str, sign: str, within_s: float) -> None:
     pid = server.property_of(unit, "MainPID")
+    assert int(pid) > 0, "0 would be the processes of this test"
     server.run(f"kill -{sign} {pid}")
     wait_until(lambda: server.property_of(unit, "MainPID") not in {pid, "0"}, limit_s=within_s)
     wait_until(lambda: server.property_of(unit, "ActiveState") == "active", limit_s=60)

@@ -33,7 +33,7 @@ from tests.integration.test_cli import klein_at
 from tests.otlp_collector import OtlpCollector, collecting
 
 _LARGE_BYTES = 12_000_000
-_SECRETS = (b"X-Amz-", b"Signature", b"Bearer", b"kk_")
+_SECRETS = (b"X-Amz-", b"Signature", b"Bearer", b"klein_pat_", b"klein_run_", b"klein_runner_")
 
 
 @pytest.fixture
@@ -202,11 +202,11 @@ def test_of_reads_that_belong_to_no_trace_one_in_ten_is_a_span(collector: OtlpCo
 def test_a_refused_request_is_a_span_without_its_query_and_long_parts(
     collector: OtlpCollector, traced_api: Api
 ) -> None:
-    pasted = "kk_" + "s" * 40
+    pasted = "klein_pat_" + "s" * 40
     traced_api.call("GET", f"/missions/{pasted}", query={"code": pasted}).refused(422, "invalid_request")
     traces.stop()
     (span,) = collector.named("GET /api/v1/missions/{mission_id}")
-    assert span.attributes["url.path"] == "/api/v1/missions/kk_sssss…"
+    assert span.attributes["url.path"] == "/api/v1/missions/klein_pa…"
     assert span.attributes["http.response.status_code"] == 422
     assert pasted.encode() not in b"".join(collector.bodies)
 
