@@ -9,7 +9,7 @@ from tests.system.backend import sql
 from tests.system.cluster import Cluster
 from tests.system.web.conftest import RunBrowser
 
-# A job that failed just now: the worker deletes failed jobs without recent events.
+# A job that failed just now: the worker deletes failed jobs without recent events, and queues those without an error again.
 _FAILED = """
 WITH given_up AS (
   INSERT INTO procrastinate_jobs (queue_name, task_name, status, attempts, args)
@@ -17,6 +17,8 @@ WITH given_up AS (
     RETURNING id, args ->> 'ref' AS ref
 ), known AS (
   INSERT INTO procrastinate_events (job_id, type, at) SELECT id, 'failed', now() FROM given_up
+), explained AS (
+  INSERT INTO job_error (job_id, sentence) SELECT id, 'The store did not answer.' FROM given_up
 )
 SELECT id, ref FROM given_up
 """

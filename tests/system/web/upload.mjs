@@ -76,6 +76,12 @@ async function waitForProgress(percent) {
   );
 }
 
+// The mission of the address is chosen once the lists have arrived.
+async function uploadChosen(mission) {
+  await page.waitForFunction((id) => [...document.querySelectorAll("select")].some((choice) => choice.value === id), mission);
+  await page.getByRole("button", { name: /^Upload \d+ files?/ }).click();
+}
+
 async function waitForEnd() {
   await page.locator("[data-phase=over]").first().waitFor().catch(async (error) => {
     throw new Error(await page.locator("main").innerText(), { cause: error });
@@ -152,12 +158,12 @@ results.mission = (await panel.getByRole("link", { name: "ascent" }).getAttribut
 puts = 0;
 await page.goto(`${address}/upload?mission=${results.mission}`);
 await choose(page, folder);
-await page.getByRole("button", { name: /^Upload \d+ files/ }).click();
+await uploadChosen(results.mission);
 results.secondUpload = await waitForEnd();
 results.putsOfSecondUpload = puts;
 await page.reload();
 await choose(page, other);
-await page.getByRole("button", { name: /^Upload \d+ file/ }).click();
+await uploadChosen(results.mission);
 results.conflict = await waitForEnd();
 await checkPage("conflict");
 
