@@ -9,7 +9,7 @@ from tests.system.backend import sql
 from tests.system.cluster import Cluster
 from tests.system.web.conftest import RunBrowser
 
-# A job that failed just now: the worker deletes failed jobs without recent events, and queues those without an error again.
+# A job that failed just now: the worker deletes failed jobs without recent events, and queues those without an error.
 _FAILED = """
 WITH given_up AS (
   INSERT INTO procrastinate_jobs (queue_name, task_name, status, attempts, args)
