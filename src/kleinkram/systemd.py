@@ -14,6 +14,8 @@ from contextlib import suppress
 
 # A busy process may be late: there are several pings in each interval of the watchdog.
 _PINGS = 4
+# While systemd is busy, its queue may be full, and sending waits.
+_SEND_TIMEOUT_S = 1.0
 
 
 def notify_ready(status: str) -> None:
@@ -67,5 +69,6 @@ def _send(text: str) -> None:
     if address.startswith("@"):  # an abstract socket
         address = "\0" + address[1:]
     with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sender:
+        sender.settimeout(_SEND_TIMEOUT_S)
         sender.connect(address)
         sender.sendall(text.encode())

@@ -92,7 +92,7 @@ def _restrict_files(restrictions: Restrictions) -> None:
         if target not in left_writable and not target.startswith(tuple(f"{path}/" for path in _LEFT_WRITABLE)):
             linux_syscalls.make_read_only(Path(target), with_all_below=False)
     if restrictions.uid:
-        _show_only_python(Path("/root"))
+        _show_only(Path("/root"), [sys.base_prefix, *restrictions.shown])
     if restrictions.has_private_tmp:
         folders = [(path, os.open(path, os.O_PATH)) for path in restrictions.shown]
         for tmp in ("/tmp", "/var/tmp"):
@@ -104,15 +104,16 @@ def _restrict_files(restrictions: Restrictions) -> None:
             os.close(descriptor)
 
 
-def _show_only_python(home: Path) -> None:
-    """Replace a home that others may not read, if Python is there."""
+def _show_only(home: Path, folders: list[str]) -> None:
+    """Replace a home that others may not read with the given folders in it, if Python is there."""
     if not Path(sys.base_prefix).is_relative_to(home):
         return
-    python = os.open(sys.base_prefix, os.O_PATH)
+    opened = {path: os.open(path, os.O_PATH) for path in folders if Path(path).is_relative_to(home)}
     linux_syscalls.mount("tmpfs", home, "tmpfs", 0, "mode=755")
-    Path(sys.base_prefix).mkdir(parents=True)
-    linux_syscalls.mount(f"/proc/self/fd/{python}", Path(sys.base_prefix), None, linux_syscalls.MS_BIND)
-    os.close(python)
+    for path, descriptor in opened.items():
+        Path(path).mkdir(parents=True, exist_ok=True)
+        linux_syscalls.mount(f"/proc/self/fd/{descriptor}", Path(path), None, linux_syscalls.MS_BIND)
+        os.close(descriptor)
 
 
 def _refuse_system_calls(restrictions: Restrictions) -> None:

@@ -155,9 +155,12 @@ class Service:
         return lines
 
     def stop(self) -> int:
-        """Stop it as systemd does; return its exit code."""
+        """Stop it as systemd does, which reads its messages meanwhile; return its exit code."""
         self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(_TIMEOUT_S)
+        deadline = time.monotonic() + _TIMEOUT_S
+        while self.process.poll() is None and time.monotonic() < deadline:
+            self.receive(timeout_s=0.1)
+        return self.process.wait(1)
 
 
 @contextmanager
