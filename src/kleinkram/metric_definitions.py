@@ -259,10 +259,15 @@ PROJECTS_NEAR_QUOTA = _gauge(
     values=("bytes", "files"),
 )
 STORE_FREE_BYTES = _gauge(
-    "store_free_bytes", MetricSource.instance, "Free space on the store's disk, if `KLEINKRAM_STORE_FOLDER` is set."
+    "store_free_bytes",
+    MetricSource.instance,
+    "Free space on the store's disk, if `KLEINKRAM_STORE_FOLDER` is set, or what is left of "
+    "`KLEINKRAM_STORE_CAPACITY_BYTES`.",
 )
 STORE_SIZE_BYTES = _gauge(
-    "store_size_bytes", MetricSource.instance, "Size of the store's disk, if `KLEINKRAM_STORE_FOLDER` is set."
+    "store_size_bytes",
+    MetricSource.instance,
+    "Size of the store's disk, if `KLEINKRAM_STORE_FOLDER` is set, or `KLEINKRAM_STORE_CAPACITY_BYTES`.",
 )
 DATABASE_SIZE_BYTES = _gauge("database_size_bytes", MetricSource.instance, "Size of the database.")
 DATABASE_SERVER_CONNECTIONS = _gauge(

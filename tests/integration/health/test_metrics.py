@@ -4,6 +4,7 @@ import urllib3
 
 from tests.integration.api_server import Api, serving
 from tests.integration.conftest import StartApi
+from tests.integration.sample import Sample
 from tests.services import RunningPostgres
 
 
@@ -41,6 +42,14 @@ def test_a_metrics_port_serves_metrics_and_liveness_alone(api: Api) -> None:
     url = f"http://127.0.0.1:{api.app.state.metrics_port}"
     assert urllib3.request("GET", f"{url}/health/live").data == b"live\n"
     assert urllib3.request("GET", f"{url}/api/v1/projects").status == 404
+
+
+def test_the_space_of_a_store_on_another_machine_is_what_is_left_of_its_capacity(start_api: StartApi) -> None:
+    api = start_api(store_folder=None, store_capacity_bytes=1000)
+    Sample(api).blob(size_bytes=300)
+    text = api.metrics()
+    assert _values(text, "kleinkram_store_free_bytes") == {"kleinkram_store_free_bytes": 700}
+    assert _values(text, "kleinkram_store_size_bytes") == {"kleinkram_store_size_bytes": 1000}
 
 
 def test_a_job_that_waits_for_another_attempt_counts_as_old(start_api: StartApi) -> None:

@@ -8,7 +8,6 @@ import shutil
 import uuid
 from collections import Counter
 from collections.abc import Mapping
-from pathlib import Path
 from typing import NamedTuple
 
 from prometheus_client import Metric
@@ -105,7 +104,7 @@ _BACKUP = select(backup_attempt).order_by(backup_attempt.c.ended_at.desc()).limi
 _BACKUP_COMPLETE = _BACKUP.where(backup_attempt.c.snapshot_id.is_not(None))
 
 
-async def read_gauges(db: Connection, settings: Settings) -> list[Metric]:
+async def read_gauges(db: Connection) -> list[Metric]:
     """Return the gauges that are read for each scrape."""
     return [
         *await _job_gauges(db),
@@ -114,11 +113,10 @@ async def read_gauges(db: Connection, settings: Settings) -> list[Metric]:
         *await _verification_gauges(db),
         *await _backup_gauges(db),
         *await _server_gauges(db),
-        *_store_gauges(settings.store_folder),
     ]
 
 
-async def read_slow_gauges(db: Connection) -> list[Metric]:
+async def read_slow_gauges(db: Connection, settings: Settings) -> list[Metric]:
     """Return the gauges whose cost grows with the number of files."""
     states, sizes, contents, marked_bytes = Counter[str](), Counter[str](), Counter[str](), 0
     for row in await db.execute(_BLOBS):
@@ -136,6 +134,7 @@ async def read_slow_gauges(db: Connection) -> list[Metric]:
         _by_label(definitions.BLOBS, states),
         _by_label(definitions.STORED_BYTES, sizes),
         _by_label(definitions.BLOB_CONTENT, contents),
+        *_store_gauges(settings, sum(sizes.values())),
         _gauge(definitions.MARKED_FOR_DELETION_BYTES, marked_bytes),
         _gauge(definitions.TRASH_BYTES, int(trash_bytes)),
         _by_label(definitions.UPLOADS, uploads),
@@ -235,11 +234,16 @@ async def _server_gauges(db: Connection) -> list[Metric]:
     ]
 
 
-def _store_gauges(folder: Path | None) -> list[Metric]:
-    if folder is None or not folder.is_dir():
+def _store_gauges(settings: Settings, stored_bytes: int) -> list[Metric]:
+    """Of the store's disk if it is on this machine, otherwise by the given capacity."""
+    if settings.store_folder is not None and settings.store_folder.is_dir():
+        disk = shutil.disk_usage(settings.store_folder)
+        free, size = disk.free, disk.total
+    elif settings.store_capacity_bytes is not None:
+        free, size = max(0, settings.store_capacity_bytes - stored_bytes), settings.store_capacity_bytes
+    else:
         return []
-    disk = shutil.disk_usage(folder)
-    return [_gauge(definitions.STORE_FREE_BYTES, disk.free), _gauge(definitions.STORE_SIZE_BYTES, disk.total)]
+    return [_gauge(definitions.STORE_FREE_BYTES, free), _gauge(definitions.STORE_SIZE_BYTES, size)]
 
 
 def _gauge(definition: MetricDefinition, value: float) -> GaugeMetricFamily:

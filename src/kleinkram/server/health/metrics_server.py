@@ -98,11 +98,11 @@ class _InstanceGauges:
     def __init__(self, settings: Settings, database: Database) -> None:
         async def look_up() -> list[Metric]:
             async with database.autocommit() as db:
-                return await read_gauges(db, settings)
+                return await read_gauges(db)
 
         async def look_up_slowly() -> list[Metric]:
             async with database.autocommit() as db:
-                return await read_slow_gauges(db)
+                return await read_slow_gauges(db, settings)
 
         self._dsn = make_conninfo(plain_dsn(settings.database_url), **_CONNECTION)
         self._recent = CachedLookup(look_up, holds_s=_HOLDS_S)
