@@ -47,7 +47,11 @@ def instance() -> Iterator[dict[str, str]]:
         if not (process.stdout and process.stdout.readline()):
             raise SystemExit("Kleinkram did not start")
         worker = psutil.Process(endpoint_info()["services"]["worker"])
-        inherited = {key: value for key, value in worker.environ().items() if key.startswith("KLEINKRAM_")}
+        inherited = {
+            key: value
+            for key, value in worker.environ().items()
+            if key.startswith("KLEINKRAM_") and key != "KLEINKRAM_METRICS_PORT"  # that port is the worker's own
+        }
         yield {**variables(), **inherited}
     finally:
         process.send_signal(signal.SIGINT)
