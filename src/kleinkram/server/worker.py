@@ -16,12 +16,14 @@ from procrastinate import App, PsycopgConnector
 from procrastinate.exceptions import ConnectorException
 from procrastinate.jobs import Job as ProcrastinateJob
 from procrastinate.jobs import Status
+from procrastinate.worker import Worker
 
 import kleinkram
 from kleinkram.metric_definitions import MetricSource
 from kleinkram.server import maintenance as _maintenance
 from kleinkram.server.admin import jobs as _admin_jobs
 from kleinkram.server.auth import jobs as _auth_jobs
+from kleinkram.server.background import cancel_and_wait
 from kleinkram.server.blobs import jobs as _blob_jobs
 from kleinkram.server.blobs.readers import ReaderProcesses
 from kleinkram.server.checks import jobs as _check_jobs
@@ -71,7 +73,7 @@ async def run_worker(settings: Settings) -> None:
     stopping = asyncio.Event()
 
     def stop() -> None:
-        # Cancelling is not enough: if the database is away, its error may replace the cancellation.
+        # Cancelling is not enough: it can get lost, and the error of a database that is away can replace it.
         stopping.set()
         notify_stopping()
         if task is not None:
@@ -98,10 +100,10 @@ async def _open_and_run(settings: Settings, stopping: asyncio.Event) -> None:
         with queue.replace_connector(connector) as app:
             try:
                 async with app.open_async():
-                    await _run(app, settings)
+                    await _run(app, settings, stopping)
             except _DATABASE_AWAY as error:
                 notify_status("waiting for the database")
-                await pauses.wait("the worker", error)
+                await pauses.wait("the worker", error, stopping)
 
 
 class _Pauses:
@@ -111,28 +113,28 @@ class _Pauses:
         self._pause_s = _FIRST_PAUSE_S
         self._began = time.monotonic()
 
-    async def wait(self, what: str, error: Exception | None) -> None:
-        """Log that `what` restarts, and wait."""
+    async def wait(self, what: str, error: Exception | None, stopping: asyncio.Event) -> None:
+        """Log that `what` restarts, and wait; not longer than until `stopping`."""
         if time.monotonic() - self._began > _STEADY_S:
             self._pause_s = _FIRST_PAUSE_S
         reason = "a connection ended" if error is None else str(error.__cause__ or error).strip()
         fields = {"reason": reason.partition("\n")[0], "pause_s": self._pause_s}
         _log.warning(f"the database went away: {what} restarts after a pause", extra={"fields": fields})
-        await asyncio.sleep(self._pause_s)
+        with contextlib.suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(stopping.wait(), self._pause_s)
         self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
         self._began = time.monotonic()
 
 
-async def _run(app: App, settings: Settings) -> None:
+async def _run(app: App, settings: Settings, stopping: asyncio.Event) -> None:
     database = open_database(settings, statement_timeout_s=None)
     try:
-        await _run_queues(app, settings, database)
+        await _run_queues(app, settings, database, stopping)
     finally:
         await database.close()
 
 
-async def _run_queues(app: App, settings: Settings, database: Database) -> None:
-    is_over = asyncio.Event()
+async def _run_queues(app: App, settings: Settings, database: Database, stopping: asyncio.Event) -> None:
     async with (
         open_storage(settings) as storage,
         ReaderProcesses() as readers,
@@ -152,54 +154,71 @@ async def _run_queues(app: App, settings: Settings, database: Database) -> None:
         queues = ((DEFAULT, _AT_ONCE), (VERIFICATION, 1), (SMALL_BLOBS, 1), (DERIVATION, 1))
         notify_ready("working")
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
-        tasks = [
-            *(
-                asyncio.create_task(_keep_working(app, resources, is_over, name=name, at_once=at_once))
-                for name, at_once in queues
-            ),
-            asyncio.create_task(_rescue_stalled(app, attempts)),
-        ]
+        queue_workers = [_QueueWorker(app, resources, name, at_once) for name, at_once in queues]
+        working = [asyncio.create_task(one.run()) for one in queue_workers]
+        others = [asyncio.create_task(_rescue_stalled(app, attempts)), asyncio.create_task(_wait_for(stopping))]
         try:
-            # None ends by itself: the first that does has failed, and ends the process, which is restarted.
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            # Beside the last, none ends by itself: one that does has failed, and ends the process, which is restarted.
+            done, _ = await asyncio.wait([*working, *others], return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 task.result()
         finally:
-            is_over.set()
             back_pressure.end()
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+            for one, task in zip(queue_workers, working, strict=True):
+                one.stop()
+                task.cancel()  # or it waits for a database that is away
+            await asyncio.gather(*working, return_exceptions=True)
+            await cancel_and_wait(*others)
 
 
-async def _keep_working(
-    app: App, resources: dict[str, object], is_over: asyncio.Event, *, name: str, at_once: int
-) -> None:
-    """Run the jobs of one queue, again after each loss of the database, until the worker ends."""
-    pauses = _Pauses()
-    while not is_over.is_set():
-        error: Exception | None = None  # a queue whose listener lost its connection ends without an error
-        try:
-            await _work(app, resources, name=name, at_once=at_once)
-        except _DATABASE_AWAY as raised:
-            error = raised
-        if not is_over.is_set():
-            await pauses.wait(f"queue {name}", error)
+async def _wait_for(event: asyncio.Event) -> None:
+    await event.wait()
 
 
-async def _work(app: App, resources: dict[str, object], *, name: str, at_once: int) -> None:
-    await app.run_worker_async(
-        queues=[name],
-        concurrency=at_once,
-        install_signal_handlers=False,
-        additional_context=resources,
-        shutdown_graceful_timeout=20,
-        fetch_job_polling_interval=2,
-        update_heartbeat_interval=5,
-        stalled_worker_timeout=20,
-        delete_jobs="successful",
-        worker_middleware=[run_with_origin, record_failure],
-    )
+class _QueueWorker:
+    """Runs the jobs of one queue, `at_once` at the same time."""
+
+    def __init__(self, app: App, resources: dict[str, object], name: str, at_once: int) -> None:
+        self._app = app
+        self._resources = resources
+        self._name = name
+        self._at_once = at_once
+        self._worker: Worker | None = None
+        self._is_stopping = asyncio.Event()
+
+    async def run(self) -> None:
+        """Run jobs until stopped, again after each loss of the database."""
+        pauses = _Pauses()
+        while not self._is_stopping.is_set():
+            error: Exception | None = None  # a worker whose listener lost its connection ends without an error
+            self._worker = self._new_worker()
+            try:
+                await self._worker.run()  # type: ignore[no-untyped-call]  # as procrastinate has it
+            except _DATABASE_AWAY as raised:
+                error = raised
+            if not self._is_stopping.is_set():
+                await pauses.wait(f"queue {self._name}", error, self._is_stopping)
+
+    def stop(self) -> None:
+        """Take no more jobs, and end once the running ones are finished. A cancellation alone can get lost."""
+        self._is_stopping.set()
+        if self._worker is not None:
+            self._worker.stop()  # type: ignore[no-untyped-call]
+
+    def _new_worker(self) -> Worker:
+        return Worker(
+            self._app,
+            queues=[self._name],
+            concurrency=self._at_once,
+            install_signal_handlers=False,
+            additional_context=self._resources,
+            shutdown_graceful_timeout=20,
+            fetch_job_polling_interval=2,
+            update_heartbeat_interval=5,
+            stalled_worker_timeout=20,
+            delete_jobs="successful",
+            worker_middleware=[run_with_origin, record_failure],
+        )
 
 
 async def _rescue_stalled(app: App, attempts: Attempts) -> None:

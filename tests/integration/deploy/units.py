@@ -160,7 +160,8 @@ class Service:
         deadline = time.monotonic() + _TIMEOUT_S
         while self.process.poll() is None and time.monotonic() < deadline:
             self.receive(timeout_s=0.1)
-        return self.process.wait(1)
+        assert self.process.poll() is not None, f"it does not stop: {self.log.read_text()[-4000:]}"
+        return self.process.returncode
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from psycopg.conninfo import make_conninfo
 
 from kleinkram.contract.errors import TooManyStreams
 from kleinkram.server import metrics
+from kleinkram.server.background import cancel_and_wait
 from kleinkram.server.change_events import CHANNEL, EVERYTHING, ChangeEvent, read_event
 from kleinkram.server.settings import Settings, plain_dsn
 
@@ -224,9 +225,7 @@ async def open_hub(settings: Settings) -> AsyncIterator[Hub]:
         yield hub
     finally:
         hub.close()
-        task.cancel()
-        with suppress(asyncio.CancelledError):
-            await task
+        await cancel_and_wait(task)
 
 
 async def _listen(hub: Hub, dsn: str) -> None:

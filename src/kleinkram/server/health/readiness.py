@@ -19,6 +19,7 @@ from sqlalchemy.exc import SQLAlchemyError
 import kleinkram
 from kleinkram.contract.errors import DatabaseUnavailable, StoreUnavailable
 from kleinkram.diagnostics import Diagnostic, find_problems, ok, problem, warning
+from kleinkram.server.background import cancel_and_wait
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.migrations import schema_problem
 from kleinkram.server.s3.storage import Storage
@@ -83,9 +84,7 @@ async def heartbeat(database: Database) -> AsyncIterator[None]:
     try:
         yield
     finally:
-        task.cancel()
-        with suppress(asyncio.CancelledError):
-            await task
+        await cancel_and_wait(task)
         with suppress(DatabaseUnavailable, SQLAlchemyError):
             async with database.begin() as db:
                 await db.execute(
