@@ -101,8 +101,9 @@ def test_the_error_of_a_job_is_shown_while_it_is_retried(lab: Api, monkeypatch: 
         (message,) = [item for item in client.admin.jobs().retrying if item.id == job_id]
     assert (message.attempts, message.ref, message.error) == (1, blob_id, error.sentence())
     assert message.next_attempt_at is not None
-    (line,) = [item for item in lines if item["message"] == f"job failed: {error.sentence()}"]
-    assert (line["level"], line["job_id"], line["job"]) == ("warning", job_id, "summarise_blob")
+    failures = [item for item in lines if item["message"] == f"job failed: {error.sentence()}"]
+    (line,) = [item for item in failures if item["job_id"] == job_id]
+    assert (line["level"], line["job"]) == ("warning", "summarise_blob")
     assert (line["ref"], line["attempt"]) == (blob_id, 1)
     labels = {"outcome": "failed", "task": "summarise_blob"}
     assert metrics.REGISTRIES[MetricSource.worker].get_sample_value("kleinkram_job_attempts_total", labels)

@@ -61,7 +61,9 @@ def test_a_request_is_logged_with_its_route_and_the_ids_of_its_sender(api: Api, 
     with logged_lines() as lines:
         api.call("GET", f"/missions/{mission_id}", headers={"X-Request-Id": request_id}).ok()
         api.as_(None).get("/me").refused(401, "not_authenticated")
-    known, stranger = (line for line in lines if line["message"] == "request")
+    requests = [line for line in lines if line["message"] == "request"]
+    (known,) = [line for line in requests if line["request_id"] == request_id]
+    (stranger,) = [line for line in requests if line["status"] == 401]
     assert (known["route"], known["path"]) == ("/api/v1/missions/{mission_id}", f"/api/v1/missions/{mission_id}")
     assert (known["method"], known["status"], known["request_id"]) == ("GET", 200, request_id)
     sql = "SELECT person_id::text FROM token WHERE id = %s"
