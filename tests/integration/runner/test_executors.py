@@ -251,7 +251,7 @@ def test_a_run_that_ignores_sigterm_is_killed(bench: Bench) -> None:
     text = "import signal, time; signal.signal(15, signal.SIG_IGN); print('ready', flush=True); time.sleep(60)"
     job = bench.job(text)
     bench.executor.submit(job)
-    until_logged_by(bench, text, "ready")
+    until_logged_by(bench, text, "ready\n")
     began = time.monotonic()
     bench.executor.cancel(job)
     assert bench.end_of(job).reason is EndReason.cancelled
@@ -267,7 +267,7 @@ def test_a_cancelled_run_may_clean_up(bench: Bench) -> None:
     )
     job = bench.job(text)
     bench.executor.submit(job)
-    until_logged_by(bench, text, "ready")
+    until_logged_by(bench, text, "ready\n")
     bench.executor.cancel(job)
     assert bench.end_of(job).reason is EndReason.cancelled
     assert "tidied" in log_of(job)
@@ -306,7 +306,7 @@ def test_background_processes_of_a_run_end_with_it(isolated: Bench) -> None:
 def test_another_runner_reattaches(bench: Bench) -> None:
     job = bench.job(LASTING)
     bench.executor.submit(job)
-    until_logged_by(bench, LASTING, "ready")
+    until_logged_by(bench, LASTING, "ready\n")
     other = bench.again()
     assert wait_for_end(other, job, timeout_s=0.1) is None
     other.cancel(job)
@@ -331,7 +331,7 @@ def test_usage_is_reported(bench: Bench) -> None:
 def test_a_job_whose_supervisor_is_killed_is_lost(isolated: Bench) -> None:
     job = isolated.job(LASTING)
     isolated.executor.submit(job)
-    until_logged_by(isolated, LASTING, "ready")
+    until_logged_by(isolated, LASTING, "ready\n")
     supervisor = int((job.directory / "supervisor").read_text())
     left = [int(pid) for pid in Path(f"/proc/{supervisor}/task/{supervisor}/children").read_text().split()]
     os.kill(supervisor, signal.SIGKILL)

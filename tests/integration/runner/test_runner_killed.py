@@ -77,7 +77,7 @@ def test_a_removed_container_is_reported_lost_and_may_be_started_again(bench: Be
     """As by Ctrl-C: the next runner starts the run again and keeps its log, which is already in the store."""
     job = bench.job(LASTING)
     bench.executor.submit(job)
-    until_logged_by(bench, LASTING, "ready")
+    until_logged_by(bench, LASTING, "ready\n")
     bench.executor.remove(job)
     next_one = bench.again()
     ending = wait_for_end(next_one, job, timeout_s=0)
@@ -89,7 +89,7 @@ def test_a_removed_container_is_reported_lost_and_may_be_started_again(bench: Be
     (job.directory / "in").mkdir()
     next_one.submit(job)
     bench.executor = next_one
-    until_logged_by(bench, LASTING, "ready\nready")
+    until_logged_by(bench, LASTING, "ready\nready\n")
     next_one.cancel(job)
     ending = wait_for_end(next_one, job, timeout_s=40)
     assert ending is not None
