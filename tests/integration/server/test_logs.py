@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from kleinkram.json_logs import JsonLines, log_fields
+from kleinkram.server.jobs.queue import queue
 from tests.integration.api_server import Api
 from tests.integration.jobs import run_jobs
 from tests.integration.upload_client import upload
@@ -83,6 +84,8 @@ def test_the_jobs_of_a_request_are_logged_with_its_id(api: Api, mission_id: str)
     assert {"examine_blob", "group_recordings"} <= set(ended)
     assert ended["group_recordings"]["ref"] == mission_id
     assert {line["level"] for line in ended.values()} == {"info"}
+    periodic = {name for name, task in queue.tasks.items() if task.queueing_lock is not None}
+    assert {line["level"] for job, line in _by_job(lines, "job done").items() if job in periodic} <= {"debug"}
     assert {line["level"] for line in started.values()} == {"debug"}
     assert started["examine_blob"]["job_id"] == ended["examine_blob"]["job_id"]
 
