@@ -151,7 +151,8 @@ def _locked(definition: ActionDefinition, index: "PackageIndex | None") -> Actio
 
 def _executor(definition: ActionDefinition, index: "PackageIndex | None") -> "Executor":
     from kleinkram.environments.local import local_environments
-    from kleinkram.runner.__main__ import DEFAULT_IMAGE, ExecutorChoice, ImagePolicy, choose_executor
+    from kleinkram.runner.arguments import DEFAULT_IMAGE, ExecutorChoice
+    from kleinkram.runner.choose_executor import ImagePolicy, choose_executor
 
     choice = ExecutorChoice.process if definition.image is None else ExecutorChoice.docker
     try:

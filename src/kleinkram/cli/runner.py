@@ -86,7 +86,7 @@ def start(
 ) -> None:
     """Run actions on this machine. Ctrl-C ends the runner and its runs; SIGTERM leaves its runs to the next one."""
     from kleinkram.client.config import find_endpoint
-    from kleinkram.runner.__main__ import DEFAULT_IMAGE, Arguments, ExecutorChoice
+    from kleinkram.runner.arguments import DEFAULT_IMAGE, Arguments, ExecutorChoice
 
     arguments = Arguments(
         url=url or find_endpoint().url,

@@ -15,11 +15,13 @@ from kleinkram.contract.base import Request, Response
 from kleinkram.contract.names import Label
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.reports import Progress, Report
-from kleinkram.contract.runs import ActionRef, EndReason, RunState, Usage, UsageSample
+from kleinkram.contract.runs import ActionRef, EndReason, RunPlacement, RunState, Usage, UsageSample
 from kleinkram.contract.uploads import Crc64, Sha256, UploadFile
 
-# The length of a lease, by the database's clock; every heartbeat renews it.
+# The usual length of a lease, by the database's clock; every heartbeat renews it.
 LEASE_S = 60
+# The longest: jobs of a cluster go on while its login node is restarted.
+MAX_LEASE_S = 3600
 # The interval of heartbeats, and so the delay with which a runner learns of a cancellation.
 HEARTBEAT_S = 2.0
 MAX_WAIT_S = 25
@@ -65,13 +67,15 @@ class Capacity(Response):
 class RunnerRegistration(Request):
     """A runner's description of itself, sent at each start. `id` is permanent, and stored in its state directory.
 
-    `default_image` is the digest of the image that it runs scripts on; null where it has none.
+    `default_image` is the digest of the image that it runs scripts on; null where it has none. `lease_s` is how long
+    its runs may go on without news from it. `capacity` is the largest that a single run may ask for.
     """
 
     id: uuid.UUID
     name: Label
     labels: Annotated[list[Label], Field(max_length=50)] = []
     capacity: Capacity
+    lease_s: Annotated[int, Field(ge=LEASE_S, le=MAX_LEASE_S)] = LEASE_S
     abilities: ExecutorAbilities
     default_image: Annotated[str, Field(max_length=200)] | None = None
     version: Annotated[str, Field(max_length=64)]
@@ -162,6 +166,7 @@ class Heartbeat(Request):
     state: RunState
     progress: Progress | None = None
     image_digest: Annotated[str, Field(max_length=200)] | None = None
+    placement: RunPlacement | None = None
     usage: Usage | None = None
     samples: Annotated[list[UsageSample], Field(max_length=100)] = []
 
@@ -252,6 +257,7 @@ class RunFinish(Request):
     image_digest: Annotated[str, Field(max_length=200)] | None = None
     report: Report = Report()
     problems: Annotated[list[Annotated[str, Field(max_length=2000)]], Field(max_length=200)] = []
+    placement: RunPlacement | None = None
     usage: Usage | None = None
     samples: Annotated[list[UsageSample], Field(max_length=100)] = []
 

@@ -144,6 +144,31 @@ class UsageSample(Response):
     usage: Usage
 
 
+class RunPriority(str, enum.Enum):
+    """Which queued runs start first; among those of one priority, people and projects take turns."""
+
+    low = "low"
+    normal = "normal"
+    high = "high"
+
+
+class RunPlacement(Response):
+    """Where a run is on its cluster or machine, and what that measured.
+
+    `job_id` is the cluster's own, such as `4711` or `4711_3` of Slurm. `queued_s` is how long its job waited there.
+    `gpus` are the devices that it has, by id. `cpu_s` and `peak_memory_bytes` are from the accounting of the cluster.
+    `requeues` is how often the cluster started it again.
+    """
+
+    job_id: Annotated[str, Field(max_length=200)] | None = None
+    node: Annotated[str, Field(max_length=300)] | None = None
+    queued_s: Annotated[float, Field(ge=0)] | None = None
+    gpus: Annotated[list[Annotated[str, Field(max_length=200)]], Field(max_length=64)] = []
+    cpu_s: Annotated[float, Field(ge=0)] | None = None
+    peak_memory_bytes: Annotated[int, Field(ge=0, lt=2**63)] | None = None
+    requeues: Annotated[int, Field(ge=0, lt=2**31)] = 0
+
+
 class RunRead(Response):
     """A run of an action on a mission.
 
@@ -151,7 +176,8 @@ class RunRead(Response):
     the image that was run. `reuses_id` is the earlier run whose results this run reuses; it has none of its own.
     `verdict` is the worst of what its report says: its verdict, checks and findings. Null where it is not `done`, and
     where it judged nothing. `metrics` are the first reported ones, those of the run before those of single files; empty
-    in a lineage. `may_cancel`: the caller may cancel it, and it has not ended.
+    in a lineage. `placement` is null before its runner reports one. `may_cancel`: the caller may cancel it, and it has
+    not ended.
     """
 
     id: uuid.UUID
@@ -167,8 +193,10 @@ class RunRead(Response):
     waits_for: str | None
     progress: Progress | None
     attempt: int
+    priority: RunPriority = RunPriority.normal
     cause: Cause
     runner: str | None
+    placement: RunPlacement | None = None
     image_digest: str | None
     usage: Usage | None
     input_count: int

@@ -8,6 +8,7 @@ import errno
 import logging
 import math
 import threading
+import time
 from collections.abc import Callable
 
 from kleinkram import traces
@@ -71,6 +72,7 @@ class ActiveRun:
         self._is_submitted = attempt.state.stage is RunState.running
         self._samples: list[UsageSample] = []
         self._usage = attempt.state.usage
+        self._placement = attempt.state.placement
         self._progress = ProgressReader(attempt.directory / "out")
         assignment = attempt.state.assignment
         self._redactor = Redactor([token for token in (context.token, assignment.token) if token])
@@ -104,6 +106,7 @@ class ActiveRun:
             state=self._state,
             progress=self._upload.progress if self._upload else self._preparation or self._progress.progress,
             image_digest=self._attempt.state.image_digest,
+            placement=self._placement,
             usage=self._usage,
             samples=self._samples[:_MAX_SAMPLES],
         )
@@ -174,7 +177,9 @@ class ActiveRun:
             try:
                 if self._attempt.state.stage is not RunState.collecting:
                     ending = self._run_job()
-                    self._attempt.change(stage=RunState.collecting, ending=ending, usage=self._usage)
+                    self._attempt.change(
+                        stage=RunState.collecting, ending=ending, usage=self._usage, placement=self._placement
+                    )
                 with traces.span("upload results"):
                     self._upload_results()
             except OSError as error:
@@ -273,9 +278,10 @@ class ActiveRun:
         self._environment = None
 
     def _watch(self) -> Ending:
+        job = self._job()
+        self._wait_for_start(job)
         self._preparation = None
         self._set_state(RunState.running)
-        job = self._job()
         self._log.start(job)
         sampled_s = -math.inf
         while (ending := wait_for_end(self._executor, job, _CHECK_EVERY_S)) is None:
@@ -294,12 +300,23 @@ class ActiveRun:
             return Ending.of(CANCELLED, ending.exit_code)
         return ending
 
+    def _wait_for_start(self, job: RunJob) -> None:
+        """Show why a job waits in the queue of a cluster, until it starts or ends."""
+        while (reason := self._executor.reason_waiting(job)) is not None and self._executor.poll(job) is None:
+            self._check_stop()
+            self._placement = self._executor.placement(job)
+            if self._preparation is None or self._preparation.message != reason:
+                self._preparation = Progress(fraction=0, message=reason)
+                self._context.on_change()
+            time.sleep(_CHECK_EVERY_S)
+
     def _check_stop(self) -> None:
         """Raise on a stop request; a cancelled job ends by itself."""
         if self.stop.request is not StopRequest.cancel:
             self.stop.check()
 
     def _add_sample(self) -> None:
+        self._placement = self._executor.placement(self._job()) or self._placement
         usage = self._executor.usage(self._job())
         if usage is not None:
             self._usage = usage
@@ -343,7 +360,12 @@ class ActiveRun:
     def _report(self, upload: ResultUpload, finish: RunFinish) -> None:
         # With what further heartbeats would have reported.
         digest = self._attempt.state.image_digest
-        changes = {"usage": self._usage, "samples": self._samples[:_MAX_SAMPLES], "image_digest": digest}
+        changes = {
+            "placement": self._placement,
+            "usage": self._usage,
+            "samples": self._samples[:_MAX_SAMPLES],
+            "image_digest": digest,
+        }
         upload.report(finish.model_copy(update=changes))
         self._context.statistics.count_end(finish.reason)
 

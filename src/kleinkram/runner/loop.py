@@ -24,7 +24,6 @@ from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.errors import Forbidden, KleinkramError, NotAuthenticated, NotFound, ScopeMissing
 from kleinkram.contract.runners import (
     HEARTBEAT_S,
-    LEASE_S,
     MAX_WAIT_S,
     Capacity,
     ClaimRequest,
@@ -48,8 +47,6 @@ _REFUSED_RETRY_S = 15.0
 # How long the runs of an earlier process continue without a confirmation of their leases by the server.
 _CONFIRMATION_S = 5.0
 _DETACH_S = 3.0
-_MIN_CORES = 0.01
-_MIN_BYTES = 2**20
 _STORE_CONNECTIONS = 8
 _DEFAULT_IMAGE_RETRY_S = 300.0
 # A thread without progress for this long hangs: longer than any request with its retries.
@@ -185,7 +182,9 @@ class Runner:
             if isinstance(entry, Path):
                 with contextlib.suppress(OSError):
                     runner_state.remove_tree(entry)
-        until_s = max(boot_time_s() + _CONFIRMATION_S, self._state.last_heartbeat_s() + LEASE_S - LEASE_MARGIN_S)
+        until_s = max(
+            boot_time_s() + _CONFIRMATION_S, self._state.last_heartbeat_s() + self._executor.lease_s - LEASE_MARGIN_S
+        )
         for attempt in attempts:
             _log.info("continuing the run %s", attempt.state.assignment.run_id)
             self._add(attempt, Lease(until_s), is_new=False)
@@ -211,6 +210,7 @@ class Runner:
                 labels=[*self._options.labels],
                 capacity=self._executor.capacity,
                 abilities=self._executor.abilities,
+                lease_s=self._executor.lease_s,
                 default_image=self._default_image_digest,
                 version=kleinkram.__version__,
             )
@@ -237,14 +237,8 @@ class Runner:
         self._has_capacity.clear()
         self._progress_s["claims"] = time.monotonic()
         active = self._active_runs()
-        capacity, used = self.capacity, _reserved_by(active)
-        free = Capacity(
-            cores=max(0.0, round(capacity.cores - used.cores, 6)),
-            memory_bytes=max(0, capacity.memory_bytes - used.memory_bytes),
-            disk_bytes=max(0, capacity.disk_bytes - used.disk_bytes),
-            gpus=max(0, capacity.gpus - used.gpus),
-        )
-        if free.cores < _MIN_CORES or min(free.memory_bytes, free.disk_bytes) < _MIN_BYTES:
+        free = self._executor.free(_reserved_by(active), len(active))
+        if free is None:
             self._has_capacity.wait(HEARTBEAT_S)
             return None
         # With active runs, capacity may be freed soon, which a new request reports.

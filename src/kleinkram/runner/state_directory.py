@@ -29,7 +29,7 @@ from kleinkram.client.runs import Runners
 from kleinkram.client.server import Service
 from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.runners import RunAssignment
-from kleinkram.contract.runs import RunState, Usage
+from kleinkram.contract.runs import RunPlacement, RunState, Usage
 from kleinkram.runner.executors.base import Ending, Executor
 from kleinkram.runner.executors.supervision import LOG, boot_time_s, write_atomically, write_in_place
 from kleinkram.runner.statistics import RunnerStatistics
@@ -137,6 +137,7 @@ class AttemptState(BaseModel):
     store_url: str = ""
     packages: Path | None = None
     ending: Ending | None = None
+    placement: RunPlacement | None = None
     usage: Usage | None = None
 
 

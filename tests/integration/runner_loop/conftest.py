@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.environments.uv import parse_index
-from kleinkram.runner.__main__ import TOKEN_VARIABLE, Arguments, ExecutorChoice
+from kleinkram.runner.arguments import TOKEN_VARIABLE, Arguments, ExecutorChoice
 from kleinkram.runner.executors.local import LocalExecutor, Machine, MachineShare
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.loop import Runner, RunnerOptions

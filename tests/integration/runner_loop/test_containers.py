@@ -8,7 +8,8 @@ from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
-from kleinkram.runner.__main__ import ExecutorChoice, ImagePolicy, choose_executor
+from kleinkram.runner.arguments import ExecutorChoice
+from kleinkram.runner.choose_executor import ImagePolicy, choose_executor
 from kleinkram.runner.executors.docker.executor import DockerExecutor, Pull
 from tests.integration.runner import engines
 from tests.integration.runner.conftest import docker, engine, podman  # noqa: F401  fixtures

@@ -11,7 +11,8 @@ import urllib3
 from kleinkram import metric_definitions as definitions
 from kleinkram.client.errors import InvalidInput
 from kleinkram.metric_definitions import MetricSource
-from kleinkram.runner.__main__ import Arguments, _serve_metrics
+from kleinkram.runner.__main__ import _serve_metrics
+from kleinkram.runner.arguments import Arguments
 from kleinkram.runner.loop import Runner
 from kleinkram.runner.metrics_server import serve_metrics
 from tests.integration.exposition import assert_accepted_by_promtool, assert_defined, value

@@ -4866,6 +4866,7 @@ export interface components {
             attempt: number;
             /** Image Digest */
             image_digest?: string | null;
+            placement?: components["schemas"]["RunPlacement"] | null;
             progress?: components["schemas"]["Progress"] | null;
             /**
              * Run Id
@@ -7200,8 +7201,11 @@ export interface components {
             parameters: {
                 [key: string]: boolean | number | string;
             };
+            placement?: components["schemas"]["RunPlacement"] | null;
             /** Previews */
             previews: components["schemas"]["Preview"][];
+            /** @default normal */
+            priority: components["schemas"]["RunPriority"];
             /** Problems */
             problems: string[];
             progress: components["schemas"]["Progress"] | null;
@@ -7239,6 +7243,7 @@ export interface components {
             image_digest?: string | null;
             /** Message */
             message: string;
+            placement?: components["schemas"]["RunPlacement"] | null;
             /**
              * Problems
              * @default []
@@ -7319,7 +7324,8 @@ export interface components {
          * RunnerRegistration
          * @description A runner's description of itself, sent at each start. `id` is permanent, and stored in its state directory.
          *
-         *     `default_image` is the digest of the image that it runs scripts on; null where it has none.
+         *     `default_image` is the digest of the image that it runs scripts on; null where it has none. `lease_s` is how long
+         *     its runs may go on without news from it. `capacity` is the largest that a single run may ask for.
          */
         RunnerRegistration: {
             abilities: components["schemas"]["ExecutorAbilities"];
@@ -7336,6 +7342,11 @@ export interface components {
              * @default []
              */
             labels: string[];
+            /**
+             * Lease S
+             * @default 60
+             */
+            lease_s: number;
             /** Name */
             name: string;
             /** Version */
@@ -7361,6 +7372,42 @@ export interface components {
             projects: components["schemas"]["ProjectRef"][] | null;
         };
         /**
+         * RunPlacement
+         * @description Where a run is on its cluster or machine, and what that measured.
+         *
+         *     `job_id` is the cluster's own, such as `4711` or `4711_3` of Slurm. `queued_s` is how long its job waited there.
+         *     `gpus` are the devices that it has, by id. `cpu_s` and `peak_memory_bytes` are from the accounting of the cluster.
+         *     `requeues` is how often the cluster started it again.
+         */
+        RunPlacement: {
+            /** Cpu S */
+            cpu_s?: number | null;
+            /**
+             * Gpus
+             * @default []
+             */
+            gpus: string[];
+            /** Job Id */
+            job_id?: string | null;
+            /** Node */
+            node?: string | null;
+            /** Peak Memory Bytes */
+            peak_memory_bytes?: number | null;
+            /** Queued S */
+            queued_s?: number | null;
+            /**
+             * Requeues
+             * @default 0
+             */
+            requeues: number;
+        };
+        /**
+         * RunPriority
+         * @description Which queued runs start first; among those of one priority, people and projects take turns.
+         * @enum {string}
+         */
+        RunPriority: "low" | "normal" | "high";
+        /**
          * RunRead
          * @description A run of an action on a mission.
          *
@@ -7368,7 +7415,8 @@ export interface components {
          *     the image that was run. `reuses_id` is the earlier run whose results this run reuses; it has none of its own.
          *     `verdict` is the worst of what its report says: its verdict, checks and findings. Null where it is not `done`, and
          *     where it judged nothing. `metrics` are the first reported ones, those of the run before those of single files; empty
-         *     in a lineage. `may_cancel`: the caller may cancel it, and it has not ended.
+         *     in a lineage. `placement` is null before its runner reports one. `may_cancel`: the caller may cancel it, and it has
+         *     not ended.
          */
         RunRead: {
             action: components["schemas"]["ActionRef"];
@@ -7429,6 +7477,9 @@ export interface components {
             parameters: {
                 [key: string]: boolean | number | string;
             };
+            placement?: components["schemas"]["RunPlacement"] | null;
+            /** @default normal */
+            priority: components["schemas"]["RunPriority"];
             progress: components["schemas"]["Progress"] | null;
             reason: components["schemas"]["EndReason"] | null;
             /** Reuses Id */

@@ -12,14 +12,16 @@ from pathlib import Path
 from typing import Protocol
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.contract.runners import Capacity, ExecutorAbilities
-from kleinkram.contract.runs import EndReason, Usage
+from kleinkram.contract.runners import LEASE_S, Capacity, ExecutorAbilities
+from kleinkram.contract.runs import EndReason, RunPlacement, Usage
 from kleinkram.environments.cache import Environment, Show
 from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors.port_forward import PortForward
 from kleinkram.runner.input_cache import InputCache, InputFile
 
 _POLL_EVERY_S = 0.25
+_MIN_CORES = 0.01
+_MIN_BYTES = 2**20
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,24 @@ class Executor(ABC):
     @property
     @abstractmethod
     def capacity(self) -> Capacity:
-        """The resources of all jobs that may run at the same time."""
+        """The resources of all jobs that may run at the same time; of a cluster, the largest that one job may have."""
+
+    @property
+    def lease_s(self) -> int:
+        """How long its jobs may go on without news from the runner."""
+        return LEASE_S
+
+    def free(self, reserved: Capacity, job_count: int) -> Capacity | None:
+        """Return what the next job may have beside `job_count` jobs that reserved so much; None: no room for any."""
+        capacity = self.capacity
+        free = Capacity(
+            cores=max(0.0, round(capacity.cores - reserved.cores, 6)),
+            memory_bytes=max(0, capacity.memory_bytes - reserved.memory_bytes),
+            disk_bytes=max(0, capacity.disk_bytes - reserved.disk_bytes),
+            gpus=max(0, capacity.gpus - reserved.gpus),
+        )
+        has_room = free.cores >= _MIN_CORES and min(free.memory_bytes, free.disk_bytes) >= _MIN_BYTES
+        return free if has_room else None
 
     @abstractmethod
     def prepare_image(self, image: str) -> PinnedImage:
@@ -140,6 +159,14 @@ class Executor(ABC):
     @abstractmethod
     def poll(self, job: RunJob) -> Ending | None:
         """Return how a job ended, or None while it runs; enforce its limits. To be called at least every second."""
+
+    def reason_waiting(self, job: RunJob) -> str | None:
+        """Return why a submitted job has not started yet, such as the reason of a cluster's queue; None once it has."""
+        return None
+
+    def placement(self, job: RunJob) -> RunPlacement | None:
+        """Return where a job is, and what its cluster measured."""
+        return None
 
     @abstractmethod
     def set_lease(self, job: RunJob, until_s: float, *, create: bool = False) -> None:

@@ -15,7 +15,6 @@ from kleinkram.contract.errors import Forbidden, NotFound, RunGone
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.reports import Severity, verdict_of_report
 from kleinkram.contract.runners import (
-    LEASE_S,
     ArtifactUploadsCreate,
     Heartbeat,
     HeartbeatReplies,
@@ -75,7 +74,6 @@ from kleinkram.server.uploads.completion import finish_interrupted_artifacts
 
 _BATCH = 1000
 _ORDER = {RunState.preparing: 0, RunState.running: 1, RunState.collecting: 2}
-LEASE = datetime.timedelta(seconds=LEASE_S)
 # Results are being uploaded: an outage of minutes must not discard hours of work.
 _COLLECTING_LEASE = datetime.timedelta(minutes=15)
 OWN_TOKEN = "a token of its own: `klein token create NAME --kind runner`; to replace one, revoke it first"  # noqa: S105
@@ -96,6 +94,7 @@ class AssignedRun(NamedTuple):
     input_metadata: Metadata | None
     checks_sha256: bytes | None
     progress: dict[str, Any] | None
+    placement: dict[str, Any] | None
     usage: dict[str, Any] | None
     samples: list[dict[str, Any]]
     started_at: datetime.datetime | None
@@ -115,7 +114,7 @@ async def lock_run(db: Connection, condition: ColumnElement[bool], *, is_queued:
     With `is_queued`, the oldest queued run that no other transaction has locked.
     """
     columns = (
-        *(run.c[name] for name in AssignedRun._fields[:17]),
+        *(run.c[name] for name in AssignedRun._fields[:18]),
         action_version.c.definition,
         action_version.c.image_digest.label("pinned_digest"),
         action_version.c.number,
@@ -160,8 +159,8 @@ async def lock_assigned_run(db: Connection, actor: Actor, run_id: uuid.UUID, att
     return row
 
 
-async def record_seen(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
-    """Record that a runner was seen.
+async def record_seen(db: Connection, actor: Actor, runner_id: uuid.UUID) -> int:
+    """Record that a runner was seen; return the length of its leases in seconds.
 
     Raises:
         NotFound: this person has no such runner.
@@ -169,10 +168,12 @@ async def record_seen(db: Connection, actor: Actor, runner_id: uuid.UUID) -> Non
     """
     mine = (runner.c.id == runner_id) & (runner.c.person_id == actor.person_id)
     stmt = update(runner).where(mine).values(last_seen_at=func.now(), token_id=actor.token_id)
-    if (await db.execute(stmt.returning(runner.c.id))).first() is None:
+    lease_s: int | None = (await db.execute(stmt.returning(runner.c.lease_s))).scalar_one_or_none()
+    if lease_s is None:
         raise NotFound(resource_type="runner", ref=str(runner_id))
     if actor.runner_id != runner_id:
         raise Forbidden(resource_type="server", operation="be this runner", needs=OWN_TOKEN)
+    return lease_s
 
 
 async def record_heartbeats(
@@ -184,12 +185,13 @@ async def record_heartbeats(
         NotFound: this person has no such runner.
         Forbidden: the token is another runner's.
     """
-    await record_seen(db, actor, runner_id)
+    lease_s = await record_seen(db, actor, runner_id)
     ordered = sorted(heartbeats.runs, key=lambda heartbeat: heartbeat.run_id)
-    return HeartbeatReplies(runs=[await _record_heartbeat(db, actor, entry) for entry in ordered], lease_s=LEASE_S)
+    replies = [await _record_heartbeat(db, actor, entry, lease_s) for entry in ordered]
+    return HeartbeatReplies(runs=replies, lease_s=lease_s)
 
 
-async def _record_heartbeat(db: Connection, actor: Actor, heartbeat: Heartbeat) -> HeartbeatReply:
+async def _record_heartbeat(db: Connection, actor: Actor, heartbeat: Heartbeat, lease_s: int) -> HeartbeatReply:
     run_id, attempt = heartbeat.run_id, heartbeat.attempt
     try:
         row = await lock_assigned_run(db, actor, run_id, attempt)
@@ -203,7 +205,7 @@ async def _record_heartbeat(db: Connection, actor: Actor, heartbeat: Heartbeat) 
         values["started_at"] = func.now()
     if heartbeat.image_digest is not None and row.image_digest is None:
         values["image_digest"] = heartbeat.image_digest
-    for name in ("progress", "usage"):
+    for name in ("progress", "placement", "usage"):
         reported = getattr(heartbeat, name)
         if reported is not None and reported.model_dump(mode="json") != getattr(row, name):
             values[name] = reported.model_dump(mode="json")
@@ -212,7 +214,9 @@ async def _record_heartbeat(db: Connection, actor: Actor, heartbeat: Heartbeat) 
         values["progress"] = null()
     if heartbeat.samples:
         values["samples"] = _thinned(row.samples, heartbeat.samples)
-    lease = _COLLECTING_LEASE if heartbeat.state is RunState.collecting else LEASE
+    lease = datetime.timedelta(seconds=lease_s)
+    if heartbeat.state is RunState.collecting:
+        lease = max(lease, _COLLECTING_LEASE)
     await db.execute(update(run).where(run.c.id == row.id).values(lease_ends_at=func.now() + lease, **values))
     await _pin_image(db, row, heartbeat.image_digest)
     if values:
@@ -396,6 +400,7 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
         "finding_counts": {severity.value: counts[severity] for severity in Severity if counts[severity]},
         "image_digest": row.image_digest or finish.image_digest,
         "samples": _thinned(row.samples, finish.samples),
+        "placement": row.placement if finish.placement is None else finish.placement.model_dump(mode="json"),
         "usage": row.usage if finish.usage is None else finish.usage.model_dump(mode="json"),
     }
     await end_run(db, run_id, finish.reason, finish.message, **values)

@@ -16,7 +16,6 @@ from kleinkram.contract.errors import Forbidden
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.runners import (
-    LEASE_S,
     AssignedInput,
     Capacity,
     ClaimReply,
@@ -37,7 +36,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.events.hub import EventFilter, Hub
 from kleinkram.server.pagination import Order, PageRequest, fetch_page
-from kleinkram.server.runners.assigned_runs import LEASE, OWN_TOKEN, AssignedRun, lock_run, record_seen
+from kleinkram.server.runners.assigned_runs import OWN_TOKEN, AssignedRun, lock_run, record_seen
 from kleinkram.server.runs.eligibility import (
     KnownRunner,
     find_runner,
@@ -180,19 +179,19 @@ async def claim(
 async def _claim_now(
     db: Connection, actor: Actor, runner_id: uuid.UUID, requested: ClaimRequest
 ) -> RunAssignment | None:
-    await record_seen(db, actor, runner_id)
+    lease_s = await record_seen(db, actor, runner_id)
     await requeue_lost_runs(db)
     # Assigned without the runner's knowledge: the answer to an earlier claim was lost.
     is_assigned = (run.c.runner_id == runner_id) & run.c.state.in_(ASSIGNED)
     unanswered = await lock_run(db, is_assigned & run.c.id.not_in(requested.active_run_ids))
     if unanswered is not None:
-        return await _assign(db, unanswered, runner_id, unanswered.attempt)
+        return await _assign(db, unanswered, runner_id, unanswered.attempt, lease_s)
     claiming = await find_runner(db, runner_id)
     if claiming.is_single_person_only and not await has_single_person(db):
         return None
     while (candidate := await lock_run(db, _fits(claiming, requested.free), is_queued=True)) is not None:
         if await _may_still_run(db, candidate):
-            return await _assign(db, candidate, runner_id, candidate.attempt + 1)
+            return await _assign(db, candidate, runner_id, candidate.attempt + 1, lease_s)
         message = "The person who launched it may not run it on this mission any more."
         await end_run(db, candidate.id, EndReason.cancelled, message)
     return None
@@ -232,9 +231,10 @@ async def _may_still_run(db: Connection, candidate: AssignedRun) -> bool:
     return level is not None and level >= needed.level
 
 
-async def _assign(db: Connection, row: AssignedRun, runner_id: uuid.UUID, attempt: int) -> RunAssignment:
+async def _assign(db: Connection, row: AssignedRun, runner_id: uuid.UUID, attempt: int, lease_s: int) -> RunAssignment:
     state = RunState.preparing.value if attempt != row.attempt else row.state
-    lease = {"state": state, "runner_id": runner_id, "attempt": attempt, "lease_ends_at": func.now() + LEASE}
+    ends_at = func.now() + datetime.timedelta(seconds=lease_s)
+    lease = {"state": state, "runner_id": runner_id, "attempt": attempt, "lease_ends_at": ends_at}
     claimed_at = func.coalesce(run.c.claimed_at, func.now())
     waited_s = func.extract("epoch", func.now() - run.c.created_at)
     stmt = update(run).where(run.c.id == row.id).values(claimed_at=claimed_at, **lease).returning(waited_s)
@@ -265,7 +265,7 @@ async def _assign(db: Connection, row: AssignedRun, runner_id: uuid.UUID, attemp
             for entry in await db.execute(inputs)
         ],
         token=None if definition.network is Network.none else await _create_token(db, row),
-        lease_s=LEASE_S,
+        lease_s=lease_s,
         traceparent=row.traceparent,
     )
 

@@ -107,7 +107,9 @@ async def requeue_lost_runs(db: Connection) -> int:
     expired = run.c.state.in_(ASSIGNED) & is_due
     stmt = select(run.c.id, run.c.cancel_requested_at, run.c.lost_count).where(expired)
     rows = (await db.execute(stmt.order_by(run.c.id).limit(_BATCH).with_for_update(skip_locked=True))).all()
-    unassigned = dict.fromkeys(("lease_ends_at", "runner_id", "progress", "usage", "claimed_at", "started_at"))
+    unassigned = dict.fromkeys(
+        ("lease_ends_at", "runner_id", "progress", "placement", "usage", "claimed_at", "started_at")
+    )
     for row in rows:
         if row.cancel_requested_at is not None:
             await end_run(db, row.id, EndReason.cancelled, "Cancelled; its runner was lost.")

@@ -39,7 +39,17 @@ UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 # The fields of `RunRead` that are columns of the same name.
 _SAME = (
     *("id", "version_id", "network", "parameters", "state", "reason", "message", "exit_code", "progress"),
-    *("attempt", "image_digest", "usage", "input_count", "input_bytes", "artifact_count", "metric_count"),
+    *(
+        "attempt",
+        "priority",
+        "placement",
+        "image_digest",
+        "usage",
+        "input_count",
+        "input_bytes",
+        "artifact_count",
+        "metric_count",
+    ),
     *(
         "finding_counts",
         "check_counts",

@@ -7,6 +7,7 @@ import sqlalchemy as sa
 from sqlalchemy.dialects.postgresql import JSONB
 
 from kleinkram.contract.files import ContentState
+from kleinkram.contract.runners import Isolation
 from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
 
 project = sa.Table(
@@ -25,6 +26,8 @@ project = sa.Table(
     # Null for no quota.
     sa.Column("quota_bytes", sa.BigInteger),
     sa.Column("quota_files", sa.BigInteger),
+    # The weakest isolation that its runs may have, on a server with several accounts.
+    sa.Column("isolation", sa.Text, nullable=False, server_default=Isolation.container.value),
     # The version of its `checks.yaml` that applies; 0 for none.
     sa.Column("checks_number", sa.Integer, nullable=False, server_default="0"),
     created_at_column(),
@@ -33,6 +36,7 @@ project = sa.Table(
     sa.Column("deleted_by_id", sa.Uuid, sa.ForeignKey("person.id")),
     sa.CheckConstraint("char_length(name) BETWEEN 1 AND 128", name="name_length"),
     sa.CheckConstraint("(deleted_at IS NULL) = (deleted_by_id IS NULL)", name="deleted"),
+    one_of("isolation", Isolation),
     sa.CheckConstraint("quota_bytes >= 0 AND quota_files >= 0", name="quota"),
     sa.Index("ix_project_public", "id", postgresql_where=sa.text("is_public")),
     sa.Index("uq_project_name_key_live", "name_key", unique=True, postgresql_where=sa.text("deleted_at IS NULL")),

@@ -11,7 +11,8 @@ from kleinkram.contract.actions import Network
 from kleinkram.contract.checks import CheckStatus, Verdict
 from kleinkram.contract.project_actions import RunTrigger
 from kleinkram.contract.reports import Severity
-from kleinkram.contract.runs import EndReason, RunState
+from kleinkram.contract.runners import LEASE_S
+from kleinkram.contract.runs import EndReason, RunPriority, RunState
 from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
 
 action = sa.Table(
@@ -72,6 +73,7 @@ runner = sa.Table(
     sa.Column("abilities", JSONB, nullable=False),
     sa.Column("default_image", sa.Text),
     sa.Column("version", sa.Text, nullable=False),
+    sa.Column("lease_s", sa.Integer, nullable=False, server_default=str(LEASE_S)),
     created_at_column(),
     sa.Column("last_seen_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.text("now()")),
 )
@@ -95,6 +97,7 @@ run = sa.Table(
     sa.Column("gpus", sa.Integer, nullable=False),
     sa.Column("labels", sa.ARRAY(sa.Text), nullable=False, server_default="{}"),
     sa.Column("needs_images", sa.Boolean, nullable=False),
+    sa.Column("priority", sa.Text, nullable=False, server_default=RunPriority.normal.value),
     sa.Column("state", sa.Text, nullable=False, server_default=RunState.queued.value),
     sa.Column("reason", sa.Text),
     sa.Column("message", sa.Text, nullable=False, server_default=""),
@@ -115,6 +118,7 @@ run = sa.Table(
     sa.Column("runner_id", sa.Uuid, sa.ForeignKey("runner.id"), index=True),
     sa.Column("lease_ends_at", sa.DateTime(timezone=True)),
     sa.Column("progress", JSONB(none_as_null=True)),
+    sa.Column("placement", JSONB(none_as_null=True)),
     sa.Column("usage", JSONB(none_as_null=True)),
     sa.Column("samples", JSONB, nullable=False, server_default="[]"),
     sa.Column("problems", JSONB, nullable=False, server_default="[]"),
@@ -141,6 +145,7 @@ run = sa.Table(
     one_of("state", RunState),
     one_of("reason", EndReason),
     one_of("network", Network),
+    one_of("priority", RunPriority),
     one_of("verdict", Verdict),
     sa.CheckConstraint(
         "(ended_at IS NULL) = (state IN ('queued', 'preparing', 'running', 'collecting'))", name="ended"

@@ -1,0 +1,83 @@
+"""Chooses the executor of a runner, or of a local run."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from kleinkram.client.errors import InvalidInput
+from kleinkram.contract.runners import Isolation
+from kleinkram.environments.cache import EnvironmentCache
+from kleinkram.environments.local import local_index
+from kleinkram.environments.uv import PackageIndex
+from kleinkram.runner.arguments import ExecutorChoice
+from kleinkram.runner.executors.base import CannotStart, Executor
+from kleinkram.runner.executors.docker.client import DockerClient, EngineError, EngineUnavailable, find_socket
+from kleinkram.runner.executors.docker.executor import DockerExecutor, Pull
+from kleinkram.runner.executors.local import Machine
+from kleinkram.runner.executors.process import ProcessExecutor
+
+_log = logging.getLogger("kleinkram.runner")
+
+
+@dataclass(frozen=True)
+class ImagePolicy:
+    """Which images may be pulled, and when. `allowed`: registries, or namespaces of them; None for all."""
+
+    pull: Pull = Pull.missing
+    allowed: Sequence[str] | None = None
+
+
+def find_index(text: str | None) -> PackageIndex | None:
+    """Return the package index of this name, else of the environment, else PyPI; None where it is `off`.
+
+    Raises:
+        InvalidInput: it is neither the URL of an index nor a folder.
+    """
+    try:
+        return local_index(text)
+    except ValueError as error:
+        raise InvalidInput(what="The package index", reason=str(error)) from None
+
+
+def choose_executor(
+    choice: ExecutorChoice,
+    policy: ImagePolicy,
+    default_image: str,
+    *,
+    runner: str = "local",
+    machine: Machine | None = None,
+    environments: EnvironmentCache | None = None,
+) -> Executor:
+    """Return the executor of a runner. The default image may be pulled first, which may take long.
+
+    `environments` are those of scripts; by default the machine's.
+
+    Raises:
+        InvalidInput: `choice` is `docker`, and no engine answers.
+    """
+    socket = None if choice is ExecutorChoice.process else find_socket()
+    if choice is ExecutorChoice.docker and socket is None:
+        raise InvalidInput(what="The executor docker", reason="no socket of a container engine was found")
+    if socket is not None:
+        try:
+            client = DockerClient(socket)
+            containers = DockerExecutor(
+                client, machine, runner=runner, pull=policy.pull, allowed=policy.allowed, environments=environments
+            )
+            if choice is ExecutorChoice.auto:
+                containers.prepare_image(default_image)
+            return containers
+        except (EngineUnavailable, EngineError) as error:
+            if choice is ExecutorChoice.docker:
+                raise InvalidInput(what="The executor docker", reason=str(error)) from error
+            _log.info("no container engine answers (%s): scripts run as processes", error)
+        except CannotStart as error:
+            _log.warning(
+                "%s So scripts run as processes, and images do not run; to change this: --executor docker", error
+            )
+    elif choice is ExecutorChoice.auto:
+        _log.info("no socket of a container engine was found: scripts run as processes")
+    executor = ProcessExecutor(machine, environments)
+    if executor.abilities.isolation is Isolation.none:
+        _log.warning("this kernel allows this user no namespaces: runs can read and change whatever the runner can")
+    return executor
