@@ -23,7 +23,7 @@ def rate_hz(recording: Recording, topic: str) -> float:
 def main(query: str, topic: str, scheduler: str | None = None) -> None:
     """Print the rate for each recording."""
     with kleinkram.connect() as client, Dask(scheduler, n_workers=None if scheduler else 2) as dask:
-        files = [file for file in client.files.list(query=query) if file.recording_id]
+        files = [file for file in client.files.list(query) if file.recording_id]
         ids = list(dict.fromkeys(file.recording_id for file in files))
         recordings = [client.recordings.open(recording_id) for recording_id in ids]
         rates = dask.gather(dask.map(rate_hz, recordings, topic=topic, pure=False))

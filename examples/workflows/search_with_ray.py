@@ -26,7 +26,7 @@ def read(row: dict[str, Any]) -> list[dict[str, Any]]:
 def recordings(query: str, topic: str) -> Iterator[dict[str, Any]]:
     """Yield each recording that a search finds, with the topic to read."""
     with kleinkram.connect() as client:
-        files = client.files.list(query=query)
+        files = client.files.list(query)
         for recording_id in dict.fromkeys(file.recording_id for file in files if file.recording_id):
             yield {"item": client.recordings.open(recording_id), "topic": topic}
 

@@ -43,7 +43,7 @@ def test_a_recorded_run_has_its_results_and_their_lineage(lab: Api, place: Place
     assert {entry["path"] for entry in lineage["made_by"]["inputs"]} == {"drive.bin", "notes/day.txt"}
     source = lab.get(f"/files/{place.files['drive.bin']['id']}/lineage").ok()
     assert [entry["path"] for entry in source["read_by"][0]["files"]] == ["derived/odometry.tum"]
-    assert lab.get(f"/files/{made['id']}").ok()["is_derived"]
+    assert lab.get(f"/files/{made['id']}").ok()["origin"] == "run"
 
 
 def test_the_same_again_is_the_same_run_and_other_bytes_are_another(lab: Api, place: Place) -> None:
