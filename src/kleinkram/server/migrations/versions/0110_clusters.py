@@ -1,4 +1,4 @@
-"""Runs have a priority and a placement, runners a length of their leases, and projects an allowed isolation."""
+"""Runs have a priority, an isolation and a placement, runners a length of their leases, projects allow an isolation."""
 
 from alembic import op
 
@@ -15,6 +15,8 @@ ALTER TABLE project ADD COLUMN isolation text DEFAULT 'container' NOT NULL
     CONSTRAINT ck_project_isolation CHECK (isolation IN ('container', 'namespaces', 'none'));
 ALTER TABLE run ADD COLUMN priority text DEFAULT 'normal' NOT NULL
     CONSTRAINT ck_run_priority CHECK (priority IN ('low', 'normal', 'high'));
+ALTER TABLE run ADD COLUMN isolation text
+    CONSTRAINT ck_run_isolation CHECK (isolation IN ('container', 'namespaces', 'none'));
 ALTER TABLE run ADD COLUMN placement jsonb;
 ALTER TABLE runner ADD COLUMN lease_s integer DEFAULT 60 NOT NULL;
 """
