@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from kleinkram.contract.actions import ActionDefinition, Network, Resources
-from kleinkram.contract.runners import Isolation
+from kleinkram.contract.isolation import Isolation
 from kleinkram.environments.local import local_index
 from kleinkram.environments.lock import CannotLock, lock_dependencies
 from kleinkram.runner.executors.base import LockedScript, RunJob, wait_for_end

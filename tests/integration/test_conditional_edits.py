@@ -28,6 +28,7 @@ _EDITS: dict[str, list[tuple[Any, Any]]] = {
         ({"metadata_fields": {"fields": [{"name": "a", "type": "string"}]}}, {"fields_yaml": "fields: []\n"}),
         ({"description": "mine"}, {"description": "yours"}),
         ({"is_public": True}, {"licence": "CC0-1.0"}),
+        ({"isolation": "namespaces"}, {"description": "ours"}),
     ],
     "files": [({"labels": ["good"]}, {"labels": ["night"]}), ({"path": "a.bin"}, {"path": "b.bin"})],
     "groups": [({"name": "first"}, {"name": "second"})],

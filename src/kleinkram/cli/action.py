@@ -26,9 +26,9 @@ from kleinkram.client.actions import read_manifest
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import ActionDefinition, ActionRead, ActionVersionRead, Inputs
 from kleinkram.contract.checks import Verdict
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.problems import first_problem
 from kleinkram.contract.reports import verdict_of_report
-from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
 
 if TYPE_CHECKING:

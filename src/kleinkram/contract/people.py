@@ -9,6 +9,7 @@ from typing import Annotated
 from pydantic import AfterValidator, Field, JsonValue
 
 from kleinkram.contract.base import NamedRef, Request, Response
+from kleinkram.contract.isolation import Isolation
 
 
 class PersonRef(NamedRef):
@@ -131,7 +132,7 @@ class ServiceRead(Response):
     """A server: `GET /api/v1/service`. `name` is the lab's; `person` is the caller, if they have an account.
 
     Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers. `token_days_max` 0: tokens
-    without an end are allowed.
+    without an end are allowed. `weakest_isolation`: the weakest that owners of projects may allow for runs.
     """
 
     name: str
@@ -141,6 +142,7 @@ class ServiceRead(Response):
     store_origin: str
     token_days_default: int = 0
     token_days_max: int = 0
+    weakest_isolation: Isolation = Isolation.container
     checksum: str
     has_local_accounts: bool
     viewers: list[ViewerRead]

@@ -10,6 +10,7 @@ from typing_extensions import Self
 
 from kleinkram.contract.access import Right
 from kleinkram.contract.base import ETag, NamedRef, Request, Response, etag_of
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, MetadataFields
 from kleinkram.contract.names import Name, check_text
 from kleinkram.contract.people import PersonRef
@@ -47,7 +48,8 @@ class ProjectCreate(_FieldsInput):
 class ProjectUpdate(_FieldsInput):
     """Changes of a project; omitted fields stay. Metadata fields are all replaced.
 
-    Everybody may read a public project, also without an account. A quota of null is no quota; admins set quotas.
+    Everybody may read a public project, also without an account. `isolation` is the weakest class that its runs may
+    have. Owners change these. A quota of null is no quota; admins set quotas.
     """
 
     name: Name | None = None
@@ -55,11 +57,12 @@ class ProjectUpdate(_FieldsInput):
     is_public: bool | None = None
     licence: Licence | None = None
     citation: Citation | None = None
+    isolation: Isolation | None = None
     quota_bytes: Quota | None = None
     quota_files: Quota | None = None
 
 
-_EDITED = ("name", "description", "is_public", "licence", "citation", "quota_bytes", "quota_files")
+_EDITED = ("name", "description", "is_public", "licence", "citation", "isolation", "quota_bytes", "quota_files")
 
 
 def _etag(values: dict[str, Any]) -> str:
@@ -71,6 +74,7 @@ class ProjectRead(Response):
     """A project and its contents, without the trash. `right` is the caller's own.
 
     The quotas limit files and uploads in progress: `used_bytes` and `used_files`. `etag` is of the edited fields.
+    `isolation` is the weakest class that its runs may have; where the server asks for a stronger one, that counts.
     """
 
     id: uuid.UUID
@@ -87,6 +91,7 @@ class ProjectRead(Response):
     is_public: bool
     licence: str
     citation: str
+    isolation: Isolation = Isolation.container
     quota_bytes: int | None
     quota_files: int | None
     used_bytes: int

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from kleinkram.contract.actions import Network, ParameterValues, Resources
 from kleinkram.contract.base import Request, Response
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.names import Label
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.reports import Progress, Report
@@ -29,14 +30,6 @@ MAX_WAIT_S = 25
 LOG_PATH = ".kleinkram/log"
 
 Attempt = Annotated[int, Field(ge=1, lt=2**31)]
-
-
-class Isolation(str, enum.Enum):
-    """What separates a run from its machine and from other runs."""
-
-    container = "container"
-    namespaces = "namespaces"
-    none = "none"
 
 
 class ExecutorAbilities(Response):
@@ -92,7 +85,10 @@ class RunnerToken(Response):
 
 
 class RunnerRead(Response):
-    """A runner, as admins see it. `token` is null until it registers again after an update of the server."""
+    """A runner, as admins see it. `token` is null until it registers again after an update of the server.
+
+    `lease_s` is how long its runs may go on without news from it.
+    """
 
     id: uuid.UUID
     name: str
@@ -100,6 +96,7 @@ class RunnerRead(Response):
     capacity: Capacity
     abilities: ExecutorAbilities
     default_image: str | None
+    lease_s: int = LEASE_S
     version: str
     last_seen_at: datetime.datetime
     is_alive: bool

@@ -18,6 +18,7 @@ from kleinkram.contract.actions import (
 from kleinkram.contract.base import Request, Response
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.contract.files import FetchPurpose, FileRead, RecordingRead, TopicRead
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import LocationFilter, MissionRead, MissionRef
 from kleinkram.contract.names import FilePath, Name, Term, check_text
@@ -209,7 +210,8 @@ class RunRead(Response):
     the image that was run. `reuses_id` is the earlier run whose results this run reuses; it has none of its own.
     `verdict` is the worst of what its report says: its verdict, checks and findings. Null where it is not `done`, and
     where it judged nothing. `metrics` are the first reported ones, those of the run before those of single files; empty
-    in a lineage. `placement` is null before its runner reports one. `is_recorded`: it was executed elsewhere, and
+    in a lineage. `isolation` is the class that its runner gave it; null before a runner has it, and where that was not
+    recorded yet. `placement` is null before its runner reports one. `is_recorded`: it was executed elsewhere, and
     recorded with its results. `may_cancel`: the caller may cancel it, and it has not ended.
     """
 
@@ -229,6 +231,7 @@ class RunRead(Response):
     priority: RunPriority = RunPriority.normal
     cause: Cause
     runner: str | None
+    isolation: Isolation | None = None
     placement: RunPlacement | None = None
     image_digest: str | None
     usage: Usage | None

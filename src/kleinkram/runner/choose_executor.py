@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kleinkram.client.errors import InvalidInput
-from kleinkram.contract.runners import Isolation
+from kleinkram.contract.isolation import Isolation
 from kleinkram.environments.cache import EnvironmentCache
 from kleinkram.environments.local import local_index
 from kleinkram.environments.uv import PackageIndex

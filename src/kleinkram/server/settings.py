@@ -29,6 +29,7 @@ from pydantic import (
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from kleinkram.contract.access import Right
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.names import Name, name_key
 from kleinkram.contract.people import EmailAddress, EmailDomain
 from kleinkram.environments.uv import PYPI, parse_index
@@ -398,6 +399,11 @@ class Settings(BaseSettings):
         default="affiliated",
         description="Who may create projects and groups: `affiliated` people (everybody if there are no "
         "affiliations), `everybody` or `admins`.",
+    )
+    weakest_isolation: Isolation = Field(
+        default=Isolation.namespaces,
+        description="The weakest isolation of runs that owners of projects may allow: `container`, `namespaces` or "
+        "`none`. While a single person has an account, all are allowed.",
     )
 
     package_index: Annotated[str, AfterValidator(_package_index)] = Field(

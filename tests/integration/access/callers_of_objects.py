@@ -31,6 +31,12 @@ def _move_back_to_trash(table: str, attribute: str) -> Callable[[Principal], Non
     return lambda principal: trash(principal.api, table, getattr(principal.objects, attribute))
 
 
+def _other_isolation(principal: Principal) -> Any:
+    """Return another isolation than the project has: nothing is checked where nothing changes."""
+    ((now,),) = principal.api.sql("SELECT isolation FROM project WHERE id = %s", principal.objects.project)
+    return {"isolation": "container" if now == "namespaces" else "namespaces"}
+
+
 _CHECK_REPORT = {
     "checks": [{"name": "topic.gap", "status": "ok", "message": "No gap."}],
     "depth": "index",
@@ -49,6 +55,13 @@ OBJECT_OPERATIONS: dict[str, tuple[Caller, ...]] = {
     "update_project": (Caller(patch("/projects/{project}", lambda _: {"description": ""}), Target.project),),
     "publish_project": (
         Caller(patch("/projects/{project}", lambda _: {"citation": new_name()}), Target.project, via="update_project"),
+    ),
+    "set_project_isolation": (
+        Caller(
+            patch("/projects/{project}", _other_isolation),
+            Target.project,
+            via="update_project",
+        ),
     ),
     "set_project_quota": (
         Caller(

@@ -15,6 +15,7 @@ WRITES: dict[str, set[str]] = {
     "create_project": {"project.create"},
     "update_project": {"[project.update]"},
     "publish_project": {"project.update"},
+    "set_project_isolation": {"project.set_isolation"},
     "set_project_quota": {"project.set_quota"},
     "delete_project": {"[project.delete]"},
     "create_mission": {"mission.create"},
@@ -140,7 +141,7 @@ def test_every_operation_that_changes_something_is_listed(world: World) -> None:
         if method in {"post", "put", "patch", "delete"}
     }
     # These operations share the route of another operation.
-    shared_route = {"publish_project", "set_project_quota", "move_mission", "move_file"}
+    shared_route = {"publish_project", "set_project_isolation", "set_project_quota", "move_mission", "move_file"}
     # These are read requests, or requests of providers, which are no part of the API.
     others = {"end_provider_sign_in", "end_provider_sessions", "export_person"}
     assert changing | shared_route | others == WRITES.keys()

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.contract.runners import Isolation
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.environments.uv import parse_index
 from kleinkram.runner.executors.docker.executor import DockerExecutor

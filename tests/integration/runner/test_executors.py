@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract.actions import Network
-from kleinkram.contract.runners import Isolation
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors import local
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.access import Right
+from kleinkram.contract.isolation import Isolation
 from kleinkram.server.context import AppContext
 from kleinkram.server.maintenance import maintain_runs
 from kleinkram.server.runs.automatic import start_due_runs
@@ -232,7 +233,7 @@ def test_several_workers_at_once_start_one_run(lab: Api, runner: FakeRunner, pla
 
     async def start(context: AppContext) -> None:
         async with context.database.begin() as db:
-            await start_due_runs(db, uuid.UUID(place.mission["id"]))
+            await start_due_runs(db, uuid.UUID(place.mission["id"]), weakest=Isolation.namespaces)
 
     with ThreadPoolExecutor(6) as threads:
         for future in [threads.submit(on_site, lab, start) for _ in range(6)]:

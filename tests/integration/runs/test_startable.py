@@ -42,20 +42,23 @@ def test_a_second_account_makes_script_runs_refused_with_the_remedy(
 ) -> None:
     assert launch(single, own_runner, mission)["waits_for"].startswith("It is queued for ")
     invited = single.post("/people/invitations", {"email": "second@lab.example"}).ok(201)
-    assert "Docker or Podman" in invited["warning"], "the warning comes before it happens"
-    assert "Docker or Podman" in single.get("/admin/health").ok()["invitation_warning"]
+    remedy = "--isolation namespaces`. Otherwise, install Docker or Podman"
+    assert remedy in invited["warning"], "the warning comes before it happens"
+    assert remedy in single.get("/admin/health").ok()["invitation_warning"]
 
     people.person(single)
     expected = {"mission_ids": [mission["id"]], "definition": definition(own_runner), "force": True}
     (item,) = single.post("/runs", expected).ok()["items"]
     assert (item["outcome"], item["problem"]["code"]) == ("refused", "no_runner")
-    assert "only while one person alone has an account" in item["problem"]["detail"]
-    assert "Install Docker or Podman" in item["problem"]["detail"]
+    assert "in namespaces, without containers, which the project does not allow" in item["problem"]["detail"]
+    of_project = f"`klein project update {mission['project']['id']} {remedy}"
+    assert of_project in item["problem"]["detail"]
 
     (queued,) = single.get("/runs").ok()["items"]
-    assert "Install Docker or Podman" in queued["waits_for"]
+    assert of_project in queued["waits_for"]
+    assert own_runner.claim() is None
     retried = single.post(f"/runs/{queued['id']}/retry?force=true").refused(409, "no_runner")
-    assert "Install Docker or Podman" in retried["detail"]
+    assert of_project in retried["detail"]
     health = single.get("/admin/health").ok()
     assert health["runs_problem"].startswith("1 queued run can never start.")
     assert health["invitation_warning"] is None, "a second person has an account already"

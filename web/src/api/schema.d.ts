@@ -2701,26 +2701,6 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/runs/recorded": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Record Run
-         * @description Record a run that was executed elsewhere, with its results; recording the same again changes nothing.
-         */
-        post: operations["record_run"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
     "/api/v1/search": {
         parameters: {
             query?: never;
@@ -5079,7 +5059,9 @@ export interface components {
         };
         /**
          * Isolation
-         * @description What separates a run from its machine and from other runs.
+         * @description What separates a run from its machine and from other runs; the strongest class first.
+         *
+         *     A project has the weakest class that its runs may have, a runner the class of its executor.
          * @enum {string}
          */
         Isolation: "container" | "namespaces" | "none";
@@ -6691,6 +6673,7 @@ export interface components {
          * @description A project and its contents, without the trash. `right` is the caller's own.
          *
          *     The quotas limit files and uploads in progress: `used_bytes` and `used_files`. `etag` is of the edited fields.
+         *     `isolation` is the weakest class that its runs may have; where the server asks for a stronger one, that counts.
          */
         ProjectRead: {
             /** Citation */
@@ -6716,6 +6699,8 @@ export interface components {
             id: string;
             /** Is Public */
             is_public: boolean;
+            /** @default container */
+            isolation: components["schemas"]["Isolation"];
             /** Licence */
             licence: string;
             metadata_fields: components["schemas"]["MetadataFields"];
@@ -6773,7 +6758,8 @@ export interface components {
          * ProjectUpdate
          * @description Changes of a project; omitted fields stay. Metadata fields are all replaced.
          *
-         *     Everybody may read a public project, also without an account. A quota of null is no quota; admins set quotas.
+         *     Everybody may read a public project, also without an account. `isolation` is the weakest class that its runs may
+         *     have. Owners change these. A quota of null is no quota; admins set quotas.
          */
         ProjectUpdate: {
             /** Citation */
@@ -6784,6 +6770,7 @@ export interface components {
             fields_yaml?: string | null;
             /** Is Public */
             is_public?: boolean | null;
+            isolation?: components["schemas"]["Isolation"] | null;
             /** Licence */
             licence?: string | null;
             metadata_fields?: components["schemas"]["MetadataFields"] | null;
@@ -7195,11 +7182,7 @@ export interface components {
             input_bytes: number;
             /** Input Count */
             input_count: number;
-            /**
-             * Is Recorded
-             * @default false
-             */
-            is_recorded: boolean;
+            isolation?: components["schemas"]["Isolation"] | null;
             /** May Cancel */
             may_cancel: boolean;
             /** Message */
@@ -7317,6 +7300,8 @@ export interface components {
         /**
          * RunnerRead
          * @description A runner, as admins see it. `token` is null until it registers again after an update of the server.
+         *
+         *     `lease_s` is how long its runs may go on without news from it.
          */
         RunnerRead: {
             abilities: components["schemas"]["ExecutorAbilities"];
@@ -7339,6 +7324,11 @@ export interface components {
              * Format: date-time
              */
             last_seen_at: string;
+            /**
+             * Lease S
+             * @default 60
+             */
+            lease_s: number;
             /** Name */
             name: string;
             token?: components["schemas"]["RunnerToken"] | null;
@@ -7440,8 +7430,9 @@ export interface components {
          *     the image that was run. `reuses_id` is the earlier run whose results this run reuses; it has none of its own.
          *     `verdict` is the worst of what its report says: its verdict, checks and findings. Null where it is not `done`, and
          *     where it judged nothing. `metrics` are the first reported ones, those of the run before those of single files; empty
-         *     in a lineage. `placement` is null before its runner reports one. `is_recorded`: it was executed elsewhere, and
-         *     recorded with its results. `may_cancel`: the caller may cancel it, and it has not ended.
+         *     in a lineage. `isolation` is the class that its runner gave it; null before a runner has it, and where that was not
+         *     recorded yet. `placement` is null before its runner reports one. `may_cancel`: the caller may cancel it, and it has
+         *     not ended.
          */
         RunRead: {
             action: components["schemas"]["ActionRef"];
@@ -7485,11 +7476,7 @@ export interface components {
             input_bytes: number;
             /** Input Count */
             input_count: number;
-            /**
-             * Is Recorded
-             * @default false
-             */
-            is_recorded: boolean;
+            isolation?: components["schemas"]["Isolation"] | null;
             /** May Cancel */
             may_cancel: boolean;
             /** Message */
@@ -7529,52 +7516,6 @@ export interface components {
             version_id: string;
             /** Waits For */
             waits_for: string | null;
-        };
-        /**
-         * RunRecord
-         * @description A run that was executed elsewhere, such as by Snakemake or a job of a cluster, with its results.
-         *
-         *     `script` is the text that was executed, for people to read. `inputs` and `outputs` are paths of files of the
-         *     mission; the caller has uploaded the outputs, which become files that the run made. Recording the same again, with
-         *     the same bytes, returns the same run.
-         */
-        RunRecord: {
-            /** Duration S */
-            duration_s?: number | null;
-            /** Inputs */
-            inputs: string[];
-            /**
-             * Mission Id
-             * Format: uuid
-             */
-            mission_id: string;
-            /** Name */
-            name: string;
-            /**
-             * Outputs
-             * @default []
-             */
-            outputs: string[];
-            /**
-             * Parameters
-             * @default {}
-             */
-            parameters: {
-                [key: string]: boolean | number | string;
-            };
-            /**
-             * @default {
-             *       "checks": [],
-             *       "findings": [],
-             *       "metadata": {},
-             *       "metrics": [],
-             *       "mission_files": [],
-             *       "previews": []
-             *     }
-             */
-            report: components["schemas"]["Report"];
-            /** Script */
-            script: string;
         };
         /**
          * RunRefused
@@ -7748,7 +7689,7 @@ export interface components {
          * @description A server: `GET /api/v1/service`. `name` is the lab's; `person` is the caller, if they have an account.
          *
          *     Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers. `token_days_max` 0: tokens
-         *     without an end are allowed.
+         *     without an end are allowed. `weakest_isolation`: the weakest that owners of projects may allow for runs.
          */
         ServiceRead: {
             /** Checksum */
@@ -7778,6 +7719,8 @@ export interface components {
             version: string;
             /** Viewers */
             viewers: components["schemas"]["ViewerRead"][];
+            /** @default container */
+            weakest_isolation: components["schemas"]["Isolation"];
         };
         /**
          * SessionRead
@@ -13836,39 +13779,6 @@ export interface operations {
             cookie?: never;
         };
         requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            201: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["RunRead"];
-                };
-            };
-            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["ProblemDocument"];
-                };
-            };
-        };
-    };
-    record_run: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody: {
-            content: {
-                "application/json": components["schemas"]["RunRecord"];
-            };
-        };
         responses: {
             /** @description Successful Response */
             201: {

@@ -72,6 +72,7 @@ const operations: Readonly<Record<string, string>> = {
   "project.add_action": "added an action to",
   "project.remove_action": "removed an action from",
   "project.set_checks": "set the checks of",
+  "project.set_isolation": "set the isolation of runs in",
   "project.set_quota": "set the quota of",
   "project.unpublish": "made private",
   "project.update": "changed",

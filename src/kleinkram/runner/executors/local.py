@@ -17,7 +17,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from kleinkram.contract.runners import Capacity, Isolation
+from kleinkram.contract.isolation import Isolation
+from kleinkram.contract.runners import Capacity
 from kleinkram.contract.runs import LOG_BYTES, EndReason
 from kleinkram.environments.cache import CannotInstall, Environment, EnvironmentCache, EnvironmentRequest, Show
 from kleinkram.environments.python import Python, PythonUnknown

@@ -17,7 +17,8 @@ from pathlib import Path
 
 from kleinkram.action.run_files import IN_VARIABLE, OUT_VARIABLE, PACKAGES_VARIABLE
 from kleinkram.contract.actions import Network
-from kleinkram.contract.runners import ExecutorAbilities, Isolation
+from kleinkram.contract.isolation import Isolation
+from kleinkram.contract.runners import ExecutorAbilities
 from kleinkram.contract.runs import EndReason, Usage
 from kleinkram.environments.cache import EnvironmentCache, compile_packages
 from kleinkram.environments.python import PROBE, Python, parse_python

@@ -68,6 +68,7 @@ OPERATIONS: dict[str, Permission] = {
     "get_project": Permission(ResourceKind.project, Right.read, _NAMES, guests=True),
     "update_project": Permission(ResourceKind.project, Right.write, _WRITE),
     "publish_project": Permission(ResourceKind.project, Right.delete, _ADMIN),
+    "set_project_isolation": Permission(ResourceKind.project, Right.delete, _ADMIN),
     "set_project_quota": Permission(ResourceKind.server, None, _ADMIN),
     "delete_project": Permission(ResourceKind.project, Right.delete, _WRITE),
     "get_mission_template": Permission(ResourceKind.project, Right.read, _NAMES),

@@ -20,7 +20,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.health.readiness import check_service, find_workers
 from kleinkram.server.home.service import is_low, store_use
 from kleinkram.server.migrations import HEAD
-from kleinkram.server.runs.eligibility import NEEDS_COLUMNS, Needs, QueuedRuns, known_runners
+from kleinkram.server.runs.eligibility import NEEDS_COLUMNS, QueuedRuns, known_runners, to_needs
 from kleinkram.server.settings import Settings, is_secret
 from kleinkram.server.tables import blob, file, mission, project, run, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
@@ -148,9 +148,9 @@ async def get_health(context: AppContext, *, takes_pages: bool) -> admin.AdminHe
         server = (await db.execute(_SERVER)).one()
         now = datetime.datetime.now(datetime.timezone.utc)
         workers = await find_workers(db)
-        known = await known_runners(db)
+        known = await known_runners(db, context.settings.weakest_isolation)
         rows = await db.execute(queued.group_by(*NEEDS_COLUMNS).order_by(_NUMBER.desc()).limit(200))
-        queued_runs = [QueuedRuns(Needs(*row[:-1]), row.number) for row in rows]
+        queued_runs = [QueuedRuns(to_needs(row._mapping), row.number) for row in rows]
     warnings = [
         f"{result.message} {result.remedy}" for result in results if result.severity is DiagnosticSeverity.warning
     ]

@@ -224,7 +224,7 @@ async def create_invitation(
     code = await create_code(db, request)
     after: Metadata = {"email": invitation.email, "expires_at": code.expires_at.isoformat()}
     await audit(db, actor, Event("invitation.create", "invitation", code.id, invitation.email, after=after))
-    warning = (await known_runners(db)).invitation_warning()
+    warning = (await known_runners(db, settings.weakest_isolation)).invitation_warning()
     return code.link(settings, CodePurpose.invitation).model_copy(update={"warning": warning})
 
 

@@ -84,6 +84,7 @@ async def service(actor: CurrentActor, storage: CurrentStorage, settings: Curren
         checksum=storage.checksum.value,
         token_days_default=default_days(TokenKind.personal, settings) or 0,
         token_days_max=settings.token_days_max,
+        weakest_isolation=settings.weakest_isolation,
         has_local_accounts=settings.local_accounts,
         viewers=[ViewerRead(name=viewer.name, url=viewer.url) for viewer in settings.viewers],
         person=actor.ref,

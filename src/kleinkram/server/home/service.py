@@ -32,7 +32,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.filters.verdicts import is_current, join_checks
 from kleinkram.server.missions.queries import file_totals, mission_ref
-from kleinkram.server.runs.eligibility import NEEDS_COLUMNS, Needs, known_runners
+from kleinkram.server.runs.eligibility import NEEDS_COLUMNS, known_runners, to_needs
 from kleinkram.server.runs.queries import visible_runs
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import action_version, blob, file, mission, mission_checks, project, run, scrub, upload
@@ -84,7 +84,7 @@ async def get_home(context: AppContext, actor: Actor) -> HomeRead:
     async with context.database.begin() as db:
         missions = (await db.execute(_recent_missions(actor))).all()
         uploads = [_StartedUpload._make(row) for row in await db.execute(_unfinished_uploads(actor))]
-        attention = await _attention(db, actor)
+        attention = await _attention(db, actor, context.settings)
         failed_checks = await _failed_checks(db, actor)
         if _sees_server(actor):
             attention = [*await server_attention(db, context.settings), *attention]
@@ -157,7 +157,7 @@ def _disk(settings: Settings) -> tuple[int, int] | None:
     return disk.free, disk.total
 
 
-async def _attention(db: Connection, actor: Actor) -> list[Attention]:
+async def _attention(db: Connection, actor: Actor, settings: Settings) -> list[Attention]:
     counts: dict[tuple[AttentionKind, MissionRef], int] = {}
 
     def count(kind: AttentionKind, number: int, *mission_columns: Any) -> None:  # Any: the arguments of `mission_ref`
@@ -168,9 +168,9 @@ async def _attention(db: Connection, actor: Actor) -> list[Attention]:
         count(_OF_STATE.get(state) or _OF_CONTENT[content], number, *mission_columns)
     queued = (await db.execute(_queued_runs(actor))).all()
     if queued:
-        known = await known_runners(db)
+        known = await known_runners(db, settings.weakest_isolation)
         for row in queued:
-            if known.reason_never_starts(Needs(*(row._mapping[name] for name in Needs._fields))) is not None:
+            if known.reason_never_starts(to_needs(row._mapping)) is not None:
                 count(AttentionKind.runs_cannot_start, row.number, *row[: len(_MISSION)])
     for *mission_columns, number in await db.execute(_failed_runs(actor)):
         count(AttentionKind.runs_failed, number, *mission_columns)
@@ -302,7 +302,7 @@ def _failed_runs(actor: Actor) -> Select[Any]:
 
 def _queued_runs(actor: Actor) -> Select[Any]:
     """Return the number of queued runs on each mission by what they need of a runner, named as in `Needs`."""
-    needs = NEEDS_COLUMNS[:-1]  # the project is in `_MISSION`
+    needs = [column for column in NEEDS_COLUMNS if column is not mission.c.project_id]  # which is in `_MISSION`
     stmt = visible_runs(actor).with_only_columns(*_MISSION, *needs, _NUMBER, maintain_column_froms=True)
     stmt = stmt.where(run.c.state == RunState.queued.value).group_by(mission.c.id, project.c.id, *needs)
     return stmt.order_by(_NUMBER.desc(), mission.c.id).limit(_MAX_QUEUED)

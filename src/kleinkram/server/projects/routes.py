@@ -49,10 +49,18 @@ async def get_project(project_id: uuid.UUID, db: Reading, actor: CurrentActor) -
 
 @router.patch("/{project_id}", operation_id="update_project")
 async def update_project(
-    project_id: uuid.UUID, changes: ProjectUpdate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
+    project_id: uuid.UUID,
+    changes: ProjectUpdate,
+    db: Transaction,
+    actor: CurrentActor,
+    settings: CurrentSettings,
+    if_match: IfMatch = None,
 ) -> ProjectRead:
     """Rename or describe a project, or change its metadata fields; omitted fields stay."""
-    return await service.update_project(db, actor, project_id=project_id, changes=changes, if_match=if_match)
+    weakest = settings.weakest_isolation
+    return await service.update_project(
+        db, actor, project_id=project_id, changes=changes, weakest=weakest, if_match=if_match
+    )
 
 
 @router.delete("/{project_id}", operation_id="delete_project")

@@ -14,7 +14,8 @@ from sqlalchemy.exc import IntegrityError
 
 from kleinkram.contract.access import Right
 from kleinkram.contract.base import Page
-from kleinkram.contract.errors import FieldProblem, FieldsInvalid, NameTaken, NotFound
+from kleinkram.contract.errors import FieldProblem, FieldsInvalid, InvalidRequest, NameTaken, NotFound
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.metadata import Metadata, MetadataField, MetadataFields
 from kleinkram.contract.missions import MissionTemplate
 from kleinkram.contract.names import name_key
@@ -41,8 +42,9 @@ from kleinkram.server.tables import mission, person, project, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
 from kleinkram.untrusted_yaml import Document, Path, read_yaml
 
-# Only owners change these, and only admins those.
+# Only owners change the first two, and only admins the last.
 _PUBLICATION = {"is_public", "licence", "citation"}
+_ISOLATION = {"isolation"}
 _QUOTA = {"quota_bytes", "quota_files"}
 
 
@@ -87,13 +89,21 @@ async def create_project(db: Connection, actor: Actor, *, request: ProjectCreate
 
 
 async def update_project(
-    db: Connection, actor: Actor, *, project_id: uuid.UUID, changes: ProjectUpdate, if_match: str | None = None
+    db: Connection,
+    actor: Actor,
+    *,
+    project_id: uuid.UUID,
+    changes: ProjectUpdate,
+    weakest: Isolation,
+    if_match: str | None = None,
 ) -> ProjectRead:
     """Change the given fields and return the project; missions that violate new metadata fields are only reported.
 
-    Only owners publish a project, and only admins set quotas. A quota below the current usage refuses new files.
+    Only owners publish a project and set its isolation, at least `weakest` (of the settings), and only admins set
+    quotas. A quota below the current usage refuses new files. Another isolation counts for the runs that start from
+    now on, also for queued ones.
 
-    Raises NotFound, Forbidden, ScopeMissing, YamlInvalid, FieldsInvalid, NameTaken or EditConflict.
+    Raises NotFound, Forbidden, ScopeMissing, InvalidRequest, YamlInvalid, FieldsInvalid, NameTaken or EditConflict.
     """
     fields = await _read_declaration(changes)
     await db.execute(_lock_project(actor, project_id))
@@ -106,6 +116,10 @@ async def update_project(
     if after.keys() & _PUBLICATION:
         check_credential(actor, "publish_project")
         await require_project(db, actor, "publish_project", project_id)
+    if after.keys() & _ISOLATION:
+        check_credential(actor, "set_project_isolation")
+        await require_project(db, actor, "set_project_isolation", project_id)
+        _require_isolation(Isolation(after["isolation"]), weakest)
     if after.keys() & _QUOTA:
         check_credential(actor, "set_project_quota")
     values = after | ({"name_key": name_key(after["name"])} if "name" in after else {})
@@ -152,14 +166,25 @@ def _changed_values(
     old: ProjectRead, changes: ProjectUpdate, fields: MetadataFields | None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the old and new values, as stored, of what changes."""
-    current = old.model_dump(mode="json", include={"name", "description", *_PUBLICATION, *_QUOTA})
+    current = old.model_dump(mode="json", include={"name", "description", *_PUBLICATION, *_ISOLATION, *_QUOTA})
     current["metadata_fields"] = old.metadata_fields.model_dump(mode="json", exclude_none=True)
-    new: dict[str, Any] = changes.model_dump(exclude={"fields_yaml", "metadata_fields", *_QUOTA}, exclude_none=True)
+    others = {"fields_yaml", "metadata_fields", *_QUOTA}
+    new: dict[str, Any] = changes.model_dump(mode="json", exclude=others, exclude_none=True)
     new |= changes.model_dump(include=_QUOTA, exclude_unset=True)  # null removes a quota
     if fields is not None:
         new["metadata_fields"] = fields.model_dump(mode="json", exclude_none=True)
     after = {name: value for name, value in new.items() if value != current[name]}
     return {name: current[name] for name in after}, after
+
+
+def _require_isolation(isolation: Isolation, weakest: Isolation) -> None:
+    """Check that the server allows an isolation. Raises InvalidRequest."""
+    if not isolation.is_at_least(weakest):
+        message = (
+            f"this server allows {weakest.value} at least; an admin can change that with the setting "
+            "KLEINKRAM_WEAKEST_ISOLATION"
+        )
+        raise InvalidRequest(problems=[FieldProblem(field="isolation", message=message)])
 
 
 def _events(new: ProjectRead, before: Metadata, after: Metadata) -> list[Event]:
@@ -168,8 +193,9 @@ def _events(new: ProjectRead, before: Metadata, after: Metadata) -> list[Event]:
     if "is_public" in after:
         publication = "project.publish" if new.is_public else "project.unpublish"
     groups = (
-        ("project.update", "update_project", after.keys() - _PUBLICATION - _QUOTA),
+        ("project.update", "update_project", after.keys() - _PUBLICATION - _ISOLATION - _QUOTA),
         (publication, "publish_project", after.keys() & _PUBLICATION),
+        ("project.set_isolation", "set_project_isolation", after.keys() & _ISOLATION),
         ("project.set_quota", "set_project_quota", after.keys() & _QUOTA),
     )
     return [

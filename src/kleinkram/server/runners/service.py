@@ -13,6 +13,7 @@ from kleinkram.contract.actions import Network
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.base import Page
 from kleinkram.contract.errors import Forbidden
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.runners import (
@@ -38,10 +39,11 @@ from kleinkram.server.events.hub import EventFilter, Hub
 from kleinkram.server.pagination import Order, PageRequest, fetch_page
 from kleinkram.server.runners.assigned_runs import OWN_TOKEN, AssignedRun, lock_run, record_seen
 from kleinkram.server.runs.eligibility import (
+    IsolationRule,
     KnownRunner,
     find_runner,
-    has_single_person,
     is_alive,
+    isolation_rule,
     with_token_limits,
 )
 from kleinkram.server.runs.lifecycle import end_run, requeue_lost_runs
@@ -169,7 +171,8 @@ async def claim(
     with hub.long_poll(runner_id, _QUEUE) as listener:
         while True:
             async with context.database.begin() as db:
-                candidate = await _claim_now(db, actor, runner_id, requested)
+                weakest = context.settings.weakest_isolation
+                candidate = await _claim_now(db, actor, runner_id, requested, weakest)
             left_s = until - time.monotonic()
             if candidate is not None or left_s <= 0 or hub.is_closed:
                 return ClaimReply(run=candidate)
@@ -177,7 +180,7 @@ async def claim(
 
 
 async def _claim_now(
-    db: Connection, actor: Actor, runner_id: uuid.UUID, requested: ClaimRequest
+    db: Connection, actor: Actor, runner_id: uuid.UUID, requested: ClaimRequest, weakest: Isolation
 ) -> RunAssignment | None:
     lease_s = await record_seen(db, actor, runner_id)
     await requeue_lost_runs(db)
@@ -187,9 +190,8 @@ async def _claim_now(
     if unanswered is not None:
         return await _assign(db, unanswered, runner_id, unanswered.attempt, lease_s)
     claiming = await find_runner(db, runner_id)
-    if claiming.is_single_person_only and not await has_single_person(db):
-        return None
-    while (candidate := await lock_run(db, _fits(claiming, requested.free), is_queued=True)) is not None:
+    fits = _fits(claiming, requested.free, await isolation_rule(db, weakest))
+    while (candidate := await lock_run(db, fits, is_queued=True)) is not None:
         if await _may_still_run(db, candidate):
             return await _assign(db, candidate, runner_id, candidate.attempt + 1, lease_s)
         message = "The person who launched it may not run it on this mission any more."
@@ -197,7 +199,7 @@ async def _claim_now(
     return None
 
 
-def _fits(claiming: KnownRunner, free: Capacity) -> ColumnElement[bool]:
+def _fits(claiming: KnownRunner, free: Capacity, rule: IsolationRule) -> ColumnElement[bool]:
     """Whether a queued run fits the free resources of a runner, and the runner may execute it."""
     abilities = claiming.abilities
     fits = (
@@ -209,6 +211,7 @@ def _fits(claiming: KnownRunner, free: Capacity) -> ColumnElement[bool]:
         & (run.c.disk_bytes <= free.disk_bytes)
         & (run.c.gpus <= (free.gpus if abilities.gpus else 0))
         & run.c.labels.op("<@", is_comparison=True)(literal(claiming.offered_labels, ARRAY(Text)))
+        & project.c.isolation.in_(rule.projects_of(abilities.isolation))
         & run.c.network.in_([network.value for network in abilities.networks])
         & or_(~run.c.needs_images, literal(abilities.images))
         & or_(run.c.needs_images, literal(claiming.runs_scripts))
@@ -235,6 +238,9 @@ async def _assign(db: Connection, row: AssignedRun, runner_id: uuid.UUID, attemp
     state = RunState.preparing.value if attempt != row.attempt else row.state
     ends_at = func.now() + datetime.timedelta(seconds=lease_s)
     lease = {"state": state, "runner_id": runner_id, "attempt": attempt, "lease_ends_at": ends_at}
+    if attempt != row.attempt:
+        of_runner = select(runner.c.abilities["isolation"].astext).where(runner.c.id == runner_id)
+        lease["isolation"] = of_runner.scalar_subquery()
     claimed_at = func.coalesce(run.c.claimed_at, func.now())
     waited_s = func.extract("epoch", func.now() - run.c.created_at)
     stmt = update(run).where(run.c.id == row.id).values(claimed_at=claimed_at, **lease).returning(waited_s)

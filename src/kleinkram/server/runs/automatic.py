@@ -18,6 +18,7 @@ from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.actions import ActionDefinition, Network, ParametersWrong
 from kleinkram.contract.errors import Forbidden, KleinkramError, NoInputs, NotFound
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.project_actions import RunTrigger
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.actions import service as actions
@@ -71,12 +72,15 @@ async def enqueue_automatic_runs(
     await enqueue(db, Job.start_automatic_runs, ids=ids, priority=Priority.normal)
 
 
-async def start_due_runs(db: Connection, mission_id: uuid.UUID) -> None:
-    """Start the actions that are due on a mission, in the caller's transaction, which locks the mission."""
+async def start_due_runs(db: Connection, mission_id: uuid.UUID, *, weakest: Isolation) -> None:
+    """Start the actions that are due on a mission, in the caller's transaction, which locks the mission.
+
+    `weakest` is the setting `weakest_isolation`.
+    """
     if not await missions.lock_mission(db, mission_id):
         return
     async for row in _due_on(db, mission_id):
-        decision = await _decide(db, row)
+        decision = await _decide(db, row, weakest)
         retry_at = None if decision.is_final else func.now() + _RETRY_AFTER
         values = {
             "files_revision": row.files_revision,
@@ -92,7 +96,7 @@ async def start_due_runs(db: Connection, mission_id: uuid.UUID) -> None:
             await judge_again(db, [mission_id])
 
 
-async def _decide(db: Connection, row: Row[Any]) -> _Decision:
+async def _decide(db: Connection, row: Row[Any], weakest: Isolation) -> _Decision:
     adder = await find_person(db, row.added_by_id)
     if adder is None:
         return _Decision(f"{row.added_by_name}, who added {row.name}, has no account any more", is_final=False)
@@ -102,7 +106,7 @@ async def _decide(db: Connection, row: Row[Any]) -> _Decision:
     try:
         # A failure leaves nothing behind but the decision.
         async with db.begin_nested():
-            await _start_once(db, actor, row)
+            await _start_once(db, actor, row, weakest)
     except (NotFound, Forbidden) as error:
         return _Decision(f"{row.added_by_name}, who added {row.name}, may not run it here: {error}", is_final=False)
     except (NoInputs, ParametersWrong) as error:
@@ -112,13 +116,13 @@ async def _decide(db: Connection, row: Row[Any]) -> _Decision:
     return _Decision()
 
 
-async def _start_once(db: Connection, actor: Actor, row: Row[Any]) -> None:
+async def _start_once(db: Connection, actor: Actor, row: Row[Any], weakest: Isolation) -> None:
     version = await actions.get_version_to_run(db, actor, action_id=row.action_id, number=None)
     parameters = version.definition.fill_in(row.parameters)
     of_project = select(action.c.project_id).where(action.c.id == row.action_id)
     project_id: uuid.UUID | None = (await db.execute(of_project)).scalar_one()
     task = launch.PreparedAction(
-        version.id, version.definition, version.image_digest, project_id, parameters, await known_runners(db)
+        version.id, version.definition, version.image_digest, project_id, parameters, await known_runners(db, weakest)
     )
     planned = await launch.plan_run(db, actor, task, row.mission_id)
     made = await _of_actions_that_read_none(db, [entry.id for entry in planned.inputs if entry.is_derived])

@@ -2,33 +2,41 @@
 
 import datetime
 import uuid
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, Select, case, func, select
 
 from kleinkram.contract.actions import Network
-from kleinkram.contract.runners import LEASE_S, Capacity, ExecutorAbilities, Isolation
+from kleinkram.contract.isolation import Isolation, strongest
+from kleinkram.contract.runners import LEASE_S, Capacity, ExecutorAbilities
 from kleinkram.server.db import Connection
-from kleinkram.server.tables import mission, person, run, runner, token, token_limit
+from kleinkram.server.tables import mission, person, project, run, runner, token, token_limit
 
 _ALIVE = datetime.timedelta(seconds=LEASE_S)
 # A runner that is switched off for a weekend comes back; one that was away longer does not count.
 _EXPECTED_BACK = datetime.timedelta(days=7)
 _MOST_NAMED = 3
 _REMEDY = "Start a runner that has what the run needs with `klein runner start`, or ask for less in the action."
-CONTAINERS_REMEDY = (
-    "Install Docker or Podman on the runner's machine and restart the runner (of `klein up`: `klein down`, then "
-    "`klein up`), or start a runner on a machine that has it with `klein runner start`."
+_CONTAINERS_REMEDY = (
+    "Otherwise, install Docker or Podman on the runner's machine and restart the runner (of `klein up`: `klein down`, "
+    "then `klein up`), or start a runner on a machine that has it with `klein runner start`."
 )
-
+_ISOLATIONS = {
+    Isolation.container: "in containers",
+    Isolation.namespaces: "in namespaces, without containers",
+    Isolation.none: "without any isolation",
+}
 
 # Among the labels of a run that requires an environment, and of a runner that can build one.
 ENVIRONMENTS_LABEL = "kleinkram:environments"
 
 
 class Needs(NamedTuple):
-    """Requirements of a run, named as the columns of `run`. `project_id` is of its mission; None: any."""
+    """Requirements of a run, named as the columns of `run`, and of its mission's project, as it is now.
+
+    `project_id` None: of any project. `project_isolation` is the weakest class that the project allows.
+    """
 
     labels: Sequence[str]
     needs_images: bool
@@ -38,10 +46,37 @@ class Needs(NamedTuple):
     disk_bytes: int
     gpus: int
     project_id: uuid.UUID | None = None
+    project_isolation: Isolation = Isolation.container
 
 
-NEEDS_COLUMNS = (*(run.c[name] for name in Needs._fields[:-1]), mission.c.project_id)
+_OF_RUN = Needs._fields[:-2]
+PROJECT_ISOLATION = project.c.isolation.label("project_isolation")
+NEEDS_COLUMNS = (*(run.c[name] for name in _OF_RUN), mission.c.project_id, PROJECT_ISOLATION)
 """The columns of `Needs`, in its order."""
+
+
+def to_needs(row: Mapping[Any, Any]) -> Needs:
+    """Return the needs of a row with `NEEDS_COLUMNS`."""
+    needs = Needs(*(row[name] for name in Needs._fields))
+    return needs._replace(project_isolation=Isolation(needs.project_isolation))
+
+
+class IsolationRule(NamedTuple):
+    """What isolation runs must have. While a single person has an account, they can harm nobody else.
+
+    `weakest` is the class that the server's settings ask for at least.
+    """
+
+    is_single_person: bool
+    weakest: Isolation
+
+    def required(self, of_project: Isolation) -> Isolation:
+        """Return the weakest isolation that runs in a project may have, by the class that the project allows."""
+        return Isolation.none if self.is_single_person else strongest(of_project, self.weakest)
+
+    def projects_of(self, isolation: Isolation) -> list[str]:
+        """Return which classes a project may allow so that a runner with this isolation may execute its runs."""
+        return [allowed.value for allowed in Isolation if isolation.is_at_least(self.required(allowed))]
 
 
 class QueuedRuns(NamedTuple):
@@ -49,6 +84,13 @@ class QueuedRuns(NamedTuple):
 
     needs: Needs
     run_count: int
+
+
+class Refusal(NamedTuple):
+    """Why a runner can never execute a run, and what to do."""
+
+    reason: str
+    remedy: str = _REMEDY
 
 
 class KnownRunner(NamedTuple):
@@ -73,16 +115,18 @@ class KnownRunner(NamedTuple):
         """Its labels, and those of its abilities."""
         return [*self.labels, *([ENVIRONMENTS_LABEL] if self.abilities.environments else [])]
 
-    @property
-    def is_single_person_only(self) -> bool:
-        """Whether its isolation is too weak for a server with several accounts."""
-        return self.abilities.isolation is not Isolation.container
-
-    def refusal(self, needs: Needs, *, is_single_person: bool) -> str | None:
+    def refusal(self, needs: Needs, rule: IsolationRule) -> Refusal | None:
         """Return why it can never execute a run; None where it can, once it has enough free resources."""
+        if (lacking := self._lacking(needs)) is not None:
+            return Refusal(lacking)
+        # Last, so that the remedy is all that the run needs.
+        if self.abilities.isolation.is_at_least(rule.required(needs.project_isolation)):
+            return None
+        return _too_weak(self.abilities.isolation, needs, rule)
+
+    def _lacking(self, needs: Needs) -> str | None:
+        """Return what it lacks for a run beside isolation."""
         abilities = self.abilities
-        if self.is_single_person_only and not is_single_person:
-            return "it runs actions without containers, which is allowed only while one person alone has an account"
         if self.only_project_ids is not None and needs.project_id not in {None, *self.only_project_ids}:
             return "its token is limited to other projects"
         if self.only_labels is not None and not set(needs.labels) & set(self.only_labels):
@@ -109,25 +153,33 @@ class KnownRunner(NamedTuple):
 class KnownRunners(NamedTuple):
     """The runners seen in the last week: a queued run may still start on them.
 
-    `is_single_person`: a single person has an account, so that weakly isolated runs can harm nobody else.
+    `allowed` are the classes of isolation that projects allow, the strongest first.
     """
 
     runners: Sequence[KnownRunner]
-    is_single_person: bool
+    rule: IsolationRule
+    allowed: Sequence[Isolation]
 
     def reason_never_starts(self, needs: Needs) -> str | None:
         """Return why no runner can ever execute a run, and the remedy.
 
         None where one can, and where no runner is known yet: then a run waits for the first.
         """
-        reasons = [(one, one.refusal(needs, is_single_person=self.is_single_person)) for one in self.runners]
-        if not reasons or any(reason is None for _, reason in reasons):
+        refusals = [(one, refusal) for one in self.runners if (refusal := one.refusal(needs, self.rule)) is not None]
+        if len(refusals) < len(self.runners) or not refusals:
             return None
-        # Runners with the required labels come first: what those lack can be fixed.
-        ordered = sorted(reasons, key=lambda pair: (not set(needs.labels) <= set(pair[0].offered_labels), pair[0].name))
-        listed = "; ".join(f"{one.name}: {reason}" for one, reason in ordered[:_MOST_NAMED])
-        is_too_weak = not self.is_single_person and any(one.is_single_person_only for one in self.runners)
-        return f"No runner can do it ({listed}). {CONTAINERS_REMEDY if is_too_weak else _REMEDY}"
+        # First those that lack only isolation, then those with the required labels: what they lack can be fixed.
+        ordered = sorted(
+            refusals,
+            key=lambda pair: (
+                pair[1].remedy == _REMEDY,
+                not set(needs.labels) <= set(pair[0].offered_labels),
+                [*Isolation].index(pair[0].abilities.isolation),
+                pair[0].name,
+            ),
+        )
+        listed = "; ".join(f"{one.name}: {refusal.reason}" for one, refusal in ordered[:_MOST_NAMED])
+        return f"No runner can do it ({listed}). {ordered[0][1].remedy}"
 
     def reason_waiting(self, needs: Needs) -> str:
         """Return a sentence about why a queued run has not started."""
@@ -136,7 +188,7 @@ class KnownRunners(NamedTuple):
         never = self.reason_never_starts(needs)
         if never is not None:
             return never
-        able = [one for one in self.runners if one.refusal(needs, is_single_person=self.is_single_person) is None]
+        able = [one for one in self.runners if one.refusal(needs, self.rule) is None]
         alive = sorted(one.name for one in able if one.is_alive)
         if alive:
             return f"It is queued for {' or '.join(alive[:_MOST_NAMED])}."
@@ -151,19 +203,47 @@ class KnownRunners(NamedTuple):
             count = sum(count for count, _ in reasons)
             runs = "1 queued run can" if count == 1 else f"{count} queued runs can"
             return f"{runs} never start. {reasons[0][1]}"
-        if self.is_single_person or not self.runners or not all(one.is_single_person_only for one in self.runners):
+        usable = {allowed for one in self.runners for allowed in self.rule.projects_of(one.abilities.isolation)}
+        if not self.runners or usable & {allowed.value for allowed in self.allowed}:
             return None
-        return f"Actions cannot be run. {self.reason_never_starts(Needs([], False, Network.none.value, 0, 0, 0, 0))}"
+        needs = Needs([], False, Network.none.value, 0, 0, 0, 0, project_isolation=self.allowed[-1])
+        return f"Actions cannot be run in any project. {self.reason_never_starts(needs)}"
 
     def invitation_warning(self) -> str | None:
         """Return what stops working once a second person has an account; None where nothing does."""
-        weak = sorted(one.name for one in self.runners if one.is_single_person_only)
-        if not self.is_single_person or not weak:
+        if not self.rule.is_single_person:
             return None
+        later = self.rule._replace(is_single_person=False)
+        strict = [
+            one
+            for one in self.runners
+            if not {allowed.value for allowed in self.allowed} <= {*later.projects_of(one.abilities.isolation)}
+        ]
+        if not strict:
+            return None
+        weakest = min((one.abilities.isolation for one in strict), key=[*Isolation].index)
+        names = " and ".join(sorted(one.name for one in strict)[:_MOST_NAMED])
+        needs = Needs([], False, Network.none.value, 0, 0, 0, 0)
         return (
-            f"Once a second person has an account, actions no longer run on {' and '.join(weak[:_MOST_NAMED])}: "
-            f"without containers they are safe only for one person. {CONTAINERS_REMEDY}"
+            f"Once a second person has an account, actions on {names}, which run without containers, start only in "
+            f"projects whose owners allow that. {_too_weak(weakest, needs, later).remedy}"
         )
+
+
+def _too_weak(isolation: Isolation, needs: Needs, rule: IsolationRule) -> Refusal:
+    """Return the refusal of a runner whose isolation is too weak, with who can allow it, and how."""
+    how = f"it runs actions {_ISOLATIONS[isolation]}, which"
+    if not isolation.is_at_least(rule.weakest):
+        setting = f"`KLEINKRAM_WEAKEST_ISOLATION={isolation.value}`"
+        return Refusal(
+            f"{how} this server does not allow",
+            f"An admin can let owners of projects allow it with the setting {setting}. {_CONTAINERS_REMEDY}",
+        )
+    command = f"klein project update {needs.project_id or 'PROJECT'} --isolation {isolation.value}"
+    return Refusal(
+        f"{how} the project does not allow",
+        f"An owner of the project can allow it in its settings, or with `{command}`. {_CONTAINERS_REMEDY}",
+    )
 
 
 def is_alive() -> ColumnElement[bool]:
@@ -185,16 +265,18 @@ async def find_runner(db: Connection, runner_id: uuid.UUID) -> KnownRunner:
     return known_runner
 
 
-async def known_runners(db: Connection) -> KnownRunners:
-    """Return the runners that may execute queued runs."""
+async def known_runners(db: Connection, weakest: Isolation) -> KnownRunners:
+    """Return the runners that may execute queued runs. `weakest` is the setting `weakest_isolation`."""
     runners = await _runners(db, runner.c.last_seen_at > func.now() - _EXPECTED_BACK)
-    return KnownRunners(runners, await has_single_person(db))
+    stmt = select(project.c.isolation).where(project.c.deleted_at.is_(None)).distinct()
+    allowed = {Isolation(value) for value in (await db.execute(stmt)).scalars()} or {Isolation.container}
+    return KnownRunners(runners, await isolation_rule(db, weakest), [one for one in Isolation if one in allowed])
 
 
-async def has_single_person(db: Connection) -> bool:
-    """Whether a single person has an account."""
+async def isolation_rule(db: Connection, weakest: Isolation) -> IsolationRule:
+    """Return what isolation runs must have now. `weakest` is the setting `weakest_isolation`."""
     active = select(func.count()).select_from(person).where(person.c.deactivated_at.is_(None))
-    return bool((await db.execute(active)).scalar_one() <= 1)
+    return IsolationRule((await db.execute(active)).scalar_one() <= 1, weakest)
 
 
 async def _runners(db: Connection, condition: ColumnElement[bool]) -> list[KnownRunner]:

@@ -22,6 +22,7 @@ from kleinkram.contract.errors import (
     NotFound,
 )
 from kleinkram.contract.files import FileFilter
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runs import (
@@ -50,7 +51,7 @@ from kleinkram.server.tables import DERIVED_ORIGIN, action, action_version, blob
 
 # The columns that a run takes over from the run whose results it reuses.
 _REUSED_COLUMNS = (
-    *("exit_code", "image_digest", "problems", "proposed", "previews"),
+    *("exit_code", "image_digest", "isolation", "problems", "proposed", "previews"),
     *("artifact_count", "metric_count", "finding_counts", "check_counts", "verdict"),
 )
 # Names in `/in` that runners use themselves.
@@ -69,11 +70,12 @@ class PreparedAction(NamedTuple):
 
 
 class TargetMission(NamedTuple):
-    """A mission, and the actor's level on it."""
+    """A mission, the isolation that its project allows, and the actor's level on it."""
 
     id: uuid.UUID
     name: str
     project_id: uuid.UUID
+    isolation: Isolation
     level: int
 
 
@@ -116,7 +118,8 @@ async def launch(context: AppContext, actor: Actor, *, requested: RunsCreate) ->
             unpublished, is_locked_here = await dependency_locks.lock(unpublished, context.settings), True
     async with context.database.begin() as db:
         locked = requested.model_copy(update={"definition": unpublished})
-        return await _launch(db, actor, locked, is_locked_here=is_locked_here)
+        runners = await known_runners(db, context.settings.weakest_isolation)
+        return await _launch(db, actor, locked, runners, is_locked_here=is_locked_here)
 
 
 async def _may_run_on_any(
@@ -128,8 +131,10 @@ async def _may_run_on_any(
     return any(level >= needed.level for level in rows)
 
 
-async def _launch(db: Connection, actor: Actor, requested: RunsCreate, *, is_locked_here: bool) -> RunsCreated:
-    task = await _task(db, actor, requested, is_locked_here=is_locked_here)
+async def _launch(
+    db: Connection, actor: Actor, requested: RunsCreate, runners: KnownRunners, *, is_locked_here: bool
+) -> RunsCreated:
+    task = await _task(db, actor, requested, runners, is_locked_here=is_locked_here)
     items: list[RunCreated | RunRefused] = []
     for mission_id in dict.fromkeys(requested.mission_ids):
         try:
@@ -188,11 +193,11 @@ async def start_run(
     mission_id = target.id
     fingerprint = inputs_fingerprint(task.version_id, task.parameters, inputs, declared)
     reused = None if force else await _reusable_results(db, task, mission_id, fingerprint)
-    needs = _needs(task.definition, target.project_id)
+    needs = _needs(task.definition, target)
     if reused is None and (reason := task.runners.reason_never_starts(needs)) is not None:
         raise NoRunner(action=task.definition.name, reason=reason)
     run_id = uuid.uuid4()
-    values = {name: value for name, value in needs._asdict().items() if name != "project_id"} | {
+    values = {name: value for name, value in needs._asdict().items() if name in run.c} | {
         "version_id": task.version_id,
         "parameters": task.parameters,
         "input_count": len(inputs),
@@ -225,11 +230,13 @@ async def start_run(
     name = task.definition.name
     event = Event("run.create", "run", run_id, name, target.project_id, after=after, mission_id=mission_id)
     await audit(db, actor, event)
-    return await service.get_run(db, actor, run_id)
+    return await service.get_run(db, actor, run_id, weakest=task.runners.rule.weakest)
 
 
-async def retry_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, force: bool) -> RunRead:
+async def retry_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, force: bool, weakest: Isolation) -> RunRead:
     """Launch the same action again, on the current files, and return the new run.
+
+    `weakest` is the setting `weakest_isolation`.
 
     Raises:
         NotFound: it is not there, or not for this actor.
@@ -246,12 +253,14 @@ async def retry_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, force: b
     stmt = select(action_version.c.definition, action_version.c.image_digest, action.c.project_id)
     joined = stmt.outerjoin(action, action.c.id == action_version.c.action_id)
     row = (await db.execute(joined.where(action_version.c.id == earlier.version_id))).one()
-    definition, runners = ActionDefinition.model_validate(row.definition), await known_runners(db)
+    definition, runners = ActionDefinition.model_validate(row.definition), await known_runners(db, weakest)
     task = PreparedAction(earlier.version_id, definition, row.image_digest, row.project_id, earlier.parameters, runners)
     return await create_run(db, actor, task, earlier.mission.id, force=force, retry_of_id=run_id)
 
 
-async def _task(db: Connection, actor: Actor, requested: RunsCreate, *, is_locked_here: bool) -> PreparedAction:
+async def _task(
+    db: Connection, actor: Actor, requested: RunsCreate, runners: KnownRunners, *, is_locked_here: bool
+) -> PreparedAction:
     project_id = None
     if requested.action_id is not None:
         version = await actions.get_version_to_run(db, actor, action_id=requested.action_id, number=requested.version)
@@ -264,7 +273,7 @@ async def _task(db: Connection, actor: Actor, requested: RunsCreate, *, is_locke
     else:
         raise AssertionError("a request names an action or holds one")
     parameters = _fill_in(definition, requested.parameters)
-    return PreparedAction(version_id, definition, digest, project_id, parameters, await known_runners(db))
+    return PreparedAction(version_id, definition, digest, project_id, parameters, runners)
 
 
 def _fill_in(definition: ActionDefinition, parameters: ParameterValues) -> ParameterValues:
@@ -275,10 +284,11 @@ def _fill_in(definition: ActionDefinition, parameters: ParameterValues) -> Param
         raise InvalidRequest(problems=problems) from error
 
 
-def _needs(definition: ActionDefinition, project_id: uuid.UUID) -> Needs:
+def _needs(definition: ActionDefinition, target: TargetMission) -> Needs:
     needed = definition.resources
     return Needs(
-        project_id=project_id,
+        project_id=target.project_id,
+        project_isolation=target.isolation,
         labels=[*needed.labels, *([ENVIRONMENTS_LABEL] if definition.lock is not None else [])],
         needs_images=definition.image is not None,
         network=definition.network.value,
@@ -291,13 +301,14 @@ def _needs(definition: ActionDefinition, project_id: uuid.UUID) -> Needs:
 
 async def _find_target(db: Connection, actor: Actor, task: PreparedAction, mission_id: uuid.UUID) -> TargetMission:
     """Return a mission on which the actor may run the action, locked against deletion until the run exists."""
-    columns = (mission.c.id, mission.c.name, mission.c.project_id, level_on_mission(actor).label("level"))
+    of_mission = (mission.c.id, mission.c.name, mission.c.project_id)
+    columns = (*of_mission, project.c.isolation, level_on_mission(actor).label("level"))
     stmt = visible_missions(actor).with_only_columns(*columns, maintain_column_froms=True)
     locked = stmt.where(mission.c.id == mission_id).with_for_update(read=True, key_share=True, of=[mission, project])
     row = (await db.execute(locked)).one_or_none()
     if row is None:
         raise NotFound(resource_type="mission", ref=str(mission_id))
-    target = TargetMission._make(row)
+    target = TargetMission._make(row)._replace(isolation=Isolation(row.isolation))
     needed = max(Right.create, task.definition.right, key=lambda right: right.level)
     if target.level < needed.level:
         raise Forbidden(resource_type="mission", operation=f"run {task.definition.name} on it", needs=needed.value)

@@ -15,6 +15,7 @@ from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.checks import CheckStatus
 from kleinkram.contract.errors import Forbidden, KleinkramError
 from kleinkram.contract.files import ContentState
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
 from kleinkram.contract.reports import MissionFile, Report, Severity
@@ -57,8 +58,10 @@ _BATCH = 500
 _REPORT_BATCH = 1000
 
 
-async def cancel_run(db: Connection, actor: Actor, *, run_id: uuid.UUID) -> RunRead:
+async def cancel_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, weakest: Isolation) -> RunRead:
     """Cancel a run: at once where it is queued, within seconds where a runner has it. No effect on an ended run.
+
+    `weakest` is the setting `weakest_isolation`.
 
     Raises:
         NotFound: it is not there, or not for this actor.
@@ -75,10 +78,10 @@ async def cancel_run(db: Connection, actor: Actor, *, run_id: uuid.UUID) -> RunR
     elif state in ASSIGNED and visible.run.cancel_requested_at is None:
         await db.execute(update(run).where(run.c.id == run_id).values(cancel_requested_at=func.now()))
     else:
-        return await service.get_run(db, actor, run_id)
+        return await service.get_run(db, actor, run_id, weakest=weakest)
     event = Event("run.cancel", "run", run_id, visible.run.action.name, where.project.id, mission_id=where.id)
     await audit(db, actor, event)
-    return await service.get_run(db, actor, run_id)
+    return await service.get_run(db, actor, run_id, weakest=weakest)
 
 
 async def end_run(db: Connection, run_id: uuid.UUID, reason: EndReason, message: str, **values: object) -> None:
@@ -124,7 +127,7 @@ async def requeue_lost_runs(db: Connection) -> int:
     stmt = select(run.c.id, run.c.cancel_requested_at, run.c.lost_count).where(expired)
     rows = (await db.execute(stmt.order_by(run.c.id).limit(_BATCH).with_for_update(skip_locked=True))).all()
     unassigned = dict.fromkeys(
-        ("lease_ends_at", "runner_id", "progress", "placement", "usage", "claimed_at", "started_at")
+        ("lease_ends_at", "runner_id", "isolation", "progress", "placement", "usage", "claimed_at", "started_at")
     )
     for row in rows:
         if row.cancel_requested_at is not None:

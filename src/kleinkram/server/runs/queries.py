@@ -21,6 +21,7 @@ from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import level_on_mission, visible_files, visible_missions
 from kleinkram.server.db import among, matches, matches_key
 from kleinkram.server.pagination import Order
+from kleinkram.server.runs.eligibility import PROJECT_ISOLATION
 from kleinkram.server.tables import (
     action,
     action_version,
@@ -89,6 +90,7 @@ def run_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
         *_ACTION,
         person.c.name.label("started_by_name"),
         runner.c.name.label("runner_name"),
+        PROJECT_ISOLATION,
         level_on_mission(actor).label("level"),
     )
     named = stmt.add_columns(*columns).join(person, person.c.id == run.c.started_by_id)

@@ -11,7 +11,7 @@ from kleinkram.contract.base import Page
 from kleinkram.contract.metrics import MetricNameFilter, MetricNames, MetricTableQuery, MetricTableRead
 from kleinkram.contract.previews import MissionPictures, MissionPreviews, PicturesRequest
 from kleinkram.contract.project_actions import ProjectActionAdd, ProjectActionList, ProjectActionRead
-from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
+from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, CurrentSettings, Reading, Transaction
 from kleinkram.server.http.middleware import mark_as_stream
 from kleinkram.server.pagination import CountedPageQuery, PageQuery
 from kleinkram.server.runs import launch, lifecycle, logs, metric_tables, previews, project_actions, recorded, service
@@ -57,27 +57,34 @@ async def record_run(requested: runs.RunRecord, db: Transaction, actor: CurrentA
 
 
 @router.get("/runs", operation_id="list_runs")
-async def list_runs(query: Annotated[RunListQuery, Query()], db: Reading, actor: CurrentActor) -> Page[runs.RunRead]:
+async def list_runs(
+    query: Annotated[RunListQuery, Query()], db: Reading, actor: CurrentActor, settings: CurrentSettings
+) -> Page[runs.RunRead]:
     """List runs, latest first."""
-    return await service.list_runs(db, actor, matching=query, page=query.page)
+    weakest = settings.weakest_isolation
+    return await service.list_runs(db, actor, matching=query, page=query.page, weakest=weakest)
 
 
 @router.get("/runs/{run_id}", operation_id="get_run")
-async def get_run(run_id: uuid.UUID, db: Reading, actor: CurrentActor) -> runs.RunDetail:
+async def get_run(run_id: uuid.UUID, db: Reading, actor: CurrentActor, settings: CurrentSettings) -> runs.RunDetail:
     """Get a run with its details."""
-    return await service.get_detail(db, actor, run_id)
+    return await service.get_detail(db, actor, run_id, weakest=settings.weakest_isolation)
 
 
 @router.post("/runs/{run_id}/cancel", operation_id="cancel_run")
-async def cancel_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> runs.RunRead:
+async def cancel_run(
+    run_id: uuid.UUID, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> runs.RunRead:
     """Cancel a run; a running one ends within seconds."""
-    return await lifecycle.cancel_run(db, actor, run_id=run_id)
+    return await lifecycle.cancel_run(db, actor, run_id=run_id, weakest=settings.weakest_isolation)
 
 
 @router.post("/runs/{run_id}/retry", operation_id="retry_run", status_code=201)
-async def retry_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor, force: bool = False) -> runs.RunRead:
+async def retry_run(
+    run_id: uuid.UUID, db: Transaction, actor: CurrentActor, settings: CurrentSettings, force: bool = False
+) -> runs.RunRead:
     """Launch the same action again, on the current files; with `force`, without reusing results."""
-    return await launch.retry_run(db, actor, run_id=run_id, force=force)
+    return await launch.retry_run(db, actor, run_id=run_id, force=force, weakest=settings.weakest_isolation)
 
 
 @router.get("/projects/{project_id}/actions", operation_id="list_project_actions")

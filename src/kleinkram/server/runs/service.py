@@ -14,6 +14,7 @@ from kleinkram.contract.base import Page
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.contract.errors import FileUnavailable, NotFound
 from kleinkram.contract.files import BlobState, FetchPurpose
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.locks import pinned_versions
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionRef
@@ -28,7 +29,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.pagination import PageRequest, fetch_page, read_page
 from kleinkram.server.runs import queries
-from kleinkram.server.runs.eligibility import Needs, known_runners
+from kleinkram.server.runs.eligibility import Needs, known_runners, to_needs
 from kleinkram.server.tables import blob, file, run, run_artifact, run_input
 from kleinkram.server.tables.runs import ACTIVE
 
@@ -42,6 +43,7 @@ _SAME = (
     *(
         "attempt",
         "priority",
+        "isolation",
         "placement",
         "is_recorded",
         "image_digest",
@@ -79,36 +81,38 @@ class VisibleRun(NamedTuple):
         return self.run.reuses_id or self.run.id
 
 
-async def list_runs(db: Connection, actor: Actor, *, matching: runs.RunFilter, page: PageRequest) -> Page[runs.RunRead]:
-    """Return a page of the runs that match, latest first.
+async def list_runs(
+    db: Connection, actor: Actor, *, matching: runs.RunFilter, page: PageRequest, weakest: Isolation
+) -> Page[runs.RunRead]:
+    """Return a page of the runs that match, latest first. `weakest` is the setting `weakest_isolation`.
 
     Raises:
         InvalidCursor: the cursor is not of this list.
     """
     stmt = queries.run_rows(actor, queries.filter_runs(actor, queries.visible_runs(actor), matching))
     rows = await fetch_page(db, stmt, queries.RUN_ORDER, page)
-    items = await _complete(db, actor, [_to_run(actor, row._mapping) for row in rows.items])
+    items = await _complete(db, actor, weakest, [_to_run(actor, row._mapping) for row in rows.items])
     return Page(items=items, next=rows.next, total=rows.total)
 
 
-async def get_run(db: Connection, actor: Actor, run_id: uuid.UUID) -> runs.RunRead:
-    """Return one run.
+async def get_run(db: Connection, actor: Actor, run_id: uuid.UUID, *, weakest: Isolation) -> runs.RunRead:
+    """Return one run. `weakest` is the setting `weakest_isolation`.
 
     Raises:
         NotFound: it is not there, or not for this actor.
     """
-    (complete,) = await _complete(db, actor, [await find_run(db, actor, run_id)])
+    (complete,) = await _complete(db, actor, weakest, [await find_run(db, actor, run_id)])
     return complete
 
 
-async def get_detail(db: Connection, actor: Actor, run_id: uuid.UUID) -> runs.RunDetail:
-    """Return one run with its details.
+async def get_detail(db: Connection, actor: Actor, run_id: uuid.UUID, *, weakest: Isolation) -> runs.RunDetail:
+    """Return one run with its details. `weakest` is the setting `weakest_isolation`.
 
     Raises:
         NotFound: it is not there, or not for this actor.
     """
     row = await _find_row(db, actor, run_id)
-    (complete,) = await _complete(db, actor, [_to_run(actor, row)])
+    (complete,) = await _complete(db, actor, weakest, [_to_run(actor, row)])
     definition = row["definition"]
     return runs.RunDetail(
         **dict(complete),
@@ -151,7 +155,7 @@ def _to_run(actor: Actor, row: RowMapping) -> VisibleRun:
         waits_for=None,
         may_cancel=row["level"] >= needed.level and Scope.run in actor.scopes and row["state"] in ACTIVE,
     )
-    return VisibleRun(read, Needs(*(row[name] for name in Needs._fields)), row["level"], started_by_id)
+    return VisibleRun(read, to_needs(row), row["level"], started_by_id)
 
 
 def _to_mission(row: RowMapping) -> MissionRef:
@@ -163,11 +167,13 @@ def _to_action(row: RowMapping) -> runs.ActionRef:
     return runs.ActionRef(id=row["action_id"], name=row["action_name"], version=row["action_number"])
 
 
-async def _complete(db: Connection, actor: Actor, visible: Sequence[VisibleRun]) -> list[runs.RunRead]:
+async def _complete(
+    db: Connection, actor: Actor, weakest: Isolation, visible: Sequence[VisibleRun]
+) -> list[runs.RunRead]:
     """Add what queued runs wait for, and the first metrics."""
     waits_for: dict[uuid.UUID, str] = {}
     if queued := [entry for entry in visible if entry.run.state is runs.RunState.queued]:
-        known = await known_runners(db)
+        known = await known_runners(db, weakest)
         waits_for = {entry.run.id: known.reason_waiting(entry.needs) for entry in queued}
     metrics: dict[uuid.UUID, list[Metric]] = {}
     if with_metrics := {entry.results_id for entry in visible if entry.run.metric_count > 0}:

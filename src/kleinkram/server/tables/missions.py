@@ -7,7 +7,7 @@ import sqlalchemy as sa
 from sqlalchemy.dialects.postgresql import JSONB
 
 from kleinkram.contract.files import ContentState
-from kleinkram.contract.runners import Isolation
+from kleinkram.contract.isolation import Isolation
 from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
 
 project = sa.Table(

@@ -9,6 +9,7 @@ from sqlalchemy.dialects.postgresql import JSONB
 
 from kleinkram.contract.actions import Network
 from kleinkram.contract.checks import CheckStatus, Verdict
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.project_actions import RunTrigger
 from kleinkram.contract.reports import Severity
 from kleinkram.contract.runners import LEASE_S
@@ -119,6 +120,8 @@ run = sa.Table(
     sa.Column("lost_count", sa.Integer, nullable=False, server_default="0"),
     sa.Column("runner_id", sa.Uuid, sa.ForeignKey("runner.id"), index=True),
     sa.Column("lease_ends_at", sa.DateTime(timezone=True)),
+    # What its runner gave it; null before a runner has it.
+    sa.Column("isolation", sa.Text),
     sa.Column("progress", JSONB(none_as_null=True)),
     sa.Column("placement", JSONB(none_as_null=True)),
     sa.Column("usage", JSONB(none_as_null=True)),
@@ -148,6 +151,7 @@ run = sa.Table(
     one_of("reason", EndReason),
     one_of("network", Network),
     one_of("priority", RunPriority),
+    one_of("isolation", Isolation),
     one_of("verdict", Verdict),
     sa.CheckConstraint(
         "(ended_at IS NULL) = (state IN ('queued', 'preparing', 'running', 'collecting'))", name="ended"

@@ -19,7 +19,8 @@ from http import HTTPStatus
 from pathlib import Path
 
 from kleinkram.contract.actions import Network
-from kleinkram.contract.runners import ExecutorAbilities, Isolation
+from kleinkram.contract.isolation import Isolation
+from kleinkram.contract.runners import ExecutorAbilities
 from kleinkram.contract.runs import EndReason, Usage
 from kleinkram.environments.cache import EnvironmentCache
 from kleinkram.environments.python import PROBE, Python, PythonUnknown, parse_python

@@ -1,4 +1,4 @@
-"""Runs have a priority and a placement, and may be recorded; leases have lengths, projects an allowed isolation."""
+"""Runs have priorities, isolation and placements, and may be recorded; leases have lengths, projects an isolation."""
 
 from alembic import op
 
@@ -15,6 +15,8 @@ ALTER TABLE project ADD COLUMN isolation text DEFAULT 'container' NOT NULL
     CONSTRAINT ck_project_isolation CHECK (isolation IN ('container', 'namespaces', 'none'));
 ALTER TABLE run ADD COLUMN priority text DEFAULT 'normal' NOT NULL
     CONSTRAINT ck_run_priority CHECK (priority IN ('low', 'normal', 'high'));
+ALTER TABLE run ADD COLUMN isolation text
+    CONSTRAINT ck_run_isolation CHECK (isolation IN ('container', 'namespaces', 'none'));
 ALTER TABLE run ADD COLUMN placement jsonb;
 ALTER TABLE run ADD COLUMN is_recorded boolean DEFAULT false NOT NULL;
 ALTER TABLE runner ADD COLUMN lease_s integer DEFAULT 60 NOT NULL;
