@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import socket
 import subprocess
 import tempfile
@@ -16,6 +17,7 @@ from tests.requirements import path_of
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scancel", "scontrol", "sinfo")
 _START_S = 60.0
+_BOOT_TIME_S = 1_000_000
 _CONFIGURATION = """\
 ClusterName=kleinkram-tests
 SlurmctldHost={host}(127.0.0.1)
@@ -24,7 +26,7 @@ SlurmdPort={node_port}
 SlurmUser=root
 SlurmdUser=root
 AuthType=auth/munge
-AuthInfo=socket={folder}/munge.socket,cred_expire=5
+AuthInfo=socket={folder}/munge.socket,cred_expire=3
 CredType=cred/munge
 ProctrackType=proctrack/linuxproc
 TaskPlugin=task/none
@@ -45,13 +47,14 @@ SlurmdTimeout=10
 SlurmctldTimeout=10
 InactiveLimit=0
 SlurmdParameters=config_overrides
-MessageTimeout=10
+MessageTimeout=2
 StateSaveLocation={folder}/state
 SlurmdSpoolDir={folder}/spool
 SlurmctldPidFile={folder}/slurmctld.pid
 SlurmdPidFile={folder}/slurmd.pid
 SlurmctldLogFile={folder}/slurmctld.log
 SlurmdLogFile={folder}/slurmd.log
+Prolog={folder}/prolog
 GresTypes=gpu
 NodeName=node1 NodeHostname={host} NodeAddr=127.0.0.1 CPUs={cpus} RealMemory=16000 Features=fast Gres=gpu:2
 PartitionName=main Nodes=node1 Default=YES MaxTime=1-00:00:00 State=UP
@@ -67,8 +70,10 @@ class SlurmCluster:
     def __init__(self, folder: Path, cpus: int = 8) -> None:
         self.folder = folder
         self._services: dict[str, subprocess.Popen[bytes]] = {}
-        for name in ("state", "spool", "munge"):
+        self.unshared = folder / "unshared"
+        for name in ("state", "spool", "munge", "unshared"):
             (folder / name).mkdir(mode=0o700)
+        self.fail_starts(fails=False)
         # munged serves every user.
         folder.chmod(0o755)
         (folder / "munge" / "key").write_bytes(os.urandom(128))
@@ -108,10 +113,23 @@ class SlurmCluster:
         """Start slurmctld, and wait until it answers."""
         self._start("slurmctld", "-D", "-f", str(self.folder / "slurm.conf"))
         _wait_for(lambda: self.command("scontrol", "ping", check=False).returncode == 0)
+        if "slurmd" in self._services:  # it introduces itself now, not at the next ping
+            os.kill(int((self.folder / "slurmd.pid").read_text()), signal.SIGHUP)
 
     def start_node(self) -> None:
-        """Start slurmd."""
-        self._start("slurmd", "-D", "-f", str(self.folder / "slurm.conf"))
+        """Start slurmd as on another machine: with a boot clock of its own, and without the folder `unshared`."""
+        slurmd = f"{path_of('slurmd')} -D -f {self.folder}/slurm.conf"
+        script = f"mount -t tmpfs none {self.unshared} && exec {slurmd}"
+        self._start(
+            "slurmd",
+            *("--mount", "--time", f"--boottime={_BOOT_TIME_S}", "--fork", "--kill-child=KILL", "sh", "-c", script),
+            program="unshare",
+        )
+
+    def fail_starts(self, *, fails: bool) -> None:
+        """Have the node fail to start jobs, or start them again."""
+        (self.folder / "prolog").write_text(f"#!/bin/sh\nexit {int(fails)}\n")
+        (self.folder / "prolog").chmod(0o755)
 
     def wait_until_idle(self) -> None:
         """Wait until the node accepts jobs."""
@@ -123,6 +141,17 @@ class SlurmCluster:
         process = self._services.pop(program)
         process.kill()
         process.wait()
+
+    def repair(self) -> None:
+        """Cancel all jobs, and make everything run again."""
+        for program, start in (("slurmctld", self.start_controller), ("slurmd", self.start_node)):
+            if program not in self._services:
+                start()
+        self.fail_starts(fails=False)
+        self.command("scancel", f"--user={os.geteuid()}", check=False)
+        self.command("scontrol", "update", "PartitionName=main", "State=UP")
+        self.command("scontrol", "update", "NodeName=node1", "State=RESUME", check=False)
+        self.wait_until_idle()
 
     def command(self, *command: str, check: bool = True) -> subprocess.CompletedProcess[str]:
         """Run one of Slurm's commands."""
@@ -146,12 +175,12 @@ class SlurmCluster:
                     process.kill()
                     process.wait()
 
-    def _start(self, program: str, *arguments: str) -> None:
-        log = (self.folder / f"{program}.out").open("ab")
-        path = path_of(program)
+    def _start(self, service: str, *arguments: str, program: str | None = None) -> None:
+        log = (self.folder / f"{service}.out").open("ab")
+        path = path_of(program or service)
         assert path is not None
         with log:
-            self._services[program] = subprocess.Popen(
+            self._services[service] = subprocess.Popen(
                 [path, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=log,

@@ -22,11 +22,10 @@ from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.executors.slurm.commands import SlurmCommands
 from kleinkram.runner.executors.slurm.executor import SlurmExecutor
 from kleinkram.runner.executors.slurm.options import SlurmOptions
-from kleinkram.runner.executors.slurm.probe import find_site
+from kleinkram.runner.executors.slurm.probe import SlurmSite, find_site
 from tests.integration.runner import engines, podman_engines
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner.podman_engines import Podman
-from tests import slurm_cluster
 from tests.requirements import missing, need
 from tests.slurm_cluster import SlurmCluster
 
@@ -109,13 +108,10 @@ def podman() -> Iterator[Podman]:
 
 
 @pytest.fixture(scope="session")
-def slurm() -> Iterator[SlurmCluster]:
-    """A Slurm cluster of one node."""
-    if os.geteuid() != 0:
-        missing("a Slurm of the tests' own needs root")
-    need(*slurm_cluster.PROGRAMS)
-    with slurm_cluster.slurm_cluster() as made:
-        yield made
+def slurm_site(slurm: SlurmCluster, tmp_path_factory: pytest.TempPathFactory) -> SlurmSite:
+    """What the cluster offers."""
+    folder = tmp_path_factory.mktemp("slurm-site")
+    return find_site(SlurmCommands(slurm.environment), SlurmOptions(max_jobs=8), folder, runner="tests")
 
 
 def _loaded(
@@ -141,8 +137,7 @@ def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Ben
     if executor == "process":
         return Bench(ProcessExecutor(), folder, ProcessExecutor)
     if executor == "slurm":
-        cluster: SlurmCluster = request.getfixturevalue(executor)
-        site = find_site(SlurmCommands(cluster.environment), SlurmOptions(max_jobs=8), folder, runner="tests")
+        site: SlurmSite = request.getfixturevalue("slurm_site")
         return Bench(SlurmExecutor(site), folder, lambda: SlurmExecutor(site))
     engine: Dockerd = request.getfixturevalue(executor)
     made = DockerExecutor(engine.engine)

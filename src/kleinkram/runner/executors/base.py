@@ -49,7 +49,7 @@ class RunJob:
     environment: Mapping[str, str] = field(default_factory=dict)
     packages: Path | None = None
     port_forwards: tuple[PortForward, ...] = ()
-    cluster: ClusterRequest = ClusterRequest()
+    cluster: ClusterRequest = field(default_factory=ClusterRequest)
 
 
 @dataclass(frozen=True)

@@ -76,8 +76,8 @@ class SlurmCommands:
     def __init__(self, environment: Mapping[str, str] | None = None) -> None:
         values = {**os.environ, **(environment or {})}
         # The options of a user, or of a job that the runner was started in, are not those of its jobs.
-        kept = ("PATH", "HOME", "USER", "LOGNAME", "SLURM_CONF", "SLURM_CLUSTERS", "LD_LIBRARY_PATH")
-        self._environment = {name: values[name] for name in kept if name in values}
+        passed_on = ("PATH", "HOME", "USER", "LOGNAME", "SLURM_CONF", "SLURM_CLUSTERS", "LD_LIBRARY_PATH")
+        self._environment = {name: values[name] for name in passed_on if name in values}
         self._environment |= {"LANG": "C.UTF-8", "SLURM_TIME_FORMAT": "%s"}
         self._user = str(os.geteuid())
 

@@ -15,7 +15,7 @@ import uuid
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from kleinkram.contract.runners import MAX_LEASE_S, Capacity, ExecutorAbilities, Isolation
+from kleinkram.contract.runners import MAX_LEASE_S, Capacity, ExecutorAbilities
 from kleinkram.contract.runs import EndReason, RunPlacement
 from kleinkram.environments.cache import EnvironmentCache
 from kleinkram.runner.executors.base import Ending, RunJob
@@ -40,7 +40,7 @@ from kleinkram.runner.executors.slurm.shared_files import (
 from kleinkram.runner.executors.slurm.states import (
     Phase,
     ending_of,
-    is_held_after_failure,
+    is_stuck_after_failure,
     never_starts,
     phase_of,
     waiting_sentence,
@@ -54,9 +54,10 @@ _READ_ENDING_EVERY_S = 0.25
 _SETTLED_S = 6.0
 # How long a job may be missing from the queue after the answer to its submission was lost.
 _LOST_ANSWER_S = 10.0
-_SUBMIT_AGAIN_S = 30.0
 _KILL_AFTER_S = GRACE_S + 2
 _REMOVE_S = 20.0
+# A job that crashes its node each time is not submitted for ever.
+_MAX_SUBMISSIONS = 3
 _MAX_RELEASES = 3
 _RELEASE_EVERY_S = 5.0
 _LOST = Ending(EndReason.lost, "Its job was removed from Slurm.")
@@ -70,8 +71,6 @@ class _SubmittedJob:
 
     submission: Submission
     submitted_s: float
-    # Whether Slurm has certainly not accepted it: it may be submitted again at once.
-    is_refused: bool = False
     problem: str | None = None
     cancelled_s: float | None = None
     settled_at_s: float | None = None
@@ -224,7 +223,7 @@ class SlurmExecutor(ProcessExecutor):
         self._queue.kill_others(known_keys)
 
     def _start_supervisor(self, job: RunJob) -> None:
-        submission = Submission(f"{self._prefix}{job.key}-{uuid.uuid4().hex[:8]}")
+        submission = Submission(self._new_name(job))
         write_submission(job.directory, submission)
         self._jobs[job.key] = submitted = _SubmittedJob(submission, boot_time_s())
         self._queue.watch(submission.name)
@@ -313,12 +312,15 @@ class SlurmExecutor(ProcessExecutor):
     def _judge(self, job: RunJob, submitted: _SubmittedJob) -> Ending | None:
         """Return how a job ended that wrote no ending, once that is certain; keep its submission going."""
         snapshot = self._queue.snapshot
-        if snapshot.asked_s <= submitted.submitted_s or self._queue.error is not None:
+        if snapshot.queried_s <= submitted.submitted_s or self._queue.error is not None:
             submitted.settled_at_s = None
             return None
         entry = snapshot.entries.get(submitted.submission.name)
         if entry is None and not submitted.submission.job_id:
-            return self._submit_again(job, submitted)
+            if submitted.cancelled_s is not None:
+                return Ending.of(CANCELLED)
+            is_absent = snapshot.queried_s > submitted.submitted_s + _LOST_ANSWER_S
+            return self._submit_again(job, submitted) if is_absent else None
         if entry is not None and phase_of(entry.state) is not Phase.ended:
             submitted.settled_at_s = None
             return self._check_waiting(submitted, entry) if phase_of(entry.state) is Phase.waiting else None
@@ -326,9 +328,15 @@ class SlurmExecutor(ProcessExecutor):
             return Ending.of(CANCELLED)
         if submitted.settled_at_s is None:
             submitted.settled_at_s = boot_time_s() + _SETTLED_S
-        if snapshot.asked_s < submitted.settled_at_s:
+        if snapshot.queried_s < submitted.settled_at_s:
             return None
-        return self._ending_by_state(submitted, entry)
+        return self._end_or_submit_again(job, submitted, entry)
+
+    def _end_or_submit_again(self, job: RunJob, submitted: _SubmittedJob, entry: QueueEntry | None) -> Ending | None:
+        ending = self._ending_by_state(submitted, entry)
+        if ending.reason is EndReason.lost and submitted.submission.number < _MAX_SUBMISSIONS:
+            return self._submit_again(job, submitted)
+        return ending
 
     def _ending_by_state(self, submitted: _SubmittedJob, entry: QueueEntry | None) -> Ending:
         job_id = submitted.submission.job_id
@@ -339,17 +347,16 @@ class SlurmExecutor(ProcessExecutor):
             with contextlib.suppress(SlurmUnavailable, SlurmRefused):
                 if (account := self._commands.accounts([job_id]).get(job_id)) is not None:
                     return ending_of(account.state, "None", job_id, node)
-        return Ending(EndReason.lost, f"Slurm does not know its job {job_id} any more; another runner may run it again.")
+        return Ending(EndReason.lost, f"Slurm does not know its job {job_id} any more.")
 
     def _submit_again(self, job: RunJob, submitted: _SubmittedJob) -> Ending | None:
-        """Submit a job again that Slurm did not get, under a new name: should the first still arrive, it does nothing."""
-        if submitted.cancelled_s is not None:
-            return Ending.of(CANCELLED)
-        pause_s = _SUBMIT_AGAIN_S if submitted.problem is not None else _LOST_ANSWER_S
-        if self._queue.snapshot.asked_s < submitted.submitted_s + min(pause_s, _LOST_ANSWER_S):
-            return None
-        self._queue.forget(submitted.submission.name)
-        submitted.submission = Submission(f"{self._prefix}{job.key}-{uuid.uuid4().hex[:8]}")
+        """Submit a job again under a new name. The first, should it still start or go on, notices that and ends."""
+        previous = submitted.submission
+        # A submission that Slurm did not get does not count.
+        number = previous.number + 1 if previous.job_id else previous.number
+        self._queue.forget(previous.name)
+        submitted.submission = Submission(self._new_name(job), number=number)
+        submitted.settled_at_s, submitted.entry, submitted.start = None, None, None
         write_submission(job.directory, submitted.submission)
         try:
             self._submit(job, submitted)
@@ -357,13 +364,18 @@ class SlurmExecutor(ProcessExecutor):
             return Ending(EndReason.not_possible, f"Slurm refused its job: {error}.")
         return None
 
+    def _new_name(self, job: RunJob) -> str:
+        return f"{self._prefix}{job.key}-{uuid.uuid4().hex[:8]}"
+
     def _check_waiting(self, submitted: _SubmittedJob, entry: QueueEntry) -> Ending | None:
         """End a job that can never start, and have one start that Slurm holds because a node failed to start it."""
         now_s = boot_time_s()
-        if is_held_after_failure(entry.reason):
+        if is_stuck_after_failure(entry.reason):
             if submitted.releases >= _MAX_RELEASES:
                 self._queue.kill(entry.name)
-                return Ending(EndReason.lost, f"Slurm failed to start its job {entry.job_id} {_MAX_RELEASES + 1} times.")
+                return Ending(
+                    EndReason.lost, f"Slurm failed to start its job {entry.job_id} {_MAX_RELEASES + 1} times."
+                )
             if now_s >= submitted.released_s + _RELEASE_EVERY_S:
                 submitted.releases, submitted.released_s = submitted.releases + 1, now_s
                 self._queue.release(entry.name)

@@ -192,12 +192,12 @@ def run_job(directory: Path) -> None:
 
 def probe(directory: Path) -> None:
     """Write what this node offers to jobs."""
-    found = {
+    offer = {
         "node": socket.gethostname(),
         "is_isolated": process_sandbox.is_available(),
         "programs": [program for program in PROGRAMS if shutil.which(program)],
     }
-    write_atomically(directory / PROBE, json.dumps(found))
+    write_atomically(directory / PROBE, json.dumps(offer))
 
 
 def main() -> None:

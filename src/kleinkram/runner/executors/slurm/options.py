@@ -26,7 +26,7 @@ RESERVED = frozenset(
 class SlurmOptions:
     """The options of a runner on Slurm.
 
-    `extra` are further options of sbatch for all jobs, by their names without dashes. `allowed` are the names of options
+    `extra` are further options of sbatch for all jobs, by their names without dashes; `allowed` are the names of those
     that actions may set. `python` is the interpreter on the nodes; `max_jobs` bounds those in the queue.
     """
 

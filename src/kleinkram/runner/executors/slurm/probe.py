@@ -1,4 +1,8 @@
-"""What a cluster offers: its largest node, whether it has accounting, and what a job sees on a node, which is tried."""
+"""What a cluster offers: its largest node, whether it has accounting, and what a job sees on a node, which is tried.
+
+It is stored in the folder of the runner: one that starts again must not wait behind a full queue, or for a controller
+that is down, since its runs wait for it.
+"""
 
 import json
 import logging
@@ -10,6 +14,8 @@ import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from pydantic import TypeAdapter
 
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.runners import Capacity
@@ -24,9 +30,12 @@ from kleinkram.runner.executors.slurm.commands import (
 from kleinkram.runner.executors.slurm.options import SUPERVISOR_BYTES, SlurmOptions, reserved_names, usual_options
 from kleinkram.runner.executors.slurm.shared_files import refresh
 from kleinkram.runner.executors.slurm.states import Phase, never_starts, phase_of, waiting_sentence
+from kleinkram.runner.executors.supervision import write_atomically
 
 _log = logging.getLogger("kleinkram.runner")
-_EVERY_S = 0.5
+_STORED = "slurm-site.json"
+_EVERY_S = 0.2
+_ASK_EVERY_S = 2.0
 # How late files of a node may be seen.
 _LATE_S = 30.0
 _MAX_ERROR_CHARACTERS = 500
@@ -52,20 +61,40 @@ class SlurmSite:
 
 
 def find_site(commands: SlurmCommands, options: SlurmOptions, directory: Path, *, runner: str) -> SlurmSite:
-    """Find out what a cluster offers. Runs a short job, which waits in the queue as others do.
+    """Return what a cluster offers. The first time, it runs a short job, which waits in the queue as others do.
 
     Raises:
         InvalidInput: Slurm does not answer, the partition does not exist, or the nodes cannot run jobs of this folder.
     """
     if reserved := reserved_names([*options.extra, *options.allowed]):
         raise InvalidInput(what=f"The option --{reserved[0]} of sbatch", reason="Kleinkram sets it itself")
+    stored = _read_stored(directory)
+    key = repr((options.partition, options.constraint, options.python or sys.executable))
     try:
         capacity = largest_node(commands.nodes(), options.partition)
         has_accounting = commands.has_accounting()
-        node = _Probe(commands, options, directory, runner).run()
     except (SlurmUnavailable, SlurmRefused) as error:
+        if stored is None:
+            raise InvalidInput(what="Slurm", reason=str(error)) from error
+        _log.warning("Slurm does not answer; the runner knows the cluster from before: %s", error)
+        capacity, has_accounting = stored.capacity, stored.has_accounting
+    has_runs = any((directory / "runs").glob("*"))
+    if stored is not None and (stored.key == key or has_runs):
+        return SlurmSite(commands, options, capacity, stored.node, has_accounting)
+    try:
+        node = _Probe(commands, options, directory, runner).run()
+    except SlurmUnavailable as error:
         raise InvalidInput(what="Slurm", reason=str(error)) from error
+    text = TypeAdapter(_StoredSite).dump_json(_StoredSite(key, capacity, node, has_accounting)).decode()
+    write_atomically(directory / _STORED, text)
     return SlurmSite(commands, options, capacity, node, has_accounting)
+
+
+def _read_stored(directory: Path) -> "_StoredSite | None":
+    try:
+        return TypeAdapter(_StoredSite).validate_json((directory / _STORED).read_bytes())
+    except (OSError, ValueError):
+        return None
 
 
 def largest_node(nodes: Sequence[ClusterNode], partition: str | None) -> Capacity:
@@ -88,6 +117,16 @@ def largest_node(nodes: Sequence[ClusterNode], partition: str | None) -> Capacit
         disk_bytes=0,
         gpus=max(node.gpus for node in usable),
     )
+
+
+@dataclass(frozen=True)
+class _StoredSite:
+    """What is known of a cluster from an earlier start. `key`: what the probe depended on."""
+
+    key: str
+    capacity: Capacity
+    node: NodeOffer
+    has_accounting: bool
 
 
 class _Probe:
@@ -123,13 +162,16 @@ class _Probe:
             shutil.rmtree(self._directory, ignore_errors=True)
 
     def _wait(self, job_id: str) -> NodeOffer:
+        ask_at_s = 0.0
         while True:
             refresh(self._directory)
-            if (found := self._directory / node_job.PROBE).exists():
-                values = json.loads(found.read_text())
+            if (result := self._directory / node_job.PROBE).exists():
+                values = json.loads(result.read_text())
                 return NodeOffer(values["is_isolated"], tuple(values["programs"]))
-            jobs = {entry.name: entry for entry in self._commands.own_jobs(self._name)}
-            self._check(jobs.get(self._name), job_id)
+            if time.monotonic() >= ask_at_s:
+                ask_at_s = time.monotonic() + _ASK_EVERY_S
+                jobs = {entry.name: entry for entry in self._commands.own_jobs(self._name)}
+                self._check(jobs.get(self._name), job_id)
             time.sleep(_EVERY_S)
 
     def _check(self, entry: QueueEntry | None, job_id: str) -> None:
@@ -155,6 +197,6 @@ class _Probe:
             reason = f"{where} cannot write to it (job {job_id}); choose one on a shared file system with --data-dir"
             raise InvalidInput(what=f"The folder {self._directory.parent}", reason=reason)
         log = self._directory / "probe.log"
-        said = log.read_text(errors="replace").strip() if log.exists() else ""
-        reason = f"it does not run on {where}: {said[-_MAX_ERROR_CHARACTERS:] or 'it wrote no error'}"
+        output = log.read_text(errors="replace").strip() if log.exists() else ""
+        reason = f"it does not run on {where}: {output[-_MAX_ERROR_CHARACTERS:] or 'it wrote no error'}"
         raise InvalidInput(what=f"The Python {self._python}", reason=f"{reason}; choose one with --python")

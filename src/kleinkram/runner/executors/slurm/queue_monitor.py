@@ -19,9 +19,9 @@ _MAX_PAUSE_S = 30.0
 
 @dataclass(frozen=True)
 class QueueSnapshot:
-    """The jobs in Slurm's queue as of `asked_s` (of `boot_time_s`), by their names."""
+    """The jobs in Slurm's queue as of `queried_s` (of `boot_time_s`), by their names."""
 
-    asked_s: float = 0.0
+    queried_s: float = 0.0
     entries: dict[str, QueueEntry] = field(default_factory=dict)
 
 
@@ -82,10 +82,10 @@ class QueueMonitor:
 
     def wait_until_gone(self, name: str, timeout_s: float) -> bool:
         """Wait until a job has ended, or is unknown to Slurm; return whether that is so."""
-        asked_s = deadline_s = boot_time_s()
+        queried_s = deadline_s = boot_time_s()
         deadline_s += timeout_s
         with self._has_answer:
-            while not self._is_gone(name, asked_s):
+            while not self._is_gone(name, queried_s):
                 self._wake()
                 if boot_time_s() >= deadline_s:
                     return False
@@ -96,7 +96,7 @@ class QueueMonitor:
         snapshot = self.snapshot
         entry = snapshot.entries.get(name)
         is_over = entry is None or (phase_of(entry.state) is Phase.ended)
-        return snapshot.asked_s > since_s and is_over and name not in self._kill
+        return snapshot.queried_s > since_s and is_over and name not in self._kill
 
     def _wake(self) -> None:
         self._has_work.set()
@@ -109,9 +109,9 @@ class QueueMonitor:
         while True:
             self._has_work.wait()
             self._has_work.clear()
-            asked_s = time.monotonic()
+            queried_s = time.monotonic()
             self._ask()
-            took_s = time.monotonic() - asked_s
+            took_s = time.monotonic() - queried_s
             with self._has_answer:
                 self._has_answer.notify_all()
             if self._is_needed():
@@ -134,9 +134,9 @@ class QueueMonitor:
 
     def _ask(self) -> None:
         try:
-            asked_s = boot_time_s()
+            queried_s = boot_time_s()
             entries = self._commands.own_jobs(self._prefix)
-            self.snapshot = QueueSnapshot(asked_s, {entry.name: entry for entry in entries})
+            self.snapshot = QueueSnapshot(queried_s, {entry.name: entry for entry in entries})
             self._act(self.snapshot.entries)
             if self.error is not None:
                 _log.info("Slurm answers again")
@@ -176,5 +176,5 @@ class QueueMonitor:
 
 
 def _ids(entries: dict[str, QueueEntry], names: set[str], *phases: Phase) -> list[str]:
-    found = [entries[name] for name in sorted(names) if name in entries]
-    return [entry.job_id for entry in found if phase_of(entry.state) in phases]
+    matching = [entries[name] for name in sorted(names) if name in entries]
+    return [entry.job_id for entry in matching if phase_of(entry.state) in phases]

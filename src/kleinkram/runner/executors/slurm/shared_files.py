@@ -22,10 +22,14 @@ _RUN, _CANCEL = "run", "cancel"
 
 
 class Submission(NamedTuple):
-    """A submission of a job, recorded before it is made. `job_id` is empty until Slurm has answered."""
+    """A submission of a job, recorded before it is made. `job_id` is empty until Slurm has answered.
+
+    `number` counts the submissions of the job that Slurm had.
+    """
 
     name: str
     job_id: str = ""
+    number: int = 1
 
 
 class NodeStart(NamedTuple):
@@ -49,7 +53,7 @@ def read_submission(directory: Path) -> Submission | None:
         OSError: the folder cannot be read at the moment.
     """
     values = _read(directory / SUBMISSION)
-    return None if values is None else Submission(values["name"], values["job_id"])
+    return None if values is None else Submission(**values)
 
 
 def write_start(directory: Path, start: NodeStart) -> None:

@@ -56,7 +56,7 @@ _EXPLAINED = {
     "PartitionInactive": "its partition is inactive",
     "ReqNodeNotAvail": "nodes that it needs are not available",
 }
-_HELD_AFTER_FAILURE = ("launch failed requeued held", "job requeued in held state", "requeued held")
+_STUCK_AFTER_FAILURE = ("launch failed requeued held", "job requeued in held state", "requeued held")
 _SOMEBODY = Ending(EndReason.cancelled, "Somebody cancelled its job in Slurm, not in Kleinkram.")
 _ENDS = {
     "PREEMPTED": Ending(EndReason.lost, "Slurm preempted its job; another runner may run it again."),
@@ -77,9 +77,9 @@ def phase_of(state: str) -> Phase:
     return Phase.running if state in _RUNNING else Phase.ended
 
 
-def is_held_after_failure(reason: str) -> bool:
+def is_stuck_after_failure(reason: str) -> bool:
     """Whether a job waits because a node failed to start it, until it is released."""
-    return reason.lower().replace("_", " ") in _HELD_AFTER_FAILURE
+    return reason.lower().replace("_", " ") in _STUCK_AFTER_FAILURE
 
 
 def waiting_sentence(reason: str) -> str:
@@ -88,7 +88,9 @@ def waiting_sentence(reason: str) -> str:
     explanation = _EXPLAINED.get(word, _NEVER.get(word))
     if explanation == "":
         return "waits in the queue of Slurm"
-    return f"waits in the queue of Slurm: {reason}" if explanation is None else f"waits in Slurm: {explanation} ({word})"
+    return (
+        f"waits in the queue of Slurm: {reason}" if explanation is None else f"waits in Slurm: {explanation} ({word})"
+    )
 
 
 def never_starts(reason: str) -> Ending | None:
