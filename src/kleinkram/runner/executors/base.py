@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from kleinkram.contract.actions import Network, Resources
+from kleinkram.contract.actions import ClusterRequest, Network, Resources
 from kleinkram.contract.runners import LEASE_S, Capacity, ExecutorAbilities
 from kleinkram.contract.runs import EndReason, RunPlacement, Usage
 from kleinkram.environments.cache import Environment, Show
@@ -49,6 +49,7 @@ class RunJob:
     environment: Mapping[str, str] = field(default_factory=dict)
     packages: Path | None = None
     port_forwards: tuple[PortForward, ...] = ()
+    cluster: ClusterRequest = field(default_factory=ClusterRequest)
 
 
 @dataclass(frozen=True)

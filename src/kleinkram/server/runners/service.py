@@ -37,7 +37,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.events.hub import EventFilter, Hub
 from kleinkram.server.pagination import Order, PageRequest, fetch_page
-from kleinkram.server.runners.assigned_runs import OWN_TOKEN, AssignedRun, lock_run, record_seen
+from kleinkram.server.runners.assigned_runs import OWN_TOKEN, AssignedRun, lock_run, record_seen, token_lifetime
 from kleinkram.server.runs.eligibility import (
     IsolationRule,
     KnownRunner,
@@ -60,8 +60,6 @@ _SCOPES = {
 # The end of a lease publishes no event.
 _CHECK_EVERY_S = 5.0
 _QUEUE = EventFilter(frozenset({"run"}))
-# A token ends with its run, and at the latest this long after the time limit of the run.
-_TOKEN_MARGIN_S = 3600
 # Fractions of cores are summed as floats.
 _ROUNDING = 1e-6
 
@@ -265,6 +263,7 @@ async def _assign(db: Connection, row: AssignedRun, runner_id: uuid.UUID, attemp
         lock=definition.lock,
         parameters=row.parameters,
         resources=definition.resources,
+        cluster=definition.cluster,
         network=definition.network,
         inputs=[
             AssignedInput(path=entry.path, size_bytes=entry.size_bytes, sha256=entry.sha256.hex())
@@ -284,7 +283,6 @@ async def _create_token(db: Connection, row: AssignedRun) -> str:
     """
     definition = row.definition
     secret, token_id = new_secret(SecretKind.run), uuid.uuid4()
-    lasts = datetime.timedelta(seconds=definition.resources.time_s + _TOKEN_MARGIN_S)
     values = {
         "person_id": row.started_by_id,
         "kind": TokenKind.run.value,
@@ -295,6 +293,8 @@ async def _create_token(db: Connection, row: AssignedRun) -> str:
         "run_id": row.id,
         "max_right": definition.right.value,
     }
-    await db.execute(insert(token).values(id=token_id, is_limited=True, expires_at=func.now() + lasts, **values))
+    await db.execute(
+        insert(token).values(id=token_id, is_limited=True, expires_at=func.now() + token_lifetime(definition), **values)
+    )
     await db.execute(insert(token_limit).values(id=uuid.uuid4(), token_id=token_id, mission_id=row.mission_id))
     return secret.text
