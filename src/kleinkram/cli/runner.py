@@ -72,6 +72,10 @@ def start(
     memory: Annotated[Text, _limit("--memory", "the memory for runs", "80 %")] = None,
     disk: Annotated[Text, _limit("--disk", "the disk for runs", "half of the free space")] = None,
     cache: Annotated[Text, _limit("--cache", "the cache of inputs", "30 % of the free space")] = None,
+    cache_age: Annotated[
+        int | None,
+        option("--cache-age", "DAYS", "Remove cached inputs that no run used for so long. Default: never.", min=1),
+    ] = None,
     environments: Annotated[Text, _limit("--environments", "the packages of scripts", "10 % of the free space")] = None,
     package_index: _PackageIndex = None,
     gpus: Annotated[int, option("--gpus", "N", "Set the number of GPUs for runs.", min=0)] = 0,
@@ -98,6 +102,7 @@ def start(
         memory_bytes=parse_size(memory) if memory else None,
         disk_bytes=parse_size(disk) if disk else None,
         cache_bytes=parse_size(cache) if cache else None,
+        cache_age_days=cache_age,
         environments_bytes=parse_size(environments) if environments else None,
         package_index=package_index,
         gpus=gpus,

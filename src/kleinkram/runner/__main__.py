@@ -48,6 +48,7 @@ def main() -> None:
                 arguments.gpus,
                 arguments.cache_bytes,
                 arguments.environments_bytes,
+                arguments.cache_age_days,
             )
             executor = choose_executor(
                 arguments.executor,

@@ -4,7 +4,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import urlsplit
@@ -21,7 +21,7 @@ from kleinkram.contract.runs import CONTEXT_FILE, EndReason, RunContext
 from kleinkram.environments.cache import Environment, Show
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, LockedScript, PinnedImage, RunJob
 from kleinkram.runner.executors.port_forward import PortForward
-from kleinkram.runner.input_cache import InputCache, InputDamaged, InputFile, NoSpace, PartialInput
+from kleinkram.runner.input_cache import InputCache, InputDamaged, InputFile, NoSpace, PartialInput, Place
 from kleinkram.runner.state_directory import Attempt, RunnerContext, StopSignal, remove_tree
 
 _OWN_DIRECTORY = ".kleinkram"
@@ -36,6 +36,8 @@ _SLICE_BYTES = 256 * 2**10
 _CHECK_EVERY_S = 0.1
 _IMAGE_CHECK_EVERY_S = 0.02
 _MAX_REFUSALS = 4
+_DOWNLOADING = "downloading inputs"
+_MAX_SHOWN = 200
 # A server that is unavailable comes back.
 _RETRY_S = 600.0
 _PERMANENT_ERRORS = (NotFound, FileUnavailable, InvalidRequest)
@@ -66,7 +68,7 @@ def prepare_run(
     """
     image = _image_of(context, assignment)
     pulled = _pull_in_thread(context.executor, image) if image else None
-    source = InputDownload(context, assignment, stop)
+    source = InputDownload(context, assignment, stop, show)
     store_url: str | None = None
     backoff = Backoff(_RETRY_S, stop.wait)
     while store_url is None:
@@ -159,17 +161,18 @@ def _pull_in_thread(executor: Executor, image: str) -> Future[PinnedImage]:
 class InputDownload:
     """Downloads the inputs of one run by signed URLs, and resumes broken downloads."""
 
-    def __init__(self, context: RunnerContext, assignment: RunAssignment, stop: StopSignal) -> None:
+    def __init__(self, context: RunnerContext, assignment: RunAssignment, stop: StopSignal, show: Show) -> None:
         self._runners = context.runners.with_retry(TRANSFER_RETRY_S, stop.wait)
         self._store = context.store
         self._assignment = assignment
         self._stop = stop
+        self._show = show
         self._urls: dict[str, str] = {}
         self.fetched_bytes = 0
         self._lock = threading.Lock()
 
-    def fetch_into(self, cache: InputCache, missing: Sequence[InputFile]) -> None:
-        """Download files to a cache.
+    def fetch_into(self, cache: InputCache, missing: Sequence[InputFile], place: Place) -> None:
+        """Download files to a cache, and `place` each; one that was evicted before is downloaded again.
 
         Raises:
             CannotStart: one is not available, or the disk is full.
@@ -183,13 +186,16 @@ class InputDownload:
             for first in range(0, len(missing), _URLS_PER_REQUEST):
                 batch = missing[first : first + _URLS_PER_REQUEST]
                 self._sign([paths[file.sha256] for file in batch])
-                downloads = {pool.submit(self._fetch, cache, file, paths[file.sha256], is_over) for file in batch}
-                while downloads:
-                    done, downloads = wait(downloads, timeout=_CHECK_EVERY_S, return_when=FIRST_EXCEPTION)
+                waiting = [*batch]
+                downloads: dict[Future[None], InputFile] = {}
+                while waiting or downloads:
+                    for file in waiting:
+                        downloads[pool.submit(self._fetch, cache, file, paths[file.sha256], is_over)] = file
+                    done, _ = wait(downloads, timeout=_CHECK_EVERY_S, return_when=FIRST_COMPLETED)
                     for download in done:
                         download.result()
+                    waiting = [file for file in map(downloads.pop, done) if not place(file)]
                     self._stop.check()
-                self.fetched_bytes += sum(file.size_bytes for file in batch)
         finally:
             # A thread that waits for the store notices this later.
             is_over.set()
@@ -201,8 +207,13 @@ class InputDownload:
             if is_over.is_set():
                 raise _unavailable("Another input is not available.")
 
+        def wait_for_other(seconds: float) -> None:
+            self._show(f"waits for the download of another job: {Path(path).name}"[:_MAX_SHOWN], 0)
+            check()
+            self._stop.wait(seconds)
+
         try:
-            cache.get(file, lambda part: self._receive(part, path, check), self._stop.wait)
+            cache.get(file, lambda part: self._receive(part, path, check), wait_for_other)
         except InputDamaged as error:
             raise _unavailable(f"The input {path} is damaged: {error}.") from error
 
@@ -215,6 +226,7 @@ class InputDownload:
     def _receive(self, part: PartialInput, path: str, check: Callable[[], None]) -> None:
         """Receive the missing bytes of a file, from where the last connection broke."""
         backoff, refusals = Backoff(TRANSFER_RETRY_S, self._stop.wait), 0
+        self._show(_DOWNLOADING, 0)
         while part.offset < part.file.size_bytes:
             check()
             before = part.offset
@@ -227,6 +239,8 @@ class InputDownload:
                 answer.error = error
             finally:
                 answer.close()
+                with self._lock:
+                    self.fetched_bytes += part.offset - before
             if part.offset > before:
                 backoff = Backoff(TRANSFER_RETRY_S, self._stop.wait)
             elif answer.answer is StoreAnswer.sign_again and refusals < _MAX_REFUSALS:

@@ -249,6 +249,7 @@ class Runner:
         )
         requested_s = boot_time_s()
         try:
+            self._executor.evict_unused()
             assignment = self._runners.claim(self._state.runner_id, request)
             self._is_unreachable = False
             self.statistics.count_answer()

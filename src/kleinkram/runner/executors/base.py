@@ -9,7 +9,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.contract.runners import LEASE_S, Capacity, ExecutorAbilities
@@ -17,7 +16,7 @@ from kleinkram.contract.runs import EndReason, RunPlacement, Usage
 from kleinkram.environments.cache import Environment, Show
 from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors.port_forward import PortForward
-from kleinkram.runner.input_cache import InputCache, InputFile
+from kleinkram.runner.input_cache import InputFile, InputSource
 
 _POLL_EVERY_S = 0.25
 _MIN_CORES = 0.01
@@ -82,13 +81,6 @@ class CannotStart(Exception):
         self.ending = ending
 
 
-class InputSource(Protocol):
-    """Downloads input files."""
-
-    def fetch_into(self, cache: InputCache, missing: Sequence[InputFile]) -> None:
-        """Add files to a cache; raises where one is not available, or the job is to stop."""
-
-
 class Executor(ABC):
     """Runs jobs. All methods may be called from any thread."""
 
@@ -134,6 +126,13 @@ class Executor(ABC):
         Raises:
             NoSpace: the disk has no space for them.
             OSError: they cannot be placed.
+        """
+
+    def evict_unused(self) -> None:  # noqa: B027  most have nothing to remove
+        """Remove cached inputs that no job has used for too long; called every few minutes.
+
+        Raises:
+            OSError: this is not possible at the moment.
         """
 
     @abstractmethod
