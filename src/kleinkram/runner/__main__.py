@@ -40,6 +40,7 @@ def main() -> None:
                 name=arguments.name,
                 labels=tuple(arguments.labels),
                 default_image=arguments.default_image,
+                token_file=arguments.token_file,
             )
             share = MachineShare(
                 arguments.cores,

@@ -16,7 +16,7 @@ from kleinkram.contract.runs import EndReason, RunPlacement, Usage
 from kleinkram.environments.cache import Environment, Show
 from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors.port_forward import PortForward
-from kleinkram.runner.input_cache import InputFile, InputSource
+from kleinkram.runner.input_cache import InputCache, InputFile, InputSource
 
 _POLL_EVERY_S = 0.25
 _MIN_CORES = 0.01
@@ -93,6 +93,14 @@ class Executor(ABC):
     @abstractmethod
     def capacity(self) -> Capacity:
         """The resources of all jobs that may run at the same time; of a cluster, the largest that one job may have."""
+
+    @property
+    def node_cache(self) -> InputCache | None:
+        """The cache that compute nodes download inputs to, if they move the files of their jobs; else the runner does.
+
+        The program of a node then makes the steps of `transfer_steps.py` before and after the job.
+        """
+        return None
 
     @property
     def lease_s(self) -> int:
@@ -190,6 +198,10 @@ class Executor(ABC):
     @abstractmethod
     def usage(self, job: RunJob) -> Usage | None:
         """Return the last known usage of a job."""
+
+    def is_uploading(self, job: RunJob) -> bool:
+        """Whether the compute node of an ended job still uploads its results; False also where the node failed."""
+        return False
 
     @abstractmethod
     def collect(self, job: RunJob) -> Path:

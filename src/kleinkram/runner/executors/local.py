@@ -24,7 +24,7 @@ from kleinkram.environments.python import Python, PythonUnknown
 from kleinkram.environments.uv import PackageIndex, Wait, find_uv
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, LockedScript, RunJob
 from kleinkram.runner.executors.port_forward import loopback_addresses
-from kleinkram.runner.executors.supervision import LEASE, LOG, JobLimits, write_in_place
+from kleinkram.runner.executors.supervision import LEASE, JobLimits, read_log_of, write_in_place
 from kleinkram.runner.input_cache import InputCache, InputFile, InputSource, place_inputs
 
 _MEMORY_SHARE = 0.8
@@ -160,12 +160,7 @@ class LocalExecutor(Executor):
 
     def read_log(self, job: RunJob, offset: int, size_bytes: int) -> bytes:
         """Read the log file of the job."""
-        try:
-            with (job.directory / LOG).open("rb") as stream:
-                stream.seek(offset)
-                return stream.read(size_bytes)
-        except FileNotFoundError:
-            return b""
+        return read_log_of(job.directory, offset, size_bytes)
 
     def collect(self, job: RunJob) -> Path:
         """Return the directory that the job saw as `/out`."""
