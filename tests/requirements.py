@@ -47,6 +47,14 @@ PROGRAMS = {
     "systemd-sysusers": "systemd",
     "systemd-tmpfiles": "systemd",
     "node": "nodejs npm",
+    "munged": "munge",
+    "sbatch": "slurm-client",
+    "squeue": "slurm-client",
+    "scancel": "slurm-client",
+    "scontrol": "slurm-client",
+    "sinfo": "slurm-client",
+    "slurmctld": "slurmctld",
+    "slurmd": "slurmd",
 }
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _NODE_SOURCES = Path(__file__).parent / "system" / "oidc"

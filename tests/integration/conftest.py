@@ -1,5 +1,6 @@
 """The API for HTTP tests: one for the whole session, or one with settings of its own."""
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
@@ -9,10 +10,13 @@ import pytest
 from alembic import command
 
 from kleinkram.server.migrations import alembic_config
+from tests import slurm_cluster
 from tests.integration.api_server import Api, serving
 from tests.integration.corpus import Corpus, upload_corpus
 from tests.integration.sample import Sample
+from tests.requirements import missing, need
 from tests.services import RunningPostgres, RunningStore
+from tests.slurm_cluster import SlurmCluster
 
 StartApi = Callable[..., Api]
 Starting = Callable[[], AbstractContextManager[StartApi]]
@@ -115,3 +119,13 @@ def corpus(starting: Starting, recordings_dir: Path) -> Iterator[Corpus]:
     """The real recordings in a mission of an API of their own, summarised, verified and grouped."""
     with starting() as start:
         yield upload_corpus(start(), recordings_dir)
+
+
+@pytest.fixture(scope="session")
+def slurm() -> Iterator[SlurmCluster]:
+    """A Slurm cluster of one node."""
+    if os.geteuid() != 0:
+        missing("a Slurm of the tests' own needs root")
+    need(*slurm_cluster.PROGRAMS)
+    with slurm_cluster.slurm_cluster() as made:
+        yield made

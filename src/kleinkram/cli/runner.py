@@ -26,6 +26,17 @@ class ExecutorOption(str, Enum):
     process = "process"
 
 
+class TransfersOption(str, Enum):
+    """Which machine downloads inputs and uploads results."""
+
+    login = "login"
+    node = "node"
+
+
+_Transfers = Annotated[
+    TransfersOption,
+    option("--transfers", None, "Let the compute nodes move inputs and results, or this machine. Nodes need HTTPS."),
+]
 _TokenFile = Annotated[
     Path | None,
     option("--token-file", "F", "Read its token from a file with mode 0600. Default: KLEINKRAM_RUNNER_TOKEN."),
@@ -62,31 +73,43 @@ def _limit(name: str, what: str, default: str) -> Any:  # Any: what `option` ret
     return option(name, "SIZE", f"Limit {what}. Default: {default}.")
 
 
+_Name = Annotated[Text, option("--name", "NAME", "Name the runner. Default: the name of this machine.")]
+_Url = Annotated[Text, option("--url", "U", "Set the server. Default: the one in use.")]
+_Labels = Annotated[Many, option("--label", "L", "Add a label that actions can require; repeatable.")]
+_Disk = Annotated[Text, _limit("--disk", "the disk for runs", "half of the free space")]
+_Cache = Annotated[Text, _limit("--cache", "the cache of inputs", "30 % of the free space")]
+_CacheAge = Annotated[
+    int | None,
+    option("--cache-age", "DAYS", "Remove cached inputs that no run used for so long. Default: never.", min=1),
+]
+_Environments = Annotated[Text, _limit("--environments", "the packages of scripts", "10 % of the free space")]
+_DataDir = Annotated[Path | None, option("--data-dir", "D", "Set the folder of its runs and inputs.")]
+_Once = Annotated[bool, flag("--once", "End after one run.")]
+_Json = Annotated[bool, flag("--json", "Write its log as lines of JSON.")]
+
+
 @app.command("start")
 def start(
-    name: Annotated[Text, option("--name", "NAME", "Name the runner. Default: the name of this machine.")] = None,
-    url: Annotated[Text, option("--url", "U", "Set the server. Default: the one in use.")] = None,
+    name: _Name = None,
+    url: _Url = None,
     token_file: _TokenFile = None,
-    label: Annotated[Many, option("--label", "L", "Add a label that actions can require; repeatable.")] = None,
+    label: _Labels = None,
     cores: Annotated[float | None, option("--cores", "N", "Limit the cores for runs. Default: all.", min=0.1)] = None,
     memory: Annotated[Text, _limit("--memory", "the memory for runs", "80 %")] = None,
-    disk: Annotated[Text, _limit("--disk", "the disk for runs", "half of the free space")] = None,
-    cache: Annotated[Text, _limit("--cache", "the cache of inputs", "30 % of the free space")] = None,
-    cache_age: Annotated[
-        int | None,
-        option("--cache-age", "DAYS", "Remove cached inputs that no run used for so long. Default: never.", min=1),
-    ] = None,
-    environments: Annotated[Text, _limit("--environments", "the packages of scripts", "10 % of the free space")] = None,
+    disk: _Disk = None,
+    cache: _Cache = None,
+    cache_age: _CacheAge = None,
+    environments: _Environments = None,
     package_index: _PackageIndex = None,
     gpus: Annotated[int, option("--gpus", "N", "Set the number of GPUs for runs.", min=0)] = 0,
     executor: _Executor = ExecutorOption.auto,
     default_image: _DefaultImage = None,
     registry: _Registries = None,
-    data_dir: Annotated[Path | None, option("--data-dir", "D", "Set the folder of its runs and inputs.")] = None,
-    once: Annotated[bool, flag("--once", "End after one run.")] = False,
+    data_dir: _DataDir = None,
+    once: _Once = False,
     metrics_port: _MetricsPort = None,
     metrics_address: _MetricsAddress = "127.0.0.1",
-    as_json: Annotated[bool, flag("--json", "Write its log as lines of JSON.")] = False,
+    as_json: _Json = False,
 ) -> None:
     """Run actions on this machine. Ctrl-C ends the runner and its runs; SIGTERM leaves its runs to the next one."""
     from kleinkram.client.config import find_endpoint
@@ -94,16 +117,16 @@ def start(
 
     arguments = Arguments(
         url=url or find_endpoint().url,
-        data_dir=(data_dir or Path(platformdirs.user_data_dir(_FOLDER))).expanduser().resolve(),
+        data_dir=_folder_of(data_dir, _FOLDER),
         name=name or platform.node() or "runner",
         token_file=token_file.resolve() if token_file else None,
         labels=label or [],
         cores=cores,
-        memory_bytes=parse_size(memory) if memory else None,
-        disk_bytes=parse_size(disk) if disk else None,
-        cache_bytes=parse_size(cache) if cache else None,
+        memory_bytes=_size_of(memory),
+        disk_bytes=_size_of(disk),
+        cache_bytes=_size_of(cache),
         cache_age_days=cache_age,
-        environments_bytes=parse_size(environments) if environments else None,
+        environments_bytes=_size_of(environments),
         package_index=package_index,
         gpus=gpus,
         executor=ExecutorChoice(executor.value),
@@ -114,8 +137,89 @@ def start(
         metrics_address=metrics_address,
         log_format="json" if as_json else "text",
     )
+    _become(arguments.command())
+
+
+@app.command("slurm")
+def slurm(
+    partition: Annotated[Text, option("--partition", "P", "Submit to this partition. Default: Slurm's.")] = None,
+    account: Annotated[Text, option("--account", "A", "Charge this account. Default: the user's.")] = None,
+    qos: Annotated[Text, option("--qos", "Q", "Request this quality of service. Default: the account's.")] = None,
+    constraint: Annotated[Text, option("--constraint", "C", "Use only nodes with these features.")] = None,
+    max_jobs: Annotated[int, option("--max-jobs", "N", "Limit the jobs in the queue.", min=1, max=1000)] = 20,
+    sbatch_option: Annotated[
+        Many, option("--option", "NAME=VALUE", "Pass a further option to sbatch for all jobs; repeatable.")
+    ] = None,
+    allow_option: Annotated[
+        Many, option("--allow-option", "NAME", "Allow actions to set this option of sbatch; repeatable.")
+    ] = None,
+    python: Annotated[Text, option("--python", "PATH", "Run this Python on the nodes. Default: this one.")] = None,
+    transfers: _Transfers = TransfersOption.login,
+    name: _Name = None,
+    url: _Url = None,
+    token_file: _TokenFile = None,
+    label: _Labels = None,
+    disk: _Disk = None,
+    cache: _Cache = None,
+    cache_age: _CacheAge = None,
+    environments: _Environments = None,
+    package_index: _PackageIndex = None,
+    data_dir: _DataDir = None,
+    once: _Once = False,
+    metrics_port: _MetricsPort = None,
+    metrics_address: _MetricsAddress = "127.0.0.1",
+    as_json: _Json = False,
+) -> None:
+    """Run actions as jobs of Slurm, from a login node. Its folder must be on a file system that all nodes see."""
+    from kleinkram.client.config import find_endpoint
+    from kleinkram.runner.arguments import Arguments
+    from kleinkram.runner.executors.slurm.options import SlurmOptions
+
+    arguments = Arguments(
+        url=url or find_endpoint().url,
+        data_dir=_folder_of(data_dir, f"{_FOLDER}-slurm"),
+        name=name or platform.node() or "runner",
+        token_file=token_file.resolve() if token_file else None,
+        labels=label or [],
+        disk_bytes=_size_of(disk),
+        cache_bytes=_size_of(cache),
+        cache_age_days=cache_age,
+        environments_bytes=_size_of(environments),
+        package_index=package_index,
+        slurm=SlurmOptions(
+            max_jobs=max_jobs,
+            partition=partition,
+            account=account,
+            qos=qos,
+            constraint=constraint,
+            extra=_sbatch_options(sbatch_option or []),
+            allowed=frozenset(entry.lstrip("-") for entry in allow_option or []),
+            python=python,
+            transfers_on_nodes=transfers is TransfersOption.node,
+        ),
+        once=once,
+        metrics_port=metrics_port,
+        metrics_address=metrics_address,
+        log_format="json" if as_json else "text",
+    )
+    _become(arguments.command())
+
+
+def _sbatch_options(texts: list[str]) -> dict[str, str]:
+    pairs = (text.lstrip("-").partition("=") for text in texts)
+    return {name: value for name, _, value in pairs}
+
+
+def _folder_of(data_dir: Path | None, default: str) -> Path:
+    return (data_dir or Path(platformdirs.user_data_dir(default))).expanduser().resolve()
+
+
+def _size_of(text: str | None) -> int | None:
+    return parse_size(text) if text else None
+
+
+def _become(command: list[str]) -> None:
     # A runner runs for a long time; its own process needs less memory than this one.
-    command = arguments.command()
     os.execv(command[0], command)  # noqa: S606  (our own interpreter, no shell)
 
 

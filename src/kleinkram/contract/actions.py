@@ -183,6 +183,23 @@ class Resources(Request):
     labels: Annotated[list[Label], Field(max_length=20)] = []
 
 
+OptionName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]{0,63}$")]
+OptionValue = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.,:;/=@%+*&|()\[\]-]{0,200}$")]
+Constraint = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.,&|*()\[\]-]{1,200}$")]
+
+
+class ClusterRequest(Request):
+    """What a run needs of a cluster beyond its resources; a runner of one machine ignores it.
+
+    `constraint` names features of nodes, such as `a100|h100`. `exclusive`: nothing else runs on its node. `options` are
+    further options of the cluster's submission, by their names without dashes, of those that its runner allows.
+    """
+
+    constraint: Constraint | None = None
+    exclusive: bool = False
+    options: Annotated[dict[OptionName, OptionValue], Field(max_length=20)] = {}
+
+
 class Better(str, enum.Enum):
     """Which values of a metric are better; `none`: neither, as of a count."""
 
@@ -248,6 +265,7 @@ class ActionDefinition(Request):
     metrics: Annotated[list[DeclaredMetric], Field(max_length=MAX_DECLARED_METRICS)] = []
     inputs: Inputs = Inputs()
     resources: Resources = Resources()
+    cluster: ClusterRequest = ClusterRequest()
     network: Network = Network.none
     right: Right = Right.read
     library: LibraryVersion | None = None

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from kleinkram.contract.actions import Network, ParameterValues, Resources
+from kleinkram.contract.actions import ClusterRequest, Network, ParameterValues, Resources
 from kleinkram.contract.base import Request, Response
 from kleinkram.contract.names import Label
 from kleinkram.contract.projects import ProjectRef
@@ -145,6 +145,7 @@ class RunAssignment(Response):
     lock: str | None = None
     parameters: ParameterValues
     resources: Resources
+    cluster: ClusterRequest = ClusterRequest()
     network: Network
     inputs: list[AssignedInput]
     token: Annotated[str | None, Field(repr=False)]

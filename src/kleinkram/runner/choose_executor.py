@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.runners import Isolation
@@ -15,6 +16,10 @@ from kleinkram.runner.executors.docker.client import DockerClient, EngineError, 
 from kleinkram.runner.executors.docker.executor import DockerExecutor, Pull
 from kleinkram.runner.executors.local import Machine
 from kleinkram.runner.executors.process import ProcessExecutor
+from kleinkram.runner.executors.slurm.commands import SlurmCommands
+from kleinkram.runner.executors.slurm.executor import SlurmExecutor
+from kleinkram.runner.executors.slurm.options import SlurmOptions
+from kleinkram.runner.executors.slurm.probe import find_site
 
 _log = logging.getLogger("kleinkram.runner")
 
@@ -81,3 +86,15 @@ def choose_executor(
     if executor.abilities.isolation is Isolation.none:
         _log.warning("this kernel allows this user no namespaces: runs can read and change whatever the runner can")
     return executor
+
+
+def slurm_executor(options: SlurmOptions, directory: Path, *, runner: str, machine: Machine) -> Executor:
+    """Return the executor of a runner on a login node of Slurm, whose folder all nodes see.
+
+    Raises:
+        InvalidInput: Slurm does not answer, or its nodes cannot run jobs of this folder.
+    """
+    site = find_site(SlurmCommands(), options, directory, runner=runner)
+    if not site.node.is_isolated:
+        _log.warning("the nodes allow this user no namespaces: runs can read and change whatever this user can")
+    return SlurmExecutor(site, runner=runner, machine=machine)

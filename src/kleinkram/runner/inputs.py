@@ -350,6 +350,7 @@ def job_of(context: RunnerContext, attempt: Attempt) -> RunJob:
         image=image,
         packages=attempt.state.packages,
         resources=assignment.resources,
+        cluster=assignment.cluster,
         network=assignment.network,
         environment=environment if assignment.token else {},
         port_forwards=tuple(forwards),

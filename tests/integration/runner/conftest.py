@@ -19,10 +19,15 @@ from kleinkram.runner.executors.base import Ending, Executor, RunJob, wait_for_e
 from kleinkram.runner.executors.docker.executor import DockerExecutor
 from kleinkram.runner.executors.port_forward import PortForward
 from kleinkram.runner.executors.process import ProcessExecutor
+from kleinkram.runner.executors.slurm.commands import SlurmCommands
+from kleinkram.runner.executors.slurm.executor import SlurmExecutor
+from kleinkram.runner.executors.slurm.options import SlurmOptions
+from kleinkram.runner.executors.slurm.probe import SlurmSite, find_site
 from tests.integration.runner import engines, podman_engines
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner.podman_engines import Podman
 from tests.requirements import missing, need
+from tests.slurm_cluster import SlurmCluster
 
 AnEngine = TypeVar("AnEngine", bound=Dockerd)
 
@@ -102,6 +107,13 @@ def podman() -> Iterator[Podman]:
     yield from _loaded("a Podman", podman_engines.PROGRAMS, podman_engines.podman)
 
 
+@pytest.fixture(scope="session")
+def slurm_site(slurm: SlurmCluster, tmp_path_factory: pytest.TempPathFactory) -> SlurmSite:
+    """What the cluster offers."""
+    folder = tmp_path_factory.mktemp("slurm-site")
+    return find_site(SlurmCommands(slurm.environment), SlurmOptions(max_jobs=8), folder, runner="tests")
+
+
 def _loaded(
     what: str, programs: Sequence[str], begin: Callable[[str, str], AbstractContextManager[AnEngine]]
 ) -> Iterator[AnEngine]:
@@ -124,6 +136,9 @@ def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Ben
     """Return a bench for an executor."""
     if executor == "process":
         return Bench(ProcessExecutor(), folder, ProcessExecutor)
+    if executor == "slurm":
+        site: SlurmSite = request.getfixturevalue("slurm_site")
+        return Bench(SlurmExecutor(site), folder, lambda: SlurmExecutor(site))
     engine: Dockerd = request.getfixturevalue(executor)
     made = DockerExecutor(engine.engine)
     image = made.prepare_image(engines.IMAGE).reference
@@ -141,13 +156,19 @@ def lent(executor: str, request: pytest.FixtureRequest, folder: Path) -> Iterato
 # What is tried by Podman, too, each time that Docker is: of the rest, Podman's turn is with the long rounds.
 EVERYWHERE = pytest.mark.parametrize(
     "bench",
-    ["process", pytest.param("docker", marks=pytest.mark.slow), pytest.param("podman", marks=pytest.mark.slow)],
+    [
+        "process",
+        pytest.param("docker", marks=pytest.mark.slow),
+        pytest.param("podman", marks=pytest.mark.slow),
+        pytest.param("slurm", marks=pytest.mark.slow),
+    ],
     indirect=True,
 )
 _EXECUTORS = [
     "process",
     pytest.param("docker", marks=pytest.mark.slow),
     pytest.param("podman", marks=pytest.mark.soak),
+    pytest.param("slurm", marks=pytest.mark.slow),
 ]
 
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,12 +18,14 @@ from kleinkram.environments.uv import parse_index
 from kleinkram.runner.arguments import TOKEN_VARIABLE, Arguments, ExecutorChoice
 from kleinkram.runner.executors.local import LocalExecutor, Machine, MachineShare
 from kleinkram.runner.executors.process import ProcessExecutor
+from kleinkram.runner.executors.slurm.options import SlurmOptions
 from kleinkram.runner.loop import Runner, RunnerOptions
 from kleinkram.runner.state_directory import StateDirectory
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner_loop.fake_http import RUNNER_TOKEN
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer
+from tests.slurm_cluster import SlurmCluster
 
 _SHARE = MachineShare(cores=2, memory_bytes=10**9, disk_bytes=10**9, cache_bytes=10**9)
 
@@ -62,21 +65,30 @@ class Runners:
         self._threads.append((runner, thread))
         return runner
 
-    def spawn(self, docker: Dockerd | None = None) -> subprocess.Popen[bytes]:
-        """Start a runner as a process."""
+    def spawn(
+        self, docker: Dockerd | None = None, slurm: SlurmCluster | None = None, **options: Any
+    ) -> subprocess.Popen[bytes]:
+        """Start a runner as a process. `options` are those of Slurm."""
+        token_file = self.folder.with_name("token")
+        token_file.touch(0o600)
+        token_file.write_text(RUNNER_TOKEN)
         arguments = Arguments(
             url=self.server.url,
             data_dir=self.folder,
             name="a-runner",
+            token_file=token_file if slurm else None,
             cores=2,
             memory_bytes=10**9,
             disk_bytes=10**9,
             cache_bytes=10**9,
             executor=ExecutorChoice.docker if docker else ExecutorChoice.process,
+            slurm=SlurmOptions(**{"max_jobs": 20, **options}) if slurm else None,
         )
         environment = {**os.environ, TOKEN_VARIABLE: RUNNER_TOKEN}
         if docker:
             environment["DOCKER_HOST"] = f"unix://{docker.socket}"
+        if slurm:
+            environment |= slurm.environment
         process = subprocess.Popen(arguments.command(), env=environment)
         self._processes.append(process)
         return process

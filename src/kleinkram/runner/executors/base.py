@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kleinkram.contract.actions import Network, Resources
+from kleinkram.contract.actions import ClusterRequest, Network, Resources
 from kleinkram.contract.runners import LEASE_S, Capacity, ExecutorAbilities
 from kleinkram.contract.runs import EndReason, RunPlacement, Usage
 from kleinkram.environments.cache import Environment, Show
@@ -48,6 +48,7 @@ class RunJob:
     environment: Mapping[str, str] = field(default_factory=dict)
     packages: Path | None = None
     port_forwards: tuple[PortForward, ...] = ()
+    cluster: ClusterRequest = field(default_factory=ClusterRequest)
 
 
 @dataclass(frozen=True)

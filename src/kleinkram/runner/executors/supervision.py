@@ -68,13 +68,20 @@ class LimitMonitor:
         """Check time, lease and disk."""
         if elapsed_s > self._limits.time_s:
             self.stop(("time", f"It ran longer than its limit of {self._limits.time_s} s."))
-        if _is_lease_expired(self._directory):
+        if self.is_lease_expired():
             self.stop(LEASE_EXPIRED, grace_s=0)
         started_s = time.monotonic()
         if started_s >= self._disk_at_s:
             self.check_disk()
             # Measuring very many files takes long: spend at most a tenth of the time on it.
             self._disk_at_s = time.monotonic() + max(_DISK_EVERY_S, 10 * (time.monotonic() - started_s))
+
+    def is_lease_expired(self) -> bool:
+        """Whether the lease in the directory has expired."""
+        try:
+            return boot_time_s() >= float((self._directory / LEASE).read_text())
+        except (FileNotFoundError, ValueError):
+            return False
 
     def check_disk(self) -> None:
         """Check what the job has written to `/out` and `/tmp`."""
@@ -99,13 +106,6 @@ def _disk_usage_bytes(directory: Path) -> int:
                 if entry.is_dir(follow_symlinks=False):
                     pending.append(entry.path)
     return total
-
-
-def _is_lease_expired(directory: Path) -> bool:
-    try:
-        return boot_time_s() >= float((directory / LEASE).read_text())
-    except (FileNotFoundError, ValueError):
-        return False
 
 
 def boot_time_s() -> float:

@@ -259,6 +259,7 @@ async def _assign(db: Connection, row: AssignedRun, runner_id: uuid.UUID, attemp
         lock=definition.lock,
         parameters=row.parameters,
         resources=definition.resources,
+        cluster=definition.cluster,
         network=definition.network,
         inputs=[
             AssignedInput(path=entry.path, size_bytes=entry.size_bytes, sha256=entry.sha256.hex())

@@ -1,0 +1,1 @@
+"""Runs jobs on a Slurm cluster, as an ordinary user of a login node."""

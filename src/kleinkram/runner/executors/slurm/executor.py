@@ -1,0 +1,430 @@
+"""Runs jobs by Slurm: submits them from a login node, follows them in bulk, and supervises them on their nodes.
+
+The directories of jobs are in a folder that the login node and all nodes see. A job is recorded under a name of its own
+before it is submitted, and found by that name, so that no answer of Slurm that gets lost submits it twice. The ending
+that its supervisor wrote counts; Slurm's state only where there is none.
+"""
+
+import contextlib
+import dataclasses
+import json
+import shlex
+import signal
+import sys
+import uuid
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from kleinkram.contract.runners import MAX_LEASE_S, Capacity, ExecutorAbilities
+from kleinkram.contract.runs import EndReason, RunPlacement
+from kleinkram.environments.cache import EnvironmentCache
+from kleinkram.runner.executors.base import Ending, RunJob
+from kleinkram.runner.executors.local import Machine, cannot_start
+from kleinkram.runner.executors.process import ProcessExecutor
+from kleinkram.runner.executors.slurm import node_job
+from kleinkram.runner.executors.slurm.commands import JobAccount, QueueEntry, SlurmRefused, SlurmUnavailable
+from kleinkram.runner.executors.slurm.options import sbatch_options
+from kleinkram.runner.executors.slurm.probe import SlurmSite
+from kleinkram.runner.executors.slurm.queue_monitor import QueueMonitor
+from kleinkram.runner.executors.slurm.shared_files import (
+    SUBMISSION,
+    NodeStart,
+    Submission,
+    read_start,
+    read_submission,
+    refresh,
+    write_lease,
+    write_request,
+    write_submission,
+)
+from kleinkram.runner.executors.slurm.states import (
+    Phase,
+    ending_of,
+    is_stuck_after_failure,
+    never_starts,
+    phase_of,
+    waiting_sentence,
+)
+from kleinkram.runner.executors.supervision import CANCELLED, ENDING, GRACE_S, boot_time_s
+from kleinkram.runner.executors.transfer_steps import FINISH
+from kleinkram.runner.input_cache import InputCache
+
+_LEASE_S = min(900, MAX_LEASE_S)
+_READ_ENDING_EVERY_S = 0.25
+# How long Slurm must show a job as ended, or not at all, before that is believed: one that is about to be started again
+# looks ended for moments, and files of a node are seen late.
+_SETTLED_S = 6.0
+# How long a job may be missing from the queue after the answer to its submission was lost.
+_LOST_ANSWER_S = 10.0
+_KILL_AFTER_S = GRACE_S + 2
+_REMOVE_S = 20.0
+# A job that crashes its node each time is not submitted for ever.
+_MAX_SUBMISSIONS = 3
+_MAX_RELEASES = 3
+_RELEASE_EVERY_S = 5.0
+_LOST = Ending(EndReason.lost, "Its job was removed from Slurm.")
+_NOT_ACCOUNTED_S = 5.0
+_KILLED = 128 + signal.SIGKILL
+
+
+@dataclass
+class _SubmittedJob:
+    """What this process knows of a job that was submitted by it, or by an earlier one."""
+
+    submission: Submission
+    submitted_s: float
+    problem: str | None = None
+    cancelled_s: float | None = None
+    settled_at_s: float | None = None
+    stuck_since_s: float | None = None
+    read_at_s: float = 0.0
+    start_read_at_s: float = 0.0
+    releases: int = 0
+    released_s: float = 0.0
+    entry: QueueEntry | None = None
+    start: NodeStart | None = None
+    ending: Ending | None = None
+    ended_s: float | None = None
+    account: JobAccount | None = None
+
+
+class SlurmExecutor(ProcessExecutor):
+    """Runs jobs by Slurm. `runner` is the id of the runner: its jobs in Slurm are named after it."""
+
+    def __init__(
+        self,
+        site: SlurmSite,
+        *,
+        runner: str = "local",
+        machine: Machine | None = None,
+        environments: EnvironmentCache | None = None,
+    ) -> None:
+        super().__init__(machine, environments)
+        self._site = site
+        self._commands = site.commands
+        self._options = site.options
+        self._is_isolated = site.node.is_isolated
+        self._python = site.options.python or sys.executable
+        self._prefix = f"klein-{runner.replace('-', '')[:12]}-"
+        self._queue = QueueMonitor(site.commands, self._prefix)
+        self._jobs: dict[str, _SubmittedJob] = {}
+
+    @property
+    def abilities(self) -> ExecutorAbilities:
+        """Those of a process on a node."""
+        changes = {"executor": "slurm", "gpus": self._site.capacity.gpus > 0}
+        return super().abilities.model_copy(update=changes)
+
+    @property
+    def capacity(self) -> Capacity:
+        """The largest that a node of the partition has; the disk is that of the shared folder."""
+        machine = self._machine.capacity if self._machine is not None else self._site.capacity
+        return self._site.capacity.model_copy(update={"disk_bytes": machine.disk_bytes})
+
+    @property
+    def lease_s(self) -> int:
+        """Long: jobs go on while the login node restarts."""
+        return _LEASE_S
+
+    @property
+    def node_cache(self) -> InputCache | None:
+        """The cache in the shared folder, if the nodes move the files of their jobs."""
+        return self._required_machine().cache if self._options.transfers_on_nodes else None
+
+    def free(self, reserved: Capacity, job_count: int) -> Capacity | None:
+        """Return what a job may have: Slurm has the queue, whose length is bounded."""
+        return self.capacity if job_count < self._options.max_jobs else None
+
+    def set_lease(self, job: RunJob, until_s: float, *, create: bool = False) -> None:
+        """Write how long the job may go on from now."""
+        write_lease(job.directory, until_s - boot_time_s(), create=create)
+
+    def submit(self, job: RunJob) -> None:
+        """Submit a job. Where Slurm does not answer, `poll` submits it again, unless it is in the queue."""
+        sbatch_options(self._options, job.resources, job.cluster)
+        if job.command and job.command[0] == sys.executable:
+            job = dataclasses.replace(job, command=[self._python, *job.command[1:]])
+        write_request(job.directory, is_cancelled=False, create=True)
+        super().submit(job)
+
+    def poll(self, job: RunJob) -> Ending | None:
+        """Return the ending that the supervisor wrote, or what Slurm says where it wrote none."""
+        submitted = self._find(job)
+        if submitted is None:
+            return _LOST
+        if submitted.ending is None:
+            self._update(job, submitted)
+            submitted.ending = self._own_ending(job, submitted) or self._judge(job, submitted)
+            if submitted.ending is None:
+                return None
+            submitted.ended_s = boot_time_s()
+        if self._options.transfers_on_nodes:  # its job in Slurm goes on
+            return submitted.ending
+        if self._site.has_accounting and not self._is_accounted(submitted):
+            return None
+        self._queue.forget(submitted.submission.name)
+        return submitted.ending
+
+    def is_uploading(self, job: RunJob) -> bool:
+        """Whether the node of an ended job still uploads its results, or Slurm does not say."""
+        submitted = self._find(job) if self._options.transfers_on_nodes else None
+        if submitted is None:
+            return False
+        snapshot = self._queue.snapshot
+        is_known = (
+            snapshot.queried_s > max(submitted.submitted_s, submitted.ended_s or 0.0) and self._queue.error is None
+        )
+        entry = snapshot.entries.get(submitted.submission.name)
+        is_running = not is_known or (entry is not None and phase_of(entry.state) is Phase.running)
+        refresh(job.directory)
+        if is_running and not (job.directory / FINISH).exists():
+            return True
+        if self._site.has_accounting and not self._is_accounted(submitted):
+            return True
+        self._queue.forget(submitted.submission.name)
+        return False
+
+    def reason_waiting(self, job: RunJob) -> str | None:
+        """Return why a job is not running yet."""
+        submitted = self._find(job)
+        if submitted is None or submitted.ending is not None:
+            return None
+        self._update(job, submitted)
+        if submitted.entry is None:
+            problem = submitted.problem or self._queue.error
+            return f"waits for Slurm: {problem}" if problem else "waits in the queue of Slurm"
+        is_waiting = phase_of(submitted.entry.state) is Phase.waiting
+        return waiting_sentence(submitted.entry.reason) if is_waiting else None
+
+    def placement(self, job: RunJob) -> RunPlacement | None:
+        """Return the job in Slurm, its node and devices, and what the accounting has."""
+        submitted = self._find(job)
+        if submitted is None:
+            return None
+        self._update(job, submitted)
+        entry, start, account = submitted.entry, submitted.start, submitted.account
+        queued_s = None
+        is_started = entry is not None and phase_of(entry.state) is not Phase.waiting
+        if entry is not None and is_started and entry.submitted_s is not None and entry.started_s is not None:
+            queued_s = max(0.0, entry.started_s - entry.submitted_s)
+        return RunPlacement(
+            job_id=submitted.submission.job_id or None,
+            node=(start.node if start else None) or (entry.node if entry else None) or None,
+            queued_s=queued_s,
+            gpus=start.gpus if start else [],
+            cpu_s=account.cpu_s if account else None,
+            peak_memory_bytes=account.peak_memory_bytes if account else None,
+            requeues=start.restarts if start else 0,
+        )
+
+    def cancel(self, job: RunJob) -> None:
+        """Ask the supervisor on the node to end the job, or have Slurm remove it from its queue."""
+        submitted = self._find(job)
+        if submitted is None or submitted.ending is not None:
+            return
+        write_request(job.directory, is_cancelled=True)
+        if submitted.cancelled_s is None:
+            submitted.cancelled_s = boot_time_s()
+        if boot_time_s() - submitted.cancelled_s > _KILL_AFTER_S:
+            self._queue.kill(submitted.submission.name)
+        self._queue.stop(submitted.submission.name)
+
+    def remove(self, job: RunJob) -> None:
+        """Kill the job in Slurm, and wait until it is gone, or Slurm does not answer.
+
+        Should it start later, or go on, it ends itself, since its directory is not its own any more.
+        """
+        submitted = self._find(job)
+        if submitted is None:
+            return
+        (job.directory / SUBMISSION).unlink(missing_ok=True)
+        super().remove(job)
+        name = submitted.submission.name
+        if submitted.ending is None or (self._options.transfers_on_nodes and not (job.directory / FINISH).exists()):
+            self._queue.kill(name)
+            self._queue.wait_until_gone(name, _REMOVE_S)
+        self._queue.forget(name)
+        self._jobs.pop(job.key, None)
+
+    def remove_others(self, known_keys: Collection[str]) -> None:
+        """Kill the jobs of this runner that are not known, once Slurm answers."""
+        self._queue.kill_others(known_keys)
+
+    def _start_supervisor(self, job: RunJob) -> None:
+        submission = Submission(self._new_name(job))
+        write_submission(job.directory, submission)
+        self._jobs[job.key] = submitted = _SubmittedJob(submission, boot_time_s())
+        self._queue.watch(submission.name)
+        try:
+            self._submit(job, submitted)
+        except SlurmRefused as error:
+            (job.directory / SUBMISSION).unlink(missing_ok=True)
+            self._queue.forget(submission.name)
+            del self._jobs[job.key]
+            raise cannot_start(f"Slurm refused its job: {error}.") from error
+
+    def _submit(self, job: RunJob, submitted: _SubmittedJob) -> None:
+        directory = str(job.directory)
+        command = [self._python, "-I", "-m", node_job.__name__, directory]
+        options = [
+            f"--job-name={submitted.submission.name}",
+            # `%` begins a pattern of Slurm.
+            f"--output={directory.replace('%', '%%')}/slurm.log",
+            "--open-mode=append",
+            f"--chdir={directory}",
+            "--requeue",
+            *sbatch_options(self._options, job.resources, job.cluster),
+        ]
+        try:
+            job_id = self._commands.submit(options, f"exec {shlex.join(command)}")
+            submitted.submission = submitted.submission._replace(job_id=job_id)
+            submitted.problem = None
+            write_submission(job.directory, submitted.submission)
+        except SlurmUnavailable as error:
+            submitted.problem = str(error)
+        submitted.submitted_s = boot_time_s()
+        self._queue.watch(submitted.submission.name)
+
+    def _find(self, job: RunJob) -> _SubmittedJob | None:
+        """Return a submitted job, also that of an earlier runner process; None where it was not, or was removed."""
+        known = self._jobs.get(job.key)
+        if known is None:
+            submission = read_submission(job.directory)
+            if submission is None:
+                return None
+            known = self._jobs.setdefault(job.key, _SubmittedJob(submission, boot_time_s()))
+            self._queue.watch(submission.name)
+        return known
+
+    def _update(self, job: RunJob, submitted: _SubmittedJob) -> None:
+        """Take over what the queue, and the node, say."""
+        entry = self._queue.snapshot.entries.get(submitted.submission.name)
+        if entry is not None:
+            submitted.entry = entry
+            if not submitted.submission.job_id:  # the answer to its submission was lost
+                submitted.submission = submitted.submission._replace(job_id=entry.job_id)
+                submitted.problem = None
+                with contextlib.suppress(OSError):
+                    write_submission(job.directory, submitted.submission)
+        is_started = entry is not None and phase_of(entry.state) is not Phase.waiting
+        if is_started and boot_time_s() >= submitted.start_read_at_s:
+            submitted.start_read_at_s = boot_time_s() + (_READ_ENDING_EVERY_S if submitted.start is None else 2.0)
+            with contextlib.suppress(OSError):
+                submitted.start = read_start(job.directory) or submitted.start
+
+    def _own_ending(self, job: RunJob, submitted: _SubmittedJob) -> Ending | None:
+        """Return the ending that the supervisor wrote, if it did."""
+        now_s = boot_time_s()
+        if now_s < submitted.read_at_s:
+            return None
+        submitted.read_at_s = now_s + _READ_ENDING_EVERY_S
+        if submitted.settled_at_s is not None:
+            refresh(job.directory)
+        try:
+            values = json.loads((job.directory / ENDING).read_text())
+        except FileNotFoundError:
+            return None
+        refresh(job.directory / "out")
+        ending = Ending(EndReason(values["reason"]), values["message"], values["exit_code"])
+        if ending.exit_code == _KILLED and self._is_out_of_memory(submitted):
+            return ending_of("OUT_OF_MEMORY", "", "", "")
+        return ending
+
+    def _is_out_of_memory(self, submitted: _SubmittedJob) -> bool:
+        """Whether Slurm's control group killed a process of a job."""
+        name = submitted.submission.name
+        self._queue.wait_until_gone(name, _SETTLED_S)
+        entry = self._queue.snapshot.entries.get(name)
+        return entry is not None and entry.state == "OUT_OF_MEMORY"
+
+    def _judge(self, job: RunJob, submitted: _SubmittedJob) -> Ending | None:
+        """Return how a job ended that wrote no ending, once that is certain; keep its submission going."""
+        snapshot = self._queue.snapshot
+        if snapshot.queried_s <= submitted.submitted_s or self._queue.error is not None:
+            submitted.settled_at_s = None
+            return None
+        entry = snapshot.entries.get(submitted.submission.name)
+        if entry is None and not submitted.submission.job_id:
+            if submitted.cancelled_s is not None:
+                return Ending.of(CANCELLED)
+            is_absent = snapshot.queried_s > submitted.submitted_s + _LOST_ANSWER_S
+            return self._submit_again(job, submitted) if is_absent else None
+        if entry is not None and phase_of(entry.state) is not Phase.ended:
+            submitted.settled_at_s = None
+            return self._check_waiting(submitted, entry) if phase_of(entry.state) is Phase.waiting else None
+        if submitted.cancelled_s is not None:
+            return Ending.of(CANCELLED)
+        if submitted.settled_at_s is None:
+            submitted.settled_at_s = boot_time_s() + _SETTLED_S
+        if snapshot.queried_s < submitted.settled_at_s:
+            return None
+        return self._end_or_submit_again(job, submitted, entry)
+
+    def _end_or_submit_again(self, job: RunJob, submitted: _SubmittedJob, entry: QueueEntry | None) -> Ending | None:
+        ending = self._ending_by_state(submitted, entry)
+        if ending.reason is EndReason.lost and submitted.submission.number < _MAX_SUBMISSIONS:
+            return self._submit_again(job, submitted)
+        return ending
+
+    def _ending_by_state(self, submitted: _SubmittedJob, entry: QueueEntry | None) -> Ending:
+        job_id = submitted.submission.job_id
+        node = submitted.start.node if submitted.start is not None else ""
+        if entry is not None:
+            return ending_of(entry.state, entry.reason, job_id, entry.node or node)
+        if self._site.has_accounting:
+            with contextlib.suppress(SlurmUnavailable, SlurmRefused):
+                if (account := self._commands.accounts([job_id]).get(job_id)) is not None:
+                    return ending_of(account.state, "None", job_id, node)
+        return Ending(EndReason.lost, f"Slurm does not know its job {job_id} any more.")
+
+    def _submit_again(self, job: RunJob, submitted: _SubmittedJob) -> Ending | None:
+        """Submit a job again under a new name. The first, should it still start or go on, notices that and ends."""
+        previous = submitted.submission
+        # A submission that Slurm did not get does not count.
+        number = previous.number + 1 if previous.job_id else previous.number
+        self._queue.forget(previous.name)
+        submitted.submission = Submission(self._new_name(job), number=number)
+        submitted.settled_at_s, submitted.entry, submitted.start = None, None, None
+        write_submission(job.directory, submitted.submission)
+        try:
+            self._submit(job, submitted)
+        except SlurmRefused as error:
+            return Ending(EndReason.not_possible, f"Slurm refused its job: {error}.")
+        return None
+
+    def _new_name(self, job: RunJob) -> str:
+        return f"{self._prefix}{job.key}-{uuid.uuid4().hex[:8]}"
+
+    def _check_waiting(self, submitted: _SubmittedJob, entry: QueueEntry) -> Ending | None:
+        """End a job that can never start, and have one start that Slurm holds because a node failed to start it."""
+        now_s = boot_time_s()
+        if is_stuck_after_failure(entry.reason):
+            if submitted.releases >= _MAX_RELEASES:
+                self._queue.kill(entry.name)
+                return Ending(
+                    EndReason.lost, f"Slurm failed to start its job {entry.job_id} {_MAX_RELEASES + 1} times."
+                )
+            if now_s >= submitted.released_s + _RELEASE_EVERY_S:
+                submitted.releases, submitted.released_s = submitted.releases + 1, now_s
+                self._queue.release(entry.name)
+            return None
+        ending = never_starts(entry.reason)
+        if ending is None:
+            submitted.stuck_since_s = None
+            return None
+        if submitted.stuck_since_s is None:
+            submitted.stuck_since_s = now_s
+        if now_s - submitted.stuck_since_s < _SETTLED_S:
+            return None
+        self._queue.kill(entry.name)
+        return ending
+
+    def _is_accounted(self, submitted: _SubmittedJob) -> bool:
+        """Whether the accounting has an ended job, or has had the time to."""
+        if submitted.account is None and submitted.submission.job_id:
+            self._queue.wait_until_gone(submitted.submission.name, _NOT_ACCOUNTED_S)
+            with contextlib.suppress(SlurmUnavailable, SlurmRefused):
+                job_id = submitted.submission.job_id
+                submitted.account = self._commands.accounts([job_id]).get(job_id)
+        waited_s = boot_time_s() - (submitted.ended_s or 0.0)
+        return submitted.account is not None or waited_s > _NOT_ACCOUNTED_S

@@ -1,0 +1,180 @@
+"""One thread that asks Slurm about all jobs of a runner at once, and sends what is to be cancelled in bulk."""
+
+import logging
+import threading
+import time
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+from kleinkram.runner.executors.slurm.commands import QueueEntry, SlurmCommands, SlurmRefused, SlurmUnavailable
+from kleinkram.runner.executors.slurm.states import Phase, phase_of
+from kleinkram.runner.executors.supervision import boot_time_s
+
+_log = logging.getLogger("kleinkram.runner")
+_EVERY_S = 1.0
+# Slurm is busy: ask for at most this share of the time.
+_BUSY_SHARE = 0.25
+_MAX_PAUSE_S = 30.0
+
+
+@dataclass(frozen=True)
+class QueueSnapshot:
+    """The jobs in Slurm's queue as of `queried_s` (of `boot_time_s`), by their names."""
+
+    queried_s: float = 0.0
+    entries: dict[str, QueueEntry] = field(default_factory=dict)
+
+
+class QueueMonitor:
+    """Watches the jobs whose names begin with a prefix. Thread-safe. Asks nothing while nothing is watched."""
+
+    def __init__(self, commands: SlurmCommands, prefix: str) -> None:
+        self._commands = commands
+        self._prefix = prefix
+        self.snapshot = QueueSnapshot()
+        # Why Slurm did not answer last, if so.
+        self.error: str | None = None
+        self._watched: set[str] = set()
+        self._stop: set[str] = set()
+        self._kill: set[str] = set()
+        self._release: set[str] = set()
+        self._known_keys: frozenset[str] | None = None
+        self._lock = threading.Lock()
+        self._has_work = threading.Event()
+        self._has_answer = threading.Condition()
+        self._thread: threading.Thread | None = None
+
+    def watch(self, name: str) -> None:
+        """Watch a job."""
+        with self._lock:
+            self._watched.add(name)
+        self._wake()
+
+    def forget(self, name: str) -> None:
+        """Watch a job no longer."""
+        with self._lock:
+            for names in (self._watched, self._stop, self._release):
+                names.discard(name)
+
+    def stop(self, name: str) -> None:
+        """Cancel a job that waits; have one that runs end itself."""
+        with self._lock:
+            self._stop.add(name)
+        self._wake()
+
+    def kill(self, name: str) -> None:
+        """End a job at once, once Slurm answers; it is no longer watched then."""
+        with self._lock:
+            self._kill.add(name)
+        self._wake()
+
+    def release(self, name: str) -> None:
+        """Release a job that Slurm holds."""
+        with self._lock:
+            self._release.add(name)
+        self._wake()
+
+    def kill_others(self, known_keys: Collection[str]) -> None:
+        """End the jobs of an earlier runner process that are neither known nor watched, once Slurm answers."""
+        with self._lock:
+            self._known_keys = frozenset(known_keys)
+        self._wake()
+
+    def wait_until_gone(self, name: str, timeout_s: float) -> bool:
+        """Wait until a job has ended, or is unknown to Slurm; return whether that is so."""
+        queried_s = deadline_s = boot_time_s()
+        deadline_s += timeout_s
+        with self._has_answer:
+            while not self._is_gone(name, queried_s):
+                self._wake()
+                if boot_time_s() >= deadline_s:
+                    return False
+                self._has_answer.wait(0.2)
+        return True
+
+    def _is_gone(self, name: str, since_s: float) -> bool:
+        snapshot = self.snapshot
+        entry = snapshot.entries.get(name)
+        is_over = entry is None or (phase_of(entry.state) is Phase.ended)
+        return snapshot.queried_s > since_s and is_over and name not in self._kill
+
+    def _wake(self) -> None:
+        self._has_work.set()
+        with self._lock:
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="slurm", daemon=True)
+                self._thread.start()
+
+    def _run(self) -> None:
+        while True:
+            self._has_work.wait()
+            self._has_work.clear()
+            queried_s = time.monotonic()
+            self._ask()
+            took_s = time.monotonic() - queried_s
+            with self._has_answer:
+                self._has_answer.notify_all()
+            if self._is_needed():
+                self._has_work.set()
+                self._pause(min(_MAX_PAUSE_S, max(_EVERY_S, took_s / _BUSY_SHARE)))
+
+    def _is_needed(self) -> bool:
+        with self._lock:
+            return bool(self._watched or self._kill or self._known_keys is not None)
+
+    def _pause(self, seconds: float) -> None:
+        """Wait, but not where something is to be cancelled."""
+        until_s = time.monotonic() + seconds
+        while (remaining_s := until_s - time.monotonic()) > 0:
+            with self._lock:
+                is_urgent = bool(self._stop or self._kill) and self.error is None
+            if is_urgent:
+                return
+            time.sleep(min(0.1, remaining_s))
+
+    def _ask(self) -> None:
+        try:
+            queried_s = boot_time_s()
+            entries = self._commands.own_jobs(self._prefix)
+            self.snapshot = QueueSnapshot(queried_s, {entry.name: entry for entry in entries})
+            self._act(self.snapshot.entries)
+            if self.error is not None:
+                _log.info("Slurm answers again")
+            self.error = None
+        except (SlurmUnavailable, SlurmRefused, OSError) as error:
+            if self.error is None:
+                _log.warning("Slurm does not answer: %s", error)
+            self.error = str(error)
+
+    def _act(self, entries: dict[str, QueueEntry]) -> None:
+        self._find_others(entries)
+        with self._lock:
+            stop, kill, release = set(self._stop), set(self._kill), set(self._release)
+        if ids := _ids(entries, stop, Phase.waiting):
+            self._commands.cancel_waiting(ids)
+        if ids := _ids(entries, stop, Phase.waiting, Phase.running):
+            self._commands.terminate(ids)
+        if ids := _ids(entries, kill, Phase.waiting, Phase.running):
+            self._commands.kill(ids)
+        for job_id in _ids(entries, release, Phase.waiting):
+            self._commands.release(job_id)
+        with self._lock:
+            # One that is not in the queue yet is found later.
+            self._stop -= stop & entries.keys()
+            self._release -= release
+            self._kill -= kill
+            self._watched -= kill
+
+    def _find_others(self, entries: dict[str, QueueEntry]) -> None:
+        with self._lock:
+            known, self._known_keys = self._known_keys, None
+            if known is None:
+                return
+            for name in entries.keys() - self._watched:
+                if name.removeprefix(self._prefix).rpartition("-")[0] not in known:
+                    self._kill.add(name)
+
+
+def _ids(entries: dict[str, QueueEntry], names: set[str], *phases: Phase) -> list[str]:
+    matching = [entries[name] for name in sorted(names) if name in entries]
+    return [entry.job_id for entry in matching if phase_of(entry.state) in phases]
