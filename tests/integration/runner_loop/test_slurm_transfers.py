@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,18 +14,12 @@ from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer
 from tests.integration.runner_loop.test_node_transfers import INPUTS, WORK, directory_of
+from tests.integration.runner_loop.test_slurm import site, whole  # noqa: F401  fixtures
 from tests.slurm_cluster import SlurmCluster
 
 pytestmark = pytest.mark.slow
 
 RESULTS = {LOG_PATH: b"bytes of a drive\n", "result.txt": b"BYTES OF A DRIVE"}
-
-
-@pytest.fixture(autouse=True)
-def whole(slurm: SlurmCluster) -> Iterator[None]:
-    """Leave the cluster as it was."""
-    yield
-    slurm.repair()
 
 
 def uploads_of(run: FakeRun, server: FakeServer) -> bool:
