@@ -26,7 +26,7 @@ SlurmdPort={node_port}
 SlurmUser=root
 SlurmdUser=root
 AuthType=auth/munge
-AuthInfo=socket={folder}/munge.socket,cred_expire=3
+AuthInfo=socket={folder}/munge.socket,cred_expire=5
 CredType=cred/munge
 ProctrackType=proctrack/linuxproc
 TaskPlugin=task/none
@@ -181,7 +181,7 @@ class SlurmCluster:
         assert path is not None
         with log:
             self._services[service] = subprocess.Popen(
-                [path, *arguments],
+                ["setpriv", "--pdeathsig=KILL", path, *arguments],  # however the tests end
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,

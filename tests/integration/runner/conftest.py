@@ -153,7 +153,7 @@ def lent(executor: str, request: pytest.FixtureRequest, folder: Path) -> Iterato
         made.executor.remove(job)
 
 
-# What is tried by Podman, too, each time that Docker is: of the rest, Podman's turn is with the long rounds.
+# What is tried by Podman and Slurm, too, each time that Docker is: of the rest, their turn is with the long rounds.
 EVERYWHERE = pytest.mark.parametrize(
     "bench",
     [
@@ -168,7 +168,7 @@ _EXECUTORS = [
     "process",
     pytest.param("docker", marks=pytest.mark.slow),
     pytest.param("podman", marks=pytest.mark.soak),
-    pytest.param("slurm", marks=pytest.mark.slow),
+    pytest.param("slurm", marks=[pytest.mark.slow, pytest.mark.soak]),
 ]
 
 

@@ -23,6 +23,8 @@ from tests.integration.runner_loop.test_faults import LASTING, SHORT, heartbeat_
 from tests.slurm_cluster import SlurmCluster
 
 pytestmark = pytest.mark.slow
+# Those that wait for time limits of Slurm or of leases.
+long = pytest.mark.soak
 
 # Leaves one file for each start that was not cleaned up.
 RESTARTED = (
@@ -170,6 +172,7 @@ def until_running_log(runners: Runners) -> None:
     wait_until(lambda: any(path.read_text() for path in runners.folder.glob("runs/*/log")))
 
 
+@long
 def test_a_job_of_a_node_that_dies_runs_again(server: FakeServer, runners: Runners, slurm: SlurmCluster) -> None:
     runners.spawn(slurm=slurm)
     run = server.launch(RESTARTED)
@@ -180,6 +183,7 @@ def test_a_job_of_a_node_that_dies_runs_again(server: FakeServer, runners: Runne
     assert (finish.reason, run.attempt, len(run.artifacts)) == (EndReason.done, 1, 2)
 
 
+@long
 def test_a_job_that_a_node_failed_to_start_is_released(
     server: FakeServer, runners: Runners, slurm: SlurmCluster
 ) -> None:
@@ -194,6 +198,7 @@ def test_a_job_that_a_node_failed_to_start_is_released(
     assert run.artifacts == {LOG_PATH: b"began\n"}
 
 
+@long
 def test_a_job_that_somebody_cancels_in_slurm_says_so(
     server: FakeServer, runners: Runners, slurm: SlurmCluster
 ) -> None:
@@ -208,6 +213,7 @@ def test_a_job_that_somebody_cancels_in_slurm_says_so(
     )
 
 
+@long
 def test_a_job_whose_runner_is_gone_ends_before_its_lease_does(
     server: FakeServer, runners: Runners, slurm: SlurmCluster
 ) -> None:
@@ -222,6 +228,7 @@ def test_a_job_whose_runner_is_gone_ends_before_its_lease_does(
     assert time.monotonic() - killed_s < LEASE_MARGIN_S + 6
 
 
+@long
 def test_a_job_that_starts_without_a_current_lease_does_nothing(
     server: FakeServer, runners: Runners, slurm: SlurmCluster
 ) -> None:
@@ -275,6 +282,7 @@ def test_a_folder_that_nodes_do_not_see_is_refused(slurm: SlurmCluster, monkeypa
         find_site(SlurmCommands(slurm.environment), SlurmOptions(1), slurm.unshared, runner="tests")
 
 
+@long
 def test_the_jobs_of_an_unknown_run_are_cancelled(server: FakeServer, runners: Runners, slurm: SlurmCluster) -> None:
     first = runners.spawn(slurm=slurm)
     run = server.launch(LASTING)

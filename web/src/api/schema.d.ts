@@ -3087,6 +3087,13 @@ export interface components {
          */
         ActionDefinition: {
             /**
+             * @default {
+             *       "exclusive": false,
+             *       "options": {}
+             *     }
+             */
+            cluster: components["schemas"]["ClusterRequest"];
+            /**
              * Command
              * @default []
              */
@@ -3949,6 +3956,29 @@ export interface components {
             code: string;
             /** Code Verifier */
             code_verifier: string;
+        };
+        /**
+         * ClusterRequest
+         * @description What a run needs of a cluster beyond its resources; a runner of one machine ignores it.
+         *
+         *     `constraint` names features of nodes, such as `a100|h100`. `exclusive`: nothing else runs on its node. `options` are
+         *     further options of the cluster's submission, by their names without dashes, of those that its runner allows.
+         */
+        ClusterRequest: {
+            /** Constraint */
+            constraint?: string | null;
+            /**
+             * Exclusive
+             * @default false
+             */
+            exclusive: boolean;
+            /**
+             * Options
+             * @default {}
+             */
+            options: {
+                [key: string]: string;
+            };
         };
         /**
          * CodeRead
@@ -7022,6 +7052,13 @@ export interface components {
             action: components["schemas"]["ActionRef"];
             /** Attempt */
             attempt: number;
+            /**
+             * @default {
+             *       "exclusive": false,
+             *       "options": {}
+             *     }
+             */
+            cluster: components["schemas"]["ClusterRequest"];
             /** Command */
             command: string[];
             /** Dependencies */

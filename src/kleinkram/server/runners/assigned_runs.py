@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, func, insert, null, select, update
 
-from kleinkram.contract.actions import ActionDefinition, ParameterValues
+from kleinkram.contract.actions import ActionDefinition, Network, ParameterValues
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.checks import CheckStatus
 from kleinkram.contract.errors import Forbidden, NotFound, RunGone
@@ -67,6 +67,7 @@ from kleinkram.server.tables import (
     run_input,
     run_metric,
     runner,
+    token,
 )
 from kleinkram.server.tables.runs import ASSIGNED
 from kleinkram.server.uploads.artifacts import ArtifactOwner, begin_artifacts
@@ -76,6 +77,8 @@ _BATCH = 1000
 _ORDER = {RunState.preparing: 0, RunState.running: 1, RunState.collecting: 2}
 # Results are being uploaded: an outage of minutes must not discard hours of work.
 _COLLECTING_LEASE = datetime.timedelta(minutes=15)
+# A token ends with its run, and at the latest this long after the time limit of the run.
+_TOKEN_MARGIN = datetime.timedelta(hours=1)
 OWN_TOKEN = "a token of its own: `klein token create NAME --kind runner`; to replace one, revoke it first"  # noqa: S105
 
 
@@ -218,12 +221,26 @@ async def _record_heartbeat(db: Connection, actor: Actor, heartbeat: Heartbeat, 
     if heartbeat.state is RunState.collecting:
         lease = max(lease, _COLLECTING_LEASE)
     await db.execute(update(run).where(run.c.id == row.id).values(lease_ends_at=func.now() + lease, **values))
+    if row.state == RunState.preparing.value and row.definition.network is not Network.none:
+        await _extend_token(db, row)
     await _pin_image(db, row, heartbeat.image_digest)
     if values:
         await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
     is_over = row.cancel_requested_at is not None or row.is_deleted
     status = LeaseStatus.cancel if is_over else LeaseStatus.active
     return HeartbeatReply(run_id=run_id, attempt=attempt, status=status)
+
+
+def token_lifetime(definition: ActionDefinition) -> datetime.timedelta:
+    """Return how long the token of a run is valid from its claim, and from the start of its job."""
+    return datetime.timedelta(seconds=definition.resources.time_s) + _TOKEN_MARGIN
+
+
+async def _extend_token(db: Connection, row: AssignedRun) -> None:
+    """Have the token of a run not end while its job waits in the queue of a cluster."""
+    lifetime = token_lifetime(row.definition)
+    is_ending = (token.c.run_id == row.id) & (token.c.expires_at < func.now() + lifetime - _TOKEN_MARGIN / 2)
+    await db.execute(update(token).where(is_ending).values(expires_at=func.now() + lifetime))
 
 
 async def _pin_image(db: Connection, row: AssignedRun, digest: str | None) -> None:

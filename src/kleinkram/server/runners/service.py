@@ -36,7 +36,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.events.hub import EventFilter, Hub
 from kleinkram.server.pagination import Order, PageRequest, fetch_page
-from kleinkram.server.runners.assigned_runs import OWN_TOKEN, AssignedRun, lock_run, record_seen
+from kleinkram.server.runners.assigned_runs import OWN_TOKEN, AssignedRun, lock_run, record_seen, token_lifetime
 from kleinkram.server.runs.eligibility import (
     KnownRunner,
     find_runner,
@@ -58,8 +58,6 @@ _SCOPES = {
 # The end of a lease publishes no event.
 _CHECK_EVERY_S = 5.0
 _QUEUE = EventFilter(frozenset({"run"}))
-# A token ends with its run, and at the latest this long after the time limit of the run.
-_TOKEN_MARGIN_S = 3600
 # Fractions of cores are summed as floats.
 _ROUNDING = 1e-6
 
@@ -279,7 +277,6 @@ async def _create_token(db: Connection, row: AssignedRun) -> str:
     """
     definition = row.definition
     secret, token_id = new_secret(SecretKind.run), uuid.uuid4()
-    lasts = datetime.timedelta(seconds=definition.resources.time_s + _TOKEN_MARGIN_S)
     values = {
         "person_id": row.started_by_id,
         "kind": TokenKind.run.value,
@@ -290,6 +287,8 @@ async def _create_token(db: Connection, row: AssignedRun) -> str:
         "run_id": row.id,
         "max_right": definition.right.value,
     }
-    await db.execute(insert(token).values(id=token_id, is_limited=True, expires_at=func.now() + lasts, **values))
+    await db.execute(
+        insert(token).values(id=token_id, is_limited=True, expires_at=func.now() + token_lifetime(definition), **values)
+    )
     await db.execute(insert(token_limit).values(id=uuid.uuid4(), token_id=token_id, mission_id=row.mission_id))
     return secret.text
