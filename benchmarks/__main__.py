@@ -20,6 +20,7 @@ from benchmarks.recordings import recording_rows
 from benchmarks.rights import rights_row
 from benchmarks.runs import run_rows
 from benchmarks.scale.rows import load_rows, scale_rows, scrape_row, size_label
+from benchmarks.shared_inputs import shared_inputs_row
 from benchmarks.signing_in import sign_in_row
 from benchmarks.traces import traces_row
 from benchmarks.transfers import download_row, many_small_rows, random_file, small_files_row, summary_rows, upload_row
@@ -41,6 +42,7 @@ ROWS = {
     "web",
     "runs",
     "claims",
+    "shared",
     "traces",
     "scale",
 }
@@ -96,7 +98,7 @@ def measured(selected: set[str]) -> Iterator[Row]:
         with instance() as environment:
             owner_token = (DATA / "owner-token").read_text().strip()
             yield rights_row(endpoint_info()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"])
-    if selected & {"runs", "claims"}:
+    if selected & {"runs", "claims", "shared"}:
         yield from rows_of_runs(selected)
     if "web" in selected:
         yield from rows_of_the_web()
@@ -128,6 +130,9 @@ def rows_of_runs(selected: set[str]) -> Iterator[Row]:
         if "claims" in selected:
             mission_id = mission_with("claims", random_file(STAGE / "claims.bin", 1000))
             yield claims_row(endpoint_info()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"], mission_id)
+        if "shared" in selected:
+            store = psutil.Process(endpoint_info()["services"]["store"])
+            yield shared_inputs_row(endpoint_info()["url"], owner_token, store, STAGE / "shared", mission_with)
 
 
 def rows_of_a_size(size: int) -> Iterator[Row]:

@@ -26,6 +26,17 @@ class ExecutorOption(str, Enum):
     process = "process"
 
 
+class TransfersOption(str, Enum):
+    """Which machine downloads inputs and uploads results."""
+
+    login = "login"
+    node = "node"
+
+
+_Transfers = Annotated[
+    TransfersOption,
+    option("--transfers", None, "Let the compute nodes move inputs and results, or this machine. Nodes need HTTPS."),
+]
 _TokenFile = Annotated[
     Path | None,
     option("--token-file", "F", "Read its token from a file with mode 0600. Default: KLEINKRAM_RUNNER_TOKEN."),
@@ -67,6 +78,10 @@ _Url = Annotated[Text, option("--url", "U", "Set the server. Default: the one in
 _Labels = Annotated[Many, option("--label", "L", "Add a label that actions can require; repeatable.")]
 _Disk = Annotated[Text, _limit("--disk", "the disk for runs", "half of the free space")]
 _Cache = Annotated[Text, _limit("--cache", "the cache of inputs", "30 % of the free space")]
+_CacheAge = Annotated[
+    int | None,
+    option("--cache-age", "DAYS", "Remove cached inputs that no run used for so long. Default: never.", min=1),
+]
 _Environments = Annotated[Text, _limit("--environments", "the packages of scripts", "10 % of the free space")]
 _DataDir = Annotated[Path | None, option("--data-dir", "D", "Set the folder of its runs and inputs.")]
 _Once = Annotated[bool, flag("--once", "End after one run.")]
@@ -83,6 +98,7 @@ def start(
     memory: Annotated[Text, _limit("--memory", "the memory for runs", "80 %")] = None,
     disk: _Disk = None,
     cache: _Cache = None,
+    cache_age: _CacheAge = None,
     environments: _Environments = None,
     package_index: _PackageIndex = None,
     gpus: Annotated[int, option("--gpus", "N", "Set the number of GPUs for runs.", min=0)] = 0,
@@ -109,6 +125,7 @@ def start(
         memory_bytes=_size_of(memory),
         disk_bytes=_size_of(disk),
         cache_bytes=_size_of(cache),
+        cache_age_days=cache_age,
         environments_bytes=_size_of(environments),
         package_index=package_index,
         gpus=gpus,
@@ -137,12 +154,14 @@ def slurm(
         Many, option("--allow-option", "NAME", "Allow actions to set this option of sbatch; repeatable.")
     ] = None,
     python: Annotated[Text, option("--python", "PATH", "Run this Python on the nodes. Default: this one.")] = None,
+    transfers: _Transfers = TransfersOption.login,
     name: _Name = None,
     url: _Url = None,
     token_file: _TokenFile = None,
     label: _Labels = None,
     disk: _Disk = None,
     cache: _Cache = None,
+    cache_age: _CacheAge = None,
     environments: _Environments = None,
     package_index: _PackageIndex = None,
     data_dir: _DataDir = None,
@@ -164,6 +183,7 @@ def slurm(
         labels=label or [],
         disk_bytes=_size_of(disk),
         cache_bytes=_size_of(cache),
+        cache_age_days=cache_age,
         environments_bytes=_size_of(environments),
         package_index=package_index,
         slurm=SlurmOptions(
@@ -175,6 +195,7 @@ def slurm(
             extra=_sbatch_options(sbatch_option or []),
             allowed=frozenset(entry.lstrip("-") for entry in allow_option or []),
             python=python,
+            transfers_on_nodes=transfers is TransfersOption.node,
         ),
         once=once,
         metrics_port=metrics_port,

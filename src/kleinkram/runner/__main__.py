@@ -41,6 +41,7 @@ def main() -> None:
                 name=arguments.name,
                 labels=tuple(arguments.labels),
                 default_image=arguments.default_image,
+                token_file=arguments.token_file,
             )
             runner = Runner(options, state, _executor_of(arguments, state))
             with _serve_metrics(runner, arguments):
@@ -61,6 +62,7 @@ def _executor_of(arguments: Arguments, state: StateDirectory) -> Executor:
         arguments.gpus,
         arguments.cache_bytes,
         arguments.environments_bytes,
+        arguments.cache_age_days,
     )
     machine = Machine(state.path, share, find_index(arguments.package_index))
     runner = str(state.runner_id)

@@ -14,14 +14,15 @@ from collections.abc import Callable
 from kleinkram import traces
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.reports import Progress
-from kleinkram.contract.runners import Heartbeat, HeartbeatReply, LeaseStatus, RunAssignment, RunFinish
+from kleinkram.contract.runners import Heartbeat, HeartbeatReply, Isolation, LeaseStatus, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason, RunState, UsageSample
 from kleinkram.json_logs import log_fields
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end
 from kleinkram.runner.executors.supervision import CANCELLED, boot_time_s
 from kleinkram.runner.inputs import job_of, prepare_run
 from kleinkram.runner.logs import LogUpload, Redactor
-from kleinkram.runner.results import ProgressReader, ResultUpload
+from kleinkram.runner.node_transfers import order_transfers, read_finish, read_status
+from kleinkram.runner.results import JobOutput, ProgressReader, ResultUpload
 from kleinkram.runner.state_directory import (
     Attempt,
     Lease,
@@ -82,6 +83,7 @@ class ActiveRun:
         self._environment = self._executor.find_environment(packages) if packages is not None else None
         self._cancelled_at_s = -math.inf
         self._is_cancel_failing = False
+        self._are_inputs_counted = False
         self._upload: ResultUpload | None = None
         self._thread = threading.Thread(target=self._run, name=f"run {attempt.key[:8]}", daemon=True)
 
@@ -247,6 +249,7 @@ class ActiveRun:
         self._release_environment()
         directory = self._attempt.directory / "in"
         prepared = prepare_run(self._context, self.assignment, self.stop, directory, self._show_preparation)
+        self._order_transfers()
         self._environment = prepared.environment
         self._attempt.change(
             stage=RunState.running,
@@ -265,6 +268,13 @@ class ActiveRun:
         self._executor.submit(job)
         self._is_submitted = True
         self._attempt.change(started_s=boot_time_s())
+
+    def _order_transfers(self) -> None:
+        """Where compute nodes move the files of jobs, tell that of this one how."""
+        cache, token_file = self._executor.node_cache, self._context.token_file
+        if cache is not None and token_file is not None:
+            copy_inputs = self._executor.abilities.isolation is Isolation.none
+            order_transfers(self._attempt.directory, self._context.url, token_file, cache, copy_inputs=copy_inputs)
 
     def _show_preparation(self, message: str, fraction: float) -> None:
         is_new = self._preparation is None
@@ -300,9 +310,20 @@ class ActiveRun:
             return Ending.of(CANCELLED, ending.exit_code)
         return ending
 
+    def _reason_waiting(self, job: RunJob) -> str | None:
+        """Return why a job has not started: its cluster has not started it, or its node downloads its inputs."""
+        if (reason := self._executor.reason_waiting(job)) is not None:
+            return reason
+        status = read_status(self._attempt.directory)
+        if status is not None and status.is_over and not self._are_inputs_counted:
+            self._are_inputs_counted = True
+            self._context.statistics.count_inputs("store", status.store_bytes)
+            self._context.statistics.count_inputs("cache", status.cache_bytes)
+        return None if status is None or status.is_over else status.message
+
     def _wait_for_start(self, job: RunJob) -> None:
-        """Show why a job waits in the queue of a cluster, until it starts or ends."""
-        while (reason := self._executor.reason_waiting(job)) is not None and self._executor.poll(job) is None:
+        """Show why a job waits, until it starts or ends."""
+        while (reason := self._reason_waiting(job)) is not None and self._executor.poll(job) is None:
             self._check_stop()
             self._placement = self._executor.placement(job)
             if self._preparation is None or self._preparation.message != reason:
@@ -330,17 +351,33 @@ class ActiveRun:
         ending = self._attempt.state.ending or Ending(EndReason.lost, "How it ended was not recorded.")
         self._upload = upload = self._result_upload()
         try:
-            self._report(upload, upload.upload(ending))
+            self._report(upload, self._finish_of_node(upload) or upload.upload(ending))
         except StopRequested as stopped:
             if stopped.request is not StopRequest.cancel:
                 raise
             self.stop.acknowledge()
+            self._executor.remove(self._job())
             self._report(upload, upload.without_results(Ending.of(CANCELLED, ending.exit_code)))
 
+    def _finish_of_node(self, upload: ResultUpload) -> RunFinish | None:
+        """Wait while the node of the job uploads its results; return what to report, None if they are not complete."""
+        job = self._job()
+        while self._executor.is_uploading(job):
+            upload.progress = Progress(fraction=1, message="its node uploads the results")
+            self.stop.wait(_CHECK_EVERY_S)
+        self._placement = self._executor.placement(job) or self._placement
+        return read_finish(self._attempt.directory, self.assignment.attempt)
+
     def _result_upload(self) -> ResultUpload:
+        job = self._job()
         return ResultUpload(
-            self._context,
-            self._job(),
+            self._context.runners,
+            self._context.url,
+            JobOutput(
+                job.directory,
+                lambda: self._executor.collect(job),
+                lambda offset, size_bytes: self._executor.read_log(job, offset, size_bytes),
+            ),
             self.assignment,
             stop=self.stop,
             redactor=self._redactor,

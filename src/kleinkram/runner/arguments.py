@@ -43,6 +43,7 @@ class Arguments(BaseModel):
     memory_bytes: int | None = None
     disk_bytes: int | None = None
     cache_bytes: int | None = None
+    cache_age_days: int | None = None
     environments_bytes: int | None = None
     package_index: str | None = None
     gpus: int = 0

@@ -4,7 +4,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import urlsplit
@@ -12,7 +12,8 @@ from urllib.parse import urlsplit
 import urllib3
 
 from kleinkram.client._http import Backoff
-from kleinkram.client.transfer.store import TRANSFER_RETRY_S, StoreAnswer
+from kleinkram.client.runs import Runners
+from kleinkram.client.transfer.store import TRANSFER_RETRY_S, StoreAnswer, StoreClient
 from kleinkram.contract.actions import ActionDefinition, Network
 from kleinkram.contract.errors import FileUnavailable, InvalidRequest, KleinkramError, NotFound, RunGone
 from kleinkram.contract.names import check_file_path
@@ -21,7 +22,7 @@ from kleinkram.contract.runs import CONTEXT_FILE, EndReason, RunContext
 from kleinkram.environments.cache import Environment, Show
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, LockedScript, PinnedImage, RunJob
 from kleinkram.runner.executors.port_forward import PortForward
-from kleinkram.runner.input_cache import InputCache, InputDamaged, InputFile, NoSpace, PartialInput
+from kleinkram.runner.input_cache import InputCache, InputDamaged, InputFile, NoSpace, PartialInput, Place
 from kleinkram.runner.state_directory import Attempt, RunnerContext, StopSignal, remove_tree
 
 _OWN_DIRECTORY = ".kleinkram"
@@ -36,6 +37,8 @@ _SLICE_BYTES = 256 * 2**10
 _CHECK_EVERY_S = 0.1
 _IMAGE_CHECK_EVERY_S = 0.02
 _MAX_REFUSALS = 4
+_DOWNLOADING = "downloading inputs"
+_MAX_SHOWN = 200
 # A server that is unavailable comes back.
 _RETRY_S = 600.0
 _PERMANENT_ERRORS = (NotFound, FileUnavailable, InvalidRequest)
@@ -66,23 +69,24 @@ def prepare_run(
     """
     image = _image_of(context, assignment)
     pulled = _pull_in_thread(context.executor, image) if image else None
-    source = InputDownload(context, assignment, stop)
-    store_url: str | None = None
-    backoff = Backoff(_RETRY_S, stop.wait)
-    while store_url is None:
-        try:
-            _place(context, assignment, source, directory)
-            store_url = context.service.get().store_url if assignment.network is Network.api else ""
-        except RunGone:  # noqa: PERF203  each round takes seconds
-            raise
-        except KleinkramError as error:
-            if isinstance(error, _PERMANENT_ERRORS) or not backoff.pause():
-                raise _unavailable(str(error)) from error
-    for path in [directory, *directory.rglob("*")]:
-        if path.is_dir():
-            path.chmod(0o755)
-        elif path.stat().st_mode & 0o777 != 0o444:
-            path.chmod(0o444)
+    source = InputDownload(context.runners, context.store, assignment, stop, show)
+
+    def place() -> str:
+        remove_tree(directory)
+        directory.mkdir()
+        files = input_files(assignment)
+        if context.executor.node_cache is None:
+            fetch_inputs(lambda: context.executor.place_inputs(directory, files, source))
+            placed_bytes = sum(file.size_bytes for file in {*files.values()})
+            context.statistics.count_inputs("store", source.fetched_bytes)
+            context.statistics.count_inputs("cache", placed_bytes - source.fetched_bytes)
+        run_context = context.runners.get_context(assignment.run_id, assignment.attempt)
+        trusted = os.environ.get("SSL_CERT_FILE") if assignment.network is Network.api else None
+        write_context(directory, run_context, assignment.script, Path(trusted).read_text() if trusted else None)
+        return context.service.get().store_url if assignment.network is Network.api else ""
+
+    store_url = repeat_while_unavailable(place, stop)
+    make_readable(directory)
     while pulled and not pulled.done():
         stop.wait(_IMAGE_CHECK_EVERY_S)
     pinned = pulled.result() if pulled else None
@@ -93,27 +97,61 @@ def prepare_run(
     return PreparedRun(pinned, store_url, environment)
 
 
-def _place(context: RunnerContext, assignment: RunAssignment, source: "InputDownload", directory: Path) -> None:
-    remove_tree(directory)
-    directory.mkdir()
+def input_files(assignment: RunAssignment) -> dict[str, InputFile]:
+    """Return the inputs of a run by their paths below `/in`.
+
+    Raises:
+        CannotStart: one cannot be there.
+    """
     files: dict[str, InputFile] = {}
     for file in assignment.inputs:
         try:
             files[check_input_path(file.path)] = InputFile(file.sha256, file.size_bytes)
         except ValueError as error:  # noqa: PERF203  each error names its file
             raise _unavailable(f"The file {file.path} {error}.") from error
+    return files
+
+
+def fetch_inputs(place: Callable[[], None]) -> None:
+    """Place inputs.
+
+    Raises:
+        CannotStart: one is not available, or the disk is full.
+    """
     try:
-        context.executor.place_inputs(directory, files, source)
+        place()
     except NoSpace as error:
         raise _unavailable(str(error)) from error
     except OSError as error:
         raise _unavailable(f"Its inputs cannot be placed: {error.strerror}.") from error
-    placed_bytes = sum(file.size_bytes for file in {*files.values()})
-    context.statistics.count_inputs("store", source.fetched_bytes)
-    context.statistics.count_inputs("cache", placed_bytes - source.fetched_bytes)
-    run_context = context.runners.get_context(assignment.run_id, assignment.attempt)
-    trusted = os.environ.get("SSL_CERT_FILE") if assignment.network is Network.api else None
-    write_context(directory, run_context, assignment.script, Path(trusted).read_text() if trusted else None)
+
+
+def repeat_while_unavailable(step: Callable[[], str], stop: StopSignal) -> str:
+    """Return what a step of the preparation returns, repeated for some minutes while the server is unavailable.
+
+    Raises:
+        CannotStart: it is unavailable for longer, or refuses.
+        StopRequested: the run is to stop.
+        RunGone: it is not this runner's.
+    """
+    backoff = Backoff(_RETRY_S, stop.wait)
+    while True:
+        try:
+            return step()
+        except RunGone:  # noqa: PERF203  each round takes seconds
+            raise
+        except KleinkramError as error:
+            if isinstance(error, _PERMANENT_ERRORS) or not backoff.pause():
+                raise _unavailable(str(error)) from error
+
+
+def make_readable(directory: Path) -> None:
+    """Make everything in a directory readable for each user, and its files read-only."""
+    for path in [directory, *directory.rglob("*")]:
+        if path.is_dir():
+            path.chmod(0o755)
+        elif path.stat().st_mode & 0o777 != 0o444:
+            path.chmod(0o444)
 
 
 def _image_of(context: RunnerContext, assignment: RunAssignment) -> str | None:
@@ -159,17 +197,20 @@ def _pull_in_thread(executor: Executor, image: str) -> Future[PinnedImage]:
 class InputDownload:
     """Downloads the inputs of one run by signed URLs, and resumes broken downloads."""
 
-    def __init__(self, context: RunnerContext, assignment: RunAssignment, stop: StopSignal) -> None:
-        self._runners = context.runners.with_retry(TRANSFER_RETRY_S, stop.wait)
-        self._store = context.store
+    def __init__(
+        self, runners: Runners, store: StoreClient, assignment: RunAssignment, stop: StopSignal, show: Show
+    ) -> None:
+        self._runners = runners.with_retry(TRANSFER_RETRY_S, stop.wait)
+        self._store = store
         self._assignment = assignment
         self._stop = stop
+        self._show = show
         self._urls: dict[str, str] = {}
         self.fetched_bytes = 0
         self._lock = threading.Lock()
 
-    def fetch_into(self, cache: InputCache, missing: Sequence[InputFile]) -> None:
-        """Download files to a cache.
+    def fetch_into(self, cache: InputCache, missing: Sequence[InputFile], place: Place) -> None:
+        """Download files to a cache, and `place` each; one that was evicted before is downloaded again.
 
         Raises:
             CannotStart: one is not available, or the disk is full.
@@ -183,13 +224,16 @@ class InputDownload:
             for first in range(0, len(missing), _URLS_PER_REQUEST):
                 batch = missing[first : first + _URLS_PER_REQUEST]
                 self._sign([paths[file.sha256] for file in batch])
-                downloads = {pool.submit(self._fetch, cache, file, paths[file.sha256], is_over) for file in batch}
-                while downloads:
-                    done, downloads = wait(downloads, timeout=_CHECK_EVERY_S, return_when=FIRST_EXCEPTION)
+                waiting = [*batch]
+                downloads: dict[Future[None], InputFile] = {}
+                while waiting or downloads:
+                    for file in waiting:
+                        downloads[pool.submit(self._fetch, cache, file, paths[file.sha256], is_over)] = file
+                    done, _ = wait(downloads, timeout=_CHECK_EVERY_S, return_when=FIRST_COMPLETED)
                     for download in done:
                         download.result()
+                    waiting = [file for file in map(downloads.pop, done) if not place(file)]
                     self._stop.check()
-                self.fetched_bytes += sum(file.size_bytes for file in batch)
         finally:
             # A thread that waits for the store notices this later.
             is_over.set()
@@ -201,8 +245,13 @@ class InputDownload:
             if is_over.is_set():
                 raise _unavailable("Another input is not available.")
 
+        def wait_for_other(seconds: float) -> None:
+            self._show(f"waits for the download of another job: {Path(path).name}"[:_MAX_SHOWN], 0)
+            check()
+            self._stop.wait(seconds)
+
         try:
-            cache.get(file, lambda part: self._receive(part, path, check), self._stop.wait)
+            cache.get(file, lambda part: self._receive(part, path, check), wait_for_other)
         except InputDamaged as error:
             raise _unavailable(f"The input {path} is damaged: {error}.") from error
 
@@ -215,6 +264,7 @@ class InputDownload:
     def _receive(self, part: PartialInput, path: str, check: Callable[[], None]) -> None:
         """Receive the missing bytes of a file, from where the last connection broke."""
         backoff, refusals = Backoff(TRANSFER_RETRY_S, self._stop.wait), 0
+        self._show(_DOWNLOADING, 0)
         while part.offset < part.file.size_bytes:
             check()
             before = part.offset
@@ -227,6 +277,8 @@ class InputDownload:
                 answer.error = error
             finally:
                 answer.close()
+                with self._lock:
+                    self.fetched_bytes += part.offset - before
             if part.offset > before:
                 backoff = Backoff(TRANSFER_RETRY_S, self._stop.wait)
             elif answer.answer is StoreAnswer.sign_again and refusals < _MAX_REFUSALS:

@@ -8,7 +8,7 @@ import hashlib
 import logging
 import re
 import threading
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -17,7 +17,7 @@ from kleinkram.client.transfer.store import StoreAnswer
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import LogChunkConfirm, LogChunkCreate
 from kleinkram.contract.uploads import crc64nvme
-from kleinkram.runner.executors.base import Executor, RunJob
+from kleinkram.runner.executors.base import RunJob
 from kleinkram.runner.executors.supervision import write_atomically
 from kleinkram.runner.state_directory import LOG_UPLOAD, Attempt, RunnerContext
 
@@ -35,6 +35,9 @@ _SECRET_PATTERNS = (
     rb"(X-Amz-(?:Signature|Credential|Security-Token)=)[0-9A-Za-z%/._+-]{1,256}",
 )
 _SECRET_PREFIXES = (b"klein_", b"X-Amz-")
+
+# Returns bytes of the log of a job, from an offset on.
+ReadLog = Callable[[int, int], bytes]
 
 _log = logging.getLogger("kleinkram.runner")
 
@@ -191,11 +194,11 @@ class _Closed(Exception):
     """The thread is to end."""
 
 
-def write_redacted_log(executor: Executor, job: RunJob, redactor: Redactor, target: Path) -> int:
+def write_redacted_log(read_log: ReadLog, redactor: Redactor, target: Path) -> int:
     """Write the complete log of an ended job, without secrets, to a file; return its size."""
     offset = written_bytes = 0
     with target.open("wb") as stream:
-        while raw := executor.read_log(job, offset, _CHUNK_BYTES):
+        while raw := read_log(offset, _CHUNK_BYTES):
             size_bytes = len(raw) if len(raw) < _CHUNK_BYTES else redactor.cut(raw, _CHUNK_BYTES)
             written_bytes += stream.write(redactor.redact(raw[:size_bytes]))
             offset += size_bytes

@@ -18,6 +18,7 @@ from pathlib import Path
 import kleinkram
 from kleinkram.client._http import Api, Backoff
 from kleinkram.client.config import Endpoint, EndpointSource
+from kleinkram.client.errors import InvalidInput
 from kleinkram.client.runs import Runners
 from kleinkram.client.server import Service
 from kleinkram.client.transfer.store import StoreClient
@@ -63,12 +64,16 @@ class RunnerOptions:
     name: str
     labels: tuple[str, ...] = ()
     default_image: str | None = None
+    token_file: Path | None = None
 
 
 class Runner:
     """A runner. `run` returns after `stop`, or, with `once`, after one run."""
 
     def __init__(self, options: RunnerOptions, state: StateDirectory, executor: Executor) -> None:
+        if executor.node_cache is not None and options.token_file is None:
+            reason = "the compute nodes need the token of the runner, in a file that they can read (--token-file)"
+            raise InvalidInput(what="The option --transfers node", reason=reason)
         endpoint = Endpoint("runner", options.url, options.token, EndpointSource.argument)
         self._options = options
         self._state = state
@@ -99,6 +104,7 @@ class Runner:
             store=self._store,
             url=options.url,
             token=options.token,
+            token_file=options.token_file,
             service=Service(self._api),
             default_image=options.default_image,
             on_change=self._has_changes.set,
@@ -249,6 +255,7 @@ class Runner:
         )
         requested_s = boot_time_s()
         try:
+            self._executor.evict_unused()
             assignment = self._runners.claim(self._state.runner_id, request)
             self._is_unreachable = False
             self.statistics.count_answer()

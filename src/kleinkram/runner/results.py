@@ -11,7 +11,7 @@ import math
 import os
 import stat
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -22,6 +22,7 @@ from pydantic_core import from_json
 
 from kleinkram.client._http import Backoff
 from kleinkram.client.errors import ServerUnreachable, StoreRetriesExhausted, StoreUnreachable
+from kleinkram.client.runs import Runners
 from kleinkram.client.transfer.plan import LocalFile, identity_of
 from kleinkram.client.transfer.report import Watcher
 from kleinkram.client.transfer.upload import Uploader
@@ -32,10 +33,10 @@ from kleinkram.contract.names import check_file_path
 from kleinkram.contract.problems import first_message
 from kleinkram.contract.runners import LOG_PATH, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.executors.base import Ending, RunJob
+from kleinkram.runner.executors.base import Ending
 from kleinkram.runner.executors.supervision import DISK_FULL
-from kleinkram.runner.logs import Redactor, write_redacted_log
-from kleinkram.runner.state_directory import RunnerContext, StopSignal
+from kleinkram.runner.logs import ReadLog, Redactor, write_redacted_log
+from kleinkram.runner.state_directory import StopSignal
 
 MAX_ARTIFACTS = 100_000
 _MAX_PROBLEMS = 100
@@ -362,21 +363,37 @@ class RejectedFile:
     is_temporary: bool = False
 
 
+@dataclass(frozen=True)
+class JobOutput:
+    """What a job left: `collect` returns the folder that was `/out`. `directory` is that of the job."""
+
+    directory: Path
+    collect: Callable[[], Path]
+    read_log: ReadLog
+
+
 class ResultUpload:
-    """Uploads the results of one run, whose job has ended. May be repeated from the start."""
+    """Uploads the results of one run, whose job has ended. May be repeated from the start, also on another machine.
+
+    `url` is that of the server; after `unavailable_s` without it, or without the store, results are not stored.
+    """
 
     def __init__(
         self,
-        context: RunnerContext,
-        job: RunJob,
+        runners: Runners,
+        url: str,
+        output: JobOutput,
         assignment: RunAssignment,
         *,
         stop: StopSignal,
         redactor: Redactor,
         progress: reports.Progress | None,
+        unavailable_s: float = _UNAVAILABLE_S,
     ) -> None:
-        self._context = context
-        self._job = job
+        self._unavailable_s = unavailable_s
+        self._runners = runners
+        self._url = url
+        self._output = output
         self._assignment = assignment
         self._stop = stop
         self._redactor = redactor
@@ -396,7 +413,7 @@ class ResultUpload:
             StopRequested: the run is to stop.
             RunGone: it is not this runner's.
         """
-        out = self._context.executor.collect(self._job)
+        out = self._output.collect()
         results = collect_results(out)
         problems = [*results.problems]
         if results.report_error is not None:
@@ -408,8 +425,8 @@ class ResultUpload:
             results.artifacts.clear()
         files: list[LocalFile] = []
         rejected: list[RejectedFile] = []
-        log = self._job.directory / _REDACTED_LOG
-        if write_redacted_log(self._context.executor, self._job, self._redactor, log):
+        log = self._output.directory / _REDACTED_LOG
+        if write_redacted_log(self._output.read_log, self._redactor, log):
             files.append(LocalFile(log, LOG_PATH, identity_of(log.stat())))
         for artifact in results.artifacts:
             source = out / artifact.path
@@ -447,7 +464,7 @@ class ResultUpload:
         run_id = self._assignment.run_id
         while True:
             try:
-                self._context.runners.with_retry(math.inf, self._stop.wait).finish(run_id, finish)
+                self._runners.with_retry(math.inf, self._stop.wait).finish(run_id, finish)
                 return
             except errors.RunGone:  # noqa: PERF203  (each round is a request)
                 raise
@@ -466,7 +483,7 @@ class ResultUpload:
 
     def _upload(self, files: Sequence[LocalFile]) -> list[RejectedFile]:
         """Upload files, and repeat rejected ones: afterwards the directory of the run is removed."""
-        rounds, unavailable = 0, Backoff(_UNAVAILABLE_S, self._stop.wait)
+        rounds, unavailable = 0, Backoff(self._unavailable_s, self._stop.wait)
         while True:
             self._stop.check()
             try:
@@ -498,13 +515,13 @@ class ResultUpload:
         """Upload files by the protocol of all uploads; stored content is not sent again."""
         run_id = self._assignment.run_id
         self._uploader = Uploader(
-            self._context.runners.uploads(self._assignment.attempt),
-            self._context.url,
+            self._runners.uploads(self._assignment.attempt),
+            self._url,
             run_id,
             connections=min(_CONNECTIONS, len(files)),
             bytes_per_s=None,
             watcher=Watcher(),
-            journals=self._job.directory / _JOURNALS,
+            journals=self._output.directory / _JOURNALS,
         )
         self._uploader.run(files)
         return [

@@ -73,8 +73,7 @@ class StateDirectory:
         entries: list[Attempt | Path] = []
         for directory in sorted(self.runs.iterdir()):
             try:
-                state = AttemptState.model_validate_json((directory / _STATE).read_bytes())
-                entries.append(Attempt(directory, state))
+                entries.append(read_attempt(directory))
             except (FileNotFoundError, NotADirectoryError, ValidationError):  # noqa: PERF203  each by itself
                 entries.append(directory)
         return entries
@@ -171,6 +170,15 @@ class Attempt:
                 path.unlink()
 
 
+def read_attempt(directory: Path) -> Attempt:
+    """Return the attempt of a directory.
+
+    Raises:
+        FileNotFoundError, NotADirectoryError, ValidationError: it has none.
+    """
+    return Attempt(directory, AttemptState.model_validate_json((directory / _STATE).read_bytes()))
+
+
 def remove_tree(directory: Path) -> None:
     """Remove a directory and its content, including directories without permissions for their owner.
 
@@ -200,6 +208,7 @@ class RunnerContext:
     store: StoreClient
     url: str
     token: str
+    token_file: Path | None
     service: Service
     default_image: str | None
     on_change: Callable[[], None]

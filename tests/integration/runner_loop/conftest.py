@@ -47,12 +47,18 @@ class Runners:
     _threads: list[tuple[Runner, threading.Thread]] = field(default_factory=list)
     _processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
-    def start(self, executor: LocalExecutor | None = None, share: MachineShare = _SHARE, index: str = "off") -> Runner:
+    def start(
+        self,
+        executor: LocalExecutor | None = None,
+        share: MachineShare = _SHARE,
+        index: str = "off",
+        token_file: Path | None = None,
+    ) -> Runner:
         """Start a runner in this process, which installs packages from an index."""
         self.folder.mkdir(exist_ok=True)
         executor = executor or ProcessExecutor()
         executor._machine = Machine(self.folder, share, parse_index(index))
-        options = RunnerOptions(self.server.url, RUNNER_TOKEN, "a-runner")
+        options = RunnerOptions(self.server.url, RUNNER_TOKEN, "a-runner", token_file=token_file)
         runner = Runner(options, StateDirectory(self.folder), executor)
         thread = threading.Thread(target=runner.run)
         thread.start()
@@ -63,10 +69,14 @@ class Runners:
         self, docker: Dockerd | None = None, slurm: SlurmCluster | None = None, **options: Any
     ) -> subprocess.Popen[bytes]:
         """Start a runner as a process. `options` are those of Slurm."""
+        token_file = self.folder.with_name("token")
+        token_file.touch(0o600)
+        token_file.write_text(RUNNER_TOKEN)
         arguments = Arguments(
             url=self.server.url,
             data_dir=self.folder,
             name="a-runner",
+            token_file=token_file if slurm else None,
             cores=2,
             memory_bytes=10**9,
             disk_bytes=10**9,

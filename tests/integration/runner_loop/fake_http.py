@@ -7,7 +7,7 @@ import time
 from http.server import BaseHTTPRequestHandler
 from typing import TYPE_CHECKING, Any
 
-from kleinkram.contract.errors import KleinkramError
+from kleinkram.contract.errors import KleinkramError, NotAuthenticated
 from kleinkram.contract.problems import to_problem
 
 if TYPE_CHECKING:
@@ -51,8 +51,9 @@ class Handler(BaseHTTPRequestHandler):
             self._give(self.fake.read(path.removeprefix("/store/")))
             return
         allowed = {RUNNER_TOKEN, RUN_TOKEN} if path == "/api/v1/service" else {RUNNER_TOKEN}
-        assert self.headers["Authorization"] in {f"Bearer {token}" for token in allowed}
         try:
+            if self.headers["Authorization"] not in {f"Bearer {token}" for token in allowed}:
+                raise NotAuthenticated(reason="the token is not valid")
             answer = self.fake.answer(method, path.removeprefix("/api/v1"), query, body)
         except KleinkramError as error:
             problem = to_problem(error, "a-request").model_dump_json().encode()

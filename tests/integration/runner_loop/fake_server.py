@@ -165,9 +165,9 @@ class FakeServer:
             return None
         if what == "uploads":
             begin = ArtifactUploadsCreate.model_validate_json(body)
-            self._check(run, begin.attempt)
             while self.holds_uploads.is_set():
                 time.sleep(0.02)
+            self._check(run, begin.attempt)
             return self.uploads.begin(run, begin)
         return self._finish(run, RunFinish.model_validate_json(body))
 

@@ -9,7 +9,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 from kleinkram.contract.actions import ClusterRequest, Network, Resources
 from kleinkram.contract.runners import LEASE_S, Capacity, ExecutorAbilities
@@ -17,7 +16,7 @@ from kleinkram.contract.runs import EndReason, RunPlacement, Usage
 from kleinkram.environments.cache import Environment, Show
 from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors.port_forward import PortForward
-from kleinkram.runner.input_cache import InputCache, InputFile
+from kleinkram.runner.input_cache import InputCache, InputFile, InputSource
 
 _POLL_EVERY_S = 0.25
 _MIN_CORES = 0.01
@@ -83,13 +82,6 @@ class CannotStart(Exception):
         self.ending = ending
 
 
-class InputSource(Protocol):
-    """Downloads input files."""
-
-    def fetch_into(self, cache: InputCache, missing: Sequence[InputFile]) -> None:
-        """Add files to a cache; raises where one is not available, or the job is to stop."""
-
-
 class Executor(ABC):
     """Runs jobs. All methods may be called from any thread."""
 
@@ -102,6 +94,14 @@ class Executor(ABC):
     @abstractmethod
     def capacity(self) -> Capacity:
         """The resources of all jobs that may run at the same time; of a cluster, the largest that one job may have."""
+
+    @property
+    def node_cache(self) -> InputCache | None:
+        """The cache that compute nodes download inputs to, if they move the files of their jobs; else the runner does.
+
+        The program of a node then makes the steps of `transfer_steps.py` before and after the job.
+        """
+        return None
 
     @property
     def lease_s(self) -> int:
@@ -135,6 +135,13 @@ class Executor(ABC):
         Raises:
             NoSpace: the disk has no space for them.
             OSError: they cannot be placed.
+        """
+
+    def evict_unused(self) -> None:  # noqa: B027  most have nothing to remove
+        """Remove cached inputs that no job has used for too long; called every few minutes.
+
+        Raises:
+            OSError: this is not possible at the moment.
         """
 
     @abstractmethod
@@ -192,6 +199,10 @@ class Executor(ABC):
     @abstractmethod
     def usage(self, job: RunJob) -> Usage | None:
         """Return the last known usage of a job."""
+
+    def is_uploading(self, job: RunJob) -> bool:
+        """Whether the compute node of an ended job still uploads its results; False also where the node failed."""
+        return False
 
     @abstractmethod
     def collect(self, job: RunJob) -> Path:

@@ -23,16 +23,17 @@ from kleinkram.contract.runs import LOG_BYTES, EndReason
 from kleinkram.environments.cache import CannotInstall, Environment, EnvironmentCache, EnvironmentRequest, Show
 from kleinkram.environments.python import Python, PythonUnknown
 from kleinkram.environments.uv import PackageIndex, Wait, find_uv
-from kleinkram.runner.executors.base import CannotStart, Ending, Executor, InputSource, LockedScript, RunJob
+from kleinkram.runner.executors.base import CannotStart, Ending, Executor, LockedScript, RunJob
 from kleinkram.runner.executors.port_forward import loopback_addresses
-from kleinkram.runner.executors.supervision import LEASE, LOG, JobLimits, write_in_place
-from kleinkram.runner.input_cache import InputCache, InputFile
+from kleinkram.runner.executors.supervision import LEASE, JobLimits, read_log_of, write_in_place
+from kleinkram.runner.input_cache import InputCache, InputFile, InputSource, place_inputs
 
 _MEMORY_SHARE = 0.8
 # Shares of the free disk; the rest is for others.
 _DISK_SHARE = 0.5
 _CACHE_SHARE = 0.3
 _ENVIRONMENTS_SHARE = 0.1
+_DAY_S = 86_400.0
 _CGROUP_MEMORY = Path("/sys/fs/cgroup/memory.max")
 # Where the runner is root, each job has its own uid, from a range that no system assigns.
 _FIRST_UID = 1_000_000_000
@@ -49,6 +50,7 @@ class MachineShare:
     gpus: int = 0
     cache_bytes: int | None = None
     environments_bytes: int | None = None
+    cache_age_days: int | None = None
 
 
 class Machine:
@@ -65,7 +67,8 @@ class Machine:
             disk_bytes=share.disk_bytes or int(space * _DISK_SHARE),
             gpus=share.gpus,
         )
-        self.cache = InputCache(directory / "cache", share.cache_bytes or int(space * _CACHE_SHARE))
+        max_age_s = share.cache_age_days * _DAY_S if share.cache_age_days else None
+        self.cache = InputCache(directory / "cache", share.cache_bytes or int(space * _CACHE_SHARE), max_age_s)
         self.environments: EnvironmentCache | None = None
         if index is not None and find_uv() is not None:
             limit_bytes = share.environments_bytes or int(space * _ENVIRONMENTS_SHARE)
@@ -107,16 +110,13 @@ class LocalExecutor(Executor):
 
     def place_inputs(self, directory: Path, files: Mapping[str, InputFile], source: InputSource) -> None:
         """Link inputs from the cache, or copy them where the job could change them."""
-        cache = self._required_machine().cache
-        with cache.pinned(files.values()):
-            if missing := cache.missing(files.values()):
-                cache.make_space(missing)
-                source.fetch_into(cache, missing)
-            add = cache.copy if self.abilities.isolation is Isolation.none else cache.link
-            for path, file in files.items():
-                target = directory / path
-                target.parent.mkdir(parents=True, exist_ok=True)
-                add(file, target)
+        copy = self.abilities.isolation is Isolation.none
+        place_inputs(self._required_machine().cache, directory, files, source, copy=copy)
+
+    def evict_unused(self) -> None:
+        """Evict inputs that no run has used for long."""
+        if self._machine is not None:
+            self._machine.cache.evict_old()
 
     def place_environment(self, script: LockedScript, *, wait: Wait, show: Show) -> Environment:
         """Return an environment of the cache, for the Python of the image or of this process."""
@@ -161,12 +161,7 @@ class LocalExecutor(Executor):
 
     def read_log(self, job: RunJob, offset: int, size_bytes: int) -> bytes:
         """Read the log file of the job."""
-        try:
-            with (job.directory / LOG).open("rb") as stream:
-                stream.seek(offset)
-                return stream.read(size_bytes)
-        except FileNotFoundError:
-            return b""
+        return read_log_of(job.directory, offset, size_bytes)
 
     def collect(self, job: RunJob) -> Path:
         """Return the directory that the job saw as `/out`."""

@@ -73,6 +73,7 @@ class JobSupervisor:
         self._limits = LimitMonitor(directory, self._limits_of_job)
         self._forwards = [port_forward.PortForward(*values) for values in job["port_forwards"]]
         self._started_s = time.monotonic()
+        self._earlier_cpu_s = _cpu_of_children_s()
         self._usage: dict[str, float] = dict.fromkeys(_USAGE_FIELDS, 0)
         self._usage_written_s = 0.0
         self._start_error = bytearray()
@@ -206,8 +207,7 @@ class JobSupervisor:
     def _write_ending(self, code: int) -> None:
         error = self._start_error.decode(errors="replace")
         self._limits.check_disk()
-        times = os.times()
-        self._usage["cpu_s"] = max(self._usage["cpu_s"], times.children_user + times.children_system)
+        self._usage["cpu_s"] = max(self._usage["cpu_s"], _cpu_of_children_s() - self._earlier_cpu_s)
         self._write_usage()
         exit_code = None
         if self._limits.reason is not None:
@@ -221,6 +221,11 @@ class JobSupervisor:
             exit_code = code
         ending = {"reason": reason, "message": message, "exit_code": exit_code}
         write_atomically(self._directory / ENDING, json.dumps(ending))
+
+
+def _cpu_of_children_s() -> float:
+    times = os.times()
+    return times.children_user + times.children_system
 
 
 def _read_available(descriptor: int, readers: dict[int, Callable[[bytes], object]]) -> None:

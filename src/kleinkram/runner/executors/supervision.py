@@ -137,6 +137,16 @@ def _mb(size_bytes: int) -> str:
     return f"{size_bytes / 1e6:,.0f} MB"
 
 
+def read_log_of(directory: Path, offset: int, size_bytes: int) -> bytes:
+    """Return bytes of the log in the directory of a job; empty where there are none yet."""
+    try:
+        with (directory / LOG).open("rb") as stream:
+            stream.seek(offset)
+            return stream.read(size_bytes)
+    except FileNotFoundError:
+        return b""
+
+
 def start_ticks(pid: int) -> int | None:
     """Return when a process started, in clock ticks since boot; None where it is exiting, or has exited."""
     with contextlib.suppress(OSError):

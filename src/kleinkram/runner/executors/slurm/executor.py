@@ -46,6 +46,8 @@ from kleinkram.runner.executors.slurm.states import (
     waiting_sentence,
 )
 from kleinkram.runner.executors.supervision import CANCELLED, ENDING, GRACE_S, boot_time_s
+from kleinkram.runner.executors.transfer_steps import FINISH
+from kleinkram.runner.input_cache import InputCache
 
 _LEASE_S = min(900, MAX_LEASE_S)
 _READ_ENDING_EVERY_S = 0.25
@@ -124,6 +126,11 @@ class SlurmExecutor(ProcessExecutor):
         """Long: jobs go on while the login node restarts."""
         return _LEASE_S
 
+    @property
+    def node_cache(self) -> InputCache | None:
+        """The cache in the shared folder, if the nodes move the files of their jobs."""
+        return self._required_machine().cache if self._options.transfers_on_nodes else None
+
     def free(self, reserved: Capacity, job_count: int) -> Capacity | None:
         """Return what a job may have: Slurm has the queue, whose length is bounded."""
         return self.capacity if job_count < self._options.max_jobs else None
@@ -151,10 +158,31 @@ class SlurmExecutor(ProcessExecutor):
             if submitted.ending is None:
                 return None
             submitted.ended_s = boot_time_s()
+        if self._options.transfers_on_nodes:  # its job in Slurm goes on
+            return submitted.ending
         if self._site.has_accounting and not self._is_accounted(submitted):
             return None
         self._queue.forget(submitted.submission.name)
         return submitted.ending
+
+    def is_uploading(self, job: RunJob) -> bool:
+        """Whether the node of an ended job still uploads its results, or Slurm does not say."""
+        submitted = self._find(job) if self._options.transfers_on_nodes else None
+        if submitted is None:
+            return False
+        snapshot = self._queue.snapshot
+        is_known = (
+            snapshot.queried_s > max(submitted.submitted_s, submitted.ended_s or 0.0) and self._queue.error is None
+        )
+        entry = snapshot.entries.get(submitted.submission.name)
+        is_running = not is_known or (entry is not None and phase_of(entry.state) is Phase.running)
+        refresh(job.directory)
+        if is_running and not (job.directory / FINISH).exists():
+            return True
+        if self._site.has_accounting and not self._is_accounted(submitted):
+            return True
+        self._queue.forget(submitted.submission.name)
+        return False
 
     def reason_waiting(self, job: RunJob) -> str | None:
         """Return why a job is not running yet."""
@@ -212,7 +240,7 @@ class SlurmExecutor(ProcessExecutor):
         (job.directory / SUBMISSION).unlink(missing_ok=True)
         super().remove(job)
         name = submitted.submission.name
-        if submitted.ending is None:
+        if submitted.ending is None or (self._options.transfers_on_nodes and not (job.directory / FINISH).exists()):
             self._queue.kill(name)
             self._queue.wait_until_gone(name, _REMOVE_S)
         self._queue.forget(name)

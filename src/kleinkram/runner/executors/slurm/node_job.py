@@ -12,12 +12,13 @@ import shutil
 import signal
 import socket
 import sys
+import threading
 import time
 import uuid
 from pathlib import Path
 from typing import Any
 
-from kleinkram.runner.executors import process_sandbox
+from kleinkram.runner.executors import process_sandbox, transfer_steps
 from kleinkram.runner.executors.process_supervisor import JOB, JobSupervisor
 from kleinkram.runner.executors.slurm.shared_files import (
     NodeStart,
@@ -170,6 +171,33 @@ def _wait_for_lease(directory: Path, token: str, lease: SharedLease) -> tuple[st
     return None
 
 
+def _fetch_inputs(directory: Path, token: str, lease: SharedLease) -> tuple[str, str] | None:
+    """Download the inputs of a job; return why it must not start, if so."""
+
+    def stop_reason() -> tuple[str, str] | None:
+        lease.read()
+        if not _is_current(directory, token):
+            return SUPERSEDED
+        if signal.SIGTERM in signal.sigpending():
+            return CANCELLED if is_cancel_requested(directory) else INTERRUPTED
+        if is_cancel_requested(directory):
+            return CANCELLED
+        return LEASE_EXPIRED if lease.is_over() else None
+
+    failure = transfer_steps.fetch_inputs(directory, lambda: stop_reason() is None)
+    return stop_reason() or failure
+
+
+def _upload_results(directory: Path, token: str) -> None:
+    """Upload the results of a job. What Slurm interrupts is left to the login node."""
+    is_interrupted = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: is_interrupted.set())
+    transfer_steps.upload_results(
+        directory,
+        lambda: _is_current(directory, token) and not is_interrupted.is_set() and not is_cancel_requested(directory),
+    )
+
+
 def run_job(directory: Path) -> None:
     """Run a job to its end; do nothing where the directory is not this job's any more, or the job has ended."""
     submission = read_submission(directory)
@@ -183,9 +211,13 @@ def run_job(directory: Path) -> None:
     reason = _wait_for_lease(directory, token, lease)
     if reason is None and job["is_isolated"] and not process_sandbox.is_available():
         reason = ("not_possible", f"The node {socket.gethostname()} allows no namespaces, which isolate its runs.")
+    if reason is None and transfer_steps.node_moves_files(directory):
+        reason = _fetch_inputs(directory, token, lease)
     if reason is None:
         NodeJobSupervisor(directory, job, token, lease).run()
-    elif reason is not SUPERSEDED:
+        if transfer_steps.node_moves_files(directory):
+            _upload_results(directory, token)
+    elif reason not in (SUPERSEDED, INTERRUPTED):
         ending = {"reason": reason[0], "message": reason[1], "exit_code": None}
         write_atomically(directory / ENDING, json.dumps(ending))
 

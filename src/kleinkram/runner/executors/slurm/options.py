@@ -11,6 +11,8 @@ from kleinkram.runner.executors.local import cannot_start
 SUPERVISOR_BYTES = 128 * 2**20
 # For its start, its lease and the grace at its end: the supervisor enforces the limit of the run itself.
 _TIME_MARGIN_S = 180
+# For the inputs and results of a job, if its node moves them. What takes longer is left to the login node.
+_TRANSFERS_S = 1800
 # What the executor sets itself, or what would have it lose the job.
 RESERVED = frozenset(
     {
@@ -28,6 +30,7 @@ class SlurmOptions:
 
     `extra` are further options of sbatch for all jobs, by their names without dashes; `allowed` are the names of those
     that actions may set. `python` is the interpreter on the nodes; `max_jobs` bounds those in the queue.
+    `transfers_on_nodes`: the nodes move the files of their jobs.
     """
 
     max_jobs: int
@@ -38,6 +41,7 @@ class SlurmOptions:
     extra: Mapping[str, str] = field(default_factory=dict)
     allowed: frozenset[str] = frozenset()
     python: str | None = None
+    transfers_on_nodes: bool = False
 
 
 def sbatch_options(options: SlurmOptions, resources: Resources, request: ClusterRequest) -> list[str]:
@@ -51,13 +55,14 @@ def sbatch_options(options: SlurmOptions, resources: Resources, request: Cluster
         raise cannot_start(
             f"Its action sets the option {names} of sbatch, which its runner does not allow (--allow-option)."
         )
+    margin_s = _TIME_MARGIN_S + (_TRANSFERS_S if options.transfers_on_nodes else 0)
     memory = math.ceil((resources.memory_bytes + SUPERVISOR_BYTES) / 2**20)
     result = [
         "--nodes=1",
         "--ntasks=1",
         f"--cpus-per-task={math.ceil(resources.cores)}",
         f"--mem={memory}M",
-        f"--time={math.ceil((resources.time_s + _TIME_MARGIN_S) / 60)}",
+        f"--time={math.ceil((resources.time_s + margin_s) / 60)}",
         *usual_options(options, request.constraint),
         *_assignments({**options.extra, **request.options}),
     ]
