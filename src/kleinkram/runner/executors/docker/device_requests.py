@@ -100,7 +100,7 @@ def libpod_description(name: str, description: Mapping[str, Any]) -> dict[str, A
 
 
 def _libpod_mount(mount: Mapping[str, Any]) -> dict[str, Any]:
-    options = ["rbind", mount["BindOptions"]["Propagation"], "ro" if mount["ReadOnly"] else "rw"]
+    options = ["bind", mount["BindOptions"]["Propagation"], "ro" if mount["ReadOnly"] else "rw"]
     return {"type": mount["Type"], "source": mount["Source"], "destination": mount["Target"], "options": options}
 
 
