@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -200,25 +201,32 @@ def test_jobs_of_a_removed_runner_block_no_gpu(pools: Pools) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="other users exist only for root")
-def test_locks_are_shared_by_all_users(machine: FakeGpus) -> None:
-    lock = MachineLock("gpu-a/b=0")
-    assert lock.try_acquire()
-    assert lock.path == machine.folder / "locks" / "kleinkram" / "gpu-a_b_0"
-    assert stat.S_IMODE(lock.path.stat().st_mode) == 0o666
-    assert stat.S_IMODE(lock.path.parent.stat().st_mode) == 0o1777
-    for parent in (machine.folder, *machine.folder.parents[:3]):
-        parent.chmod(0o755)
+def test_locks_are_shared_by_all_users(monkeypatch: pytest.MonkeyPatch) -> None:
+    with tempfile.TemporaryDirectory() as place:
+        Path(place).chmod(0o1777)
+        monkeypatch.setattr(machine_locks, "places", lambda: [Path(place)])
+        lock = MachineLock("gpu-a/b=0")
+        assert lock.try_acquire()
+        assert lock.path == Path(place) / "kleinkram" / "gpu-a_b_0"
+        assert stat.S_IMODE(lock.path.stat().st_mode) == 0o666
+        assert stat.S_IMODE(lock.path.parent.stat().st_mode) == 0o1777
+        assert not is_free_for_nobody("gpu-a/b=0")
+        lock.close()
+        assert is_free_for_nobody("gpu-a/b=0")
+
+
+def is_free_for_nobody(name: str) -> bool:
+    """Return whether the user `nobody` can take a lock."""
     pid = os.fork()
     if pid == 0:
-        os.setuid(65534)
-        os._exit(MachineLock("gpu-a/b=0").try_acquire())
-    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
-    lock.close()
-    pid = os.fork()
-    if pid == 0:
-        os.setuid(65534)
-        os._exit(MachineLock("gpu-a/b=0").try_acquire())
-    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 1
+        try:
+            os.setuid(65534)
+            os._exit(int(MachineLock(name).try_acquire()))
+        finally:
+            os._exit(2)
+    code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    assert code in (0, 1)
+    return code == 1
 
 
 def test_a_machine_without_a_folder_for_locks_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -50,7 +50,8 @@ class EngineError(Exception):
 class EngineInfo(NamedTuple):
     """`architecture` as images name it: amd64, arm64. `has_nvidia`, `has_cdi`: its ways to give devices to containers.
 
-    `ends_with_containers`: a restart of the engine ends its containers.
+    `ends_with_containers`: a restart of the engine ends its containers. `is_rootless`: an ordinary user's, whose
+    containers have that user as their root. `bounds_memory`: it limits memory, cores and processes of containers.
     """
 
     architecture: str
@@ -58,6 +59,8 @@ class EngineInfo(NamedTuple):
     ends_with_containers: bool
     has_nvidia: bool = False
     has_cdi: bool = False
+    is_rootless: bool = False
+    bounds_memory: bool = True
 
 
 class ImageInfo(NamedTuple):
@@ -115,14 +118,31 @@ class DockerClient:
     def info(self) -> EngineInfo:
         """Return what the engine is."""
         architecture = self._request("GET", "/version")["Arch"]
-        if self._is_podman():
-            # Its containers do not depend on a daemon.
-            return EngineInfo(architecture, is_podman=True, ends_with_containers=False, has_cdi=True)
         info = self._request("GET", "/info")
+        if self._is_podman():
+            is_rootless = bool(info.get("Rootless"))
+            return EngineInfo(
+                architecture,
+                is_podman=True,
+                # Its containers do not depend on a daemon.
+                ends_with_containers=False,
+                has_cdi=True,
+                is_rootless=is_rootless,
+                # It reports those of the machine, which an ordinary user may not set.
+                bounds_memory=not (is_rootless and str(info.get("CgroupVersion")) == "1"),
+            )
         ends = info.get("LiveRestoreEnabled") is False
         # Docker looks for this program when it starts, whether it also has a runtime of that name or not.
         has_nvidia = "nvidia" in (info.get("Runtimes") or {}) or shutil.which(_NVIDIA_HOOK) is not None
-        return EngineInfo(architecture, False, ends, has_nvidia, has_cdi=bool(info.get("CDISpecDirs")))
+        return EngineInfo(
+            architecture,
+            is_podman=False,
+            ends_with_containers=ends,
+            has_nvidia=has_nvidia,
+            has_cdi=bool(info.get("CDISpecDirs")),
+            is_rootless="name=rootless" in (info.get("SecurityOptions") or ()),
+            bounds_memory=info.get("MemoryLimit") is not False,
+        )
 
     def _is_podman(self) -> bool:
         try:

@@ -102,6 +102,12 @@ class DockerExecutor(LocalExecutor):
         self._runner = runner
         self._is_root = os.geteuid() == 0
         self._engine = client.info()
+        if not self._engine.bounds_memory:
+            _log.warning(
+                "the engine at %s limits neither memory, cores nor processes of runs: a rootless one needs control "
+                "groups of version 2, delegated to its user",
+                client.path,
+            )
         self._images = Images(client, self._engine.architecture, pull=pull, allowed=allowed)
         self._monitors: dict[str, ContainerMonitor] = {}
         self._pythons: dict[str, Python] = {}
@@ -117,7 +123,7 @@ class DockerExecutor(LocalExecutor):
             images=True,
             networks=frozenset(networks),
             gpus=self._gpus is not None,
-            bounds_memory=True,
+            bounds_memory=self._engine.bounds_memory,
             bounds_disk=True,
             environments=self._environments is not None,
         )
@@ -143,16 +149,25 @@ class DockerExecutor(LocalExecutor):
             # It still writes to directories that are replaced, and its end would be taken for the end of this start.
             raise cannot_start("The container engine does not remove the container of an earlier start.")
         gpus = self._assign_gpus(job, self._gpus_in_use() if job.resources.gpus else ())
-        user = make_directories(job, own_uid=self._is_root)
-        user = os.getuid() if user is None else user
+        user = self._make_directories(job)
         for number, _ in enumerate(image.volumes):
             directory = containers.volume_directory(job, number)
             directory.mkdir(exist_ok=True)
-            os.chown(directory, user, -1)
+            if not self._engine.is_rootless:
+                os.chown(directory, user, -1)
         try:
             self._start(job, image, f"{user}:{user}", gpus)
         except (EngineUnavailable, EngineError, OSError) as error:
             raise CannotStart(_start_failure(error)) from error
+
+    def _make_directories(self, job: RunJob) -> int:
+        """Create the directories of a job, and return the uid that it has in its container."""
+        if self._engine.is_rootless:
+            # Root of the container is the user of the engine, and the only one there with access to the directories.
+            make_directories(job, own_uid=False)
+            return 0
+        user = make_directories(job, own_uid=self._is_root)
+        return os.getuid() if user is None else user
 
     def gpu_obstacle(self, gpu: Gpu) -> str | None:
         """Return what the engine lacks to give a GPU to containers."""
@@ -225,7 +240,7 @@ class DockerExecutor(LocalExecutor):
         """
         name = f"kleinkram-tool-{uuid.uuid4().hex}"
         labels = {containers.RUNNER_LABEL: self._runner}
-        user = f"{os.getuid()}:{os.getgid()}"
+        user = "0:0" if self._engine.is_rootless else f"{os.getuid()}:{os.getgid()}"
         until_s = time.monotonic() + _TOOL_TIMEOUT_S
         try:
             description = containers.describe_tool(
