@@ -4,7 +4,7 @@ import os
 import platform
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import platformdirs
 
@@ -12,6 +12,7 @@ from kleinkram.cli.commands import Many, Subcommands, Text, flag, option
 from kleinkram.cli.render import Output, as_table, moment
 from kleinkram.cli.units import parse_size, size
 from kleinkram.client import Client
+from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.runners import RunnerRead
 
 app = Subcommands("Run and list runners: machines that run actions.")
@@ -59,6 +60,9 @@ _DefaultImage = Annotated[
 _Registries = Annotated[
     Many, option("--registry", "R", "Allow images only from this registry; repeatable. Default: from anywhere.")
 ]
+_Gpu = Annotated[
+    Many, option("--gpu", "GPU", "Use this GPU for runs: its UUID, number in nvidia-smi, or name in CDI; repeatable.")
+]
 
 _MetricsPort = Annotated[
     int | None,
@@ -101,7 +105,9 @@ def start(
     cache_age: _CacheAge = None,
     environments: _Environments = None,
     package_index: _PackageIndex = None,
-    gpus: Annotated[int, option("--gpus", "N", "Set the number of GPUs for runs.", min=0)] = 0,
+    gpus: Annotated[Text, option("--gpus", "N", "Set the number of GPUs for runs, or `all`. Default: none.")] = None,
+    gpu: _Gpu = None,
+    gpu_sharing: Annotated[int, option("--gpu-sharing", "N", "Set how many runs may have the same GPU.", min=1)] = 1,
     executor: _Executor = ExecutorOption.auto,
     default_image: _DefaultImage = None,
     registry: _Registries = None,
@@ -128,7 +134,9 @@ def start(
         cache_age_days=cache_age,
         environments_bytes=_size_of(environments),
         package_index=package_index,
-        gpus=gpus,
+        gpus=_gpu_count(gpus, gpu or []),
+        gpu_names=gpu or [],
+        gpu_sharing=gpu_sharing,
         executor=ExecutorChoice(executor.value),
         default_image=default_image or DEFAULT_IMAGE,
         registries=registry or None,
@@ -221,6 +229,16 @@ def _size_of(text: str | None) -> int | None:
 def _become(command: list[str]) -> None:
     # A runner runs for a long time; its own process needs less memory than this one.
     os.execv(command[0], command)  # noqa: S606  (our own interpreter, no shell)
+
+
+def _gpu_count(text: str | None, names: list[str]) -> int | Literal["all"]:
+    if text is not None and names:
+        raise InvalidInput(what="The option --gpus", reason="--gpu chooses the GPUs already")
+    if text == "all":
+        return "all"
+    if text is not None and not text.isdecimal():
+        raise InvalidInput(what="The option --gpus", reason=f"{text!r} is neither a number nor `all`")
+    return int(text or 0)
 
 
 @app.command("list")

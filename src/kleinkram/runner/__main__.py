@@ -10,17 +10,22 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Sequence
 
 from kleinkram import traces
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.errors import KleinkramError
+from kleinkram.contract.runners import Capacity
 from kleinkram.json_logs import JsonLines
 from kleinkram.runner.arguments import Arguments, find_token
 from kleinkram.runner.choose_executor import ImagePolicy, choose_executor, find_index, slurm_executor
 from kleinkram.runner.executors.base import Executor
-from kleinkram.runner.executors.local import Machine, MachineShare
+from kleinkram.runner.executors.local import Machine, MachineShare, memory_bytes
+from kleinkram.runner.executors.machine_locks import announce
 from kleinkram.runner.loop import Runner, RunnerOptions
 from kleinkram.runner.state_directory import StateDirectory, open_state_directory
+
+_log = logging.getLogger("kleinkram.runner")
 
 
 def main() -> None:
@@ -43,9 +48,16 @@ def main() -> None:
                 default_image=arguments.default_image,
                 token_file=arguments.token_file,
             )
-            runner = Runner(options, state, _executor_of(arguments, state))
+            machine = _machine_of(arguments, state)
+            announcement = None
+            if arguments.slurm is None:
+                announcement, others = announce(str(state.runner_id), machine.capacity)
+                _warn_if_shared_out([machine.capacity, *others])
+            runner = Runner(options, state, _executor_of(arguments, state, machine))
             with _serve_metrics(runner, arguments):
                 code = _run_until_signal(runner, once=arguments.once)
+            if announcement is not None:
+                announcement.close()
     except KleinkramError as error:
         sys.exit(f"Error: {error}")
     traces.stop()
@@ -54,22 +66,41 @@ def main() -> None:
     os._exit(code)
 
 
-def _executor_of(arguments: Arguments, state: StateDirectory) -> Executor:
+def _machine_of(arguments: Arguments, state: StateDirectory) -> Machine:
     share = MachineShare(
         arguments.cores,
         arguments.memory_bytes,
         arguments.disk_bytes,
-        arguments.gpus,
+        arguments.gpu_request,
         arguments.cache_bytes,
         arguments.environments_bytes,
         arguments.cache_age_days,
     )
-    machine = Machine(state.path, share, find_index(arguments.package_index))
+    return Machine(state.path, share, find_index(arguments.package_index))
+
+
+def _executor_of(arguments: Arguments, state: StateDirectory, machine: Machine) -> Executor:
     runner = str(state.runner_id)
     if arguments.slurm is not None:
         return slurm_executor(arguments.slurm, state.path, runner=runner, machine=machine)
     policy = ImagePolicy(arguments.pull, arguments.registries)
     return choose_executor(arguments.executor, policy, arguments.default_image, runner=runner, machine=machine)
+
+
+def _warn_if_shared_out(capacities: Sequence[Capacity]) -> None:
+    """Warn where the runners of this machine together offer more than it has."""
+    cores, memory = (sum(one.cores for one in capacities), sum(one.memory_bytes for one in capacities))
+    has_cores, has_memory = len(os.sched_getaffinity(0)), memory_bytes()
+    if len(capacities) > 1 and (cores > has_cores or memory > has_memory):
+        _log.warning(
+            "the %d runners of this machine together offer %g cores and %.1f GB memory, and it has %d and %.1f GB: "
+            "divide them by --cores and --memory",
+            len(capacities),
+            cores,
+            memory / 1e9,
+            has_cores,
+            has_memory / 1e9,
+        )
 
 
 def _serve_metrics(runner: Runner, arguments: Arguments) -> contextlib.AbstractContextManager[object]:

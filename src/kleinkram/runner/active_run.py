@@ -291,6 +291,7 @@ class ActiveRun:
         job = self._job()
         self._wait_for_start(job)
         self._preparation = None
+        self._placement = self._executor.placement(job) or self._placement
         self._set_state(RunState.running)
         self._log.start(job)
         sampled_s = -math.inf

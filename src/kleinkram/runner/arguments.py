@@ -4,13 +4,14 @@ import enum
 import os
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from kleinkram.client.errors import ConfigurationBroken, CredentialsExposed, NotConfigured
 from kleinkram.contract.names import Label
 from kleinkram.runner.executors.docker.executor import Pull
+from kleinkram.runner.executors.gpus import GpuRequest
 from kleinkram.runner.executors.slurm.options import SlurmOptions
 
 DEFAULT_IMAGE = "kleinkram/action-python:latest"
@@ -46,7 +47,9 @@ class Arguments(BaseModel):
     cache_age_days: int | None = None
     environments_bytes: int | None = None
     package_index: str | None = None
-    gpus: int = 0
+    gpus: Annotated[int, Field(ge=0)] | Literal["all"] = 0
+    gpu_names: list[str] = []
+    gpu_sharing: Annotated[int, Field(ge=1)] = 1
     executor: ExecutorChoice = ExecutorChoice.auto
     slurm: SlurmOptions | None = None
     default_image: str = DEFAULT_IMAGE
@@ -56,6 +59,11 @@ class Arguments(BaseModel):
     metrics_port: int | None = None
     metrics_address: str = "127.0.0.1"
     log_format: Literal["json", "text"] = "text"
+
+    @property
+    def gpu_request(self) -> GpuRequest:
+        """The GPUs that the runner is to have."""
+        return GpuRequest(None if self.gpus == "all" else self.gpus, tuple(self.gpu_names), self.gpu_sharing)
 
     def command(self) -> list[str]:
         """Return the command line of a runner with these options."""

@@ -58,7 +58,7 @@ def choose_executor(
     `environments` are those of scripts; by default the machine's.
 
     Raises:
-        InvalidInput: `choice` is `docker`, and no engine answers.
+        InvalidInput: `choice` is `docker`, and no engine answers; or it cannot give the machine's GPUs to runs.
     """
     socket = None if choice is ExecutorChoice.process else find_socket()
     if choice is ExecutorChoice.docker and socket is None:
@@ -71,6 +71,7 @@ def choose_executor(
             )
             if choice is ExecutorChoice.auto:
                 containers.prepare_image(default_image)
+            containers.check_gpus()
             return containers
         except (EngineUnavailable, EngineError) as error:
             if choice is ExecutorChoice.docker:
@@ -83,6 +84,7 @@ def choose_executor(
     elif choice is ExecutorChoice.auto:
         _log.info("no socket of a container engine was found: scripts run as processes")
     executor = ProcessExecutor(machine, environments)
+    executor.check_gpus()
     if executor.abilities.isolation is Isolation.none:
         _log.warning("this kernel allows this user no namespaces: runs can read and change whatever the runner can")
     return executor

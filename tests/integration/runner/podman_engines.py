@@ -76,6 +76,16 @@ class Podman(Dockerd):
         # What it says first is progress.
         return super().load(name, *changes, root=root).split()[-1]
 
+    def write_cdi(self, specification: str) -> None:
+        """Describe devices to it: only its mount namespace has this file."""
+        assert self.containerd is not None
+        script = "mkdir -p /run/cdi && cat > /run/cdi/tests.json"
+        subprocess.run(
+            ["nsenter", f"--mount=/proc/{self.containerd.pid}/ns/mnt", "sh", "-c", script],
+            input=specification.encode(),
+            check=True,
+        )
+
     def go_down(self) -> None:
         """End all at once, as the machine does that goes down: what is not on a disk is gone."""
         result = [self.engine.find_container(name) for name, _ in self.engine.list_labelled("kleinkram.run")]

@@ -29,12 +29,6 @@ def host_of(job: RunJob, *volumes: str) -> dict[str, object]:
     return dict(described["HostConfig"])
 
 
-def test_gpus_are_requested_by_device_request(tmp_path: Path) -> None:
-    requested = host_of(job_of(tmp_path, gpus=2))["DeviceRequests"]
-    assert requested == [{"Driver": "nvidia", "Count": 2, "Capabilities": [["gpu"]]}]
-    assert host_of(job_of(tmp_path))["DeviceRequests"] == []
-
-
 @pytest.mark.parametrize("network", list(Network))
 def test_a_container_gets_no_more_than_its_job_needs(tmp_path: Path, network: Network) -> None:
     host = host_of(job_of(tmp_path, network, memory_bytes=10**9))

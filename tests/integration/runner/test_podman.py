@@ -20,10 +20,6 @@ def test_tmpfs_counts_towards_the_memory_of_a_run(bench: Bench, folder: str) -> 
     assert (ending.reason, log_of(job)) == (EndReason.memory, "made\n")
 
 
-def test_podman_offers_no_gpus(bench: Bench) -> None:
-    assert not bench.executor.abilities.gpus
-
-
 @pytest.mark.parametrize(("words", "reason"), [(["kill"], EndReason.lost), (["stop", "-t", "3"], EndReason.signal)])
 def test_the_reason_of_a_container_ended_by_hand(bench: Bench, words: list[str], reason: EndReason) -> None:
     assert bench.engine is not None

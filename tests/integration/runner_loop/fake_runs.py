@@ -10,7 +10,7 @@ from typing import Any
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.contract.reports import Progress
 from kleinkram.contract.runners import LEASE_S, AssignedInput, RunAssignment, RunFinish
-from kleinkram.contract.runs import ActionRef, RunState
+from kleinkram.contract.runs import ActionRef, RunPlacement, RunState
 
 
 @dataclass
@@ -29,6 +29,7 @@ class FakeRun:
     states: list[RunState] = field(default_factory=list)
     progress: list[Progress] = field(default_factory=list)
     digest: str | None = None
+    placement: RunPlacement | None = None
 
     @property
     def shown_log(self) -> bytes:

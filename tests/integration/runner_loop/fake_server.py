@@ -200,6 +200,7 @@ class FakeServer:
                         run.runner_id == runner_id and run.claim.run_id not in ask.active_run_ids and not run.finishes
                     )
                     fits = expected.cores <= ask.free.cores and expected.memory_bytes <= ask.free.memory_bytes
+                    fits = fits and expected.gpus <= ask.free.gpus
                     if (run.state is RunState.queued or is_lost) and fits:
                         run.state, run.runner_id, run.attempt = RunState.preparing, runner_id, run.attempt + 1
                         run.claim = run.claim.model_copy(update={"attempt": run.attempt})
@@ -219,6 +220,7 @@ class FakeServer:
                 if not run.states or run.states[-1] is not heartbeat.state:
                     run.states.append(heartbeat.state)
                 run.digest = heartbeat.image_digest or run.digest
+                run.placement = heartbeat.placement or run.placement
                 if heartbeat.progress:
                     run.progress.append(heartbeat.progress)
                 verdict = LeaseStatus.cancel if run.is_cancelled else verdict

@@ -13,17 +13,20 @@ import os
 import shutil
 import zlib
 from abc import abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.runners import Capacity
-from kleinkram.contract.runs import LOG_BYTES, EndReason
+from kleinkram.contract.runs import LOG_BYTES, EndReason, RunPlacement
 from kleinkram.environments.cache import CannotInstall, Environment, EnvironmentCache, EnvironmentRequest, Show
 from kleinkram.environments.python import Python, PythonUnknown
 from kleinkram.environments.uv import PackageIndex, Wait, find_uv
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, LockedScript, RunJob
+from kleinkram.runner.executors.gpu_pool import GpuPool, GpusUnavailable, acquire_gpus, recorded_gpus
+from kleinkram.runner.executors.gpus import OPTION, Gpu, GpuRequest
 from kleinkram.runner.executors.port_forward import loopback_addresses
 from kleinkram.runner.executors.supervision import LEASE, JobLimits, read_log_of, write_in_place
 from kleinkram.runner.input_cache import InputCache, InputFile, InputSource, place_inputs
@@ -47,7 +50,7 @@ class MachineShare:
     cores: float | None = None
     memory_bytes: int | None = None
     disk_bytes: int | None = None
-    gpus: int = 0
+    gpus: GpuRequest = field(default_factory=GpuRequest)
     cache_bytes: int | None = None
     environments_bytes: int | None = None
     cache_age_days: int | None = None
@@ -56,16 +59,21 @@ class MachineShare:
 class Machine:
     """This machine: its capacity for runs, and the caches in `directory`, which the runner already uses.
 
-    `index` is where the packages of scripts come from; without it, or without `uv`, none are installed.
+    Its GPUs stay locked until this process ends. `index` is where the packages of scripts come from; without it,
+    or without `uv`, none are installed.
+
+    Raises:
+        InvalidInput: the GPUs of `share` are not available.
     """
 
     def __init__(self, directory: Path, share: MachineShare, index: PackageIndex | None = None) -> None:
         space = shutil.disk_usage(directory).free + _used_bytes(directory)
+        self.gpus = acquire_gpus(share.gpus, directory / "runs")
         self.capacity = Capacity(
             cores=share.cores or len(os.sched_getaffinity(0)),
             memory_bytes=share.memory_bytes or int(memory_bytes() * _MEMORY_SHARE),
             disk_bytes=share.disk_bytes or int(space * _DISK_SHARE),
-            gpus=share.gpus,
+            gpus=len(self.gpus.gpus) if self.gpus is not None else 0,
         )
         max_age_s = share.cache_age_days * _DAY_S if share.cache_age_days else None
         self.cache = InputCache(directory / "cache", share.cache_bytes or int(space * _CACHE_SHARE), max_age_s)
@@ -102,11 +110,63 @@ class LocalExecutor(Executor):
     def __init__(self, machine: Machine | None = None, environments: EnvironmentCache | None = None) -> None:
         self._machine = machine
         self._own_environments = environments
+        self._own_gpus: GpuPool | None = None
 
     @property
     def capacity(self) -> Capacity:
         """The resources of this machine for runs."""
         return self._required_machine().capacity
+
+    def free(self, reserved: Capacity, job_count: int) -> Capacity | None:
+        """Return what is free; of GPUs that runs may share, as many as a single run can have."""
+        free = super().free(reserved, job_count)
+        if free is None or self._gpus is None:
+            return free
+        return free.model_copy(update={"gpus": self._gpus.free_count(reserved.gpus)})
+
+    def placement(self, job: RunJob) -> RunPlacement | None:
+        """Return which GPUs a job has; None where it has none."""
+        gpus = recorded_gpus(job.directory)
+        return RunPlacement(gpus=gpus) if gpus else None
+
+    @abstractmethod
+    def gpu_obstacle(self, gpu: Gpu) -> str | None:
+        """Return why this executor cannot give a GPU to jobs, and what to do about that; None where it can."""
+
+    def check_gpus(self) -> None:
+        """Check that jobs can have the GPUs of the machine.
+
+        Raises:
+            InvalidInput: they cannot.
+        """
+        for gpu in self._gpus.gpus if self._gpus is not None else ():
+            if (obstacle := self.gpu_obstacle(gpu)) is not None:
+                raise InvalidInput(what=OPTION, reason=obstacle)
+
+    def _assign_gpus(self, job: RunJob, in_use: Collection[str] = ()) -> tuple[Gpu, ...]:
+        """Give a job the GPUs that it needs. `in_use`: ids of GPUs not to be given."""
+        if not job.resources.gpus:
+            return ()
+        try:
+            if self._machine is None and self._own_gpus is None:
+                # A local run takes what it needs.
+                self._own_gpus = acquire_gpus(GpuRequest(job.resources.gpus), job.directory.parent)
+                self.check_gpus()
+            if self._gpus is None:
+                raise GpusUnavailable("Its runner has no GPU for runs.")
+            return self._gpus.assign(job, in_use)
+        except (GpusUnavailable, InvalidInput) as error:
+            raise cannot_start(str(error)) from error
+        except OSError as error:
+            raise cannot_start(f"Its GPUs cannot be recorded: {error.strerror}.") from error
+
+    @property
+    def _gpus(self) -> GpuPool | None:
+        return self._machine.gpus if self._machine is not None else self._own_gpus
+
+    def _release_gpus(self, job: RunJob) -> None:
+        if self._gpus is not None:
+            self._gpus.release(job)
 
     def place_inputs(self, directory: Path, files: Mapping[str, InputFile], source: InputSource) -> None:
         """Link inputs from the cache, or copy them where the job could change them."""

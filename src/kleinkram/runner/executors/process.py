@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from kleinkram.action.run_files import IN_VARIABLE, OUT_VARIABLE, PACKAGES_VARIABLE
@@ -25,12 +25,15 @@ from kleinkram.environments.python import PROBE, Python, parse_python
 from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors import process_sandbox, process_supervisor
 from kleinkram.runner.executors.base import Ending, PinnedImage, RunJob
+from kleinkram.runner.executors.gpus import Gpu
 from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
 from kleinkram.runner.executors.supervision import ENDING, USAGE, reserve, write_atomically
 
 _LOCK_RETRIES = 50
 _POLL_EVERY_S = 0.02
 _NO_IMAGES = "Without a container engine, no image can be run."
+# What all of NVIDIA's GPUs share.
+_NVIDIA_NODES = ("/dev/nvidiactl", "/dev/nvidia-uvm", "/dev/nvidia-uvm-tools")
 _LOST = Ending(EndReason.lost, "Its processes were killed together with their supervisor.")
 
 
@@ -50,7 +53,7 @@ class ProcessExecutor(LocalExecutor):
             isolation=Isolation.namespaces if self._is_isolated else Isolation.none,
             images=False,
             networks=frozenset(Network) if self._is_isolated else frozenset({Network.open}),
-            gpus=False,
+            gpus=self._gpus is not None,
             bounds_memory=True,
             bounds_disk=True,
             environments=self._environments is not None,
@@ -66,10 +69,12 @@ class ProcessExecutor(LocalExecutor):
             raise cannot_start(_NO_IMAGES)
         network = job.network.value
         self._check_network(job, f"Without a container engine, no run here has the network {network!r}.")
+        gpus = self._assign_gpus(job)
         uid = make_directories(job, own_uid=os.getuid() == 0 and self._is_isolated)
         task = {
             "command": list(job.command),
-            "environment": self._environment(job),
+            "environment": self._environment(job) | _variables_of(gpus),
+            "devices": _nodes_of(gpus),
             "is_isolated": self._is_isolated,
             "has_network": job.network is Network.open,
             "uid": uid,
@@ -114,6 +119,14 @@ class ProcessExecutor(LocalExecutor):
             time.sleep(_POLL_EVERY_S)
         if (child := self._children.pop(job.key, None)) is not None:
             child.wait()
+        self._release_gpus(job)
+
+    def gpu_obstacle(self, gpu: Gpu) -> str | None:
+        """Return what is missing to show the files of a GPU to a job."""
+        if gpu.nodes or not self._is_isolated:
+            return None
+        by = "run `nvidia-ctk cdi generate --output=/etc/cdi/nvidia.yaml` (package nvidia-container-toolkit)"
+        return f"no CDI specification tells which files below /dev belong to {gpu.id}: {by}"
 
     def remove_others(self, known_keys: Collection[str]) -> None:
         """Do nothing: supervisors end jobs whose lease is not extended."""
@@ -193,3 +206,16 @@ class ProcessExecutor(LocalExecutor):
             name: f"{job.directory}{value}" if value.startswith("/in/") else value
             for name, value in job.environment.items()
         }
+
+
+def _variables_of(gpus: Sequence[Gpu]) -> dict[str, str]:
+    """Return the variables by which programs choose GPUs; without any, they would also find those of other jobs."""
+    return {"CUDA_VISIBLE_DEVICES": ",".join(gpu.id for gpu in gpus if gpu.is_nvidia)} if gpus else {}
+
+
+def _nodes_of(gpus: Sequence[Gpu]) -> list[str]:
+    """Return the files below /dev that a job with these GPUs needs."""
+    nodes = [node for gpu in gpus for node in gpu.nodes]
+    if any(gpu.is_nvidia for gpu in gpus):
+        nodes += _NVIDIA_NODES
+    return [node for node in dict.fromkeys(nodes) if Path(node).exists()]

@@ -32,7 +32,8 @@ _FILE_MARGIN_BYTES = 64 * 2**20
 class Sandbox:
     """Where and as whom a command runs. `uid` is None where this process cannot change its uid.
 
-    The listening sockets of its port forwards are sent to `listeners`. `packages` is a folder to show as `PACKAGES`.
+    The listening sockets of its port forwards are sent to `listeners`. `packages` is a folder to show as `PACKAGES`,
+    `devices` are further files below `/dev` to show.
     """
 
     directory: Path
@@ -42,6 +43,7 @@ class Sandbox:
     forwards: Sequence[port_forward.PortForward]
     listeners: socket.socket
     packages: Path | None = None
+    devices: Sequence[Path] = ()
 
 
 def is_available() -> bool:
@@ -183,9 +185,11 @@ def _mount_root(sandbox: Sandbox) -> None:
         linux_syscalls.make_read_only(target)
     devices = root / "dev"
     (devices / "shm").mkdir(parents=True)
-    for name in _DEVICES:
-        (devices / name).touch()
-        linux_syscalls.mount(f"/dev/{name}", devices / name, None, linux_syscalls.MS_BIND)
+    for node in (*(Path("/dev", name) for name in _DEVICES), *sandbox.devices):
+        target = root / str(node)[1:]
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.touch()
+        linux_syscalls.mount(str(node), target, None, linux_syscalls.MS_BIND)
     for name, number in (("fd", ""), ("stdin", "/0"), ("stdout", "/1"), ("stderr", "/2")):
         (devices / name).symlink_to(f"/proc/self/fd{number}")
     flags = linux_syscalls.MS_NOSUID | linux_syscalls.MS_NODEV

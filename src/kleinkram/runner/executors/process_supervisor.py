@@ -109,7 +109,10 @@ class JobSupervisor:
             disk_bytes = self._limits_of_job.disk_bytes
             packages = Path(job["packages"]) if job["packages"] else None
             has_network, uid = job["has_network"], job["uid"]
-            sandbox = Sandbox(self._directory, has_network, disk_bytes, uid, self._forwards, listeners, packages)
+            devices = tuple(map(Path, job["devices"]))
+            sandbox = Sandbox(
+                self._directory, has_network, disk_bytes, uid, self._forwards, listeners, packages, devices
+            )
             if job["is_isolated"]:
                 return run_in_sandbox(sandbox, job["command"], job["environment"], error)
             linux_syscalls.die_with_parent(signal.SIGKILL)

@@ -7,6 +7,7 @@ import base64
 import binascii
 import json
 import os
+import shutil
 import socket
 import subprocess
 import time
@@ -25,9 +26,12 @@ _PULL_TIMEOUT_S = 300.0
 UNSEEN_EXIT = 255
 _NEVER = "0001-"
 _HUB = "docker.io"
+# Every Podman since 4.0 serves it.
+_LIBPOD_VERSION = "v4.0.0"
 # The name of Docker's own registry in files of credentials.
 _HUB_CREDENTIALS = "https://index.docker.io/v1/"
 _CREDENTIALS_TIMEOUT_S = 20
+_NVIDIA_HOOK = "nvidia-container-runtime-hook"
 _SOCKETS = ("/var/run/docker.sock", "/run/podman/podman.sock")
 
 
@@ -44,15 +48,19 @@ class EngineError(Exception):
 
 
 class EngineInfo(NamedTuple):
-    """`architecture` as images name it: amd64, arm64. `has_gpus`: by device request.
+    """`architecture` as images name it: amd64, arm64. `has_nvidia`, `has_cdi`: its ways to give devices to containers.
 
-    `ends_with_containers`: a restart of the engine ends its containers.
+    `ends_with_containers`: a restart of the engine ends its containers. `is_rootless`: an ordinary user's, whose
+    containers have that user as their root. `bounds_memory`: it limits memory, cores and processes of containers.
     """
 
     architecture: str
     is_podman: bool
-    has_gpus: bool
     ends_with_containers: bool
+    has_nvidia: bool = False
+    has_cdi: bool = False
+    is_rootless: bool = False
+    bounds_memory: bool = True
 
 
 class ImageInfo(NamedTuple):
@@ -110,12 +118,31 @@ class DockerClient:
     def info(self) -> EngineInfo:
         """Return what the engine is."""
         architecture = self._request("GET", "/version")["Arch"]
-        if self._is_podman():
-            # It ignores device requests, and its containers do not depend on a daemon.
-            return EngineInfo(architecture, is_podman=True, has_gpus=False, ends_with_containers=False)
         info = self._request("GET", "/info")
+        if self._is_podman():
+            is_rootless = bool(info.get("Rootless"))
+            return EngineInfo(
+                architecture,
+                is_podman=True,
+                # Its containers do not depend on a daemon.
+                ends_with_containers=False,
+                has_cdi=True,
+                is_rootless=is_rootless,
+                # It reports those of the machine, which an ordinary user may not set.
+                bounds_memory=not (is_rootless and str(info.get("CgroupVersion")) == "1"),
+            )
         ends = info.get("LiveRestoreEnabled") is False
-        return EngineInfo(architecture, False, "nvidia" in (info.get("Runtimes") or {}), ends)
+        # Docker looks for this program when it starts, whether it also has a runtime of that name or not.
+        has_nvidia = "nvidia" in (info.get("Runtimes") or {}) or shutil.which(_NVIDIA_HOOK) is not None
+        return EngineInfo(
+            architecture,
+            is_podman=False,
+            ends_with_containers=ends,
+            has_nvidia=has_nvidia,
+            has_cdi=bool(info.get("CDISpecDirs")),
+            is_rootless="name=rootless" in (info.get("SecurityOptions") or ()),
+            bounds_memory=info.get("MemoryLimit") is not False,
+        )
 
     def _is_podman(self) -> bool:
         try:
@@ -150,6 +177,10 @@ class DockerClient:
     def create(self, name: str, description: Mapping[str, object]) -> None:
         """Create a container."""
         self._request("POST", f"/containers/create?{urlencode({'name': name})}", description)
+
+    def create_by_libpod(self, description: Mapping[str, object]) -> None:
+        """Create a container by the API that only Podman has; its description contains its name."""
+        self._request("POST", f"/{_LIBPOD_VERSION}/libpod/containers/create", description)
 
     def has_file(self, name: str, path: str) -> bool:
         """Whether a container, running or not, has a file."""
@@ -209,10 +240,12 @@ class DockerClient:
             if error.status not in (HTTPStatus.NOT_FOUND, HTTPStatus.CONFLICT):
                 raise
 
-    def list_labelled(self, label: str) -> list[tuple[str, dict[str, str]]]:
+    def list_labelled(self, label: str, *, only_running: bool = False) -> list[tuple[str, dict[str, str]]]:
         """Return the ids and labels of all containers with a label, which may be `name=value`."""
         filters = json.dumps({"label": [label]})
-        containers = self._request("GET", f"/containers/json?{urlencode({'all': 1, 'filters': filters})}")
+        containers = self._request(
+            "GET", f"/containers/json?{urlencode({'all': int(not only_running), 'filters': filters})}"
+        )
         return [(container["Id"], container["Labels"]) for container in containers]
 
     def log(self, name: str, *, follow: bool, since_ns: int = 0) -> Iterator[list[OutputPiece]]:

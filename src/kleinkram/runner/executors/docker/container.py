@@ -201,9 +201,6 @@ def _limits(job: RunJob) -> dict[str, Any]:
             _ulimit("nofile", resource.RLIMIT_NOFILE, _OPEN_FILES),
             _ulimit("nproc", resource.RLIMIT_NPROC, _PROCESSES_OF_USER),
         ],
-        "DeviceRequests": [{"Driver": "nvidia", "Count": resources.gpus, "Capabilities": [["gpu"]]}]
-        if resources.gpus
-        else [],
         "OomScoreAdj": 1000,
     }
 

@@ -14,9 +14,10 @@ import socket
 import threading
 import time
 import uuid
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from http import HTTPStatus
 from pathlib import Path
+from typing import Any
 
 from kleinkram.contract.actions import Network
 from kleinkram.contract.isolation import Isolation
@@ -28,6 +29,7 @@ from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors import port_forward
 from kleinkram.runner.executors.base import CannotStart, Ending, PinnedImage, RunJob
 from kleinkram.runner.executors.docker import container as containers
+from kleinkram.runner.executors.docker import device_requests
 from kleinkram.runner.executors.docker.client import (
     UNSEEN_EXIT,
     ContainerInfo,
@@ -40,6 +42,7 @@ from kleinkram.runner.executors.docker.client import (
     digest_of,
     parse_image_name,
 )
+from kleinkram.runner.executors.gpus import Gpu
 from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
 from kleinkram.runner.executors.supervision import (
     CANCELLED,
@@ -100,6 +103,12 @@ class DockerExecutor(LocalExecutor):
         self._runner = runner
         self._is_root = os.geteuid() == 0
         self._engine = client.info()
+        if not self._engine.bounds_memory:
+            _log.warning(
+                "the engine at %s limits neither memory, cores nor processes of runs: a rootless one needs control "
+                "groups of version 2, delegated to its user",
+                client.path,
+            )
         self._images = Images(client, self._engine.architecture, pull=pull, allowed=allowed)
         self._monitors: dict[str, ContainerMonitor] = {}
         self._pythons: dict[str, Python] = {}
@@ -114,8 +123,8 @@ class DockerExecutor(LocalExecutor):
             isolation=Isolation.container,
             images=True,
             networks=frozenset(networks),
-            gpus=self._engine.has_gpus,
-            bounds_memory=True,
+            gpus=self._gpus is not None,
+            bounds_memory=self._engine.bounds_memory,
             bounds_disk=True,
             environments=self._environments is not None,
         )
@@ -140,18 +149,45 @@ class DockerExecutor(LocalExecutor):
         if exists:
             # It still writes to directories that are replaced, and its end would be taken for the end of this start.
             raise cannot_start("The container engine does not remove the container of an earlier start.")
-        user = make_directories(job, own_uid=self._is_root)
-        user = os.getuid() if user is None else user
+        gpus = self._assign_gpus(job, self._gpus_in_use() if job.resources.gpus else ())
+        user = self._make_directories(job)
         for number, _ in enumerate(image.volumes):
             directory = containers.volume_directory(job, number)
             directory.mkdir(exist_ok=True)
-            os.chown(directory, user, -1)
+            if not self._engine.is_rootless:
+                os.chown(directory, user, -1)
         try:
-            self._start(job, image, f"{user}:{user}")
+            self._start(job, image, f"{user}:{user}", gpus)
         except (EngineUnavailable, EngineError, OSError) as error:
             raise CannotStart(_start_failure(error)) from error
 
-    def _start(self, job: RunJob, image: ImageInfo, user: str) -> None:
+    def _make_directories(self, job: RunJob) -> int:
+        """Create the directories of a job, and return the uid that it has in its container."""
+        if self._engine.is_rootless:
+            # Root of the container is the user of the engine, and the only one there with access to the directories.
+            make_directories(job, own_uid=False)
+            return 0
+        user = make_directories(job, own_uid=self._is_root)
+        return os.getuid() if user is None else user
+
+    def gpu_obstacle(self, gpu: Gpu) -> str | None:
+        """Return what the engine lacks to give a GPU to containers."""
+        return device_requests.gpu_obstacle(gpu, self._engine)
+
+    def _gpus_in_use(self) -> set[str]:
+        """Return the GPUs of containers that nobody here knows: another runner's, or one that is not to be removed."""
+        try:
+            running = self._client.list_labelled(device_requests.GPUS_LABEL, only_running=True)
+        except (EngineUnavailable, EngineError) as error:
+            raise cannot_start(f"{error}.") from error
+        unknown = [
+            labels
+            for _, labels in running
+            if self._gpus is None or not self._gpus.has_record(labels.get(containers.JOB_LABEL, ""))
+        ]
+        return {gpu_id for labels in unknown for gpu_id in labels[device_requests.GPUS_LABEL].split(",")}
+
+    def _start(self, job: RunJob, image: ImageInfo, user: str, gpus: Sequence[Gpu]) -> None:
         name, log = containers.container_name(job), job.directory / LOG
         (job.directory / containers.LOG_CURSOR).unlink(missing_ok=True)
         labels = {
@@ -167,16 +203,23 @@ class DockerExecutor(LocalExecutor):
             is_podman=self._engine.is_podman,
             python_path=image.python_path,
         )
+        description = device_requests.with_gpus(description, gpus, self._engine)
         if job.port_forwards:
-            self._client.create(name, containers.with_barrier(description, job, image))
+            self._create(name, containers.with_barrier(description, job, image))
             if not self._client.has_file(name, containers.SHELL):
                 self._client.remove(name)
-                self._client.create(name, description)
+                self._create(name, description)
         else:
-            self._client.create(name, description)
+            self._create(name, description)
         self._client.start(name)
         self._forget(job)
         self._monitor(job, is_reattached=False).poll()
+
+    def _create(self, name: str, description: Mapping[str, Any]) -> None:
+        if self._engine.is_podman and description["HostConfig"].get("DeviceRequests"):
+            self._client.create_by_libpod(device_requests.libpod_description(name, description))
+        else:
+            self._client.create(name, description)
 
     def _find_python(self, image: str | None) -> Python:
         if image is None:
@@ -198,7 +241,7 @@ class DockerExecutor(LocalExecutor):
         """
         name = f"kleinkram-tool-{uuid.uuid4().hex}"
         labels = {containers.RUNNER_LABEL: self._runner}
-        user = f"{os.getuid()}:{os.getgid()}"
+        user = "0:0" if self._engine.is_rootless else f"{os.getuid()}:{os.getgid()}"
         until_s = time.monotonic() + _TOOL_TIMEOUT_S
         try:
             description = containers.describe_tool(
@@ -239,6 +282,7 @@ class DockerExecutor(LocalExecutor):
         (job.directory / _STOP_REASON).unlink(missing_ok=True)
         with contextlib.suppress(EngineUnavailable):
             self._remove(containers.container_name(job))
+        self._release_gpus(job)
 
     def remove_others(self, known_keys: Collection[str]) -> None:
         """Remove the containers of this runner with other keys."""
