@@ -66,23 +66,7 @@ def prepare_run(
     """
     image = _image_of(context, assignment)
     pulled = _pull_in_thread(context.executor, image) if image else None
-    source = InputDownload(context, assignment, stop)
-    store_url: str | None = None
-    backoff = Backoff(_RETRY_S, stop.wait)
-    while store_url is None:
-        try:
-            _place(context, assignment, source, directory)
-            store_url = context.service.get().store_url if assignment.network is Network.api else ""
-        except RunGone:  # noqa: PERF203  each round takes seconds
-            raise
-        except KleinkramError as error:
-            if isinstance(error, _PERMANENT_ERRORS) or not backoff.pause():
-                raise _unavailable(str(error)) from error
-    for path in [directory, *directory.rglob("*")]:
-        if path.is_dir():
-            path.chmod(0o755)
-        elif path.stat().st_mode & 0o777 != 0o444:
-            path.chmod(0o444)
+    store_url = place_run_inputs(context, InputDownload(context, assignment, stop, show), directory)
     while pulled and not pulled.done():
         stop.wait(_IMAGE_CHECK_EVERY_S)
     pinned = pulled.result() if pulled else None
@@ -93,7 +77,37 @@ def prepare_run(
     return PreparedRun(pinned, store_url, environment)
 
 
-def _place(context: RunnerContext, assignment: RunAssignment, source: "InputDownload", directory: Path) -> None:
+def place_run_inputs(context: RunnerContext, source: "InputDownload", directory: Path) -> str:
+    """Place the inputs of a run and what else it sees in `/in`; return the URL of the store if it may connect to it.
+
+    May be repeated.
+
+    Raises:
+        CannotStart: something is not available.
+        StopRequested: the run is to stop.
+        RunGone: it is not this runner's.
+    """
+    backoff = Backoff(_RETRY_S, source.wait)
+    store_url: str | None = None
+    while store_url is None:
+        try:
+            _place(context, source, directory)
+            store_url = context.service.get().store_url if source.assignment.network is Network.api else ""
+        except RunGone:  # noqa: PERF203  each round takes seconds
+            raise
+        except KleinkramError as error:
+            if isinstance(error, _PERMANENT_ERRORS) or not backoff.pause():
+                raise _unavailable(str(error)) from error
+    for path in [directory, *directory.rglob("*")]:
+        if path.is_dir():
+            path.chmod(0o755)
+        elif path.stat().st_mode & 0o777 != 0o444:
+            path.chmod(0o444)
+    return store_url
+
+
+def _place(context: RunnerContext, source: "InputDownload", directory: Path) -> None:
+    assignment = source.assignment
     remove_tree(directory)
     directory.mkdir()
     files: dict[str, InputFile] = {}
@@ -159,10 +173,12 @@ def _pull_in_thread(executor: Executor, image: str) -> Future[PinnedImage]:
 class InputDownload:
     """Downloads the inputs of one run by signed URLs, and resumes broken downloads."""
 
-    def __init__(self, context: RunnerContext, assignment: RunAssignment, stop: StopSignal) -> None:
+    def __init__(self, context: RunnerContext, assignment: RunAssignment, stop: StopSignal, show: Show) -> None:
         self._runners = context.runners.with_retry(TRANSFER_RETRY_S, stop.wait)
         self._store = context.store
-        self._assignment = assignment
+        self.assignment = assignment
+        self.wait = stop.wait
+        self.show = show
         self._stop = stop
         self._urls: dict[str, str] = {}
         self.fetched_bytes = 0
@@ -176,7 +192,7 @@ class InputDownload:
             StopRequested: the run is to stop.
             RunGone: it is not this runner's.
         """
-        paths = {file.sha256: file.path for file in self._assignment.inputs}
+        paths = {file.sha256: file.path for file in self.assignment.inputs}
         is_over = threading.Event()
         pool = ThreadPoolExecutor(min(_DOWNLOADS, len(missing)), "download")
         try:
@@ -207,8 +223,8 @@ class InputDownload:
             raise _unavailable(f"The input {path} is damaged: {error}.") from error
 
     def _sign(self, paths: Sequence[str]) -> None:
-        request = InputsRequest(attempt=self._assignment.attempt, paths=[*paths])
-        urls = self._runners.sign_inputs(self._assignment.run_id, request).urls
+        request = InputsRequest(attempt=self.assignment.attempt, paths=[*paths])
+        urls = self._runners.sign_inputs(self.assignment.run_id, request).urls
         with self._lock:
             self._urls.update(zip(paths, urls, strict=True))
 

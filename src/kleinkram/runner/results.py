@@ -396,6 +396,20 @@ class ResultUpload:
             StopRequested: the run is to stop.
             RunGone: it is not this runner's.
         """
+        log = self._log_file()
+        plain = self._finish_of(ending, reports.Report(), [])
+        remote = self._context.executor.upload_results(self._job, plain, self._stop.wait)
+        if remote is None:
+            return self._upload_collected(ending, log)
+        problems = [*remote.problems, *map(_problem, self._upload(log) if log else [])]
+        return remote.model_copy(update={"problems": problems[:_MAX_REPORTED_PROBLEMS]})
+
+    def _log_file(self) -> list[LocalFile]:
+        log = self._job.directory / _REDACTED_LOG
+        has_log = write_redacted_log(self._context.executor, self._job, self._redactor, log)
+        return [LocalFile(log, LOG_PATH, identity_of(log.stat()))] if has_log else []
+
+    def _upload_collected(self, ending: Ending, log: Sequence[LocalFile]) -> RunFinish:
         out = self._context.executor.collect(self._job)
         results = collect_results(out)
         problems = [*results.problems]
@@ -406,11 +420,8 @@ class ResultUpload:
         if ending.reason is EndReason.cancelled and results.artifacts:
             problems.append(f"It was cancelled: its {len(results.artifacts)} files were not stored.")
             results.artifacts.clear()
-        files: list[LocalFile] = []
+        files = [*log]
         rejected: list[RejectedFile] = []
-        log = self._job.directory / _REDACTED_LOG
-        if write_redacted_log(self._context.executor, self._job, self._redactor, log):
-            files.append(LocalFile(log, LOG_PATH, identity_of(log.stat())))
         for artifact in results.artifacts:
             source = out / artifact.path
             try:
@@ -418,9 +429,7 @@ class ResultUpload:
             except FileNotFoundError:  # in NFC the name may be another one, of which there is no file
                 rejected.append(RejectedFile(artifact.path, "its name is not in the form NFC"))
         rejected += self._upload(files) if files else []
-        for file in rejected:
-            name = "Its log" if file.path == LOG_PATH else file.path
-            problems.append(f"{name} was not stored: {file.reason}")
+        problems += map(_problem, rejected)
         if ending.reason is EndReason.done and any(file.path != LOG_PATH for file in rejected):
             ending = Ending(EndReason.results_not_stored, problems[-1], ending.exit_code)
         return self._finish_of(ending, results.final_report(ending.reason), problems)
@@ -522,6 +531,11 @@ class ResultUpload:
             report=report,
             problems=[_shortened(problem) for problem in problems[:_MAX_REPORTED_PROBLEMS]],
         )
+
+
+def _problem(file: RejectedFile) -> str:
+    name = "Its log" if file.path == LOG_PATH else file.path
+    return f"{name} was not stored: {file.reason}"
 
 
 def _shortened(text: str, limit: int = _MAX_CHARACTERS) -> str:

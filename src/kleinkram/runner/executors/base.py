@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.contract.runners import LEASE_S, Capacity, ExecutorAbilities
+from kleinkram.contract.runners import LEASE_S, Capacity, ExecutorAbilities, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason, RunPlacement, Usage
 from kleinkram.environments.cache import Environment, Show
 from kleinkram.environments.uv import Wait
@@ -83,7 +83,17 @@ class CannotStart(Exception):
 
 
 class InputSource(Protocol):
-    """Downloads input files."""
+    """Downloads the input files of a run, or tells another process what it needs to do so."""
+
+    @property
+    def assignment(self) -> RunAssignment:
+        """The run."""
+
+    def wait(self, seconds: float) -> None:
+        """Wait; raises where the run is to stop."""
+
+    def show(self, message: str, fraction: float) -> None:
+        """Show people what takes long."""
 
     def fetch_into(self, cache: InputCache, missing: Sequence[InputFile]) -> None:
         """Add files to a cache; raises where one is not available, or the job is to stop."""
@@ -195,6 +205,16 @@ class Executor(ABC):
     @abstractmethod
     def collect(self, job: RunJob) -> Path:
         """Return the directory on this machine with the files that an ended job left in `/out`."""
+
+    def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait) -> RunFinish | None:
+        """Have the results of an ended job uploaded from where they are, and return what to report.
+
+        None: `collect` has them, and the runner uploads them. `plain` is what to report without results. Repeatable.
+
+        Raises:
+            Exception: `wait` raised it.
+        """
+        return None
 
     @abstractmethod
     def remove(self, job: RunJob) -> None:
