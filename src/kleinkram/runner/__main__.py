@@ -16,10 +16,11 @@ from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.json_logs import JsonLines
 from kleinkram.runner.arguments import Arguments, find_token
-from kleinkram.runner.choose_executor import ImagePolicy, choose_executor, find_index
+from kleinkram.runner.choose_executor import ImagePolicy, choose_executor, find_index, kubernetes_executor
+from kleinkram.runner.executors.base import Executor
 from kleinkram.runner.executors.local import Machine, MachineShare
 from kleinkram.runner.loop import Runner, RunnerOptions
-from kleinkram.runner.state_directory import open_state_directory
+from kleinkram.runner.state_directory import StateDirectory, open_state_directory
 
 
 def main() -> None:
@@ -41,22 +42,7 @@ def main() -> None:
                 labels=tuple(arguments.labels),
                 default_image=arguments.default_image,
             )
-            share = MachineShare(
-                arguments.cores,
-                arguments.memory_bytes,
-                arguments.disk_bytes,
-                arguments.gpus,
-                arguments.cache_bytes,
-                arguments.environments_bytes,
-            )
-            executor = choose_executor(
-                arguments.executor,
-                ImagePolicy(arguments.pull, arguments.registries),
-                arguments.default_image,
-                runner=str(state.runner_id),
-                machine=Machine(state.path, share, find_index(arguments.package_index)),
-            )
-            runner = Runner(options, state, executor)
+            runner = Runner(options, state, _executor_of(arguments, state, options.token))
             with _serve_metrics(runner, arguments):
                 code = _run_until_signal(runner, once=arguments.once)
     except KleinkramError as error:
@@ -65,6 +51,23 @@ def main() -> None:
     # Do not wait for threads that wait for an unavailable server.
     logging.shutdown()
     os._exit(code)
+
+
+def _executor_of(arguments: Arguments, state: StateDirectory, token: str) -> Executor:
+    runner = str(state.runner_id)
+    if arguments.kubernetes is not None:
+        return kubernetes_executor(arguments.kubernetes, runner=runner, url=arguments.url, token=token)
+    share = MachineShare(
+        arguments.cores,
+        arguments.memory_bytes,
+        arguments.disk_bytes,
+        arguments.gpus,
+        arguments.cache_bytes,
+        arguments.environments_bytes,
+    )
+    machine = Machine(state.path, share, find_index(arguments.package_index))
+    policy = ImagePolicy(arguments.pull, arguments.registries)
+    return choose_executor(arguments.executor, policy, arguments.default_image, runner=runner, machine=machine)
 
 
 def _serve_metrics(runner: Runner, arguments: Arguments) -> contextlib.AbstractContextManager[object]:

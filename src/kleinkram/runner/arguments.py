@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from kleinkram.client.errors import ConfigurationBroken, CredentialsExposed, NotConfigured
 from kleinkram.contract.names import Label
 from kleinkram.runner.executors.docker.executor import Pull
+from kleinkram.runner.executors.kubernetes.options import KubernetesOptions
 
 DEFAULT_IMAGE = "kleinkram/action-python:latest"
 TOKEN_VARIABLE = "KLEINKRAM_RUNNER_TOKEN"  # noqa: S105  the name of the variable
@@ -27,7 +28,8 @@ class ExecutorChoice(str, enum.Enum):
 class Arguments(BaseModel):
     """The options of a runner. Its token is in `KLEINKRAM_RUNNER_TOKEN` or in a file.
 
-    `package_index` is by default that of `KLEINKRAM_PACKAGE_INDEX`, else PyPI.
+    `package_index` is by default that of `KLEINKRAM_PACKAGE_INDEX`, else PyPI. With `kubernetes`, runs are Jobs of a
+    cluster, whatever `executor` is.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -45,6 +47,7 @@ class Arguments(BaseModel):
     package_index: str | None = None
     gpus: int = 0
     executor: ExecutorChoice = ExecutorChoice.auto
+    kubernetes: KubernetesOptions | None = None
     default_image: str = DEFAULT_IMAGE
     pull: Pull = Pull.missing
     registries: list[str] | None = None

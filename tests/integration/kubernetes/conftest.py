@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -10,12 +13,14 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract.actions import Network
+from kleinkram.runner.arguments import TOKEN_VARIABLE, Arguments
 from kleinkram.runner.executors.kubernetes.cluster import connect
 from kleinkram.runner.executors.kubernetes.executor import KubernetesExecutor
 from kleinkram.runner.executors.kubernetes.options import KubernetesOptions
 from kleinkram.runner.loop import Runner, RunnerOptions
 from kleinkram.runner.state_directory import StateDirectory
 from tests.integration.kubernetes.fake_cluster import NAMESPACE, FakeCluster
+from tests.integration.kubernetes.manifests import manifests
 from tests.integration.runner_loop.fake_http import RUNNER_TOKEN
 from tests.integration.runner_loop.fake_server import FakeServer
 
@@ -32,6 +37,7 @@ class Site:
     options: KubernetesOptions
     networks: frozenset[Network] = frozenset(Network)
     _threads: list[tuple[Runner, threading.Thread]] = field(default_factory=list)
+    _processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
     def executor(self, state: StateDirectory) -> KubernetesExecutor:
         """Return the executor of a runner."""
@@ -56,6 +62,24 @@ class Site:
         self._threads.append((runner, thread))
         return runner
 
+    def spawn(self) -> subprocess.Popen[bytes]:
+        """Start a runner as a process."""
+        arguments = Arguments(
+            url=self.server.url,
+            data_dir=self.folder,
+            name="a-runner",
+            kubernetes=self.options,
+            default_image=IMAGE,
+        )
+        process = subprocess.Popen(arguments.command(), env={**os.environ, TOKEN_VARIABLE: RUNNER_TOKEN})
+        self._processes.append(process)
+        return process
+
+    def kill(self, process: subprocess.Popen[bytes], number: signal.Signals) -> None:
+        """End the process of a runner."""
+        process.send_signal(number)
+        process.wait(timeout=30)
+
     def close(self) -> None:
         """End what is left, runs included."""
         for runner, _ in self._threads:
@@ -65,6 +89,9 @@ class Site:
         for runner, thread in self._threads:
             thread.join(10)
             runner.close(kill=True)
+        for process in self._processes:
+            if process.poll() is None:
+                self.kill(process, signal.SIGINT)
 
 
 @pytest.fixture
@@ -73,6 +100,7 @@ def cluster(tmp_path: Path) -> Iterator[FakeCluster]:
     folder = tmp_path / "cluster"
     folder.mkdir()
     made = FakeCluster(folder)
+    made.network_policies = manifests("NetworkPolicy")
     yield made
     made.close()
 

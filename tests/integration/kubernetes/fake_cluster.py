@@ -46,11 +46,12 @@ class FakeCluster:
 
     `rules` are those of a Role; None allows all. `unschedulable`: what the scheduler says while it finds no node.
     `image_errors`: reason and message by image. `folder_of` is where the volume of a claim is. `is_away`: the API
-    server does not answer. `creates_pods`: its Job controller does.
+    server does not answer. With `folder_of`, every claim exists. `creates_pods`: its Job controller does.
     """
 
     def __init__(self, folder: Path, *, folder_of: Callable[[str], Path] | None = None) -> None:
         self.folder = folder
+        self.has_every_claim = folder_of is not None
         self.folder_of = folder_of or (lambda claim: folder / "claims" / claim)
         self.rules: Sequence[Mapping[str, Any]] | None = None
         self.requests: list[tuple[str, str]] = []

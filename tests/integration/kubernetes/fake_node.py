@@ -28,7 +28,7 @@ NODE = "node-1"
 _POLL_S = 0.02
 _EPOCH = datetime.datetime(2026, 1, 1, tzinfo=datetime.timezone.utc)
 # So many lines have the same time.
-_LINES_PER_TIME = 3
+_LINES_PER_TIME = 20
 
 
 class FakeNode:
@@ -43,6 +43,7 @@ class FakeNode:
         self._ended: set[str] = set()
         # Logs that the node does not serve any more.
         self.lost_logs: set[str] = set()
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
         # After this many bytes, the connection of a log breaks.
         self.log_breaks_after: int | None = None
 
@@ -57,6 +58,10 @@ class FakeNode:
     def stop(self, name: str) -> None:
         """Have a pod ended and removed."""
         self._stops[name].set()
+
+    def kill(self, name: str) -> None:
+        """Kill the process of a pod of Kleinkram."""
+        self._processes[name].kill()
 
     def close(self) -> None:
         """End all pods."""
@@ -112,7 +117,9 @@ class FakeNode:
                 if "secret" in volume:
                     return volume["secret"]["secretName"] in self._cluster.objects["secrets"]
                 claim = volume.get("persistentVolumeClaim", {}).get("claimName")
-                return claim is None or claim in self._cluster.objects["persistentvolumeclaims"]
+                if claim is None or self._cluster.has_every_claim:
+                    return True
+                return claim in self._cluster.objects["persistentvolumeclaims"]
 
         while not is_there():
             if stop.wait(_POLL_S):
@@ -141,6 +148,7 @@ class FakeNode:
             process = subprocess.Popen(
                 command, env={"PATH": os.defpath, **environment}, stdout=log, stderr=subprocess.STDOUT
             )
+            self._processes[name] = process
             running = _status({"running": {"startedAt": started_at}})
             self._cluster.change_pod(name, {"phase": "Running", "containerStatuses": running})
             while process.poll() is None:
@@ -243,7 +251,7 @@ class FakeNode:
             raise Refused(404, f'pods "{name}" not found')
 
         def pieces() -> Iterator[bytes]:
-            sent, number, pending, offset = 0, 0, b"", 0
+            sent, number, pending, offset, stamp = 0, 0, b"", 0, b""
             while True:
                 is_over = name in self._ended or "follow" not in query
                 data = _read(path, offset)
@@ -251,12 +259,14 @@ class FakeNode:
                 *lines, pending = (pending + data).split(b"\n")
                 if is_over and not data and pending:
                     lines, pending = [pending], b""
-                text = b""
+                answer: list[bytes] = []
                 for line in lines:
-                    at = _EPOCH + datetime.timedelta(milliseconds=number // _LINES_PER_TIME)
-                    stamp = re.sub(r"0+Z$", "Z", f"{at:%Y-%m-%dT%H:%M:%S.%f}Z").replace(".Z", "Z")
-                    text += (f"{stamp} ".encode() if "timestamps" in query else b"") + line + b"\n"
+                    if number % _LINES_PER_TIME == 0:
+                        at = _EPOCH + datetime.timedelta(milliseconds=number // _LINES_PER_TIME)
+                        stamp = re.sub(r"\.?0+Z$", "Z", f"{at:%Y-%m-%dT%H:%M:%S.%f}Z").encode() + b" "
+                    answer.append((stamp if "timestamps" in query else b"") + line + b"\n")
                     number += 1
+                text = b"".join(answer)
                 yield text
                 sent += len(text)
                 if self.log_breaks_after is not None and sent > self.log_breaks_after:

@@ -14,11 +14,11 @@ from typing import Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from kleinkram.contract.actions import Network, Resources
+from kleinkram.contract.actions import Resources
 from kleinkram.contract.runners import RunAssignment, RunFinish
 from kleinkram.runner.executors.base import RunJob
 from kleinkram.runner.executors.kubernetes.cluster import Body
-from kleinkram.runner.executors.kubernetes.options import KubernetesOptions
+from kleinkram.runner.executors.kubernetes.options import KubernetesOptions, Toleration
 from kleinkram.runner.executors.supervision import GRACE_S
 
 Step = Literal["fetch", "action", "store", "probe"]
@@ -34,7 +34,7 @@ TEMPORARY = "/tmp"  # noqa: S108  the pod's own
 _ENVIRONMENT = {"HOME": TEMPORARY, "TMPDIR": TEMPORARY, "PYTHONUNBUFFERED": "1"}
 # After this much time an ended Job is removed even if no runner came back for it: results are kept for a week elsewhere.
 _TTL_S = 7 * 86_400
-# A pod may take so much longer than its limit, which counts from the start of its program: an image is pulled first.
+# A pod may take so much longer than the limit of its program, since its node pulls the image first.
 _DEADLINE_MARGIN_S = 3600
 _TRANSFER_RETRIES = 4
 _MAX_SECRET_BYTES = 2**20 - 2**14
@@ -212,7 +212,7 @@ class Manifests:
         labels = self.labels(job.key, "action", job.network.value)
         return self._job(Names.of(job.key).action, labels, pod, retries=0, annotations={START_ANNOTATION: start})
 
-    def probe(self, key: str, network: Network, targets: Sequence[tuple[str, int]]) -> Body:
+    def probe(self, key: str, network: str, targets: Sequence[tuple[str, int]]) -> Body:
         """Return a Job that tells which of some addresses a pod with this network reaches."""
         words = [f"{host} {port}" for host, port in targets]
         container: Body = {
@@ -228,8 +228,8 @@ class Manifests:
         }
         pod = {**self._pod(container, Resources()), "volumes": [{"name": "tmp", "emptyDir": {"sizeLimit": "64Mi"}}]}
         pod["activeDeadlineSeconds"] = _DEADLINE_MARGIN_S
-        name = Names.of(f"{key}-{network.value}").action
-        return self._job(name, self.labels(key, "probe", network.value), pod, retries=0)
+        name = Names.of(f"{key}-{network}").action
+        return self._job(name, self.labels(key, "probe", network), pod, retries=0)
 
     def _job(
         self,
@@ -277,7 +277,7 @@ class Manifests:
         if selector:
             pod["nodeSelector"] = selector
         if tolerations:
-            pod["tolerations"] = tolerations
+            pod["tolerations"] = [*map(_toleration, tolerations)]
         if options.pull_secrets:
             pod["imagePullSecrets"] = [{"name": name} for name in options.pull_secrets]
         if options.priority_class is not None:
@@ -287,6 +287,11 @@ class Manifests:
 
 def _claimed(key: str) -> Body:
     return {"name": "run", "persistentVolumeClaim": {"claimName": Names.of(key).claim}}
+
+
+def _toleration(toleration: Toleration) -> Body:
+    operator = "Exists" if toleration.value is None else "Equal"
+    return {**toleration.model_dump(exclude_none=True), "operator": operator}
 
 
 def _variables(environment: Mapping[str, str]) -> list[Body]:
