@@ -190,7 +190,7 @@ def kubernetes(
     metrics_address: _MetricsAddress = "127.0.0.1",
     as_json: _Json = False,
 ) -> None:
-    """Run actions as Jobs of a Kubernetes cluster, from inside or outside of it. SIGTERM leaves its runs to the next."""
+    """Run actions as Jobs of a Kubernetes cluster, from inside or outside of it. SIGTERM leaves runs to the next."""
     from kleinkram.client.config import find_endpoint
     from kleinkram.runner.arguments import DEFAULT_IMAGE, Arguments
     from kleinkram.runner.executors.kubernetes.options import KubernetesOptions, Toleration

@@ -32,7 +32,7 @@ VOLUME, ORDER_FOLDER, ORDER_FILE = "/volume", "/run/kleinkram", "order.json.gz"
 AUTHORITIES_FILE = "authorities.pem"
 TEMPORARY = "/tmp"  # noqa: S108  the pod's own
 _ENVIRONMENT = {"HOME": TEMPORARY, "TMPDIR": TEMPORARY, "PYTHONUNBUFFERED": "1"}
-# After this much time an ended Job is removed even if no runner came back for it: results are kept for a week elsewhere.
+# An ended Job is removed after this time, even if no runner came back for it.
 _TTL_S = 7 * 86_400
 # A pod may take so much longer than the limit of its program, since its node pulls the image first.
 _DEADLINE_MARGIN_S = 3600
