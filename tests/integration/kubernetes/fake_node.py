@@ -41,8 +41,10 @@ class FakeNode:
         self._threads: list[threading.Thread] = []
         self._jobs: dict[str, RunJob] = {}
         self._ended: set[str] = set()
+        self.ignores_deletions = False
         # Logs that the node does not serve any more.
         self.lost_logs: set[str] = set()
+        self._imposed: dict[str, Body] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         # After this many bytes, the connection of a log breaks.
         self.log_breaks_after: int | None = None
@@ -57,7 +59,12 @@ class FakeNode:
 
     def stop(self, name: str) -> None:
         """Have a pod ended and removed."""
-        self._stops[name].set()
+        if not self.ignores_deletions:
+            self._stops[name].set()
+
+    def end(self, name: str, status: Body) -> None:
+        """End an action from outside: its pod then has this status."""
+        self._imposed[name] = status
 
     def kill(self, name: str) -> None:
         """Kill the process of a pod of Kleinkram."""
@@ -200,6 +207,9 @@ class FakeNode:
         self._cluster.change_pod(name, {"phase": "Running", "containerStatuses": running})
         is_cancelled = False
         while (ending := self._executor.poll(job)) is None:
+            if name in self._imposed:
+                self._executor.remove(job)
+                return {**_ended({"exitCode": 137, "reason": "Error"}), **self._imposed[name]}
             if not is_cancelled and stop.is_set():
                 is_cancelled = True
                 self._executor.cancel(job)

@@ -58,7 +58,7 @@
 {{- $runner := .Values.runner.kubernetes -}}
 {{- if $runner.enabled -}}
 {{- if or (not $runner.namespace) (eq $runner.namespace .Release.Namespace) -}}
-{{- fail "runner.kubernetes.namespace names a namespace for runs alone, which exists: whoever creates Jobs in a namespace can read its Secrets." -}}
+{{- fail "runner.kubernetes.namespace names a namespace for runs alone, which exists: who creates Jobs in a namespace can read its Secrets." -}}
 {{- end -}}
 {{- if not $runner.image.repository -}}
 {{- fail "runner.kubernetes.image.repository is empty: name the image that you built by deploy/images/build runner." -}}

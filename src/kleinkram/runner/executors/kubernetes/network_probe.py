@@ -66,7 +66,7 @@ def judge(reached: Mapping[str, Reached]) -> frozenset[Network]:
     for network in sorted({Network.none, Network.api} - networks):
         _log.warning(
             "the network %r is not offered: a pod with the label %s=%s %s. Its NetworkPolicy is missing or wrong, or "
-            "the network plugin of this cluster does not enforce NetworkPolicies (docs/kubernetes.md)",
+            "the network plugin of this cluster does not enforce NetworkPolicies (docs/runs-on-kubernetes.md)",
             network.value,
             NETWORK_LABEL,
             network.value,
