@@ -101,11 +101,11 @@ generated: setup
 
 requirements:
 	uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url --no-annotate \
-	  --no-header --extra up --extra reading --extra otel --group dev pyproject.toml -o requirements/dev.txt
+	  --no-header --extra up --extra reading --extra otel --extra kubernetes --group dev pyproject.toml -o requirements/dev.txt
 	uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url --no-annotate \
 	  --no-header --extra server --extra backup --extra otel pyproject.toml -c requirements/dev.txt -o requirements/server.txt
 	uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url --no-annotate \
-	  --no-header --extra environments --extra metrics --extra otel pyproject.toml -c requirements/dev.txt -o requirements/runner.txt
+	  --no-header --extra environments --extra metrics --extra otel --extra kubernetes pyproject.toml -c requirements/dev.txt -o requirements/runner.txt
 	echo cyclonedx-bom | uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url \
 	  --no-annotate --no-header - -o requirements/sbom.txt
 	printf '%s\n' snakemake dask distributed ray nbclient ipykernel | uv pip compile --quiet --universal \

@@ -12,6 +12,7 @@ from kleinkram.cli.commands import Many, Subcommands, Text, flag, option
 from kleinkram.cli.render import Output, as_table, moment
 from kleinkram.cli.units import parse_size, size
 from kleinkram.client import Client
+from kleinkram.client._resources import checked
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.runners import RunnerRead
 
@@ -75,6 +76,10 @@ _MetricsAddress = Annotated[
 
 def _limit(name: str, what: str, default: str) -> Any:  # Any: what `option` returns
     return option(name, "SIZE", f"Limit {what}. Default: {default}.")
+
+
+def _each(name: str, what: str) -> Any:  # Any: what `option` returns
+    return option(name, "SIZE", f"Limit {what} of each run.")
 
 
 _Name = Annotated[Text, option("--name", "NAME", "Name the runner. Default: the name of this machine.")]
@@ -239,6 +244,108 @@ def _gpu_count(text: str | None, names: list[str]) -> int | Literal["all"]:
     if text is not None and not text.isdecimal():
         raise InvalidInput(what="The option --gpus", reason=f"{text!r} is neither a number nor `all`")
     return int(text or 0)
+
+
+@app.command("kubernetes")
+def kubernetes(
+    namespace: Annotated[str, option("--namespace", "N", "Create Jobs in this namespace.")] = "kleinkram-runs",
+    kubeconfig: Annotated[
+        Path | None, option("--kubeconfig", "F", "Read this file. Default: the pod's service account, or KUBECONFIG.")
+    ] = None,
+    context: Annotated[
+        Text, option("--context", "C", "Use this context of the file. Default: its current one.")
+    ] = None,
+    pod_image: Annotated[
+        Text, option("--pod-image", "IMAGE", "Fetch and store by this image. Default: kleinkram/runner.")
+    ] = None,
+    default_image: _DefaultImage = None,
+    pull_secret: Annotated[
+        Many, option("--pull-secret", "NAME", "Pull images with this Secret of the namespace; repeatable.")
+    ] = None,
+    storage_class: Annotated[
+        Text, option("--storage-class", "S", "Create volumes of this class. Default: the cluster's.")
+    ] = None,
+    max_jobs: Annotated[int, option("--max-jobs", "N", "Limit the runs at a time.", min=1, max=1000)] = 10,
+    cores: Annotated[float, option("--cores", "N", "Limit the cores of each run.", min=0.1)] = 4,
+    memory: Annotated[str, _each("--memory", "the memory")] = "16GB",
+    disk: Annotated[str, _each("--disk", "the disk")] = "100GB",
+    gpus: Annotated[int, option("--gpus", "N", "Limit the GPUs of each run.", min=0)] = 0,
+    gpu_resource: Annotated[str, option("--gpu-resource", "R", "Request GPUs by this name.")] = "nvidia.com/gpu",
+    node_selector: Annotated[
+        Many, option("--node-selector", "KEY=VALUE", "Use only nodes with this label; repeatable.")
+    ] = None,
+    gpu_node_selector: Annotated[
+        Many, option("--gpu-node-selector", "KEY=VALUE", "For runs with GPUs, only nodes with this one; repeatable.")
+    ] = None,
+    toleration: Annotated[
+        Many, option("--toleration", "KEY[=VALUE][:EFFECT]", "Tolerate this taint of nodes; repeatable.")
+    ] = None,
+    gpu_toleration: Annotated[
+        Many, option("--gpu-toleration", "KEY[=VALUE][:EFFECT]", "For runs with GPUs, tolerate this one; repeatable.")
+    ] = None,
+    priority_class: Annotated[Text, option("--priority-class", "P", "Give pods this priority class.")] = None,
+    user: Annotated[
+        int, option("--user", "UID", "Run pods as this user; 0: as the one that the cluster chooses.", min=0)
+    ] = 10_001,
+    name: _Name = None,
+    url: _Url = None,
+    token_file: _TokenFile = None,
+    label: _Labels = None,
+    data_dir: _DataDir = None,
+    once: _Once = False,
+    metrics_port: _MetricsPort = None,
+    metrics_address: _MetricsAddress = "127.0.0.1",
+    as_json: _Json = False,
+) -> None:
+    """Run actions as Jobs of a Kubernetes cluster, from inside or outside of it. SIGTERM leaves runs to the next."""
+    from kleinkram.client.config import find_endpoint
+    from kleinkram.runner.arguments import DEFAULT_IMAGE, Arguments
+    from kleinkram.runner.executors.kubernetes.options import KubernetesOptions, Toleration
+
+    options: dict[str, object] = {
+        "namespace": namespace,
+        "kubeconfig": kubeconfig.expanduser().resolve() if kubeconfig else None,
+        "context": context,
+        "pull_secrets": pull_secret or [],
+        "storage_class": storage_class,
+        "max_jobs": max_jobs,
+        "cores": cores,
+        "memory_bytes": parse_size(memory),
+        "disk_bytes": parse_size(disk),
+        "gpus": gpus,
+        "gpu_resource": gpu_resource,
+        "node_selector": _selector(node_selector, "--node-selector"),
+        "gpu_node_selector": _selector(gpu_node_selector, "--gpu-node-selector"),
+        "tolerations": [checked(Toleration, "--toleration", **Toleration.split(text)) for text in toleration or []],
+        "gpu_tolerations": [
+            checked(Toleration, "--gpu-toleration", **Toleration.split(text)) for text in gpu_toleration or []
+        ],
+        "priority_class": priority_class,
+        "run_as_user": user or None,
+        **({"pod_image": pod_image} if pod_image else {}),
+    }
+    arguments = Arguments(
+        url=url or find_endpoint().url,
+        data_dir=_folder_of(data_dir, f"{_FOLDER}-kubernetes"),
+        name=name or platform.node() or "runner",
+        token_file=token_file.resolve() if token_file else None,
+        labels=label or [],
+        kubernetes=checked(KubernetesOptions, "The runner", **options),
+        default_image=default_image or DEFAULT_IMAGE,
+        once=once,
+        metrics_port=metrics_port,
+        metrics_address=metrics_address,
+        log_format="json" if as_json else "text",
+    )
+    _become(arguments.command())
+
+
+def _selector(texts: list[str] | None, name: str) -> dict[str, str]:
+    pairs = [text.partition("=") for text in texts or []]
+    for key, equals, _ in pairs:
+        if not key or not equals:
+            raise InvalidInput(what=f"The option {name}", reason="it is KEY=VALUE")
+    return {key: value for key, _, value in pairs}
 
 
 @app.command("list")

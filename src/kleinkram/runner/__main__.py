@@ -18,7 +18,13 @@ from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.runners import Capacity
 from kleinkram.json_logs import JsonLines
 from kleinkram.runner.arguments import Arguments, find_token
-from kleinkram.runner.choose_executor import ImagePolicy, choose_executor, find_index, slurm_executor
+from kleinkram.runner.choose_executor import (
+    ImagePolicy,
+    choose_executor,
+    find_index,
+    kubernetes_executor,
+    slurm_executor,
+)
 from kleinkram.runner.executors.base import Executor
 from kleinkram.runner.executors.local import Machine, MachineShare, memory_bytes
 from kleinkram.runner.executors.machine_locks import announce
@@ -50,10 +56,10 @@ def main() -> None:
             )
             machine = _machine_of(arguments, state)
             announcement = None
-            if arguments.slurm is None:
+            if arguments.slurm is None and arguments.kubernetes is None:
                 announcement, others = announce(str(state.runner_id), machine.capacity)
                 _warn_if_shared_out([machine.capacity, *others])
-            runner = Runner(options, state, _executor_of(arguments, state, machine))
+            runner = Runner(options, state, _executor_of(arguments, state, machine, options.token))
             with _serve_metrics(runner, arguments):
                 code = _run_until_signal(runner, once=arguments.once)
             if announcement is not None:
@@ -79,10 +85,12 @@ def _machine_of(arguments: Arguments, state: StateDirectory) -> Machine:
     return Machine(state.path, share, find_index(arguments.package_index))
 
 
-def _executor_of(arguments: Arguments, state: StateDirectory, machine: Machine) -> Executor:
+def _executor_of(arguments: Arguments, state: StateDirectory, machine: Machine, token: str) -> Executor:
     runner = str(state.runner_id)
     if arguments.slurm is not None:
         return slurm_executor(arguments.slurm, state.path, runner=runner, machine=machine)
+    if arguments.kubernetes is not None:
+        return kubernetes_executor(arguments.kubernetes, runner=runner, url=arguments.url, token=token)
     policy = ImagePolicy(arguments.pull, arguments.registries)
     return choose_executor(arguments.executor, policy, arguments.default_image, runner=runner, machine=machine)
 

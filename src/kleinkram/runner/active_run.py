@@ -13,15 +13,16 @@ from collections.abc import Callable
 
 from kleinkram import traces
 from kleinkram.contract.errors import KleinkramError, RunGone
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.reports import Progress
-from kleinkram.contract.runners import Heartbeat, HeartbeatReply, Isolation, LeaseStatus, RunAssignment, RunFinish
+from kleinkram.contract.runners import Heartbeat, HeartbeatReply, LeaseStatus, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason, RunState, UsageSample
 from kleinkram.json_logs import log_fields
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end
 from kleinkram.runner.executors.supervision import CANCELLED, boot_time_s
 from kleinkram.runner.inputs import job_of, prepare_run
 from kleinkram.runner.logs import LogUpload, Redactor
-from kleinkram.runner.node_transfers import order_transfers, read_finish, read_status
+from kleinkram.runner.node_transfers import order_transfers, read_status
 from kleinkram.runner.results import JobOutput, ProgressReader, ResultUpload
 from kleinkram.runner.state_directory import (
     Attempt,
@@ -352,7 +353,7 @@ class ActiveRun:
         ending = self._attempt.state.ending or Ending(EndReason.lost, "How it ended was not recorded.")
         self._upload = upload = self._result_upload()
         try:
-            self._report(upload, self._finish_of_node(upload) or upload.upload(ending))
+            self._report(upload, self._stored_results(upload, ending) or upload.upload(ending))
         except StopRequested as stopped:
             if stopped.request is not StopRequest.cancel:
                 raise
@@ -360,14 +361,19 @@ class ActiveRun:
             self._executor.remove(self._job())
             self._report(upload, upload.without_results(Ending.of(CANCELLED, ending.exit_code)))
 
-    def _finish_of_node(self, upload: ResultUpload) -> RunFinish | None:
-        """Wait while the node of the job uploads its results; return what to report, None if they are not complete."""
+    def _stored_results(self, upload: ResultUpload, ending: Ending) -> RunFinish | None:
+        """Return what to report once the results are uploaded where the job ran; None if this runner is to do so."""
         job = self._job()
-        while self._executor.is_uploading(job):
-            upload.progress = Progress(fraction=1, message="its node uploads the results")
-            self.stop.wait(_CHECK_EVERY_S)
+
+        def wait(seconds: float) -> None:
+            upload.progress = Progress(fraction=1, message="the results are uploaded where the job ran")
+            self.stop.wait(seconds)
+
+        stored = self._executor.upload_results(job, upload.plain(ending), wait)
         self._placement = self._executor.placement(job) or self._placement
-        return read_finish(self._attempt.directory, self.assignment.attempt)
+        if stored is None or stored.has_log:
+            return stored and stored.finish
+        return upload.with_log(stored.finish)
 
     def _result_upload(self) -> ResultUpload:
         job = self._job()

@@ -12,6 +12,7 @@ from kleinkram.client.errors import ConfigurationBroken, CredentialsExposed, Not
 from kleinkram.contract.names import Label
 from kleinkram.runner.executors.docker.executor import Pull
 from kleinkram.runner.executors.gpus import GpuRequest
+from kleinkram.runner.executors.kubernetes.options import KubernetesOptions
 from kleinkram.runner.executors.slurm.options import SlurmOptions
 
 DEFAULT_IMAGE = "kleinkram/action-python:latest"
@@ -29,8 +30,8 @@ class ExecutorChoice(str, enum.Enum):
 class Arguments(BaseModel):
     """The options of a runner. Its token is in `KLEINKRAM_RUNNER_TOKEN` or in a file.
 
-    `package_index` is by default that of `KLEINKRAM_PACKAGE_INDEX`, else PyPI. With `slurm`, runs are jobs of Slurm,
-    whatever `executor` is.
+    `package_index` is by default that of `KLEINKRAM_PACKAGE_INDEX`, else PyPI. With `slurm` or `kubernetes`, runs are
+    jobs of a cluster, whatever `executor` is.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -52,6 +53,7 @@ class Arguments(BaseModel):
     gpu_sharing: Annotated[int, Field(ge=1)] = 1
     executor: ExecutorChoice = ExecutorChoice.auto
     slurm: SlurmOptions | None = None
+    kubernetes: KubernetesOptions | None = None
     default_image: str = DEFAULT_IMAGE
     pull: Pull = Pull.missing
     registries: list[str] | None = None

@@ -14,6 +14,11 @@ from kleinkram.runner.arguments import ExecutorChoice
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.docker.client import DockerClient, EngineError, EngineUnavailable, find_socket
 from kleinkram.runner.executors.docker.executor import DockerExecutor, Pull
+from kleinkram.runner.executors.kubernetes.cluster import connect
+from kleinkram.runner.executors.kubernetes.executor import KubernetesExecutor
+from kleinkram.runner.executors.kubernetes.manifests import Manifests
+from kleinkram.runner.executors.kubernetes.network_probe import find_networks
+from kleinkram.runner.executors.kubernetes.options import KubernetesOptions
 from kleinkram.runner.executors.local import Machine
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.executors.slurm.commands import SlurmCommands
@@ -100,3 +105,14 @@ def slurm_executor(options: SlurmOptions, directory: Path, *, runner: str, machi
     if not site.node.is_isolated:
         _log.warning("the nodes allow this user no namespaces: runs can read and change whatever this user can")
     return SlurmExecutor(site, runner=runner, machine=machine)
+
+
+def kubernetes_executor(options: KubernetesOptions, *, runner: str, url: str, token: str) -> Executor:
+    """Return the executor of a runner on a cluster, once pods there have shown which networks they can have.
+
+    Raises:
+        InvalidInput: there is no configuration of a cluster.
+    """
+    cluster = connect(options.namespace, options.kubeconfig, options.context)
+    networks = find_networks(cluster, Manifests(options, runner), url)
+    return KubernetesExecutor(cluster, options, runner=runner, url=url, token=token, networks=networks)

@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from kleinkram.client.errors import InvalidInput
+from kleinkram.contract.runners import RunAssignment
 
 _SUFFIX = ".file"
 _SEAL = ".seal"
@@ -80,7 +81,7 @@ class InputDamaged(Exception):
     """The downloaded bytes do not match the checksum."""
 
 
-class InputSource(Protocol):
+class InputFetcher(Protocol):
     """Downloads input files."""
 
     def fetch_into(self, cache: "InputCache", missing: Sequence[InputFile], place: Place) -> None:
@@ -88,6 +89,20 @@ class InputSource(Protocol):
 
         Raises where one is not available, or the job is to stop.
         """
+
+
+class InputSource(InputFetcher, Protocol):
+    """Downloads the input files of a run, or tells another process what it needs to do so."""
+
+    @property
+    def assignment(self) -> RunAssignment:
+        """The run."""
+
+    def wait(self, seconds: float) -> None:
+        """Wait; raises where the run is to stop."""
+
+    def show(self, message: str, fraction: float) -> None:
+        """Show people what takes long."""
 
 
 class PartialInput:
@@ -465,7 +480,7 @@ def _gb(size_bytes: int) -> str:
 
 
 def place_inputs(
-    cache: InputCache, directory: Path, files: Mapping[str, InputFile], source: InputSource, *, copy: bool
+    cache: InputCache, directory: Path, files: Mapping[str, InputFile], source: InputFetcher, *, copy: bool
 ) -> None:
     """Provide files of a cache in a directory, by their relative paths; those that are missing are downloaded.
 

@@ -20,6 +20,7 @@ from kleinkram.contract.names import check_file_path
 from kleinkram.contract.runners import InputsRequest, RunAssignment
 from kleinkram.contract.runs import CONTEXT_FILE, EndReason, RunContext
 from kleinkram.environments.cache import Environment, Show
+from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, LockedScript, PinnedImage, RunJob
 from kleinkram.runner.executors.port_forward import PortForward
 from kleinkram.runner.input_cache import InputCache, InputDamaged, InputFile, NoSpace, PartialInput, Place
@@ -70,6 +71,28 @@ def prepare_run(
     image = _image_of(context, assignment)
     pulled = _pull_in_thread(context.executor, image) if image else None
     source = InputDownload(context.runners, context.store, assignment, stop, show)
+    store_url = place_run_inputs(context, source, directory)
+    while pulled and not pulled.done():
+        stop.wait(_IMAGE_CHECK_EVERY_S)
+    pinned = pulled.result() if pulled else None
+    environment = None
+    if assignment.lock is not None:
+        script = LockedScript(assignment.lock, assignment.requires_python, pinned.reference if pinned else None)
+        environment = context.executor.place_environment(script, wait=stop.wait, show=show)
+    return PreparedRun(pinned, store_url, environment)
+
+
+def place_run_inputs(context: RunnerContext, source: "InputDownload", directory: Path) -> str:
+    """Place the inputs of a run and what else it sees in `/in`; return the URL of the store if it may connect to it.
+
+    May be repeated. Where compute nodes download inputs, they are left to them.
+
+    Raises:
+        CannotStart: something is not available.
+        StopRequested: the run is to stop.
+        RunGone: it is not this runner's.
+    """
+    assignment = source.assignment
 
     def place() -> str:
         remove_tree(directory)
@@ -85,16 +108,9 @@ def prepare_run(
         write_context(directory, run_context, assignment.script, Path(trusted).read_text() if trusted else None)
         return context.service.get().store_url if assignment.network is Network.api else ""
 
-    store_url = repeat_while_unavailable(place, stop)
+    store_url = repeat_while_unavailable(place, source.wait)
     make_readable(directory)
-    while pulled and not pulled.done():
-        stop.wait(_IMAGE_CHECK_EVERY_S)
-    pinned = pulled.result() if pulled else None
-    environment = None
-    if assignment.lock is not None:
-        script = LockedScript(assignment.lock, assignment.requires_python, pinned.reference if pinned else None)
-        environment = context.executor.place_environment(script, wait=stop.wait, show=show)
-    return PreparedRun(pinned, store_url, environment)
+    return store_url
 
 
 def input_files(assignment: RunAssignment) -> dict[str, InputFile]:
@@ -126,7 +142,7 @@ def fetch_inputs(place: Callable[[], None]) -> None:
         raise _unavailable(f"Its inputs cannot be placed: {error.strerror}.") from error
 
 
-def repeat_while_unavailable(step: Callable[[], str], stop: StopSignal) -> str:
+def repeat_while_unavailable(step: Callable[[], str], wait_for: Wait) -> str:
     """Return what a step of the preparation returns, repeated for some minutes while the server is unavailable.
 
     Raises:
@@ -134,7 +150,7 @@ def repeat_while_unavailable(step: Callable[[], str], stop: StopSignal) -> str:
         StopRequested: the run is to stop.
         RunGone: it is not this runner's.
     """
-    backoff = Backoff(_RETRY_S, stop.wait)
+    backoff = Backoff(_RETRY_S, wait_for)
     while True:
         try:
             return step()
@@ -202,9 +218,10 @@ class InputDownload:
     ) -> None:
         self._runners = runners.with_retry(TRANSFER_RETRY_S, stop.wait)
         self._store = store
-        self._assignment = assignment
+        self.assignment = assignment
+        self.wait = stop.wait
+        self.show = show
         self._stop = stop
-        self._show = show
         self._urls: dict[str, str] = {}
         self.fetched_bytes = 0
         self._lock = threading.Lock()
@@ -217,7 +234,7 @@ class InputDownload:
             StopRequested: the run is to stop.
             RunGone: it is not this runner's.
         """
-        paths = {file.sha256: file.path for file in self._assignment.inputs}
+        paths = {file.sha256: file.path for file in self.assignment.inputs}
         is_over = threading.Event()
         pool = ThreadPoolExecutor(min(_DOWNLOADS, len(missing)), "download")
         try:
@@ -246,7 +263,7 @@ class InputDownload:
                 raise _unavailable("Another input is not available.")
 
         def wait_for_other(seconds: float) -> None:
-            self._show(f"waits for the download of another job: {Path(path).name}"[:_MAX_SHOWN], 0)
+            self.show(f"waits for the download of another job: {Path(path).name}"[:_MAX_SHOWN], 0)
             check()
             self._stop.wait(seconds)
 
@@ -256,15 +273,15 @@ class InputDownload:
             raise _unavailable(f"The input {path} is damaged: {error}.") from error
 
     def _sign(self, paths: Sequence[str]) -> None:
-        request = InputsRequest(attempt=self._assignment.attempt, paths=[*paths])
-        urls = self._runners.sign_inputs(self._assignment.run_id, request).urls
+        request = InputsRequest(attempt=self.assignment.attempt, paths=[*paths])
+        urls = self._runners.sign_inputs(self.assignment.run_id, request).urls
         with self._lock:
             self._urls.update(zip(paths, urls, strict=True))
 
     def _receive(self, part: PartialInput, path: str, check: Callable[[], None]) -> None:
         """Receive the missing bytes of a file, from where the last connection broke."""
         backoff, refusals = Backoff(TRANSFER_RETRY_S, self._stop.wait), 0
-        self._show(_DOWNLOADING, 0)
+        self.show(_DOWNLOADING, 0)
         while part.offset < part.file.size_bytes:
             check()
             before = part.offset

@@ -22,7 +22,6 @@ from kleinkram.client.config import Endpoint, EndpointSource
 from kleinkram.client.runs import Runners
 from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.errors import Forbidden, KleinkramError, NotAuthenticated, RunGone, ScopeMissing
-from kleinkram.contract.runners import RunFinish
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.arguments import find_token
 from kleinkram.runner.executors import linux_syscalls
@@ -95,15 +94,6 @@ def write_status(directory: Path, status: TransferStatus) -> None:
     write_atomically(directory / STATUS, status.model_dump_json())
 
 
-def read_finish(directory: Path, attempt: int) -> RunFinish | None:
-    """Return what the node of an attempt leaves to report; None where it has not uploaded all results."""
-    try:
-        finish = RunFinish.model_validate_json((directory / FINISH).read_bytes())
-    except (FileNotFoundError, ValidationError):
-        return None
-    return finish if finish.attempt == attempt else None
-
-
 class NodeTransfers:
     """The transfers of one attempt, on this node."""
 
@@ -140,7 +130,7 @@ class NodeTransfers:
                 raise CannotStart(Ending(EndReason.inputs_unavailable, message)) from error
             return ""
 
-        repeat_while_unavailable(place, self._stop)
+        repeat_while_unavailable(place, self._stop.wait)
         make_readable(target)
         placed_bytes = sum(file.size_bytes for file in {*files.values()})
         status = TransferStatus(

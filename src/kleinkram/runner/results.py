@@ -423,11 +423,8 @@ class ResultUpload:
         if ending.reason is EndReason.cancelled and results.artifacts:
             problems.append(f"It was cancelled: its {len(results.artifacts)} files were not stored.")
             results.artifacts.clear()
-        files: list[LocalFile] = []
+        files = self._log_file()
         rejected: list[RejectedFile] = []
-        log = self._output.directory / _REDACTED_LOG
-        if write_redacted_log(self._output.read_log, self._redactor, log):
-            files.append(LocalFile(log, LOG_PATH, identity_of(log.stat())))
         for artifact in results.artifacts:
             source = out / artifact.path
             try:
@@ -435,12 +432,25 @@ class ResultUpload:
             except FileNotFoundError:  # in NFC the name may be another one, of which there is no file
                 rejected.append(RejectedFile(artifact.path, "its name is not in the form NFC"))
         rejected += self._upload(files) if files else []
-        for file in rejected:
-            name = "Its log" if file.path == LOG_PATH else file.path
-            problems.append(f"{name} was not stored: {file.reason}")
+        problems += map(_problem, rejected)
         if ending.reason is EndReason.done and any(file.path != LOG_PATH for file in rejected):
             ending = Ending(EndReason.results_not_stored, problems[-1], ending.exit_code)
         return self._finish_of(ending, results.final_report(ending.reason), problems)
+
+    def with_log(self, finish: RunFinish) -> RunFinish:
+        """Upload the log alone, of a run whose results are stored, and return what to report. Raises as `upload`."""
+        log = self._log_file()
+        problems = [*finish.problems, *map(_problem, self._upload(log) if log else [])]
+        return finish.model_copy(update={"problems": problems[:_MAX_REPORTED_PROBLEMS]})
+
+    def plain(self, ending: Ending) -> RunFinish:
+        """Return what to report of a run without any results."""
+        return self._finish_of(ending, reports.Report(), [])
+
+    def _log_file(self) -> list[LocalFile]:
+        log = self._output.directory / _REDACTED_LOG
+        has_log = write_redacted_log(self._output.read_log, self._redactor, log)
+        return [LocalFile(log, LOG_PATH, identity_of(log.stat()))] if has_log else []
 
     def without_results(self, ending: Ending) -> RunFinish:
         """Return what to report of a run that was cancelled while its results were uploaded."""
@@ -539,6 +549,11 @@ class ResultUpload:
             report=report,
             problems=[_shortened(problem) for problem in problems[:_MAX_REPORTED_PROBLEMS]],
         )
+
+
+def _problem(file: RejectedFile) -> str:
+    name = "Its log" if file.path == LOG_PATH else file.path
+    return f"{name} was not stored: {file.reason}"
 
 
 def _shortened(text: str, limit: int = _MAX_CHARACTERS) -> str:

@@ -17,12 +17,16 @@ import pytest
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.runner.executors.base import Ending, Executor, RunJob, wait_for_end
 from kleinkram.runner.executors.docker.executor import DockerExecutor
+from kleinkram.runner.executors.kubernetes.cluster import connect
+from kleinkram.runner.executors.kubernetes.executor import KubernetesExecutor
+from kleinkram.runner.executors.kubernetes.options import KubernetesOptions
 from kleinkram.runner.executors.port_forward import PortForward
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.executors.slurm.commands import SlurmCommands
 from kleinkram.runner.executors.slurm.executor import SlurmExecutor
 from kleinkram.runner.executors.slurm.options import SlurmOptions
 from kleinkram.runner.executors.slurm.probe import SlurmSite, find_site
+from tests.integration.kubernetes.fake_cluster import NAMESPACE, FakeCluster
 from tests.integration.runner import engines, podman_engines
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner.podman_engines import Podman
@@ -139,10 +143,38 @@ def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Ben
     if executor == "slurm":
         site: SlurmSite = request.getfixturevalue("slurm_site")
         return Bench(SlurmExecutor(site), folder, lambda: SlurmExecutor(site))
+    if executor == "kubernetes":
+        return kubernetes_bench(request, folder)
     engine: Dockerd = request.getfixturevalue(executor)
     made = DockerExecutor(engine.engine)
     image = made.prepare_image(engines.IMAGE).reference
     return Bench(made, folder, lambda: DockerExecutor(engine.engine), image, "python3", engine.gateway, engine)
+
+
+def kubernetes_bench(request: pytest.FixtureRequest, folder: Path) -> Bench:
+    """Return a bench for a fake cluster whose volumes are the folders of the jobs."""
+
+    def folder_of(claim: str) -> Path:
+        return next(job.directory for job in jobs if claim == f"klein-{job.key}")
+
+    jobs: list[RunJob] = []
+    home = folder / "cluster"
+    home.mkdir()
+    cluster = FakeCluster(home, folder_of=folder_of)
+    request.addfinalizer(cluster.close)
+    options = KubernetesOptions(namespace=NAMESPACE, kubeconfig=cluster.kubeconfig())
+
+    def again() -> KubernetesExecutor:
+        return KubernetesExecutor(
+            connect(NAMESPACE, options.kubeconfig),
+            options,
+            runner="a-runner",
+            url="http://127.0.0.1:9",
+            token="a-token",
+            networks={Network.none, Network.open},
+        )
+
+    return Bench(again(), folder, again, f"lab/python@sha256:{'0' * 64}", made=jobs)
 
 
 def lent(executor: str, request: pytest.FixtureRequest, folder: Path) -> Iterator[Bench]:
@@ -153,22 +185,39 @@ def lent(executor: str, request: pytest.FixtureRequest, folder: Path) -> Iterato
         made.executor.remove(job)
 
 
+# Of this machine: they measure what a job uses, and give it the network `api` by port forwards.
+_LOCAL = ["process", pytest.param("docker", marks=pytest.mark.slow)]
+_CLUSTER = pytest.param("kubernetes", marks=pytest.mark.slow)
+LOCALLY = pytest.mark.parametrize(
+    "bench",
+    [
+        *_LOCAL,
+        pytest.param("podman", marks=pytest.mark.soak),
+        pytest.param("slurm", marks=[pytest.mark.slow, pytest.mark.soak]),
+    ],
+    indirect=True,
+)
+LOCALLY_EVERYWHERE = pytest.mark.parametrize(
+    "bench",
+    [*_LOCAL, pytest.param("podman", marks=pytest.mark.slow), pytest.param("slurm", marks=pytest.mark.slow)],
+    indirect=True,
+)
 # What is tried by Podman and Slurm, too, each time that Docker is: of the rest, their turn is with the long rounds.
 EVERYWHERE = pytest.mark.parametrize(
     "bench",
     [
-        "process",
-        pytest.param("docker", marks=pytest.mark.slow),
+        *_LOCAL,
         pytest.param("podman", marks=pytest.mark.slow),
         pytest.param("slurm", marks=pytest.mark.slow),
+        _CLUSTER,
     ],
     indirect=True,
 )
 _EXECUTORS = [
-    "process",
-    pytest.param("docker", marks=pytest.mark.slow),
+    *_LOCAL,
     pytest.param("podman", marks=pytest.mark.soak),
     pytest.param("slurm", marks=[pytest.mark.slow, pytest.mark.soak]),
+    _CLUSTER,
 ]
 
 

@@ -21,7 +21,7 @@ from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_fo
 from kleinkram.runner.executors.docker import container as docker_container
 from kleinkram.runner.executors.port_forward import PortForward
 from kleinkram.runner.executors.supervision import GRACE_S, boot_time_s
-from tests.integration.runner.conftest import EVERYWHERE, Bench, log_of
+from tests.integration.runner.conftest import EVERYWHERE, LOCALLY, LOCALLY_EVERYWHERE, Bench, log_of
 from tests.requirements import missing
 
 LASTING = "import time; print('ready', flush=True); time.sleep(60)"
@@ -316,6 +316,7 @@ def test_another_runner_reattaches(bench: Bench) -> None:
 
 
 @pytest.mark.slow
+@LOCALLY
 def test_usage_is_reported(bench: Bench) -> None:
     text = "held = bytearray(b'x' * 60_000_000)\nn = sum(i * i for i in range(1_000_000))\nprint('ready', flush=True)\n"
     job = bench.job(text + "import time; time.sleep(0.5)")
@@ -381,7 +382,7 @@ def dial(host, port, data=b''):
 """
 
 
-@EVERYWHERE
+@LOCALLY_EVERYWHERE
 def test_with_port_forwards_only_the_api_and_the_store_answer(isolated: Bench) -> None:
     with contextlib.ExitStack() as stack:
         api, store, decoy = (stack.enter_context(socket.create_server(("0.0.0.0", 0))) for _ in range(3))
@@ -412,6 +413,7 @@ def test_with_port_forwards_only_the_api_and_the_store_answer(isolated: Bench) -
             decoy.accept()
 
 
+@LOCALLY
 def test_the_target_of_a_port_forward_may_be_unavailable(isolated: Bench) -> None:
     with socket.create_server(("127.0.0.1", 0)) as gone:
         port = gone.getsockname()[1]
@@ -423,6 +425,7 @@ def test_the_target_of_a_port_forward_may_be_unavailable(isolated: Bench) -> Non
     assert log_of(job) == "True\n"
 
 
+@LOCALLY
 def test_ipv6_addresses_cannot_be_forwarded(isolated: Bench) -> None:
     job = isolated.job("pass", network=Network.api, port_forwards=[PortForward("2001:db8::1", 443, "127.0.0.1", 1)])
     with pytest.raises(CannotStart, match="IPv6") as caught:

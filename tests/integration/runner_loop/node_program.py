@@ -13,9 +13,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+from kleinkram.contract.runners import RunFinish
 from kleinkram.contract.runs import EndReason
+from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors import process_supervisor, transfer_steps
-from kleinkram.runner.executors.base import Ending, RunJob
+from kleinkram.runner.executors.base import Ending, RunJob, StoredResults, read_finish
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.executors.supervision import ENDING, write_atomically
 from kleinkram.runner.input_cache import InputCache
@@ -36,9 +38,12 @@ class NodeExecutor(ProcessExecutor):
             return Ending(EndReason(ending["reason"]), ending["message"], ending["exit_code"])
         return super().poll(job)
 
-    def is_uploading(self, job: RunJob) -> bool:
-        """Whether the program still runs."""
-        return self._supervisor_pid(job) is not None
+    def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait) -> StoredResults | None:
+        """Wait while the program still runs."""
+        while self._supervisor_pid(job) is not None:
+            wait(0.1)
+        finish = read_finish(job.directory, plain.attempt)
+        return StoredResults(finish, has_log=True) if finish is not None else None
 
     def _start_supervisor(self, job: RunJob) -> None:
         lock = os.open(job.directory / process_supervisor.LOCK, os.O_RDWR | os.O_CREAT, 0o600)

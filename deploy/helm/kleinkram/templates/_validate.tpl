@@ -55,4 +55,19 @@
 {{- fail "backup.encrypt needs backup.passphraseSecret." -}}
 {{- end -}}
 {{- end -}}
+{{- $runner := .Values.runner.kubernetes -}}
+{{- if $runner.enabled -}}
+{{- if or (not $runner.namespace) (eq $runner.namespace .Release.Namespace) -}}
+{{- fail "runner.kubernetes.namespace names a namespace for runs alone, which exists: who creates Jobs in a namespace can read its Secrets." -}}
+{{- end -}}
+{{- if not $runner.image.repository -}}
+{{- fail "runner.kubernetes.image.repository is empty: name the image that you built by deploy/images/build runner." -}}
+{{- end -}}
+{{- if eq $runner.image.tag "latest" -}}
+{{- fail "runner.kubernetes.image.tag is latest, which changes without an upgrade: name a version, or set a digest." -}}
+{{- end -}}
+{{- if not $runner.tokenSecret -}}
+{{- fail "runner.kubernetes.tokenSecret is not set: create a token by `klein token create NAME --kind runner`, and a Secret with it." -}}
+{{- end -}}
+{{- end -}}
 {{- end -}}

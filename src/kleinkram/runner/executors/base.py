@@ -9,13 +9,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
+
+from pydantic import ValidationError
 
 from kleinkram.contract.actions import ClusterRequest, Network, Resources
-from kleinkram.contract.runners import LEASE_S, Capacity, ExecutorAbilities
+from kleinkram.contract.runners import LEASE_S, Capacity, ExecutorAbilities, RunFinish
 from kleinkram.contract.runs import EndReason, RunPlacement, Usage
 from kleinkram.environments.cache import Environment, Show
 from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors.port_forward import PortForward
+from kleinkram.runner.executors.transfer_steps import FINISH
 from kleinkram.runner.input_cache import InputCache, InputFile, InputSource
 
 _POLL_EVERY_S = 0.25
@@ -72,6 +76,13 @@ class Ending:
     def of(cls, reason: tuple[str, str], exit_code: int | None = None) -> "Ending":
         """Return an ending by its reason and sentence."""
         return cls(EndReason(reason[0]), reason[1], exit_code)
+
+
+class StoredResults(NamedTuple):
+    """Results that were uploaded where a job ran, as they are to be reported. `has_log`: the log was uploaded, too."""
+
+    finish: RunFinish
+    has_log: bool
 
 
 class CannotStart(Exception):
@@ -200,13 +211,19 @@ class Executor(ABC):
     def usage(self, job: RunJob) -> Usage | None:
         """Return the last known usage of a job."""
 
-    def is_uploading(self, job: RunJob) -> bool:
-        """Whether the compute node of an ended job still uploads its results; False also where the node failed."""
-        return False
-
     @abstractmethod
     def collect(self, job: RunJob) -> Path:
         """Return the directory on this machine with the files that an ended job left in `/out`."""
+
+    def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait) -> StoredResults | None:
+        """Have the results of an ended job uploaded from where it ran, and return what was stored. Repeatable.
+
+        None: `collect` has them, and the runner uploads them. `plain` is what to report without results.
+
+        Raises:
+            Exception: `wait` raised it.
+        """
+        return None
 
     @abstractmethod
     def remove(self, job: RunJob) -> None:
@@ -215,6 +232,15 @@ class Executor(ABC):
     @abstractmethod
     def remove_others(self, known_keys: Collection[str]) -> None:
         """Remove the jobs of this runner whose keys are not known."""
+
+
+def read_finish(directory: Path, attempt: int) -> RunFinish | None:
+    """Return what the node of an attempt leaves to report; None where it has not uploaded all results."""
+    try:
+        finish = RunFinish.model_validate_json((directory / FINISH).read_bytes())
+    except (FileNotFoundError, ValidationError):
+        return None
+    return finish if finish.attempt == attempt else None
 
 
 def wait_for_end(executor: Executor, job: RunJob, timeout_s: float) -> Ending | None:

@@ -86,7 +86,7 @@ class LimitMonitor:
     def check_disk(self) -> None:
         """Check what the job has written to `/out` and `/tmp`."""
         if sum(_disk_usage_bytes(self._directory / name) for name in ("out", "tmp")) > self._limits.disk_bytes:
-            self.stop(("disk", f"It wrote more than its limit of {_mb(self._limits.disk_bytes)} to disk."), grace_s=0)
+            self.stop(over_disk_limit(self._limits.disk_bytes), grace_s=0)
 
     def check_memory(self, memory_bytes: int) -> None:
         """Check the memory of all processes together."""
@@ -126,6 +126,11 @@ def reason_of_exit_code(code: int) -> tuple[str, str]:
 def out_of_memory(memory_bytes: int) -> tuple[str, str]:
     """Return the reason and sentence for a job that exceeded its memory."""
     return "memory", f"It used more memory than its limit of {_mb(memory_bytes)}."
+
+
+def over_disk_limit(disk_bytes: int) -> tuple[str, str]:
+    """Return the reason and sentence for a job that wrote more than it may."""
+    return "disk", f"It wrote more than its limit of {_mb(disk_bytes)} to disk."
 
 
 def command_not_found(detail: str) -> tuple[str, str]:

@@ -12,6 +12,7 @@ from sqlalchemy import func, insert, select, update
 from kleinkram.contract.actions import ActionDefinition, Network
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.errors import FieldProblem, InvalidRequest, NotFound
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.reports import verdict_of_report
 from kleinkram.contract.runs import EndReason, RunRead, RunRecord, RunState
@@ -33,7 +34,7 @@ from kleinkram.server.runs.lifecycle import store_report
 from kleinkram.server.tables import DERIVED_ORIGIN, blob, file, run, run_artifact, run_input
 
 
-async def record_run(db: Connection, actor: Actor, *, requested: RunRecord) -> RunRead:
+async def record_run(db: Connection, actor: Actor, *, requested: RunRecord, weakest: Isolation) -> RunRead:
     """Record a run that was executed elsewhere, and return it; its outputs become files that it made. Idempotent.
 
     Raises:
@@ -54,7 +55,7 @@ async def record_run(db: Connection, actor: Actor, *, requested: RunRecord) -> R
     same = (run.c.inputs_fingerprint == fingerprint) & run.c.is_recorded & (run.c.mission_id == mission_id)
     known_id: uuid.UUID | None = (await db.execute(select(run.c.id).where(same).limit(1))).scalar_one_or_none()
     if known_id is not None:
-        return await service.get_run(db, actor, known_id)
+        return await service.get_run(db, actor, known_id, weakest=weakest)
     await _check_outputs(db, actor, outputs)
     run_id = uuid.uuid4()
     needed = definition.resources
@@ -94,7 +95,7 @@ async def record_run(db: Connection, actor: Actor, *, requested: RunRecord) -> R
     project_id = await project_of(db, mission_id)
     event = Event("run.record", "run", run_id, requested.name, project_id, after=after, mission_id=mission_id)
     await audit(db, actor, event)
-    return await service.get_run(db, actor, run_id)
+    return await service.get_run(db, actor, run_id, weakest=weakest)
 
 
 async def _find_files(db: Connection, actor: Actor, mission_id: uuid.UUID, paths: Sequence[str]) -> list[Input]:

@@ -51,9 +51,11 @@ async def create_runs(requested: runs.RunsCreate, context: CurrentContext, actor
 
 
 @router.post("/runs/recorded", operation_id="record_run", status_code=201)
-async def record_run(requested: runs.RunRecord, db: Transaction, actor: CurrentActor) -> runs.RunRead:
+async def record_run(
+    requested: runs.RunRecord, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> runs.RunRead:
     """Record a run that was executed elsewhere, with its results; recording the same again changes nothing."""
-    return await recorded.record_run(db, actor, requested=requested)
+    return await recorded.record_run(db, actor, requested=requested, weakest=settings.weakest_isolation)
 
 
 @router.get("/runs", operation_id="list_runs")

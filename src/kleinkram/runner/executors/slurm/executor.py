@@ -15,10 +15,11 @@ import uuid
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from kleinkram.contract.runners import MAX_LEASE_S, Capacity, ExecutorAbilities
+from kleinkram.contract.runners import MAX_LEASE_S, Capacity, ExecutorAbilities, RunFinish
 from kleinkram.contract.runs import EndReason, RunPlacement
 from kleinkram.environments.cache import EnvironmentCache
-from kleinkram.runner.executors.base import Ending, RunJob
+from kleinkram.environments.uv import Wait
+from kleinkram.runner.executors.base import Ending, RunJob, StoredResults, read_finish
 from kleinkram.runner.executors.local import Machine, cannot_start
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.executors.slurm import node_job
@@ -51,6 +52,7 @@ from kleinkram.runner.input_cache import InputCache
 
 _LEASE_S = min(900, MAX_LEASE_S)
 _READ_ENDING_EVERY_S = 0.25
+_CHECK_UPLOAD_EVERY_S = 0.5
 # How long Slurm must show a job as ended, or not at all, before that is believed: one that is about to be started again
 # looks ended for moments, and files of a node are seen late.
 _SETTLED_S = 6.0
@@ -165,11 +167,16 @@ class SlurmExecutor(ProcessExecutor):
         self._queue.forget(submitted.submission.name)
         return submitted.ending
 
-    def is_uploading(self, job: RunJob) -> bool:
-        """Whether the node of an ended job still uploads its results, or Slurm does not say."""
+    def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait) -> StoredResults | None:
+        """Wait while the node of an ended job uploads its results; None if it did not, or is not to."""
         submitted = self._find(job) if self._options.transfers_on_nodes else None
-        if submitted is None:
-            return False
+        while submitted is not None and self._is_uploading(job, submitted):
+            wait(_CHECK_UPLOAD_EVERY_S)
+        finish = read_finish(job.directory, plain.attempt) if submitted is not None else None
+        return StoredResults(finish, has_log=True) if finish is not None else None
+
+    def _is_uploading(self, job: RunJob, submitted: _SubmittedJob) -> bool:
+        """Whether the node of an ended job still uploads its results, or Slurm does not say."""
         snapshot = self._queue.snapshot
         is_known = (
             snapshot.queried_s > max(submitted.submitted_s, submitted.ended_s or 0.0) and self._queue.error is None

@@ -1,0 +1,1 @@
+"""Runs jobs as Jobs of a Kubernetes cluster."""

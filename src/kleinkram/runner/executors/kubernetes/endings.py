@@ -1,0 +1,130 @@
+"""What the state of a pod says: why it waits, and how it ended. Words of the cluster are passed on to people."""
+
+import datetime
+from collections.abc import Mapping
+
+from kleinkram.contract.actions import Resources
+from kleinkram.contract.runs import EndReason
+from kleinkram.runner.executors.base import Ending
+from kleinkram.runner.executors.kubernetes.cluster import Pod, TerminatedContainer
+from kleinkram.runner.executors.supervision import (
+    command_not_found,
+    out_of_memory,
+    over_disk_limit,
+    reason_of_exit_code,
+)
+
+# A registry that does not answer, or an image that is being pushed, is waited for.
+_IMAGE_PATIENCE_S = 120.0
+_PERMANENT_IMAGE_REASONS = {"InvalidImageName", "ErrImageNeverPull"}
+_IMAGE_REASONS = {
+    *_PERMANENT_IMAGE_REASONS,
+    "ErrImagePull",
+    "ImagePullBackOff",
+    "ImageInspectError",
+    "RegistryUnavailable",
+}
+_PERMANENT_IMAGE_WORDS = ("not found", "manifest unknown", "denied", "unauthorized", "no match for platform")
+_CONFIGURATION_REASONS = {"CreateContainerConfigError", "CreateContainerError", "RunContainerError"}
+_START_REASONS = {"StartError", "ContainerCannotRun"}
+_NO_COMMAND_WORDS = ("no such file", "executable file not found", "permission denied", "exec format error")
+_WAITING: Mapping[str, str] = {
+    "ContainerCreating": "its node prepares it: the image is pulled and the volume is mounted",
+    "PodInitializing": "its node prepares it",
+}
+_MAX_CHARACTERS = 1000
+_LOST = "Its pod was removed from outside: its node failed or was drained, or somebody deleted it."
+NO_POD = "the cluster has created no pod for it yet; the reason is in `kubectl describe job`, such as a quota"
+
+
+def reason_waiting(pod: Pod) -> str | None:
+    """Return why a pod has not started yet; None where it has."""
+    if pod.has_ended or pod.container.running or pod.container.terminated:
+        return None
+    scheduled = pod.condition("PodScheduled")
+    if scheduled is not None and scheduled.status != "True":
+        return _cut(f"the scheduler of the cluster has no node for it: {scheduled.message or scheduled.reason}")
+    waiting = pod.container.waiting
+    if waiting is None or not pod.spec.node_name:
+        return "it waits for the scheduler of the cluster"
+    node = f"on the node {pod.spec.node_name}, "
+    if waiting.reason in _WAITING:
+        return node + _WAITING[waiting.reason]
+    return _cut(f"{node}{waiting.reason}: {waiting.message}")
+
+
+def queued_s(pod: Pod) -> float | None:
+    """Return how long a pod waited for a node; None while it does."""
+    scheduled = pod.condition("PodScheduled")
+    created_at = pod.metadata.creation_timestamp
+    if scheduled is None or scheduled.status != "True" or scheduled.last_transition_time is None or created_at is None:
+        return None
+    return max(0.0, (scheduled.last_transition_time - created_at).total_seconds())
+
+
+def failed_start(pod: Pod, now: datetime.datetime) -> Ending | None:
+    """Return why a pod will not start, which Kubernetes would try for ever; None where it may."""
+    waiting = pod.container.waiting
+    if waiting is None:
+        return None
+    words = _cut(waiting.message or waiting.reason)
+    if waiting.reason in _IMAGE_REASONS:
+        is_permanent = waiting.reason in _PERMANENT_IMAGE_REASONS or any(
+            text in waiting.message.lower() for text in _PERMANENT_IMAGE_WORDS
+        )
+        started_at = pod.status.start_time
+        is_over = started_at is not None and (now - started_at).total_seconds() > _IMAGE_PATIENCE_S
+        if is_permanent or is_over:
+            return Ending(EndReason.image_unavailable, f"The cluster cannot pull its image: {words}")
+    elif waiting.reason in _CONFIGURATION_REASONS:
+        return _failed_command(words) or Ending(EndReason.not_possible, f"The cluster cannot start it: {words}")
+    return None
+
+
+def _failed_command(words: str) -> Ending | None:
+    if any(text in words.lower() for text in _NO_COMMAND_WORDS):
+        return Ending.of(command_not_found(words))
+    return None
+
+
+def ending_of(pod: Pod, resources: Resources) -> Ending:
+    """Return how an ended pod ended that nobody here has stopped."""
+    status, terminated = pod.status, pod.container.terminated
+    if status.reason == "DeadlineExceeded":
+        return Ending(EndReason.time, f"It ran longer than its limit of {resources.time_s} s.")
+    if status.reason == "Evicted":
+        return _eviction(_cut(status.message), resources)
+    disruption = pod.condition("DisruptionTarget")
+    if status.phase == "Failed" and disruption is not None and disruption.status == "True":
+        return Ending(EndReason.lost, _cut(f"{_LOST} {disruption.message or disruption.reason or ''}".strip()))
+    if terminated is None:
+        return Ending(EndReason.lost, _cut(f"{_LOST} {status.message}".strip()))
+    if pod.metadata.deletion_timestamp is not None and terminated.exit_code:
+        return Ending(EndReason.lost, _LOST)
+    return _termination(terminated, resources)
+
+
+def _eviction(words: str, resources: Resources) -> Ending:
+    if words.startswith("The node "):
+        return Ending(EndReason.lost, f"Its node ran out of resources and evicted it: {words}")
+    return Ending(EndReason.disk, f"{over_disk_limit(resources.disk_bytes)[1]} {words}".strip())
+
+
+def _termination(terminated: TerminatedContainer, resources: Resources) -> Ending:
+    if terminated.reason == "OOMKilled":
+        return Ending.of(out_of_memory(resources.memory_bytes))
+    if terminated.reason in _START_REASONS:
+        words = _cut(terminated.message or terminated.reason)
+        return _failed_command(words) or Ending(EndReason.not_possible, f"The cluster could not start it: {words}")
+    if terminated.reason == "ContainerStatusUnknown":
+        return Ending(EndReason.lost, _LOST)
+    return Ending.of(reason_of_exit_code(terminated.exit_code), terminated.exit_code)
+
+
+def vanished(failure: str | None) -> Ending:
+    """Return the ending of a job whose pod is gone; `failure` is what its Job says."""
+    return Ending(EndReason.lost, _cut(f"{_LOST} {failure or ''}".strip()))
+
+
+def _cut(text: str) -> str:
+    return text[:_MAX_CHARACTERS]

@@ -1,0 +1,89 @@
+"""The pods of one runner as they are: one list and one watch for all its runs, in a thread."""
+
+import logging
+import threading
+from collections.abc import Callable
+
+from kleinkram.runner.executors.kubernetes.cluster import Cluster, ClusterError, Pod
+
+_log = logging.getLogger("kleinkram.runner")
+_RETRY_S = 1.0
+_MAX_RETRY_S = 30.0
+
+
+class PodWatch:
+    """Knows the pods with labels. Thread-safe. `start` may be called again."""
+
+    def __init__(self, cluster: Cluster, selector: str, job_label: str) -> None:
+        self._cluster = cluster
+        self._selector = selector
+        self._job_label = job_label
+        self._pods: dict[str, Pod] = {}
+        self._changed = threading.Condition()
+        self._is_current = False
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin to watch."""
+        with self._changed:
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="pods", daemon=True)
+                self._thread.start()
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the pods are known, and changes arrive."""
+        return self._is_current
+
+    def find(self, job: str) -> Pod | None:
+        """Return the last pod of a Job by its name."""
+        with self._changed:
+            pods = [pod for pod in self._pods.values() if pod.metadata.labels.get(self._job_label) == job]
+        return max(pods, key=lambda pod: (pod.metadata.creation_timestamp is not None, _created(pod)), default=None)
+
+    def find_any(self, label: str, value: str) -> Pod | None:
+        """Return a pod with a label."""
+        with self._changed:
+            return next((pod for pod in self._pods.values() if pod.metadata.labels.get(label) == value), None)
+
+    def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait for a change after which a condition holds."""
+        with self._changed:
+            return self._changed.wait_for(condition, timeout_s)
+
+    def _run(self) -> None:
+        pause_s = _RETRY_S
+        while True:
+            try:
+                pods, version = self._cluster.list_pods(self._selector)
+                with self._changed:
+                    self._pods = {pod.metadata.uid: pod for pod in pods}
+                    self._is_current = True
+                    self._changed.notify_all()
+                pause_s = _RETRY_S
+                while True:
+                    version = self._follow(version)
+            except ClusterError as error:  # noqa: PERF203  each round is a watch of a minute
+                if self._is_current:
+                    _log.warning("the pods of runs are not watched; trying again: %s", error)
+                with self._changed:
+                    self._is_current = False
+                    self._changed.wait(pause_s)
+                pause_s = min(2 * pause_s, _MAX_RETRY_S)
+
+    def _follow(self, version: str) -> str:
+        """Apply changes after a version until the watch ends, and return the last one."""
+        for event in self._cluster.watch_pods(self._selector, version):
+            pod = event.pod
+            version = pod.metadata.resource_version or version
+            with self._changed:
+                if event.is_deleted:
+                    self._pods.pop(pod.metadata.uid, None)
+                else:
+                    self._pods[pod.metadata.uid] = pod
+                self._changed.notify_all()
+        return version
+
+
+def _created(pod: Pod) -> float:
+    return pod.metadata.creation_timestamp.timestamp() if pod.metadata.creation_timestamp else 0.0

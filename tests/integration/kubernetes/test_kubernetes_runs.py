@@ -1,0 +1,367 @@
+"""Runs on a fake cluster, from their claim to their end."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from kleinkram.contract.actions import Network
+from kleinkram.contract.runners import LOG_PATH
+from kleinkram.contract.runs import EndReason, RunState
+from kleinkram.runner.executors.kubernetes import endings, executor
+from tests.integration.kubernetes.conftest import IMAGE, Site
+from tests.integration.kubernetes.manifests import rules
+from tests.integration.runner_loop.conftest import ended, wait_until
+from tests.integration.runner_loop.fake_http import RUN_TOKEN, RUNNER_TOKEN
+from tests.integration.runner_loop.fake_runs import FakeRun
+
+_COPY = (
+    "from kleinkram.action import inputs, out, report, context\n"
+    "report.metric('size', 3, unit='B')\n"
+    "(out / 'deep').mkdir()\n"
+    "(out / 'deep' / 'copy').write_bytes((out.parent / 'in' / 'a' / 'drive.bag').read_bytes())\n"
+    "print(context().mission.name)\n"
+)
+_LASTING = (
+    "import pathlib, time\n"
+    "from kleinkram.action import out\n"
+    "print('began', flush=True)\n"
+    "while not pathlib.Path('/out/end').exists(): time.sleep(0.02)\n"
+    "(out / 'end').unlink(); (out / 'x').write_text('x')\n"
+)
+
+
+def pod_of(site: Site, step: str) -> dict[str, Any]:
+    """Return the pod of a step once it runs."""
+
+    def running() -> list[dict[str, Any]]:
+        pods = site.cluster.named("pods")
+        return [
+            pod
+            for pod in pods
+            if pod["metadata"]["labels"]["kleinkram.step"] == step and pod["status"]["phase"] == "Running"
+        ]
+
+    wait_until(running)
+    return running()[0]
+
+
+def is_clean(site: Site) -> bool:
+    """Whether nothing is left of a run."""
+    return not any(site.cluster.named(kind) for kind in ("jobs", "pods", "secrets", "persistentvolumeclaims"))
+
+
+def has_begun(site: Site) -> bool:
+    return any(b"began" in path.read_bytes() for path in site.folder.glob("runs/*/log"))
+
+
+def let_end(site: Site) -> None:
+    """Have an action of `_LASTING` end."""
+    (claim,) = site.cluster.named("persistentvolumeclaims")
+    (site.cluster.folder_of(claim["metadata"]["name"]) / "out" / "end").touch()
+
+
+def test_a_run_reads_its_inputs_and_its_results_are_stored(site: Site) -> None:
+    site.cluster.rules = rules()
+    site.start()
+    run = site.server.launch(_COPY, {"a/drive.bag": b"bytes of a drive"})
+    finish = ended(run).finishes[0]
+    assert (finish.reason, finish.exit_code, finish.problems) == (EndReason.done, 0, [])
+    assert run.artifacts == {"deep/copy": b"bytes of a drive", LOG_PATH: b"a-mission\n"}
+    assert [metric.name for metric in finish.report.metrics] == ["size"]
+    assert finish.placement is not None
+    assert finish.placement.job_id is not None
+    assert (finish.placement.node, finish.placement.job_id) == ("node-1", f"runs/{finish.placement.job_id[5:]}")
+    assert run.digest == IMAGE.partition("@")[2]
+    assert RunState.running in run.states
+    wait_until(lambda: is_clean(site))
+
+
+def test_the_role_allows_what_the_runner_does_and_no_more(site: Site) -> None:
+    allowed = {(verb, resource) for rule in rules() for resource in rule["resources"] for verb in rule["verbs"]}
+    site.cluster.rules = rules()
+    runner = site.start()
+    run = site.server.launch("print('x')", token=RUN_TOKEN, network=Network.api)
+    assert ended(run).finishes[0].reason is EndReason.done
+    wait_until(lambda: is_clean(site))
+    wait_until(lambda: runner.active_count == 0)
+    assert set(site.cluster.requests) == allowed
+
+
+def test_the_pod_of_an_action_has_no_credentials_and_no_privileges(site: Site) -> None:
+    site.start()
+    run = site.server.launch("print('x')", token=RUN_TOKEN, network=Network.api, resources={"cores": 0.5})
+    assert ended(run).finishes[0].reason is EndReason.done
+    (job,) = [it for it in site.cluster.created if it["metadata"]["labels"].get("kleinkram.step") == "action"]
+    pod = job["spec"]["template"]["spec"]
+    (container,) = pod["containers"]
+    assert job["spec"]["backoffLimit"] == 0
+    assert pod["automountServiceAccountToken"] is False
+    assert not {"hostNetwork", "hostPID", "hostIPC", "serviceAccountName"} & pod.keys()
+    assert pod["securityContext"]["runAsNonRoot"] is True
+    assert pod["securityContext"]["seccompProfile"] == {"type": "RuntimeDefault"}
+    assert container["securityContext"] == {
+        "allowPrivilegeEscalation": False,
+        "readOnlyRootFilesystem": True,
+        "capabilities": {"drop": ["ALL"]},
+    }
+    assert [volume for volume in pod["volumes"] if "secret" in volume] == []
+    assert all("sizeLimit" in volume["emptyDir"] for volume in pod["volumes"] if "emptyDir" in volume)
+    assert container["resources"]["limits"] == container["resources"]["requests"]
+    assert container["resources"]["limits"]["cpu"] == "500m"
+    described = json.dumps([it for it in site.cluster.created if it["kind"] == "Job"])
+    assert RUNNER_TOKEN not in described
+    assert RUN_TOKEN not in described
+
+
+def test_a_report_of_many_megabytes_arrives_whole(site: Site) -> None:
+    site.start()
+    run = site.server.launch(
+        "from kleinkram.action import report\n"
+        "for number in range(9_999):\n"
+        "    report.finding('warning', 'imu.gap', f'{number * 7919}'.ljust(600, '.'))\n"
+    )
+    (finish,) = ended(run).finishes
+    assert (finish.reason, finish.problems, len(finish.report.findings)) == (EndReason.done, [], 9_999)
+
+
+def test_words_of_a_command_are_not_expanded(site: Site) -> None:
+    site.start()
+    run = site.server.launch("", script=None, image=IMAGE, command=["python3", "-c", "print('$(HOME) $$')"])
+    assert ended(run).finishes[0].reason is EndReason.done
+    assert run.artifacts[LOG_PATH] == b"$(HOME) $$\n"
+    (job,) = [it for it in site.cluster.created if it["metadata"]["labels"].get("kleinkram.step") == "action"]
+    assert job["spec"]["template"]["spec"]["containers"][0]["args"][-1] == "print('$$(HOME) $$$$')"
+
+
+def test_a_damaged_input_is_not_given_to_an_action(site: Site) -> None:
+    site.server.spoilt["drive.bag"] = b"BYTES of a drive"
+    site.start()
+    run = site.server.launch("print('x')", {"drive.bag": b"bytes of a drive"})
+    finish = ended(run).finishes[0]
+    assert finish.reason is EndReason.inputs_unavailable
+    assert "drive.bag is damaged" in finish.message
+    assert not [it for it in site.cluster.created if it["metadata"]["labels"].get("kleinkram.step") == "action"]
+    wait_until(lambda: is_clean(site))
+
+
+def test_the_words_of_the_scheduler_are_shown_while_a_run_waits(site: Site) -> None:
+    words = "0/3 nodes are available: 3 Insufficient nvidia.com/gpu."
+    site.cluster.unschedulable = words
+    site.start()
+    run = site.server.launch("print('x')")
+    wait_until(lambda: any(words in (progress.message or "") for progress in run.progress))
+    site.cluster.unschedulable = None
+    assert ended(run).finishes[0].reason is EndReason.done
+
+
+@pytest.mark.parametrize(
+    ("reason", "words"),
+    [
+        ("InvalidImageName", 'Failed to apply default image tag "A b": couldn\'t parse image name'),
+        ("ErrImagePull", "failed to resolve reference: lab/slam:1: not found"),
+        ("ImagePullBackOff", 'Back-off pulling image "lab/slam:1": unauthorized'),
+    ],
+)
+def test_an_image_that_cannot_be_pulled(site: Site, reason: str, words: str) -> None:
+    image = "lab/slam@sha256:" + "b" * 64
+    site.cluster.image_errors[f"docker.io/{image}"] = reason, words
+    site.start()
+    finish = ended(site.server.launch("", script=None, image=image, command=["x"])).finishes[0]
+    assert finish.reason is EndReason.image_unavailable
+    assert words in finish.message
+    wait_until(lambda: is_clean(site))
+
+
+def test_a_registry_that_is_away_is_waited_for(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    image = "docker.io/lab/slam@sha256:" + "b" * 64
+    site.cluster.image_errors[image] = "ErrImagePull", "dial tcp: i/o timeout"
+    site.start()
+    run = site.server.launch("", script=None, image=image, command=["python3", "-c", "print(1)"])
+    wait_until(lambda: any("i/o timeout" in (progress.message or "") for progress in run.progress))
+    del site.cluster.image_errors[image]
+    assert ended(run).finishes[0].reason is EndReason.done
+    site.cluster.image_errors[image] = "ErrImagePull", "dial tcp: i/o timeout"
+    monkeypatch.setattr(endings, "_IMAGE_PATIENCE_S", 0.5)
+    run = site.server.launch("", script=None, image=image, command=["python3", "-c", "print(1)"])
+    assert ended(run).finishes[0].reason is EndReason.image_unavailable
+
+
+def _evicted(words: str) -> Callable[[Site, str], None]:
+    def evict(site: Site, pod: str) -> None:
+        site.cluster.node.end(pod, {"phase": "Failed", "reason": "Evicted", "message": words})
+
+    return evict
+
+
+def _removed(site: Site, pod: str) -> None:
+    site.cluster.delete_pod(pod)
+
+
+def _disrupted(site: Site, pod: str) -> None:
+    condition = {"type": "DisruptionTarget", "status": "True", "reason": "PreemptionByScheduler", "message": "preempts"}
+    site.cluster.node.end(pod, {"phase": "Failed", "conditions": [condition]})
+
+
+def _deadline(site: Site, pod: str) -> None:
+    site.cluster.node.end(pod, {"phase": "Failed", "reason": "DeadlineExceeded", "message": "was active too long"})
+
+
+@pytest.mark.parametrize(
+    ("happens", "reason", "words"),
+    [
+        (_evicted('Usage of EmptyDir volume "tmp" exceeds the limit "50M".'), EndReason.disk, "EmptyDir"),
+        (_evicted("The node was low on resource: memory."), EndReason.lost, "low on resource"),
+        (_removed, EndReason.lost, "drained"),
+        (_disrupted, EndReason.lost, "preempts"),
+        (_deadline, EndReason.time, "60 s"),
+    ],
+    ids=["disk", "node pressure", "removed", "preempted", "deadline"],
+)
+def test_what_ends_a_pod_from_outside(
+    site: Site, happens: Callable[[Site, str], None], reason: EndReason, words: str
+) -> None:
+    site.start()
+    run = site.server.launch(_LASTING)
+    pod = pod_of(site, "action")
+    wait_until(lambda: has_begun(site))
+    happens(site, pod["metadata"]["name"])
+    finish = ended(run).finishes[0]
+    assert finish.reason is reason
+    assert words in finish.message
+    site.cluster.delete_pod(pod["metadata"]["name"])
+    wait_until(lambda: is_clean(site))
+
+
+def test_a_cancelled_run_ends_and_leaves_nothing(site: Site) -> None:
+    site.start()
+    run = site.server.launch(_LASTING)
+    wait_until(lambda: has_begun(site))
+    run.is_cancelled = True
+    assert ended(run).finishes[0].reason is EndReason.cancelled
+    wait_until(lambda: is_clean(site))
+
+
+def test_a_run_is_cancelled_while_it_waits_for_a_node(site: Site) -> None:
+    site.cluster.unschedulable = "0/3 nodes are available"
+    site.start()
+    run = site.server.launch(_LASTING)
+    wait_until(lambda: site.cluster.named("pods"))
+    run.is_cancelled = True
+    assert ended(run).finishes[0].reason is EndReason.cancelled
+    wait_until(lambda: is_clean(site))
+
+
+def test_an_api_server_that_is_away_costs_nothing(site: Site) -> None:
+    site.start()
+    run = site.server.launch(_LASTING)
+    wait_until(lambda: has_begun(site))
+    site.cluster.is_away.set()
+    let_end(site)
+    wait_until(lambda: pod_status(site) == "Succeeded")
+    site.cluster.is_away.clear()
+    finish = ended(run).finishes[0]
+    assert finish.reason is EndReason.done
+    assert run.artifacts == {"x": b"x", LOG_PATH: b"began\n"}
+
+
+def pod_status(site: Site) -> str:
+    (pod,) = [pod for pod in site.cluster.named("pods") if pod["metadata"]["labels"]["kleinkram.step"] == "action"]
+    return str(pod["status"]["phase"])
+
+
+def test_a_history_that_was_compacted_is_listed_again(site: Site) -> None:
+    site.start()
+    run = site.server.launch(_LASTING)
+    wait_until(lambda: has_begun(site))
+    site.cluster.forget_versions()
+    let_end(site)
+    assert ended(run).finishes[0].reason is EndReason.done
+
+
+def test_a_log_whose_connection_breaks_has_each_line_once(site: Site) -> None:
+    site.cluster.node.log_breaks_after = 40_000
+    site.start()
+    run = site.server.launch("for n in range(5000): print(f'line {n}')")
+    assert ended(run).finishes[0].reason is EndReason.done
+    assert run.artifacts[LOG_PATH].decode().splitlines() == [f"line {n}" for n in range(5000)]
+
+
+def test_a_failing_pod_of_kleinkram_is_started_again(site: Site) -> None:
+    site.start()
+    site.server.holds_uploads.set()
+    run = site.server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')")
+    pod = pod_of(site, "store")
+    site.cluster.node.kill(pod["metadata"]["name"])
+    site.server.holds_uploads.clear()
+    assert ended(run).finishes[0].reason is EndReason.done
+    assert run.artifacts == {"x": b"x"}
+
+
+@pytest.mark.parametrize("when", ["fetch", "action", "store"])
+def test_a_killed_runner_finds_its_jobs_again(site: Site, when: str) -> None:
+    site.server.slow_bytes_per_s = 100_000 if when == "fetch" else None
+    if when == "store":
+        site.server.holds_uploads.set()
+    first = site.spawn()
+    run = site.server.launch(_LASTING, {"drive.bag": bytes(300_000)})
+    if when != "fetch":
+        pod_of(site, "action")
+        wait_until(lambda: has_begun(site))
+    if when == "store":
+        let_end(site)
+    pod_of(site, when)
+    site.kill(first, signal.SIGKILL)
+    site.server.slow_bytes_per_s = None
+    site.server.holds_uploads.clear()
+    site.spawn()
+    if when != "store":
+        wait_until(lambda: has_begun(site))
+        let_end(site)
+    (finish,) = ended(run).finishes
+    assert (finish.reason, run.attempt) == (EndReason.done, 1)
+    assert run.artifacts == {"x": b"x", LOG_PATH: b"began\n"}
+    assert run.shown_log in {b"", b"began\n"}
+    actions = [it for it in site.cluster.created if it["metadata"]["labels"].get("kleinkram.step") == "action"]
+    assert len(actions) == 1
+    wait_until(lambda: is_clean(site))
+
+
+def test_objects_of_runs_that_nobody_knows_are_removed(site: Site) -> None:
+    first = site.spawn()
+    run = site.server.launch(_LASTING)
+    wait_until(lambda: has_begun(site))
+    site.kill(first, signal.SIGKILL)
+    for state in site.folder.glob("runs/*/state.json"):
+        state.unlink()
+    run.is_cancelled = True
+    site.start()
+    wait_until(lambda: is_clean(site))
+
+
+def test_volumes_are_as_large_as_inputs_and_results(site: Site) -> None:
+    site.start()
+    run: FakeRun = site.server.launch("", {"drive.bag": bytes(1000)}, resources={"disk_bytes": 60_000_000})
+    ended(run)
+    (claim,) = [it for it in site.cluster.created if it["kind"] == "PersistentVolumeClaim"]
+    assert int(claim["spec"]["resources"]["requests"]["storage"]) > 60_001_000
+
+
+def test_a_run_is_not_started_again_while_its_pod_may_run(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(executor, "_GONE_S", 1.0)
+    site.cluster.unschedulable = "0/3 nodes are available"
+    first = site.spawn()
+    run = site.server.launch(_LASTING)
+    wait_until(lambda: site.cluster.named("pods"))
+    site.kill(first, signal.SIGKILL)
+    # The runner deletes the Job, but the node of its pod does not confirm the end.
+    site.cluster.node.ignores_deletions = True
+    site.start()
+    finish = ended(run).finishes[0]
+    assert (finish.reason, "does not answer" in finish.message) == (EndReason.lost, True)
+    assert len([it for it in site.cluster.created if it["kind"] == "Job"]) == 1
+    site.cluster.node.ignores_deletions = False
