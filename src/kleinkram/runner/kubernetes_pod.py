@@ -23,7 +23,7 @@ from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.errors import RunGone
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import CannotStart, Ending
-from kleinkram.runner.executors.kubernetes.manifests import ORDER_FILE, TransferOrder
+from kleinkram.runner.executors.kubernetes.manifests import ORDER_FILE, PodOrder
 from kleinkram.runner.executors.kubernetes.transfer_output import FetchOutcome, finish_lines
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.executors.supervision import JobLimits, LimitMonitor
@@ -51,7 +51,7 @@ class VolumeExecutor(ProcessExecutor):
         place_inputs(InputCache(self._volume / _CACHE, sys.maxsize), directory, files, source, copy=False)
 
 
-def fetch(order: TransferOrder, volume: Path) -> FetchOutcome:
+def fetch(order: PodOrder, volume: Path) -> FetchOutcome:
     """Write the inputs of a run to its volume."""
     with _context(order, VolumeExecutor(volume)) as context:
         source = InputDownload(
@@ -69,7 +69,7 @@ def fetch(order: TransferOrder, volume: Path) -> FetchOutcome:
     return FetchOutcome()
 
 
-def store(order: TransferOrder, volume: Path, ending: Ending) -> None:
+def store(order: PodOrder, volume: Path, ending: Ending) -> None:
     """Upload the results of a run from its volume, and write what to report to stdout."""
     resources = order.assignment.resources
     limits = LimitMonitor(volume, JobLimits(resources.memory_bytes, resources.disk_bytes, resources.time_s, 0))
@@ -107,7 +107,7 @@ def _is_reachable(host: str, port: str) -> bool:
 
 
 @contextlib.contextmanager
-def _context(order: TransferOrder, executor: VolumeExecutor) -> Iterator[RunnerContext]:
+def _context(order: PodOrder, executor: VolumeExecutor) -> Iterator[RunnerContext]:
     api = Api(Endpoint("runner", order.url, order.token, EndpointSource.argument))
     storage = StoreClient(_CONNECTIONS)
     try:
@@ -143,7 +143,7 @@ def main() -> None:
     if arguments.step == "probe":
         arguments.outcome.write_text(json.dumps(probe(arguments.targets)))
         return
-    order = TransferOrder.model_validate_json(gzip.decompress((arguments.order / ORDER_FILE).read_bytes()))
+    order = PodOrder.model_validate_json(gzip.decompress((arguments.order / ORDER_FILE).read_bytes()))
     if arguments.step == "fetch":
         arguments.outcome.write_text(fetch(order, arguments.volume).text())
         return

@@ -103,10 +103,10 @@ async def _find_files(db: Connection, actor: Actor, mission_id: uuid.UUID, paths
     columns = (file.c.id, file.c.path, file.c.blob_id, blob.c.size_bytes, blob.c.sha256, blob.c.state, is_derived)
     stmt = visible_files(actor).with_only_columns(*columns, maintain_column_froms=True)
     selected = stmt.where(file.c.mission_id == mission_id, among(file.c.path, paths)).order_by(file.c.path)
-    found = [Input._make(row) for row in await db.execute(selected)]
-    if missing := sorted({*paths} - {entry.path for entry in found}):
+    inputs = [Input._make(row) for row in await db.execute(selected)]
+    if missing := sorted({*paths} - {entry.path for entry in inputs}):
         raise NotFound(resource_type="file", ref=missing[0])
-    return found
+    return inputs
 
 
 async def _check_outputs(db: Connection, actor: Actor, outputs: Sequence[Input]) -> None:

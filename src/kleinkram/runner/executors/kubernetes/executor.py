@@ -40,7 +40,7 @@ from kleinkram.runner.executors.kubernetes.manifests import (
     AssignmentTooLarge,
     Manifests,
     Names,
-    TransferOrder,
+    PodOrder,
 )
 from kleinkram.runner.executors.kubernetes.options import KubernetesOptions
 from kleinkram.runner.executors.kubernetes.pod_log import PodLog
@@ -146,7 +146,7 @@ class KubernetesExecutor(Executor):
         size_bytes = sum(file.size_bytes for file in files.values()) + assignment.resources.disk_bytes
         try:
             order = self._manifests.order(
-                key, TransferOrder(url=self._url, token=self._token, assignment=assignment), self._authorities
+                key, PodOrder(url=self._url, token=self._token, assignment=assignment), self._authorities
             )
         except AssignmentTooLarge:
             message = f"It has {len(files)} inputs: more than can be described to a pod of a cluster."

@@ -52,7 +52,7 @@ class AssignmentTooLarge(Exception):
     """The assignment of a run does not fit into a Secret."""
 
 
-class TransferOrder(BaseModel):
+class PodOrder(BaseModel):
     """What the pods of Kleinkram do for one run, with the runner's credentials. Stored in a Secret."""
 
     model_config = ConfigDict(frozen=True)
@@ -116,7 +116,7 @@ class Manifests:
             "spec": specification,
         }
 
-    def order(self, key: str, order: TransferOrder, authorities: str | None) -> Body:
+    def order(self, key: str, order: PodOrder, authorities: str | None) -> Body:
         """Return the Secret of the pods that fetch and store. Raises AssignmentTooLarge."""
         files = {ORDER_FILE: gzip.compress(order.model_dump_json().encode(), mtime=0)}
         if authorities is not None:
