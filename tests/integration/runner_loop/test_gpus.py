@@ -106,7 +106,7 @@ def test_two_runners_of_a_machine_share_nothing(server: FakeServer, runners: Run
 def test_a_start_with_other_gpus_than_there_are_ends_with_a_sentence(
     machine: FakeGpus, tmp_path: Path, options: list[str], error: str
 ) -> None:
-    command = [Path(sys.executable).with_name("klein"), "runner", "start", "--executor", "process", *options]
+    command = [str(Path(sys.executable).with_name("klein")), "runner", "start", "--executor", "process", *options]
     environment = {**os.environ, TOKEN_VARIABLE: RUNNER_TOKEN, "HOME": str(machine.folder)}
     place = ["--url", "http://127.0.0.1:1", "--data-dir", str(tmp_path / "runner")]
     done = subprocess.run([*command, *place], env=environment, capture_output=True, text=True, check=False, timeout=60)
