@@ -63,7 +63,7 @@ def main() -> None:
             with _serve_metrics(runner, arguments):
                 code = _run_until_signal(runner, once=arguments.once)
             if announcement is not None:
-                announcement.close()
+                announcement.remove()
     except KleinkramError as error:
         sys.exit(f"Error: {error}")
     traces.stop()

@@ -168,7 +168,12 @@ def python_root(*, with_shell: bool = True) -> bytes:
     program = Path(sys.executable).resolve()
     needed = [program, *(libraries / "lib-dynload").glob("*.so"), *shell]
     with io.BytesIO() as stream, tarfile.open(fileobj=stream, mode="w") as tar:
-        for one in sorted({path for file in needed for path in _libraries_of(file)}):
+        shared = sorted({path for file in needed for path in _libraries_of(file)})
+        # Docker without root makes folders that are not in the tar unreadable.
+        for parent in _parents(*map(Path, shared), *needed, libraries, Path("/usr/bin/python3")):
+            if not parent.is_relative_to(libraries):
+                _folder(tar, str(parent)[1:])
+        for one in shared:
             tar.add(Path(one).resolve(), one, recursive=False)
         for file in (program, *shell):
             tar.add(file.resolve(), file)
@@ -178,6 +183,11 @@ def python_root(*, with_shell: bool = True) -> bytes:
             _folder(tar, folder)
         tar.close()
         return stream.getvalue()
+
+
+def _parents(*paths: Path) -> list[Path]:
+    """Return the folders that these are in, each after its own, without the root."""
+    return sorted({parent for path in paths for parent in path.parents if parent != Path("/")})
 
 
 def _libraries_of(file: Path) -> list[str]:

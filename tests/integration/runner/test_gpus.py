@@ -245,6 +245,8 @@ def test_runners_of_a_machine_know_what_the_others_offer() -> None:
     first.close()
     third, of_second = announce("third", offers[2])
     assert (none, of_first, of_second) == ([], offers[:1], offers[1:2])
+    # That of the first, which has ended without removing it, is gone.
+    assert sorted(path.name for path in machine_locks.lock_directory().iterdir()) == ["runner-second", "runner-third"]
     for lock in (second, third):
         assert lock is not None
         lock.close()

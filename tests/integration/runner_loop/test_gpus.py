@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from kleinkram.contract.runners import Capacity
 from kleinkram.contract.runs import EndReason, RunPlacement, RunState
+from kleinkram.runner.__main__ import _warn_if_shared_out
+from kleinkram.runner.arguments import TOKEN_VARIABLE
 from kleinkram.runner.executors.gpus import GpuRequest
 from kleinkram.runner.executors.local import MachineShare
 from kleinkram.runner.loop import Runner
 from tests.integration.runner.fake_gpus import FakeGpus, described
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
+from tests.integration.runner_loop.fake_http import RUNNER_TOKEN
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer
 
@@ -86,3 +93,31 @@ def test_two_runners_of_a_machine_share_nothing(server: FakeServer, runners: Run
         assert first in ({"GPU-0", "GPU-1", "GPU-2"}, {"GPU-3", "MIG-0", "MIG-1"})
     finally:
         others.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        (["--gpus", "7"], "7 are requested, and this machine has GPU-0 (0), GPU-1 (1)"),
+        (["--gpus", "two"], "'two' is neither a number nor `all`"),
+        (["--gpus", "1", "--gpu", "0"], "--gpu chooses the GPUs already"),
+    ],
+)
+def test_a_start_with_other_gpus_than_there_are_ends_with_a_sentence(
+    machine: FakeGpus, tmp_path: Path, options: list[str], error: str
+) -> None:
+    command = [str(Path(sys.executable).with_name("klein")), "runner", "start", "--executor", "process", *options]
+    environment = {**os.environ, TOKEN_VARIABLE: RUNNER_TOKEN, "HOME": str(machine.folder)}
+    place = ["--url", "http://127.0.0.1:1", "--data-dir", str(tmp_path / "runner")]
+    done = subprocess.run([*command, *place], env=environment, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode != 0
+    assert error in " ".join(done.stderr.split())
+
+
+def test_runners_that_offer_more_than_the_machine_has_warn(caplog: pytest.LogCaptureFixture) -> None:
+    offers = [Capacity(cores=cores, memory_bytes=10**9, disk_bytes=1, gpus=0) for cores in (0.1, 10_000)]
+    _warn_if_shared_out(offers[1:])
+    _warn_if_shared_out(offers[:1] * 2)
+    assert not caplog.text
+    _warn_if_shared_out(offers)
+    assert "the 2 runners of this machine together offer 10000.1 cores and 2.0 GB memory, and it has" in caplog.text

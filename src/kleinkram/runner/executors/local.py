@@ -149,8 +149,8 @@ class LocalExecutor(Executor):
             return ()
         try:
             if self._machine is None and self._own_gpus is None:
-                # A local run takes what it needs.
-                self._own_gpus = acquire_gpus(GpuRequest(job.resources.gpus), job.directory.parent)
+                # A local run takes what it needs. It has no other jobs, nor a next process.
+                self._own_gpus = acquire_gpus(GpuRequest(job.resources.gpus), job.directory)
                 self.check_gpus()
             if self._gpus is None:
                 raise GpusUnavailable("Its runner has no GPU for runs.")

@@ -73,6 +73,12 @@ class MachineLock:
             os.close(self._file)
             self._file = -1
 
+    def remove(self) -> None:
+        """Remove its file, and release it. Only for locks that no two processes want."""
+        with contextlib.suppress(OSError):
+            self.path.unlink()
+        self.close()
+
     def write(self, content: dict[str, Any]) -> None:
         """Replace what its file says, while it is held."""
         data = json.dumps(content).encode() if content else b""
@@ -109,10 +115,14 @@ def announce(runner: str, capacity: Capacity) -> tuple[MachineLock | None, list[
         own = MachineLock(f"{_RUNNER}{runner}")
         for path in sorted(own.path.parent.glob(f"{_RUNNER}*")):
             lock = MachineLock(path.name)
-            if path != own.path and not lock.try_acquire():
+            if path == own.path:
+                continue
+            if not lock.try_acquire():
                 with contextlib.suppress(ValueError):
                     others.append(Capacity.model_validate(lock.read()))
-            lock.close()
+            else:
+                # Of a runner that was killed; in a folder of all users, only its own user may remove it.
+                lock.remove()
         if own.try_acquire():
             own.write(capacity.model_dump())
             return own, others
