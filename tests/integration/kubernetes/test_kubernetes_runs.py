@@ -74,7 +74,8 @@ def test_a_run_reads_its_inputs_and_its_results_are_stored(site: Site) -> None:
     assert run.artifacts == {"deep/copy": b"bytes of a drive", LOG_PATH: b"a-mission\n"}
     assert [metric.name for metric in finish.report.metrics] == ["size"]
     assert finish.placement is not None
-    assert (finish.placement.node, finish.placement.job_id) == ("node-1", f"runs/{finish.placement.job_id[5:]}")
+    assert finish.placement.node == "node-1"
+    assert (finish.placement.job_id or "").startswith(f"runs/klein-{run.claim.run_id}-1-")
     assert run.digest == IMAGE.partition("@")[2]
     assert RunState.running in run.states
     wait_until(lambda: is_clean(site))
@@ -352,8 +353,9 @@ def test_volumes_are_as_large_as_inputs_and_results(site: Site) -> None:
 
 def test_a_run_is_not_started_again_while_its_pod_may_run(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(executor, "_GONE_S", 1.0)
-    site.cluster.unschedulable = "0/3 nodes are available"
     first = site.spawn()
+    wait_until(lambda: site.server.hellos)
+    site.cluster.unschedulable = "0/3 nodes are available"
     run = site.server.launch(_LASTING)
     wait_until(lambda: site.cluster.named("pods"))
     site.kill(first, signal.SIGKILL)
@@ -362,5 +364,5 @@ def test_a_run_is_not_started_again_while_its_pod_may_run(site: Site, monkeypatc
     site.start()
     finish = ended(run).finishes[0]
     assert (finish.reason, "does not answer" in finish.message) == (EndReason.lost, True)
-    assert len([it for it in site.cluster.created if it["kind"] == "Job"]) == 1
+    assert len([it for it in site.cluster.created if it["metadata"]["name"].endswith("-fetch")]) == 1
     site.cluster.node.ignores_deletions = False

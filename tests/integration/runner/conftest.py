@@ -139,8 +139,10 @@ def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Ben
 def kubernetes_bench(request: pytest.FixtureRequest, folder: Path) -> Bench:
     """Return a bench for a fake cluster whose volumes are the folders of the jobs."""
 
+    made: list[RunJob] = []
+
     def folder_of(claim: str) -> Path:
-        return next(job.directory for job in bench.made if claim == f"klein-{job.key}")
+        return next(job.directory for job in made if claim == f"klein-{job.key}")
 
     home = folder / "cluster"
     home.mkdir()
@@ -158,8 +160,7 @@ def kubernetes_bench(request: pytest.FixtureRequest, folder: Path) -> Bench:
             networks={Network.none, Network.open},
         )
 
-    bench = Bench(again(), folder, again, f"lab/python@sha256:{'0' * 64}")
-    return bench
+    return Bench(again(), folder, again, f"lab/python@sha256:{'0' * 64}", made=made)
 
 
 def lent(executor: str, request: pytest.FixtureRequest, folder: Path) -> Iterator[Bench]:

@@ -3,6 +3,7 @@
 import logging
 import threading
 from collections.abc import Callable
+from http import HTTPStatus
 
 from kleinkram.runner.executors.kubernetes.cluster import Cluster, ClusterError, Pod
 
@@ -64,7 +65,7 @@ class PodWatch:
                 while True:
                     version = self._follow(version)
             except ClusterError as error:  # noqa: PERF203  each round is a watch of a minute
-                if self._is_current:
+                if self._is_current and error.status != HTTPStatus.GONE:
                     _log.warning("the pods of runs are not watched; trying again: %s", error)
                 with self._changed:
                     self._is_current = False
@@ -74,8 +75,9 @@ class PodWatch:
     def _follow(self, version: str) -> str:
         """Apply changes after a version until the watch ends, and return the last one."""
         for event in self._cluster.watch_pods(self._selector, version):
-            pod = event.pod
-            version = pod.metadata.resource_version or version
+            version, pod = event.version or version, event.pod
+            if pod is None:
+                continue
             with self._changed:
                 if event.is_deleted:
                     self._pods.pop(pod.metadata.uid, None)
