@@ -37,10 +37,10 @@ class PodWatch:
         return self._is_current
 
     def find(self, job: str) -> Pod | None:
-        """Return the last pod of a Job by its name."""
+        """Return the last pod of a Job by its name: a failed one only if it has no other."""
         with self._changed:
             pods = [pod for pod in self._pods.values() if pod.metadata.labels.get(self._job_label) == job]
-        return max(pods, key=lambda pod: (pod.metadata.creation_timestamp is not None, _created(pod)), default=None)
+        return max(pods, key=lambda pod: (pod.status.phase != "Failed", _created_s(pod)), default=None)
 
     def find_any(self, label: str, value: str) -> Pod | None:
         """Return a pod with a label."""
@@ -87,5 +87,5 @@ class PodWatch:
         return version
 
 
-def _created(pod: Pod) -> float:
+def _created_s(pod: Pod) -> float:
     return pod.metadata.creation_timestamp.timestamp() if pod.metadata.creation_timestamp else 0.0
