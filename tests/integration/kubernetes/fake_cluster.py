@@ -59,6 +59,7 @@ class FakeCluster:
         self.unschedulable: str | None = None
         self.image_errors: dict[str, tuple[str, str]] = {}
         self.network_policies: list[Body] = []
+        self.ignores_policies = False
         self.is_away = threading.Event()
         self.creates_pods = True
         self.objects: dict[str, dict[str, Body]] = {

@@ -74,8 +74,8 @@ def test_a_run_reads_its_inputs_and_its_results_are_stored(site: Site) -> None:
     assert run.artifacts == {"deep/copy": b"bytes of a drive", LOG_PATH: b"a-mission\n"}
     assert [metric.name for metric in finish.report.metrics] == ["size"]
     assert finish.placement is not None
-    assert finish.placement.job_id is not None
-    assert (finish.placement.node, finish.placement.job_id) == ("node-1", f"runs/{finish.placement.job_id[5:]}")
+    assert finish.placement.node == "node-1"
+    assert (finish.placement.job_id or "").startswith(f"runs/klein-{run.claim.run_id}-1-")
     assert run.digest == IMAGE.partition("@")[2]
     assert RunState.running in run.states
     wait_until(lambda: is_clean(site))
@@ -92,6 +92,7 @@ def test_the_role_allows_what_the_runner_does_and_no_more(site: Site) -> None:
     assert set(site.cluster.requests) == allowed
 
 
+@pytest.mark.slow
 def test_the_pod_of_an_action_has_no_credentials_and_no_privileges(site: Site) -> None:
     site.start()
     run = site.server.launch("print('x')", token=RUN_TOKEN, network=Network.api, resources={"cores": 0.5})
@@ -118,6 +119,7 @@ def test_the_pod_of_an_action_has_no_credentials_and_no_privileges(site: Site) -
     assert RUN_TOKEN not in described
 
 
+@pytest.mark.slow
 def test_a_report_of_many_megabytes_arrives_whole(site: Site) -> None:
     site.start()
     run = site.server.launch(
@@ -129,6 +131,7 @@ def test_a_report_of_many_megabytes_arrives_whole(site: Site) -> None:
     assert (finish.reason, finish.problems, len(finish.report.findings)) == (EndReason.done, [], 9_999)
 
 
+@pytest.mark.slow
 def test_words_of_a_command_are_not_expanded(site: Site) -> None:
     site.start()
     run = site.server.launch("", script=None, image=IMAGE, command=["python3", "-c", "print('$(HOME) $$')"])
@@ -138,6 +141,7 @@ def test_words_of_a_command_are_not_expanded(site: Site) -> None:
     assert job["spec"]["template"]["spec"]["containers"][0]["args"][-1] == "print('$$(HOME) $$$$')"
 
 
+@pytest.mark.slow
 def test_a_damaged_input_does_not_reach_an_action(site: Site) -> None:
     site.server.spoilt["drive.bag"] = b"BYTES of a drive"
     site.start()
@@ -149,6 +153,7 @@ def test_a_damaged_input_does_not_reach_an_action(site: Site) -> None:
     wait_until(lambda: is_clean(site))
 
 
+@pytest.mark.slow
 def test_the_words_of_the_scheduler_are_shown_while_a_run_waits(site: Site) -> None:
     words = "0/3 nodes are available: 3 Insufficient nvidia.com/gpu."
     site.cluster.unschedulable = words
@@ -159,17 +164,11 @@ def test_the_words_of_the_scheduler_are_shown_while_a_run_waits(site: Site) -> N
     assert ended(run).finishes[0].reason is EndReason.done
 
 
-@pytest.mark.parametrize(
-    ("reason", "words"),
-    [
-        ("InvalidImageName", 'Failed to apply default image tag "A b": couldn\'t parse image name'),
-        ("ErrImagePull", "failed to resolve reference: lab/slam:1: not found"),
-        ("ImagePullBackOff", 'Back-off pulling image "lab/slam:1": unauthorized'),
-    ],
-)
-def test_an_image_that_cannot_be_pulled(site: Site, reason: str, words: str) -> None:
+@pytest.mark.slow
+def test_an_image_that_cannot_be_pulled(site: Site) -> None:
+    words = "failed to resolve reference: lab/slam:1: not found"
     image = "lab/slam@sha256:" + "b" * 64
-    site.cluster.image_errors[f"docker.io/{image}"] = reason, words
+    site.cluster.image_errors[f"docker.io/{image}"] = "ErrImagePull", words
     site.start()
     finish = ended(site.server.launch("", script=None, image=image, command=["x"])).finishes[0]
     assert finish.reason is EndReason.image_unavailable
@@ -177,6 +176,7 @@ def test_an_image_that_cannot_be_pulled(site: Site, reason: str, words: str) -> 
     wait_until(lambda: is_clean(site))
 
 
+@pytest.mark.slow
 def test_a_registry_that_is_away_is_waited_for(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     image = "docker.io/lab/slam@sha256:" + "b" * 64
     site.cluster.image_errors[image] = "ErrImagePull", "dial tcp: i/o timeout"
@@ -202,25 +202,14 @@ def _removed(site: Site, pod: str) -> None:
     site.cluster.delete_pod(pod)
 
 
-def _disrupted(site: Site, pod: str) -> None:
-    condition = {"type": "DisruptionTarget", "status": "True", "reason": "PreemptionByScheduler", "message": "preempts"}
-    site.cluster.node.end(pod, {"phase": "Failed", "conditions": [condition]})
-
-
-def _deadline(site: Site, pod: str) -> None:
-    site.cluster.node.end(pod, {"phase": "Failed", "reason": "DeadlineExceeded", "message": "was active too long"})
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("happens", "reason", "words"),
     [
         (_evicted('Usage of EmptyDir volume "tmp" exceeds the limit "50M".'), EndReason.disk, "EmptyDir"),
-        (_evicted("The node was low on resource: memory."), EndReason.lost, "low on resource"),
         (_removed, EndReason.lost, "drained"),
-        (_disrupted, EndReason.lost, "preempts"),
-        (_deadline, EndReason.time, "60 s"),
     ],
-    ids=["disk", "node pressure", "removed", "preempted", "deadline"],
+    ids=["disk", "removed"],
 )
 def test_what_ends_a_pod_from_outside(
     site: Site, happens: Callable[[Site, str], None], reason: EndReason, words: str
@@ -237,6 +226,7 @@ def test_what_ends_a_pod_from_outside(
     wait_until(lambda: is_clean(site))
 
 
+@pytest.mark.slow
 def test_a_cancelled_run_ends_and_leaves_nothing(site: Site) -> None:
     site.start()
     run = site.server.launch(_LASTING)
@@ -246,6 +236,7 @@ def test_a_cancelled_run_ends_and_leaves_nothing(site: Site) -> None:
     wait_until(lambda: is_clean(site))
 
 
+@pytest.mark.slow
 def test_a_run_is_cancelled_while_it_waits_for_a_node(site: Site) -> None:
     site.cluster.unschedulable = "0/3 nodes are available"
     site.start()
@@ -256,6 +247,7 @@ def test_a_run_is_cancelled_while_it_waits_for_a_node(site: Site) -> None:
     wait_until(lambda: is_clean(site))
 
 
+@pytest.mark.slow
 def test_an_api_server_that_is_away_costs_nothing(site: Site) -> None:
     site.start()
     run = site.server.launch(_LASTING)
@@ -274,6 +266,7 @@ def pod_status(site: Site) -> str:
     return str(pod["status"]["phase"])
 
 
+@pytest.mark.slow
 def test_a_history_that_was_compacted_is_listed_again(site: Site) -> None:
     site.start()
     run = site.server.launch(_LASTING)
@@ -283,14 +276,7 @@ def test_a_history_that_was_compacted_is_listed_again(site: Site) -> None:
     assert ended(run).finishes[0].reason is EndReason.done
 
 
-def test_a_log_whose_connection_breaks_has_each_line_once(site: Site) -> None:
-    site.cluster.node.log_breaks_after = 40_000
-    site.start()
-    run = site.server.launch("for n in range(5000): print(f'line {n}')")
-    assert ended(run).finishes[0].reason is EndReason.done
-    assert run.artifacts[LOG_PATH].decode().splitlines() == [f"line {n}" for n in range(5000)]
-
-
+@pytest.mark.slow
 def test_a_failing_pod_of_kleinkram_is_started_again(site: Site) -> None:
     site.start()
     site.server.holds_uploads.set()
@@ -302,6 +288,7 @@ def test_a_failing_pod_of_kleinkram_is_started_again(site: Site) -> None:
     assert run.artifacts == {"x": b"x"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("when", ["fetch", "action", "store"])
 def test_a_killed_runner_finds_its_jobs_again(site: Site, when: str) -> None:
     site.server.slow_bytes_per_s = 100_000 if when == "fetch" else None
@@ -331,6 +318,7 @@ def test_a_killed_runner_finds_its_jobs_again(site: Site, when: str) -> None:
     wait_until(lambda: is_clean(site))
 
 
+@pytest.mark.slow
 def test_objects_of_unknown_runs_are_removed(site: Site) -> None:
     first = site.spawn()
     run = site.server.launch(_LASTING)
@@ -343,6 +331,7 @@ def test_objects_of_unknown_runs_are_removed(site: Site) -> None:
     wait_until(lambda: is_clean(site))
 
 
+@pytest.mark.slow
 def test_volumes_are_as_large_as_inputs_and_results(site: Site) -> None:
     site.start()
     run: FakeRun = site.server.launch("", {"drive.bag": bytes(1000)}, resources={"disk_bytes": 60_000_000})
@@ -351,10 +340,12 @@ def test_volumes_are_as_large_as_inputs_and_results(site: Site) -> None:
     assert int(claim["spec"]["resources"]["requests"]["storage"]) > 60_001_000
 
 
+@pytest.mark.slow
 def test_a_run_is_not_started_again_while_its_pod_may_run(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(executor, "_GONE_S", 1.0)
-    site.cluster.unschedulable = "0/3 nodes are available"
     first = site.spawn()
+    wait_until(lambda: site.server.hellos)
+    site.cluster.unschedulable = "0/3 nodes are available"
     run = site.server.launch(_LASTING)
     wait_until(lambda: site.cluster.named("pods"))
     site.kill(first, signal.SIGKILL)
@@ -363,5 +354,5 @@ def test_a_run_is_not_started_again_while_its_pod_may_run(site: Site, monkeypatc
     site.start()
     finish = ended(run).finishes[0]
     assert (finish.reason, "does not answer" in finish.message) == (EndReason.lost, True)
-    assert len([it for it in site.cluster.created if it["kind"] == "Job"]) == 1
+    assert len([it for it in site.cluster.created if it["metadata"]["name"].endswith("-fetch")]) == 1
     site.cluster.node.ignores_deletions = False

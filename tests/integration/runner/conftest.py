@@ -154,10 +154,11 @@ def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Ben
 def kubernetes_bench(request: pytest.FixtureRequest, folder: Path) -> Bench:
     """Return a bench for a fake cluster whose volumes are the folders of the jobs."""
 
-    def folder_of(claim: str) -> Path:
-        return next(job.directory for job in jobs if claim == f"klein-{job.key}")
+    made: list[RunJob] = []
 
-    jobs: list[RunJob] = []
+    def folder_of(claim: str) -> Path:
+        return next(job.directory for job in made if claim == f"klein-{job.key}")
+
     home = folder / "cluster"
     home.mkdir()
     cluster = FakeCluster(home, folder_of=folder_of)
@@ -174,7 +175,7 @@ def kubernetes_bench(request: pytest.FixtureRequest, folder: Path) -> Bench:
             networks={Network.none, Network.open},
         )
 
-    return Bench(again(), folder, again, f"lab/python@sha256:{'0' * 64}", made=jobs)
+    return Bench(again(), folder, again, f"lab/python@sha256:{'0' * 64}", made=made)
 
 
 def lent(executor: str, request: pytest.FixtureRequest, folder: Path) -> Iterator[Bench]:

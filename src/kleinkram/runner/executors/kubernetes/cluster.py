@@ -63,7 +63,6 @@ class ObjectMetadata(_ApiObject):
     name: str
     uid: str = ""
     labels: dict[str, str] = {}
-    annotations: dict[str, str] = {}
     resource_version: str = ""
     creation_timestamp: datetime.datetime | None = None
     deletion_timestamp: datetime.datetime | None = None
@@ -129,7 +128,6 @@ class PodStatus(_ApiObject):
     phase: str = "Pending"
     reason: str = ""
     message: str = ""
-    start_time: datetime.datetime | None = None
     conditions: list[Condition] = []
     container_statuses: list[ContainerStatus] = []
 
@@ -209,10 +207,11 @@ class _WatchEvent(_ApiObject):
 
 
 class PodEvent(BaseModel):
-    """A change of a pod."""
+    """A change of a pod, after which a watch can continue from `version`; without a pod, that alone."""
 
-    is_deleted: bool
-    pod: Pod
+    version: str
+    is_deleted: bool = False
+    pod: Pod | None = None
 
 
 class _LibraryResponse(Protocol):
@@ -291,7 +290,7 @@ class Cluster:
             "watch": "true",
             "resourceVersion": version,
             "timeoutSeconds": str(_WATCH_S),
-            "allowWatchBookmarks": "false",
+            "allowWatchBookmarks": "true",
         }
         for lines in self._lines("pods", "", query, timeout_s=_WATCH_S + _READ_S, longest=_LONGEST_EVENT_BYTES):
             for line in lines:
@@ -299,8 +298,13 @@ class Cluster:
                 if event.type == "ERROR":
                     status = _StatusAnswer.model_validate(event.object)
                     raise ClusterError(status.code, status.message)
-                if event.type in {"ADDED", "MODIFIED", "DELETED"}:
-                    yield PodEvent(is_deleted=event.type == "DELETED", pod=_checked(event.object))
+                if event.type == "BOOKMARK":
+                    metadata = event.object.get("metadata", {})
+                    yield PodEvent(version=metadata.get("resourceVersion", ""))
+                else:
+                    pod = _checked(event.object)
+                    version = pod.metadata.resource_version
+                    yield PodEvent(version=version, is_deleted=event.type == "DELETED", pod=pod)
 
     def follow_log(self, pod: str, since_s: int | None) -> Iterator[list[bytes]]:
         """Yield the lines of a pod's output with their times, as they arrive, until it has ended.

@@ -1,6 +1,5 @@
 """What the state of a pod says: why it waits, and how it ended. Words of the cluster are passed on to people."""
 
-import datetime
 from collections.abc import Mapping
 
 from kleinkram.contract.actions import Resources
@@ -33,6 +32,8 @@ _WAITING: Mapping[str, str] = {
     "PodInitializing": "its node prepares it",
 }
 _MAX_CHARACTERS = 1000
+# Of the progress of a run, which people see.
+_MAX_PROGRESS_CHARACTERS = 200
 _LOST = "Its pod was removed from outside: its node failed or was drained, or somebody deleted it."
 NO_POD = "the cluster has created no pod for it yet; the reason is in `kubectl describe job`, such as a quota"
 
@@ -43,14 +44,14 @@ def reason_waiting(pod: Pod) -> str | None:
         return None
     scheduled = pod.condition("PodScheduled")
     if scheduled is not None and scheduled.status != "True":
-        return _cut(f"the scheduler of the cluster has no node for it: {scheduled.message or scheduled.reason}")
+        return _cut_progress(f"no node for it: {scheduled.message or scheduled.reason}")
     waiting = pod.container.waiting
     if waiting is None or not pod.spec.node_name:
         return "it waits for the scheduler of the cluster"
     node = f"on the node {pod.spec.node_name}, "
     if waiting.reason in _WAITING:
-        return node + _WAITING[waiting.reason]
-    return _cut(f"{node}{waiting.reason}: {waiting.message}")
+        return _cut_progress(node + _WAITING[waiting.reason])
+    return _cut_progress(f"{node}{waiting.reason}: {waiting.message}")
 
 
 def queued_s(pod: Pod) -> float | None:
@@ -62,8 +63,11 @@ def queued_s(pod: Pod) -> float | None:
     return max(0.0, (scheduled.last_transition_time - created_at).total_seconds())
 
 
-def failed_start(pod: Pod, now: datetime.datetime) -> Ending | None:
-    """Return why a pod will not start, which Kubernetes would try for ever; None where it may."""
+def failed_start(pod: Pod, waited_s: float) -> Ending | None:
+    """Return why a pod will not start, which Kubernetes would try for ever; None where it may.
+
+    `waited_s`: for how long it was seen to wait for its node.
+    """
     waiting = pod.container.waiting
     if waiting is None:
         return None
@@ -72,9 +76,7 @@ def failed_start(pod: Pod, now: datetime.datetime) -> Ending | None:
         is_permanent = waiting.reason in _PERMANENT_IMAGE_REASONS or any(
             text in waiting.message.lower() for text in _PERMANENT_IMAGE_WORDS
         )
-        started_at = pod.status.start_time
-        is_over = started_at is not None and (now - started_at).total_seconds() > _IMAGE_PATIENCE_S
-        if is_permanent or is_over:
+        if is_permanent or waited_s > _IMAGE_PATIENCE_S:
             return Ending(EndReason.image_unavailable, f"The cluster cannot pull its image: {words}")
     elif waiting.reason in _CONFIGURATION_REASONS:
         return _failed_command(words) or Ending(EndReason.not_possible, f"The cluster cannot start it: {words}")
@@ -124,6 +126,10 @@ def _termination(terminated: TerminatedContainer, resources: Resources) -> Endin
 def vanished(failure: str | None) -> Ending:
     """Return the ending of a job whose pod is gone; `failure` is what its Job says."""
     return Ending(EndReason.lost, _cut(f"{_LOST} {failure or ''}".strip()))
+
+
+def _cut_progress(text: str) -> str:
+    return " ".join(text.replace("\0", "").split())[:_MAX_PROGRESS_CHARACTERS]
 
 
 def _cut(text: str) -> str:

@@ -5,13 +5,12 @@ go on while no runner does.
 """
 
 import contextlib
-import datetime
 import json
 import logging
+import math
 import os
 import threading
 import time
-import uuid
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
@@ -32,11 +31,10 @@ from kleinkram.runner.executors.base import (
     StoredResults,
 )
 from kleinkram.runner.executors.kubernetes import endings
-from kleinkram.runner.executors.kubernetes.cluster import Body, Cluster, ClusterError, Kind, Pod
+from kleinkram.runner.executors.kubernetes.cluster import Body, Cluster, ClusterError, ClusterUnavailable, Kind, Pod
 from kleinkram.runner.executors.kubernetes.image_registry import ImageRegistry
 from kleinkram.runner.executors.kubernetes.manifests import (
     KEY_LABEL,
-    START_ANNOTATION,
     AssignmentTooLarge,
     Manifests,
     Names,
@@ -62,7 +60,7 @@ from kleinkram.runner.input_cache import InputFile, InputSource
 _log = logging.getLogger("kleinkram.runner")
 # Between the failure of this runner and another one's start of the run: long enough to restart the runner elsewhere.
 _LEASE_S = 900
-_STOP_REASON = "stop-reason.json"
+_STOP_REASON, _STARTED = "stop-reason.json", "started"
 _JOB_CHECK_S = 2.0
 _CHECK_S = 0.5
 # A pod of an earlier start is gone by then, unless its node does not answer.
@@ -70,6 +68,7 @@ _GONE_S = 120.0
 _LOG_COMPLETE_S = 60.0
 _CREATE_S = 60.0
 _JOB_NAME_LABEL = "job-name"
+_CANCELLED_RESULTS = "It was cancelled: its results were not stored."
 _NO_NODE = "A pod of an earlier start is not removed by the cluster, since its node does not answer."
 
 
@@ -98,6 +97,7 @@ class KubernetesExecutor(Executor):
         self._manifests = Manifests(options, runner)
         self._watch = PodWatch(cluster, self._manifests.selector, _JOB_NAME_LABEL)
         self._monitors: dict[str, _JobMonitor] = {}
+        self._left_keys: set[str] = set()
         self._lock = threading.Lock()
         self._images = ImageRegistry()
         authorities = os.environ.get("SSL_CERT_FILE")
@@ -140,6 +140,8 @@ class KubernetesExecutor(Executor):
 
     def place_inputs(self, directory: Path, files: Mapping[str, InputFile], source: InputSource) -> None:
         """Have a pod write the inputs, and what else is in `/in`, to a new volume of the job."""
+        for left_key in [*self._left_keys]:
+            self._try_to_delete(left_key)
         key = directory.parent.name
         names = _names(key)
         assignment = source.assignment
@@ -154,6 +156,7 @@ class KubernetesExecutor(Executor):
         self._watch.start()
         fetch = self._manifests.fetch(key, assignment, has_authorities=self._authorities is not None)
         self._await_removal(key, source.wait)
+        self._left_keys.discard(key)
         self._create("persistentvolumeclaims", self._manifests.claim(key, size_bytes), source.wait)
         self._create("secrets", order, source.wait)
         self._create("jobs", fetch, source.wait)
@@ -183,16 +186,10 @@ class KubernetesExecutor(Executor):
         if job.network not in self._networks:
             raise cannot_start(f"This cluster does not give a run the network {job.network.value!r}.")
         self._watch.start()
-        names, start = _names(job.key), uuid.uuid4().hex
+        _names(job.key)
         if job.environment:
             self._create("secrets", self._manifests.environment(job), time.sleep)
-        try:
-            self._create("jobs", self._manifests.action(job, start), time.sleep)
-        except CannotStart:
-            existing = self._cluster.find_job(names.action)
-            # The answer to an earlier try was lost.
-            if existing is None or existing.metadata.annotations.get(START_ANNOTATION) != start:
-                raise
+        self._create("jobs", self._manifests.action(job), time.sleep)
         self._forget(job)
         self._monitor(job)
 
@@ -236,11 +233,17 @@ class KubernetesExecutor(Executor):
     def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait) -> StoredResults:
         """Have a pod upload the results from the volume, and return its report."""
         self._watch.start()
-        if not self._has_volume(job, wait):
+        has_results = (job.directory / _STARTED).exists() and self._has_volume(job, wait)
+        if not has_results or plain.reason is EndReason.lost:
             return StoredResults(plain, has_log=False)
+        if plain.reason is EndReason.cancelled:
+            # Nobody waits for a node on which a pod could read the report.
+            return StoredResults(plain.model_copy(update={"problems": [_CANCELLED_RESULTS]}), has_log=False)
         body = self._manifests.store(job, plain, has_authorities=self._authorities is not None)
-        with contextlib.suppress(CannotStart):  # an earlier runner created it
-            self._create("jobs", body, wait)
+        try:
+            self._create("jobs", body, wait, timeout_s=math.inf, may_exist=True)
+        except CannotStart as error:
+            return StoredResults(_without_results(plain, error.ending.message), has_log=False)
         pod = self._await_end(_names(job.key).store, wait, None)
         if pod is not None and pod.status.phase == "Succeeded":
             problem = "What it reported is not in its output any more."
@@ -248,11 +251,7 @@ class KubernetesExecutor(Executor):
                 return StoredResults(finish, has_log=False)
         else:
             problem = endings.ending_of(pod, job.resources).message if pod else "Its pods were removed."
-        message = f"The pod that stores its results failed: {problem}"
-        changes: dict[str, object] = {"problems": [message]}
-        if plain.reason is EndReason.done:
-            changes |= {"reason": EndReason.results_not_stored, "message": message}
-        return StoredResults(plain.model_copy(update=changes), has_log=False)
+        return StoredResults(_without_results(plain, problem), has_log=False)
 
     def _has_volume(self, job: RunJob, wait: Wait) -> bool:
         while True:
@@ -275,13 +274,10 @@ class KubernetesExecutor(Executor):
                 wait(_JOB_CHECK_S)
 
     def remove(self, job: RunJob) -> None:
-        """Delete everything of a job; what the cluster does not delete now is left for `remove_others`."""
+        """Delete everything of a job; what the cluster does not delete now is tried again later."""
         self._forget(job)
         (job.directory / _STOP_REASON).unlink(missing_ok=True)
-        try:
-            self._delete(job.key)
-        except (ClusterError, ValueError) as error:
-            _log.warning("objects of the run %s were not removed: %s", job.key, error)
+        self._try_to_delete(job.key)
 
     def remove_others(self, known_keys: Collection[str]) -> None:
         """Delete the Jobs, volumes and Secrets of this runner with other keys."""
@@ -290,8 +286,17 @@ class KubernetesExecutor(Executor):
             entries = [entry for kind in kinds for entry in self._cluster.list_names(kind, self._manifests.selector)]
             for key in {entry.labels.get(KEY_LABEL, "") for entry in entries} - {*known_keys, ""}:
                 self._delete(key)
-        except (ClusterError, ValueError) as error:
+        except (ClusterError, CannotStart) as error:
             _log.warning("objects of earlier runs were not removed: %s", error)
+
+    def _try_to_delete(self, key: str) -> None:
+        """Delete everything of a job; what is left is tried again with the next run."""
+        try:
+            self._delete(key)
+            self._left_keys.discard(key)
+        except ClusterError as error:
+            self._left_keys.add(key)
+            _log.warning("objects of the run %s are not removed yet: %s", key, error)
 
     def _delete(self, key: str) -> None:
         names = _names(key)
@@ -302,18 +307,25 @@ class KubernetesExecutor(Executor):
         # Last, as `remove_others` finds by it what else there is.
         self._cluster.delete("persistentvolumeclaims", names.claim)
 
-    def _create(self, kind: Kind, body: Body, wait: Wait) -> None:
-        """Create an object, for as long as the API server is away. Raises CannotStart."""
-        deadline_s = time.monotonic() + _CREATE_S
+    def _create(
+        self, kind: Kind, body: Body, wait: Wait, *, timeout_s: float = _CREATE_S, may_exist: bool = False
+    ) -> None:
+        """Create an object, though the API server may be away for a while. Raises CannotStart."""
+        deadline_s = time.monotonic() + timeout_s
         while True:
             try:
                 self._cluster.create(kind, body)
                 return
-            except ClusterError as error:  # noqa: PERF203  each round is a request
-                is_temporary = error.status == 0 or error.status >= 429
-                if not is_temporary or time.monotonic() > deadline_s:
-                    raise cannot_start(f"The cluster refuses it: {error}.") from error
+            except ClusterUnavailable as error:  # noqa: PERF203  each round is a request
+                if time.monotonic() > deadline_s:
+                    raise cannot_start(f"The API server of the cluster is not available: {error}.") from error
+                # It may have been created, and the answer was lost.
+                may_exist = True
                 wait(_CHECK_S)
+            except ClusterError as error:
+                if not (may_exist and error.is_conflict):
+                    raise cannot_start(f"The cluster refuses it: {error}.") from error
+                return
 
     def _await_removal(self, key: str, wait: Wait) -> None:
         """Wait until an earlier start has left nothing. Raises CannotStart."""
@@ -330,12 +342,14 @@ class KubernetesExecutor(Executor):
 
     def _await_end(self, name: str, wait: Wait, show: Show | None) -> Pod | None:
         """Wait for the end of a Job that may start several pods, and return the last; None where there is none."""
-        checked_s = 0.0
+        checked_s, seen_s = 0.0, time.monotonic()
         while True:
             pod = self._watch.find(name) if self._watch.is_current else None
             if pod is not None and pod.status.phase == "Succeeded":
                 return pod
-            if pod is not None and (failure := endings.failed_start(pod, _now())) is not None:
+            if pod is None or not pod.spec.node_name:
+                seen_s = time.monotonic()
+            elif (failure := endings.failed_start(pod, time.monotonic() - seen_s)) is not None:
                 raise CannotStart(failure)
             if show is not None and pod is not None and (reason := endings.reason_waiting(pod)) is not None:
                 show(reason, 0.0)
@@ -374,7 +388,7 @@ class _JobMonitor:
         with contextlib.suppress(FileNotFoundError, ValueError):
             reason, message = json.loads((job.directory / _STOP_REASON).read_text())
             self._limits.reason = reason, message
-        self._failed_start: Ending | None = None
+        self._waits_since_s = time.monotonic()
         self._pod: Pod | None = None
         self._log: PodLog | None = None
         self._is_deleted = False
@@ -425,8 +439,10 @@ class _JobMonitor:
             self._follow(pod)
         if pod.has_ended:
             return self._poll_ended(endings.ending_of(pod, self._job.resources))
-        if self._failed_start is None and (failure := endings.failed_start(pod, _now())) is not None:
-            self._failed_start = failure
+        if not pod.spec.node_name:
+            self._waits_since_s = time.monotonic()
+        failure = endings.failed_start(pod, time.monotonic() - self._waits_since_s)
+        if failure is not None:
             self._limits.stop((failure.reason.value, failure.message), grace_s=0)
         self._enforce()
         return None
@@ -466,11 +482,16 @@ class _JobMonitor:
         if self._log is None:
             self._log = PodLog(self._cluster, pod.metadata.name, self._job.directory)
             self._log.follow()
-        running = pod.container.running
-        if running is not None and self._started_s is None:
-            # By this machine's clock, with what the node's says of the time before this runner looked.
-            age_s = (_now() - running.started_at).total_seconds() if running.started_at is not None else 0.0
-            self._started_s = boot_time_s() - max(0.0, age_s)
+        if self._started_s is None:
+            self._started_s = boot_time_s() - self._running_s()
+
+    def _running_s(self) -> float:
+        """Return for how long a runner has seen it run, by the clock of this machine: those of nodes may be wrong."""
+        path = self._job.directory / _STARTED
+        with contextlib.suppress(FileNotFoundError, ValueError):
+            return max(0.0, time.time() - float(path.read_text()))
+        write_atomically(path, str(time.time()))
+        return 0.0
 
     def _enforce(self) -> None:
         if self._log is not None and not self._log.has_space:
@@ -492,12 +513,16 @@ class _JobMonitor:
         self._is_deleted = True
 
 
+def _without_results(plain: RunFinish, problem: str) -> RunFinish:
+    message = f"The pod that stores its results failed: {problem}"
+    changes: dict[str, object] = {"problems": [message]}
+    if plain.reason is EndReason.done:
+        changes |= {"reason": EndReason.results_not_stored, "message": message}
+    return plain.model_copy(update=changes)
+
+
 def _names(key: str) -> Names:
     try:
         return Names.of(key)
     except ValueError as error:
         raise cannot_start(f"{error}.") from error
-
-
-def _now() -> datetime.datetime:
-    return datetime.datetime.now(datetime.timezone.utc)

@@ -26,7 +26,6 @@ MANAGER_LABEL, MANAGER = "app.kubernetes.io/managed-by", "kleinkram-runner"
 RUNNER_LABEL, KEY_LABEL, STEP_LABEL = "kleinkram.runner", "kleinkram.job", "kleinkram.step"
 # What NetworkPolicies select pods by: a `Network`, or `transfer` for the pods of Kleinkram itself.
 NETWORK_LABEL, TRANSFER = "kleinkram.network", "transfer"
-START_ANNOTATION = "kleinkram.start"
 CONTAINER = "main"
 VOLUME, ORDER_FOLDER, ORDER_FILE = "/volume", "/run/kleinkram", "order.json.gz"
 AUTHORITIES_FILE = "authorities.pem"
@@ -176,8 +175,8 @@ class Manifests:
         labels = self.labels(key, step, TRANSFER)
         return self._job(name, labels, pod, retries=_TRANSFER_RETRIES)
 
-    def action(self, job: RunJob, start: str) -> Body:
-        """Return the Job of the action. `start` tells this submission from others."""
+    def action(self, job: RunJob) -> Body:
+        """Return the Job of the action."""
         resources = job.resources
         amounts = {"cpu": f"{round(resources.cores * 1000)}m", "memory": str(resources.memory_bytes)}
         amounts["ephemeral-storage"] = str(resources.disk_bytes)
@@ -210,7 +209,7 @@ class Manifests:
             ],
         }
         labels = self.labels(job.key, "action", job.network.value)
-        return self._job(Names.of(job.key).action, labels, pod, retries=0, annotations={START_ANNOTATION: start})
+        return self._job(Names.of(job.key).action, labels, pod, retries=0)
 
     def probe(self, key: str, network: str, targets: Sequence[tuple[str, int]]) -> Body:
         """Return a Job that tells which of some addresses a pod with this network reaches."""
@@ -231,20 +230,11 @@ class Manifests:
         name = Names.of(f"{key}-{network}").action
         return self._job(name, self.labels(key, "probe", network), pod, retries=0)
 
-    def _job(
-        self,
-        name: str,
-        labels: dict[str, str],
-        pod: Body,
-        *,
-        retries: int,
-        annotations: Mapping[str, str] | None = None,
-    ) -> Body:
-        metadata = {"name": name, "labels": labels, "annotations": dict(annotations or {})}
+    def _job(self, name: str, labels: dict[str, str], pod: Body, *, retries: int) -> Body:
         return {
             "apiVersion": "batch/v1",
             "kind": "Job",
-            "metadata": metadata,
+            "metadata": {"name": name, "labels": labels},
             "spec": {
                 "backoffLimit": retries,
                 "ttlSecondsAfterFinished": _TTL_S,

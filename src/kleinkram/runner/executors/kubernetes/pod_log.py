@@ -130,22 +130,20 @@ class _Copy:
         self._time = ""
         self._size_bytes = cursor.size_bytes
         self._is_line_start = True
-        self._is_left_out = False
+        # Until the first line after the cursor: later ones may have earlier times, if the clock of the node is set.
+        self._is_left_out = True
 
     def add(self, line: bytes) -> bytes:
         """Return what is to be written of a line, or of a piece of one."""
         text = line
         if self._is_line_start:
             self._time, text = _split(line)
-            if self._time == self._resumed.time:
-                self._same_time += 1
-            is_counted = self._time == self._resumed.time and self._same_time <= self._resumed.lines
-            self._is_left_out = self._time < self._resumed.time or is_counted
+            self._is_left_out = self._is_left_out and self._is_before_cursor()
         self._is_line_start = line.endswith(b"\n")
         if self._is_left_out:
             return b""
         free_bytes = LOG_BYTES - self._size_bytes
-        if free_bytes <= 0:
+        if free_bytes < 0:
             text = b""
         elif len(text) > free_bytes:
             text = text[:free_bytes] + LOG_IS_FULL
@@ -154,6 +152,12 @@ class _Copy:
             lines = self.cursor.lines + 1 if self._time == self.cursor.time else 1
             self.cursor = _Cursor(self._time, lines, self._size_bytes)
         return text
+
+    def _is_before_cursor(self) -> bool:
+        if self._time != self._resumed.time:
+            return self._time < self._resumed.time
+        self._same_time += 1
+        return self._same_time <= self._resumed.lines
 
 
 def _split(line: bytes) -> tuple[str, bytes]:

@@ -3,6 +3,7 @@
 import logging
 import threading
 from collections.abc import Callable
+from http import HTTPStatus
 
 from kleinkram.runner.executors.kubernetes.cluster import Cluster, ClusterError, Pod
 
@@ -36,10 +37,10 @@ class PodWatch:
         return self._is_current
 
     def find(self, job: str) -> Pod | None:
-        """Return the last pod of a Job by its name."""
+        """Return the last pod of a Job by its name: a failed one only if it has no other."""
         with self._changed:
             pods = [pod for pod in self._pods.values() if pod.metadata.labels.get(self._job_label) == job]
-        return max(pods, key=lambda pod: (pod.metadata.creation_timestamp is not None, _created(pod)), default=None)
+        return max(pods, key=lambda pod: (pod.status.phase != "Failed", _created_s(pod)), default=None)
 
     def find_any(self, label: str, value: str) -> Pod | None:
         """Return a pod with a label."""
@@ -64,7 +65,7 @@ class PodWatch:
                 while True:
                     version = self._follow(version)
             except ClusterError as error:  # noqa: PERF203  each round is a watch of a minute
-                if self._is_current:
+                if self._is_current and error.status != HTTPStatus.GONE:
                     _log.warning("the pods of runs are not watched; trying again: %s", error)
                 with self._changed:
                     self._is_current = False
@@ -74,8 +75,9 @@ class PodWatch:
     def _follow(self, version: str) -> str:
         """Apply changes after a version until the watch ends, and return the last one."""
         for event in self._cluster.watch_pods(self._selector, version):
-            pod = event.pod
-            version = pod.metadata.resource_version or version
+            version, pod = event.version or version, event.pod
+            if pod is None:
+                continue
             with self._changed:
                 if event.is_deleted:
                     self._pods.pop(pod.metadata.uid, None)
@@ -85,5 +87,5 @@ class PodWatch:
         return version
 
 
-def _created(pod: Pod) -> float:
+def _created_s(pod: Pod) -> float:
     return pod.metadata.creation_timestamp.timestamp() if pod.metadata.creation_timestamp else 0.0
