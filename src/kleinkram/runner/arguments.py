@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict
 
 from kleinkram.client.errors import ConfigurationBroken, CredentialsExposed, NotConfigured
 from kleinkram.contract.names import Label
-from kleinkram.runner.executors.docker.executor import Pull
+from kleinkram.runner.images.names import Pull
 
 DEFAULT_IMAGE = "kleinkram/action-python:latest"
 TOKEN_VARIABLE = "KLEINKRAM_RUNNER_TOKEN"  # noqa: S105  the name of the variable

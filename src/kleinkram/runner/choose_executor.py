@@ -12,9 +12,10 @@ from kleinkram.environments.uv import PackageIndex
 from kleinkram.runner.arguments import ExecutorChoice
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.docker.client import DockerClient, EngineError, EngineUnavailable, find_socket
-from kleinkram.runner.executors.docker.executor import DockerExecutor, Pull
+from kleinkram.runner.executors.docker.executor import DockerExecutor
 from kleinkram.runner.executors.local import Machine
 from kleinkram.runner.executors.process import ProcessExecutor
+from kleinkram.runner.images.names import Pull
 
 _log = logging.getLogger("kleinkram.runner")
 

@@ -19,9 +19,12 @@ from kleinkram.runner.executors.base import Ending, Executor, RunJob, wait_for_e
 from kleinkram.runner.executors.docker.executor import DockerExecutor
 from kleinkram.runner.executors.port_forward import PortForward
 from kleinkram.runner.executors.process import ProcessExecutor
+from kleinkram.runner.images.store import FolderBuilder, ImageStore
 from tests.integration.runner import engines, podman_engines
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner.podman_engines import Podman
+from tests.integration.runner.registry_images import RegistryImages, gzipped
+from tests.ports import choose_port
 from tests.requirements import missing, need
 
 AnEngine = TypeVar("AnEngine", bound=Dockerd)
@@ -113,6 +116,35 @@ def _loaded(
         yield made
 
 
+@dataclass
+class ImageFolder:
+    """A registry for tests, with an image of this Python, and a store that has it."""
+
+    registry: RegistryImages
+    folder: Path
+    image: str
+
+    def store(self) -> ImageStore:
+        return ImageStore(self.folder / "images", 10**10, FolderBuilder())
+
+
+@pytest.fixture(scope="session")
+def registry_images(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RegistryImages]:
+    """A registry for tests, without a container engine."""
+    need("docker-registry")
+    registry = engines.Registry(tmp_path_factory.mktemp("registry"), choose_port())
+    registry.start()
+    yield RegistryImages(registry)
+    registry.end()
+
+
+@pytest.fixture(scope="session")
+def image_folder(registry_images: RegistryImages, tmp_path_factory: pytest.TempPathFactory) -> ImageFolder:
+    """A store of images without a container engine."""
+    image = registry_images.push("kleinkram.test/python", [gzipped(engines.python_root())])
+    return ImageFolder(registry_images, tmp_path_factory.mktemp("images"), image)
+
+
 @pytest.fixture(params=["docker", pytest.param("podman", marks=pytest.mark.soak)])
 def engine(request: pytest.FixtureRequest) -> Dockerd:
     """Each container engine."""
@@ -124,6 +156,11 @@ def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Ben
     """Return a bench for an executor."""
     if executor == "process":
         return Bench(ProcessExecutor(), folder, ProcessExecutor)
+    if executor == "images":
+        images: ImageFolder = request.getfixturevalue("image_folder")
+        process = ProcessExecutor(images=images.store())
+        reference = process.prepare_image(images.image).reference
+        return Bench(process, folder, lambda: ProcessExecutor(images=images.store()), reference, "python3")
     engine: Dockerd = request.getfixturevalue(executor)
     made = DockerExecutor(engine.engine)
     image = made.prepare_image(engines.IMAGE).reference
@@ -138,14 +175,21 @@ def lent(executor: str, request: pytest.FixtureRequest, folder: Path) -> Iterato
         made.executor.remove(job)
 
 
-# What is tried by Podman, too, each time that Docker is: of the rest, Podman's turn is with the long rounds.
+# What is tried by Podman, too, each time that Docker is: of the rest, Podman's turn is with the long rounds. With `images`,
+# processes run in images.
 EVERYWHERE = pytest.mark.parametrize(
     "bench",
-    ["process", pytest.param("docker", marks=pytest.mark.slow), pytest.param("podman", marks=pytest.mark.slow)],
+    [
+        "process",
+        pytest.param("images", marks=pytest.mark.slow),
+        pytest.param("docker", marks=pytest.mark.slow),
+        pytest.param("podman", marks=pytest.mark.slow),
+    ],
     indirect=True,
 )
 _EXECUTORS = [
     "process",
+    pytest.param("images", marks=pytest.mark.slow),
     pytest.param("docker", marks=pytest.mark.slow),
     pytest.param("podman", marks=pytest.mark.soak),
 ]

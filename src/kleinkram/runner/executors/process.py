@@ -26,18 +26,28 @@ from kleinkram.runner.executors import process_sandbox, process_supervisor
 from kleinkram.runner.executors.base import Ending, PinnedImage, RunJob
 from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
 from kleinkram.runner.executors.supervision import ENDING, USAGE, reserve, write_atomically
+from kleinkram.runner.images.store import ImageFailure, ImageRun, ImageStore, StoredImage
 
 _LOCK_RETRIES = 50
 _POLL_EVERY_S = 0.02
 _NO_IMAGES = "Without a container engine, no image can be run."
+# Of images that set none, as container engines have it.
+_IMAGE_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 _LOST = Ending(EndReason.lost, "Its processes were killed together with their supervisor.")
 
 
 class ProcessExecutor(LocalExecutor):
-    """Runs jobs as processes."""
+    """Runs jobs as processes: in `images`, or without them with the programs and the Python of this machine."""
 
-    def __init__(self, machine: Machine | None = None, environments: EnvironmentCache | None = None) -> None:
+    def __init__(
+        self,
+        machine: Machine | None = None,
+        environments: EnvironmentCache | None = None,
+        images: ImageStore | None = None,
+    ) -> None:
         super().__init__(machine, environments)
+        self._images = images
+        self._images_in_use: dict[str, StoredImage] = {}
         self._is_isolated = process_sandbox.is_available()
         self._children: dict[str, subprocess.Popen[bytes]] = {}
 
@@ -47,7 +57,7 @@ class ProcessExecutor(LocalExecutor):
         return ExecutorAbilities(
             executor="process",
             isolation=Isolation.namespaces if self._is_isolated else Isolation.none,
-            images=False,
+            images=self._images is not None,
             networks=frozenset(Network) if self._is_isolated else frozenset({Network.open}),
             gpus=False,
             bounds_memory=True,
@@ -56,13 +66,19 @@ class ProcessExecutor(LocalExecutor):
         )
 
     def prepare_image(self, image: str) -> PinnedImage:
-        """Refuse all images."""
-        raise cannot_start(_NO_IMAGES)
+        """Make an image available; refuse all without a store of images."""
+        if self._images is None:
+            raise cannot_start(_NO_IMAGES)
+        try:
+            resolved = self._images.prepare(image)
+        except ImageFailure as error:
+            reason = EndReason.image_unavailable if error.is_possible else EndReason.not_possible
+            raise cannot_start(str(error), reason) from error
+        return PinnedImage(reference=resolved.reference, digest=resolved.digest)
 
     def submit(self, job: RunJob) -> None:
         """Start the supervisor of a job."""
-        if job.image is not None:
-            raise cannot_start(_NO_IMAGES)
+        image = self._image_of(job)
         network = job.network.value
         self._check_network(job, f"Without a container engine, no run here has the network {network!r}.")
         uid = make_directories(job, own_uid=os.getuid() == 0 and self._is_isolated)
@@ -73,17 +89,42 @@ class ProcessExecutor(LocalExecutor):
             "has_network": job.network is Network.open,
             "uid": uid,
             "packages": str(job.packages) if job.packages is not None else None,
+            "image": None,
             "limits": limits_of(job),
             "port_forwards": job.port_forwards,
         }
+        if image is not None:
+            task |= _task_in_image(job, image, uid)
         write_atomically(job.directory / process_supervisor.JOB, json.dumps(task))
         # The ending can be written however full the disk is by then.
         reserve(job.directory / ENDING)
         self._start_supervisor(job)
 
+    def _image_of(self, job: RunJob) -> StoredImage | None:
+        """Return the image of a job, in use until the job is removed."""
+        if self._images is None:
+            if job.image is not None:
+                raise cannot_start(_NO_IMAGES)
+            return None
+        if job.image is None:
+            raise cannot_start("This runner runs everything in an image, and the action names none.")
+        image = self._use_image(job)
+        if image is None:
+            raise cannot_start(f"The image {job.image} is not on this runner.", EndReason.image_unavailable)
+        return image
+
+    def _use_image(self, job: RunJob) -> StoredImage | None:
+        if job.key not in self._images_in_use and self._images is not None and job.image is not None:
+            image = self._images.find(job.image)
+            if image is not None:
+                self._images_in_use[job.key] = image
+        return self._images_in_use.get(job.key)
+
     def poll(self, job: RunJob) -> Ending | None:
         """Return the ending that the supervisor wrote, once the supervisor is gone."""
         if self._supervisor_pid(job) is not None:
+            # Of a job that an earlier runner process started.
+            self._use_image(job)
             return None
         if job.key in self._children:
             self._children[job.key].poll()
@@ -113,6 +154,8 @@ class ProcessExecutor(LocalExecutor):
             time.sleep(_POLL_EVERY_S)
         if (child := self._children.pop(job.key, None)) is not None:
             child.wait()
+        if (image := self._images_in_use.pop(job.key, None)) is not None:
+            image.close()
 
     def remove_others(self, known_keys: Collection[str]) -> None:
         """Do nothing: supervisors end jobs whose lease is not extended."""
@@ -192,3 +235,30 @@ class ProcessExecutor(LocalExecutor):
             name: f"{job.directory}{value}" if value.startswith("/in/") else value
             for name, value in job.environment.items()
         }
+
+
+def _task_in_image(job: RunJob, image: StoredImage, uid: int | None) -> dict[str, object]:
+    """Return what differs for a job in an image. Raises CannotStart."""
+    run = image.run
+    command = [*run.entrypoint, *(job.command or run.command)]
+    if not command:
+        raise cannot_start("Neither the action nor its image names a command.", EndReason.command_not_found)
+    # Those in its own directories are writable anyway.
+    volumes = [path for path in run.volumes if path.split("/")[1] not in ("in", "out", "tmp")]
+    for number, _ in enumerate(volumes):
+        directory = process_sandbox.volume_directory(job.directory, number)
+        directory.mkdir(exist_ok=True)
+        if uid is not None:
+            os.chown(directory, uid, uid)
+    root = process_sandbox.ImageRoot(str(image.path), volumes, run.directory)
+    return {"command": command, "environment": _environment_in_image(job, run), "image": root}
+
+
+def _environment_in_image(job: RunJob, run: ImageRun) -> dict[str, str]:
+    """Return the variables of the image, those of every job, and those of this one."""
+    variables = {"PATH": _IMAGE_PATH, **dict(entry.partition("=")[::2] for entry in run.environment)}
+    variables |= {"HOME": "/tmp", "TMPDIR": "/tmp", "PYTHONUNBUFFERED": "1"}  # noqa: S108  the job's own
+    if job.packages is not None:
+        search_path = ":".join(filter(None, (process_sandbox.PACKAGES, variables.get("PYTHONPATH"))))
+        variables |= {PACKAGES_VARIABLE: process_sandbox.PACKAGES, "PYTHONPATH": search_path}
+    return variables | dict(job.environment)

@@ -22,6 +22,7 @@ from kleinkram.runner.executors import linux_syscalls, port_forward
 from kleinkram.runner.executors.process_sandbox import (
     SHARED_MEMORY,
     SHARED_MEMORY_BYTES,
+    ImageRoot,
     Sandbox,
     apply_limits,
     run_in_sandbox,
@@ -107,8 +108,9 @@ class JobSupervisor:
             job = self._job
             disk_bytes = self._limits_of_job.disk_bytes
             packages = Path(job["packages"]) if job["packages"] else None
+            image = ImageRoot(*job["image"]) if job["image"] else None
             has_network, uid = job["has_network"], job["uid"]
-            sandbox = Sandbox(self._directory, has_network, disk_bytes, uid, self._forwards, listeners, packages)
+            sandbox = Sandbox(self._directory, has_network, disk_bytes, uid, self._forwards, listeners, packages, image)
             if job["is_isolated"]:
                 return run_in_sandbox(sandbox, job["command"], job["environment"], error)
             linux_syscalls.die_with_parent(signal.SIGKILL)
