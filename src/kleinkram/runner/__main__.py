@@ -48,11 +48,13 @@ def main() -> None:
                 arguments.gpus,
                 arguments.cache_bytes,
                 arguments.environments_bytes,
+                arguments.images_bytes,
             )
             executor = choose_executor(
                 arguments.executor,
                 ImagePolicy(arguments.pull, arguments.registries),
                 arguments.default_image,
+                images=arguments.images,
                 runner=str(state.runner_id),
                 machine=Machine(state.path, share, find_index(arguments.package_index)),
             )

@@ -24,6 +24,18 @@ class ExecutorChoice(str, enum.Enum):
     process = "process"
 
 
+class ImageChoice(str, enum.Enum):
+    """How processes run images. `auto`: as `namespaces` where the kernel allows them, else as `apptainer`.
+
+    `auto` runs none where neither is possible, or the default image is not available.
+    """
+
+    off = "off"
+    auto = "auto"
+    namespaces = "namespaces"
+    apptainer = "apptainer"
+
+
 class Arguments(BaseModel):
     """The options of a runner. Its token is in `KLEINKRAM_RUNNER_TOKEN` or in a file.
 
@@ -45,6 +57,8 @@ class Arguments(BaseModel):
     package_index: str | None = None
     gpus: int = 0
     executor: ExecutorChoice = ExecutorChoice.auto
+    images: ImageChoice = ImageChoice.off
+    images_bytes: int | None = None
     default_image: str = DEFAULT_IMAGE
     pull: Pull = Pull.missing
     registries: list[str] | None = None

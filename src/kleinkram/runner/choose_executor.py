@@ -9,13 +9,16 @@ from kleinkram.contract.runners import Isolation
 from kleinkram.environments.cache import EnvironmentCache
 from kleinkram.environments.local import local_index
 from kleinkram.environments.uv import PackageIndex
-from kleinkram.runner.arguments import ExecutorChoice
+from kleinkram.runner.arguments import ExecutorChoice, ImageChoice
+from kleinkram.runner.executors import process_sandbox
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.docker.client import DockerClient, EngineError, EngineUnavailable, find_socket
 from kleinkram.runner.executors.docker.executor import DockerExecutor
 from kleinkram.runner.executors.local import Machine
 from kleinkram.runner.executors.process import ProcessExecutor
+from kleinkram.runner.images.apptainer import Apptainer, find_apptainer
 from kleinkram.runner.images.names import Pull
+from kleinkram.runner.images.store import FolderBuilder, ImageBuilder, ImageFailure, ImageStore
 
 _log = logging.getLogger("kleinkram.runner")
 
@@ -45,16 +48,17 @@ def choose_executor(
     policy: ImagePolicy,
     default_image: str,
     *,
+    images: ImageChoice = ImageChoice.off,
     runner: str = "local",
     machine: Machine | None = None,
     environments: EnvironmentCache | None = None,
 ) -> Executor:
     """Return the executor of a runner. The default image may be pulled first, which may take long.
 
-    `environments` are those of scripts; by default the machine's.
+    `environments` are those of scripts; by default the machine's. `images` is how processes run images.
 
     Raises:
-        InvalidInput: `choice` is `docker`, and no engine answers.
+        InvalidInput: `choice` is `docker`, and no engine answers; or `images` is not possible here.
     """
     socket = None if choice is ExecutorChoice.process else find_socket()
     if choice is ExecutorChoice.docker and socket is None:
@@ -78,7 +82,35 @@ def choose_executor(
             )
     elif choice is ExecutorChoice.auto:
         _log.info("no socket of a container engine was found: scripts run as processes")
-    executor = ProcessExecutor(machine, environments)
+    executor = ProcessExecutor(machine, environments, _image_store(images, policy, default_image, machine))
     if executor.abilities.isolation is Isolation.none:
         _log.warning("this kernel allows this user no namespaces: runs can read and change whatever the runner can")
     return executor
+
+
+def _image_store(
+    choice: ImageChoice, policy: ImagePolicy, default_image: str, machine: Machine | None
+) -> ImageStore | None:
+    if choice is ImageChoice.off or machine is None:
+        return None
+    has_namespaces, apptainer = process_sandbox.is_available(), find_apptainer()
+    if choice is ImageChoice.namespaces and not has_namespaces:
+        raise InvalidInput(what="--images namespaces", reason="this kernel allows this user no namespaces")
+    if choice is ImageChoice.apptainer and apptainer is None:
+        raise InvalidInput(what="--images apptainer", reason="there is no program apptainer in PATH")
+    builder: ImageBuilder
+    if has_namespaces and choice is not ImageChoice.apptainer:
+        builder = FolderBuilder()
+    elif apptainer is not None:
+        builder = Apptainer(apptainer)
+    else:
+        _log.warning("images do not run: this kernel allows this user no namespaces, and Apptainer is not installed")
+        return None
+    store = ImageStore(machine.images_folder, machine.images_bytes, builder, pull=policy.pull, allowed=policy.allowed)
+    if choice is ImageChoice.auto:
+        try:
+            store.prepare(default_image)
+        except ImageFailure as error:
+            _log.warning("%s So images do not run; to change this: --images namespaces, or --default-image", error)
+            return None
+    return store

@@ -175,8 +175,8 @@ def lent(executor: str, request: pytest.FixtureRequest, folder: Path) -> Iterato
         made.executor.remove(job)
 
 
-# What is tried by Podman, too, each time that Docker is: of the rest, Podman's turn is with the long rounds. With `images`,
-# processes run in images.
+# What is tried by Podman, too, each time that Docker is: of the rest, Podman's turn is with the long rounds.
+# With `images`, processes run in images.
 EVERYWHERE = pytest.mark.parametrize(
     "bench",
     [

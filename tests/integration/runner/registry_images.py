@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import gzip
 import hashlib
 import io
 import json
 import platform
 import tarfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import urllib3
@@ -25,6 +26,7 @@ def digest_of(data: bytes) -> str:
     return f"sha256:{hashlib.sha256(data).hexdigest()}"
 
 
+@functools.cache
 def gzipped(tar: bytes) -> bytes:
     return gzip.compress(tar, compresslevel=1, mtime=0)
 
@@ -63,14 +65,14 @@ class RegistryImages:
         *,
         architectures: Sequence[str] = (ARCHITECTURE,),
         tag: str = "latest",
-        **config: object,
+        config: Mapping[str, object] | None = None,
     ) -> str:
         """Put an image into the registry, with an index if it is for several architectures; return its name."""
-        self._push(name, layers, architectures, tag, config)
+        self._push(name, layers, architectures, tag, config or {})
         return f"{self.registry.place}/{name}:{tag}"
 
     def _push(
-        self, name: str, layers: Sequence[bytes], architectures: Sequence[str], tag: str, config: dict[str, object]
+        self, name: str, layers: Sequence[bytes], architectures: Sequence[str], tag: str, config: Mapping[str, object]
     ) -> None:
         described = []
         for layer in layers:

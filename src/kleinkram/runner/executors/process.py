@@ -8,29 +8,36 @@ import contextlib
 import fcntl
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from kleinkram.action.run_files import IN_VARIABLE, OUT_VARIABLE, PACKAGES_VARIABLE
-from kleinkram.contract.actions import Network
+from kleinkram.contract.actions import Network, Resources
 from kleinkram.contract.runners import ExecutorAbilities, Isolation
 from kleinkram.contract.runs import EndReason, Usage
 from kleinkram.environments.cache import EnvironmentCache, compile_packages
-from kleinkram.environments.python import PROBE, Python, parse_python
+from kleinkram.environments.python import PROBE, Python, PythonUnknown, parse_python
 from kleinkram.environments.uv import Wait
-from kleinkram.runner.executors import process_sandbox, process_supervisor
-from kleinkram.runner.executors.base import Ending, PinnedImage, RunJob
+from kleinkram.runner.executors import nvidia, process_sandbox, process_supervisor
+from kleinkram.runner.executors.base import CannotStart, Ending, PinnedImage, RunJob
 from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
 from kleinkram.runner.executors.supervision import ENDING, USAGE, reserve, write_atomically
+from kleinkram.runner.images.apptainer import VARIABLE, Apptainer
 from kleinkram.runner.images.store import ImageFailure, ImageRun, ImageStore, StoredImage
 
 _LOCK_RETRIES = 50
 _POLL_EVERY_S = 0.02
 _NO_IMAGES = "Without a container engine, no image can be run."
+_BYTECODE = "/out/bytecode"
+_TOOL_BYTES = 2**30
+_TOOL_TIMEOUT_S = 600
+_TOOL_OUTPUT_BYTES = 2**16
 # Of images that set none, as container engines have it.
 _IMAGE_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 _LOST = Ending(EndReason.lost, "Its processes were killed together with their supervisor.")
@@ -47,18 +54,23 @@ class ProcessExecutor(LocalExecutor):
     ) -> None:
         super().__init__(machine, environments)
         self._images = images
+        builder = images.builder if images is not None else None
+        self._apptainer = builder if isinstance(builder, Apptainer) else None
+        # Apptainer isolates jobs itself, by a program that a sandbox would disarm.
+        self._is_isolated = self._apptainer is None and process_sandbox.is_available()
         self._images_in_use: dict[str, StoredImage] = {}
-        self._is_isolated = process_sandbox.is_available()
         self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._pythons: dict[str, Python] = {}
 
     @property
     def abilities(self) -> ExecutorAbilities:
         """Supported features. Without a sandbox, a job has the file and network access of the runner."""
+        networks = frozenset(Network) if self._is_isolated else frozenset({Network.open})
         return ExecutorAbilities(
             executor="process",
-            isolation=Isolation.namespaces if self._is_isolated else Isolation.none,
+            isolation=Isolation.namespaces if self._is_isolated or self._apptainer else Isolation.none,
             images=self._images is not None,
-            networks=frozenset(Network) if self._is_isolated else frozenset({Network.open}),
+            networks=frozenset({Network.none, Network.open}) if self._apptainer else networks,
             gpus=False,
             bounds_memory=True,
             bounds_disk=True,
@@ -90,11 +102,14 @@ class ProcessExecutor(LocalExecutor):
             "uid": uid,
             "packages": str(job.packages) if job.packages is not None else None,
             "image": None,
+            "gpus": job.resources.gpus,
+            "variable_prefix": "",
+            "has_own_isolation": False,
             "limits": limits_of(job),
             "port_forwards": job.port_forwards,
         }
         if image is not None:
-            task |= _task_in_image(job, image, uid)
+            task |= self._task_in_image(job, image, uid)
         write_atomically(job.directory / process_supervisor.JOB, json.dumps(task))
         # The ending can be written however full the disk is by then.
         reserve(job.directory / ENDING)
@@ -112,6 +127,17 @@ class ProcessExecutor(LocalExecutor):
         if image is None:
             raise cannot_start(f"The image {job.image} is not on this runner.", EndReason.image_unavailable)
         return image
+
+    def _task_in_image(self, job: RunJob, image: StoredImage, uid: int | None) -> dict[str, object]:
+        """Return what differs for a job in an image. Raises CannotStart."""
+        command = [*image.run.entrypoint, *(job.command or image.run.command)]
+        if not command:
+            raise cannot_start("Neither the action nor its image names a command.", EndReason.command_not_found)
+        volumes = _make_volumes(job, image.run, uid)
+        if self._apptainer is not None:
+            return _task_of_apptainer(self._apptainer, job, image, command, volumes)
+        root = process_sandbox.ImageRoot(str(image.path), volumes, image.run.directory)
+        return {"command": command, "environment": _environment_in_image(job, image.run), "image": root}
 
     def _use_image(self, job: RunJob) -> StoredImage | None:
         if job.key not in self._images_in_use and self._images is not None and job.image is not None:
@@ -161,12 +187,53 @@ class ProcessExecutor(LocalExecutor):
         """Do nothing: supervisors end jobs whose lease is not extended."""
 
     def _find_python(self, image: str | None) -> Python:
-        command = [sys.executable, "-I", "-c", PROBE]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        return parse_python(done.stdout)
+        if image is None:
+            command = [sys.executable, "-I", "-c", PROBE]
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            return parse_python(done.stdout)
+        if image not in self._pythons:
+            with self._tool_job(image, ["python3", "-I", "-c", PROBE]) as job:
+                self._run_tool(job, lambda _: None)
+                self._pythons[image] = parse_python(self.read_log(job, 0, _TOOL_OUTPUT_BYTES).decode(errors="replace"))
+        return self._pythons[image]
 
     def _compile_packages(self, image: str | None, folder: Path, wait: Wait) -> None:
-        compile_packages(sys.executable, folder, wait)
+        if image is None:
+            compile_packages(sys.executable, folder, wait)
+            return
+        # The image gets the packages read-only: it is only asked for bytecode.
+        options = ["-I", "-X", f"pycache_prefix={_BYTECODE}", "-m", "compileall", "-q", "-q", process_sandbox.PACKAGES]
+        with self._tool_job(image, ["python3", *options], packages=folder) as job:
+            self._run_tool(job, wait)
+            _add_bytecode(job.directory / f"{_BYTECODE}{process_sandbox.PACKAGES}"[1:], folder)
+
+    @contextlib.contextmanager
+    def _tool_job(self, image: str, command: list[str], packages: Path | None = None) -> Iterator[RunJob]:
+        """Yield a job for a command of the runner's own, without network, in a directory beside the images."""
+        if self._images is None:
+            raise PythonUnknown(_NO_IMAGES)
+        with tempfile.TemporaryDirectory(prefix="tool-", dir=self._images.scratch, ignore_cleanup_errors=True) as name:
+            Path(name).chmod(0o711)
+            resources = Resources(memory_bytes=_TOOL_BYTES, disk_bytes=_TOOL_BYTES, time_s=_TOOL_TIMEOUT_S)
+            job = RunJob(Path(name).name, Path(name), command, image, resources, Network.none, packages=packages)
+            try:
+                yield job
+            finally:
+                self.remove(job)
+
+    def _run_tool(self, job: RunJob, wait: Wait) -> None:
+        """Run a job to its end. Raises PythonUnknown where it fails."""
+        try:
+            self.submit(job)
+        except CannotStart as error:
+            raise PythonUnknown(error.ending.message) from error
+        while (ending := self.poll(job)) is None:
+            wait(_POLL_EVERY_S)
+            time.sleep(_POLL_EVERY_S)
+        if ending.reason in (EndReason.command_not_found, EndReason.not_possible):
+            raise PythonUnknown(f"The image has no python3 that can be started: {ending.message}")
+        if ending.reason is not EndReason.done and ending.reason is not EndReason.exit_code:
+            raise PythonUnknown(f"Its python3 cannot be used. {ending.message}")
 
     def _start_supervisor(self, job: RunJob) -> None:
         lock = os.open(job.directory / process_supervisor.LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -237,12 +304,21 @@ class ProcessExecutor(LocalExecutor):
         }
 
 
-def _task_in_image(job: RunJob, image: StoredImage, uid: int | None) -> dict[str, object]:
-    """Return what differs for a job in an image. Raises CannotStart."""
-    run = image.run
-    command = [*run.entrypoint, *(job.command or run.command)]
-    if not command:
-        raise cannot_start("Neither the action nor its image names a command.", EndReason.command_not_found)
+def _environment_in_image(job: RunJob, run: ImageRun) -> dict[str, str]:
+    """Return the variables of the image, those of every job, and those of this one."""
+    variables = {"PATH": _IMAGE_PATH, **dict(entry.partition("=")[::2] for entry in run.environment)}
+    variables |= {"HOME": "/tmp", "TMPDIR": "/tmp", "PYTHONUNBUFFERED": "1"}  # noqa: S108  the job's own
+    if job.resources.gpus:
+        paths = {"LD_LIBRARY_PATH": nvidia.LIBRARIES, "PATH": nvidia.PROGRAMS}
+        variables |= {name: ":".join(filter(None, (variables.get(name), path))) for name, path in paths.items()}
+    if job.packages is not None:
+        search_path = ":".join(filter(None, (process_sandbox.PACKAGES, variables.get("PYTHONPATH"))))
+        variables |= {PACKAGES_VARIABLE: process_sandbox.PACKAGES, "PYTHONPATH": search_path}
+    return variables | dict(job.environment)
+
+
+def _make_volumes(job: RunJob, run: ImageRun, uid: int | None) -> list[str]:
+    """Create the directories of the volumes of an image, and return where it sees them."""
     # Those in its own directories are writable anyway.
     volumes = [path for path in run.volumes if path.split("/")[1] not in ("in", "out", "tmp")]
     for number, _ in enumerate(volumes):
@@ -250,15 +326,45 @@ def _task_in_image(job: RunJob, image: StoredImage, uid: int | None) -> dict[str
         directory.mkdir(exist_ok=True)
         if uid is not None:
             os.chown(directory, uid, uid)
-    root = process_sandbox.ImageRoot(str(image.path), volumes, run.directory)
-    return {"command": command, "environment": _environment_in_image(job, run), "image": root}
+    return volumes
 
 
-def _environment_in_image(job: RunJob, run: ImageRun) -> dict[str, str]:
-    """Return the variables of the image, those of every job, and those of this one."""
-    variables = {"PATH": _IMAGE_PATH, **dict(entry.partition("=")[::2] for entry in run.environment)}
-    variables |= {"HOME": "/tmp", "TMPDIR": "/tmp", "PYTHONUNBUFFERED": "1"}  # noqa: S108  the job's own
+def _task_of_apptainer(
+    apptainer: Apptainer, job: RunJob, image: StoredImage, command: list[str], volumes: list[str]
+) -> dict[str, object]:
+    directories = {f"/{name}": (job.directory / name, name == "in") for name in ("in", "out", "tmp")}
     if job.packages is not None:
-        search_path = ":".join(filter(None, (process_sandbox.PACKAGES, variables.get("PYTHONPATH"))))
-        variables |= {PACKAGES_VARIABLE: process_sandbox.PACKAGES, "PYTHONPATH": search_path}
-    return variables | dict(job.environment)
+        directories[process_sandbox.PACKAGES] = (job.packages, True)
+    for number, path in enumerate(volumes):
+        directories[path] = (process_sandbox.volume_directory(job.directory, number), False)
+    try:
+        words = apptainer.command(
+            image.path,
+            command,
+            directories=directories,
+            working_directory=image.run.directory,
+            network=job.network,
+            has_gpus=job.resources.gpus > 0,
+        )
+    except ValueError as error:
+        raise cannot_start(f"It cannot be started here: {error}.") from error
+    inside = _environment_in_image(job, image.run)
+    environment = {f"{VARIABLE}{name}": value for name, value in inside.items() if name != "HOME"}
+    environment["PATH"] = os.environ.get("PATH", os.defpath)
+    return {"command": words, "environment": environment, "variable_prefix": VARIABLE, "has_own_isolation": True}
+
+
+def _add_bytecode(compiled: Path, packages: Path) -> None:
+    """Move the bytecode that an image made to the folder of the packages, beside their files.
+
+    It may have written anything: only files for folders that exist are taken.
+    """
+    for parent, names, files in os.walk(compiled):
+        folder = packages / Path(parent).relative_to(compiled)
+        names[:] = [name for name in names if (folder / name).is_dir() and not (folder / name).is_symlink()]
+        cache = folder / "__pycache__"
+        for file in files:
+            source = Path(parent) / file
+            if source.suffix == ".pyc" and source.is_file() and not source.is_symlink():
+                cache.mkdir(exist_ok=True)
+                shutil.copyfile(source, cache / file)

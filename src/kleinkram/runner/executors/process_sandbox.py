@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from kleinkram.runner.executors import linux_syscalls, port_forward
+from kleinkram.runner.executors import linux_syscalls, nvidia, port_forward
 
 _INSIDE_UID = 1000
 _SYSTEM = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/etc", "/opt")
@@ -47,6 +47,7 @@ class Sandbox:
     """Where and as whom a command runs. `uid` is None where this process cannot change its uid.
 
     The listening sockets of its port forwards are sent to `listeners`. `packages` is a folder to show as `PACKAGES`.
+    `gpus` are the visible ones, as `CUDA_VISIBLE_DEVICES` has them; None: none.
     """
 
     directory: Path
@@ -57,6 +58,7 @@ class Sandbox:
     listeners: socket.socket
     packages: Path | None = None
     image: ImageRoot | None = None
+    gpus: str | None = None
 
 
 def is_available() -> bool:
@@ -169,8 +171,13 @@ def apply_limits(sandbox: Sandbox) -> None:
     """Apply the limits of the kernel to this process and its children."""
     linux_syscalls.give_up_privileges()
     linux_syscalls.deny_uncounted_memory()
+    limit_resources(sandbox.disk_bytes)
+
+
+def limit_resources(disk_bytes: int) -> None:
+    """Apply the limits of the kernel that leave this process its privileges."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    largest = sandbox.disk_bytes + _FILE_MARGIN_BYTES
+    largest = disk_bytes + _FILE_MARGIN_BYTES
     resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
     resource.setrlimit(resource.RLIMIT_NPROC, (_PROCESSES, _PROCESSES))
 
@@ -199,6 +206,8 @@ def _mount_root(sandbox: Sandbox) -> None:
         linux_syscalls.mount(f"/dev/{name}", devices / name, None, linux_syscalls.MS_BIND)
     for name, number in (("fd", ""), ("stdin", "/0"), ("stdout", "/1"), ("stderr", "/2")):
         (devices / name).symlink_to(f"/proc/self/fd{number}")
+    if sandbox.gpus is not None:
+        _mount_driver(sandbox.gpus, root)
     flags = linux_syscalls.MS_NOSUID | linux_syscalls.MS_NODEV
     linux_syscalls.mount("tmpfs", devices / "shm", "tmpfs", flags, f"size={SHARED_MEMORY_BYTES},mode=1777")
     (root / "proc").mkdir()
@@ -213,6 +222,22 @@ def _mount_image(directory: Path, image: ImageRoot, root: Path) -> None:
             _bind_read_only(entry, root / entry.name)
     for number, path in enumerate(image.volumes):
         _bind(volume_directory(directory, number), root / path[1:])
+
+
+def _mount_driver(visible: str, root: Path) -> None:
+    """Mount the devices of GPUs, and the libraries and programs of their driver."""
+    for device in nvidia.devices(visible):
+        target = root / str(device)[1:]
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.touch()
+        linux_syscalls.mount(str(device), target, None, linux_syscalls.MS_BIND)
+    for folder, files in ((nvidia.LIBRARIES, nvidia.libraries()), (nvidia.PROGRAMS, nvidia.programs())):
+        (root / folder[1:]).mkdir(parents=True)
+        for file in files:
+            target = root / folder[1:] / file.name
+            target.touch()
+            linux_syscalls.mount(str(file.resolve()), target, None, linux_syscalls.MS_BIND)
+            linux_syscalls.make_read_only(target)
 
 
 def volume_directory(directory: Path, number: int) -> Path:

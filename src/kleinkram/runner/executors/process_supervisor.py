@@ -18,13 +18,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from kleinkram.runner.executors import linux_syscalls, port_forward
+from kleinkram.runner.executors import linux_syscalls, nvidia, port_forward
 from kleinkram.runner.executors.process_sandbox import (
     SHARED_MEMORY,
     SHARED_MEMORY_BYTES,
     ImageRoot,
     Sandbox,
     apply_limits,
+    limit_resources,
     run_in_sandbox,
 )
 from kleinkram.runner.executors.supervision import (
@@ -110,7 +111,16 @@ class JobSupervisor:
             packages = Path(job["packages"]) if job["packages"] else None
             image = ImageRoot(*job["image"]) if job["image"] else None
             has_network, uid = job["has_network"], job["uid"]
-            sandbox = Sandbox(self._directory, has_network, disk_bytes, uid, self._forwards, listeners, packages, image)
+            # Of a cluster, which decides on its nodes which GPUs a job has.
+            visible = os.environ.get(nvidia.VISIBLE, "") if job["gpus"] else None
+            if visible:
+                job["environment"][f"{job['variable_prefix']}{nvidia.VISIBLE}"] = visible
+            if job["has_own_isolation"]:
+                limit_resources(disk_bytes)
+                return run_beside(job["command"], job["environment"])
+            sandbox = Sandbox(
+                *(self._directory, has_network, disk_bytes, uid, self._forwards, listeners, packages, image, visible)
+            )
             if job["is_isolated"]:
                 return run_in_sandbox(sandbox, job["command"], job["environment"], error)
             linux_syscalls.die_with_parent(signal.SIGKILL)
@@ -236,6 +246,30 @@ def _read_available(descriptor: int, readers: dict[int, Callable[[bytes], object
 def _kill(pid: int, number: signal.Signals) -> None:
     with contextlib.suppress(ProcessLookupError):
         os.kill(pid, number)
+
+
+def run_beside(command: list[str], environment: dict[str, str]) -> int:
+    """Run a program that changes its privileges, and return its exit code; end it if this process's parent ends.
+
+    The kernel cannot do that: it forgets the signal of `die_with_parent` for such a program.
+    """
+    linux_syscalls.adopt_orphans()
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    parent = os.getppid()
+    pid = os.fork()
+    if pid == 0:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        os.execvpe(command[0], command, environment)  # noqa: S606  what jobs are for
+    while True:
+        ended, status = os.waitpid(-1, os.WNOHANG)
+        if ended == pid:
+            code = os.waitstatus_to_exitcode(status)
+            return code if code >= 0 else 128 - code
+        if os.getppid() != parent:
+            for remaining in _descendants(os.getpid()):
+                _kill(remaining, signal.SIGKILL)
+        if not ended:
+            time.sleep(_CHECK_EVERY_S)
 
 
 def _descendants(pid: int) -> list[int]:

@@ -108,7 +108,7 @@ class RegistryClient:
         self._architecture = architecture
         self._registry, _, self._path = name.repository.partition("/")
         self._host = _HUB_HOST if self._registry == HUB else self._registry
-        self._is_loopback = _is_loopback(self._host)
+        self._is_loopback = is_loopback(self._host)
         self._scheme = "https"
         self._authorization: dict[str, str] = {}
 
@@ -288,12 +288,13 @@ def _pool_for(url: str) -> urllib3.PoolManager:
     parts = urlsplit(url)
     proxy = urllib.request.getproxies().get(parts.scheme)
     context = ssl.create_default_context()
-    if proxy and not _is_loopback(parts.netloc) and not urllib.request.proxy_bypass(parts.hostname or ""):
+    if proxy and not is_loopback(parts.netloc) and not urllib.request.proxy_bypass(parts.hostname or ""):
         return urllib3.ProxyManager(proxy, ssl_context=context)
     return urllib3.PoolManager(ssl_context=context)
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
+    """Whether a host, with a port or without, is this machine."""
     name = host.rpartition(":")[0] if re.search(r":\d+$", host) else host
     if name == "localhost":
         return True

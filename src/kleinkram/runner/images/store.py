@@ -3,6 +3,7 @@
     <digest>/               an image (`folder_cache.py`): `root/`, its files, or `image.sif` of Apptainer
     <digest>/complete.json  its size, and how it is run
     names/<hash>.json       the digests that a name stood for when it was last resolved
+    scratch/                directories of short jobs of the runner's own
 
 An image is in use while a job runs it, and for a while after it was prepared.
 """
@@ -17,6 +18,7 @@ import subprocess
 import sys
 import threading
 import time
+import uuid
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -26,7 +28,6 @@ from typing import NamedTuple
 from pydantic import BaseModel, ValidationError
 
 from kleinkram.environments.folder_cache import EntryTooLarge, FolderCache, remove_read_only
-from kleinkram.runner.executors.supervision import write_atomically
 from kleinkram.runner.images import unpack
 from kleinkram.runner.images.names import ImageName, ImageNotAllowed, Pull, check_allowed
 from kleinkram.runner.images.registry import (
@@ -121,11 +122,11 @@ class FolderBuilder(ImageBuilder):
         """Fetch the layers, and unpack them in a process that sees nothing but the folder."""
         packed_bytes = sum(layer.size_bytes for layer in image.layers)
         if packed_bytes > space.limit_bytes:
-            raise _too_large(packed_bytes, space.limit_bytes)
+            raise too_large(packed_bytes, space.limit_bytes)
         paths: list[Path] = []
         for number, layer in enumerate(image.layers):
             paths.append(space.folder / f"layer-{number}")
-            client.fetch_layer(layer, paths[-1], lambda _: _check_space(space.folder))
+            client.fetch_layer(layer, paths[-1], lambda _: check_space(space.folder))
         config = image.config
         directories = [config.directory or "/", *(config.volumes or ())]
         request = unpack.UnpackRequest([str(path) for path in paths], directories, space.limit_bytes)
@@ -160,11 +161,13 @@ class ImageStore(FolderCache):
         allowed: Sequence[str] | None = None,
     ) -> None:
         super().__init__(folder, limit_bytes)
-        self._builder = builder
+        self.builder = builder
         self._pull = pull
         self._allowed = allowed
         self._names = folder / "names"
         self._names.mkdir(exist_ok=True)
+        self.scratch = folder / "scratch"
+        self.scratch.mkdir(mode=0o711, exist_ok=True)
         self._prepared: dict[str, tuple[int, float]] = {}
         self._lock = threading.Lock()
         self._architecture = _ARCHITECTURES.get(platform.machine(), platform.machine())
@@ -205,7 +208,14 @@ class ImageStore(FolderCache):
         except ValidationError:
             os.close(lock)
             return None
-        return StoredImage(self._folder / key / self._builder.content, run, lock)
+        return StoredImage(self._folder / key / self.builder.content, run, lock)
+
+    def close(self) -> None:
+        """End the use of the images that were prepared last."""
+        with self._lock:
+            for lock, _ in self._prepared.values():
+                os.close(lock)
+            self._prepared.clear()
 
     def _fetch(self, name: ImageName) -> Resolved:
         client = RegistryClient(name, self._architecture)
@@ -219,9 +229,10 @@ class ImageStore(FolderCache):
                 elif not self._is_complete(key):
                     self._build(name, image, client, lock)
         path = self._name_path(name)
-        # Threads may resolve the same name.
-        with self._lock:
-            write_atomically(path, resolved.model_dump_json())
+        # Runners may resolve the same name at the same time.
+        temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex}.new")
+        temporary.write_text(resolved.model_dump_json())
+        temporary.replace(path)
         return resolved
 
     def _build(self, name: ImageName, image: RegistryImage, client: RegistryClient, lock: int) -> None:
@@ -230,7 +241,7 @@ class ImageStore(FolderCache):
         new = self.make_folder(key)
         try:
             limit_bytes = min(self._limit_bytes, max(0, shutil.disk_usage(new).free - _SPARE_BYTES))
-            run = self._builder.build(name, image, BuildSpace(new, lock, limit_bytes), client)
+            run = self.builder.build(name, image, BuildSpace(new, lock, limit_bytes), client)
             self.publish(new, key, run.model_dump())
         finally:
             if new.exists():
@@ -249,7 +260,7 @@ class ImageStore(FolderCache):
         return True
 
     def _key(self, reference: str) -> str:
-        return f"{reference.removeprefix('sha256:')}-{self._builder.content.rpartition('.')[2]}"
+        return f"{reference.removeprefix('sha256:')}-{self.builder.content.rpartition('.')[2]}"
 
     def _name_path(self, name: ImageName) -> Path:
         full = name.digest or f"{name.repository}:{name.tag}"
@@ -287,10 +298,12 @@ def _unpack(request: unpack.UnpackRequest, space: BuildSpace) -> unpack.UnpackRe
     return result
 
 
-def _check_space(folder: Path) -> None:
+def check_space(folder: Path) -> None:
+    """Raise OSError where the disk is full, but for what is left to others."""
     if shutil.disk_usage(folder).free < _SPARE_BYTES:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def _too_large(size_bytes: int, limit_bytes: int) -> ImageFailure:
+def too_large(size_bytes: int, limit_bytes: int) -> ImageFailure:
+    """Return the failure of an image that is too large."""
     return ImageFailure(f"The image takes {size_bytes / 1e9:.1f} GB; {limit_bytes / 1e9:.1f} GB are allowed.")

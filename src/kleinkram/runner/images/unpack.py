@@ -116,7 +116,7 @@ class _Root:
                 elif name.startswith(_WHITEOUT):
                     _remove(os.path.join(folder, name.removeprefix(_WHITEOUT)))
                 elif path:
-                    own.add(path)
+                    _add_with_parents(path, own)
                     self._extract(tar, member, path)
 
     def _extract(self, tar: tarfile.TarFile, member: tarfile.TarInfo, path: str) -> None:
@@ -177,6 +177,12 @@ def _path_of(name: str) -> str:
     if ".." in parts:
         raise _LayerRefused(f"One of its layers has a path that leads out of the image: {name[:200]!r}.")
     return "/".join(parts)
+
+
+def _add_with_parents(path: str, paths: set[str]) -> None:
+    while path and path not in paths:
+        paths.add(path)
+        path = os.path.dirname(path)
 
 
 def _make_parents(path: str) -> None:
