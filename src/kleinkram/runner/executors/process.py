@@ -26,8 +26,9 @@ from kleinkram.environments.python import PROBE, Python, PythonUnknown, parse_py
 from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors import nvidia, process_sandbox, process_supervisor
 from kleinkram.runner.executors.base import CannotStart, Ending, PinnedImage, RunJob
+from kleinkram.runner.executors.docker.container import NOT_EXECUTED_CODES, execution_error
 from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
-from kleinkram.runner.executors.supervision import ENDING, USAGE, reserve, write_atomically
+from kleinkram.runner.executors.supervision import ENDING, USAGE, command_not_found, reserve, write_atomically
 from kleinkram.runner.images.apptainer import VARIABLE, Apptainer
 from kleinkram.runner.images.store import ImageFailure, ImageRun, ImageStore, StoredImage
 
@@ -38,6 +39,7 @@ _BYTECODE = "/out/bytecode"
 _TOOL_BYTES = 2**30
 _TOOL_TIMEOUT_S = 600
 _TOOL_OUTPUT_BYTES = 2**16
+_FIRST_OUTPUT_BYTES = 2**12
 # Of images that set none, as container engines have it.
 _IMAGE_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 _LOST = Ending(EndReason.lost, "Its processes were killed together with their supervisor.")
@@ -158,7 +160,12 @@ class ProcessExecutor(LocalExecutor):
             ending = json.loads((job.directory / ENDING).read_text())
         except FileNotFoundError:
             return _LOST
-        return Ending(EndReason(ending["reason"]), ending["message"], ending["exit_code"])
+        code = ending["exit_code"]
+        if self._apptainer is not None and code in NOT_EXECUTED_CODES:
+            output = self.read_log(job, 0, _FIRST_OUTPUT_BYTES).decode(errors="replace")
+            if (detail := execution_error(output, job.command, code)) is not None:
+                return Ending.of(command_not_found(detail))
+        return Ending(EndReason(ending["reason"]), ending["message"], code)
 
     def cancel(self, job: RunJob) -> None:
         """Send SIGTERM to the supervisor."""

@@ -29,7 +29,8 @@ VARIABLE = "APPTAINERENV_"
 _BUILD_TIMEOUT_S = 3600.0
 _CHECK_EVERY_S = 0.2
 _LOG = "apptainer.log"
-# Apptainer decides HOME itself, and reports a missing command like any other failure.
+# Apptainer decides HOME itself, and reports a missing command like any other failure; of a shell, `execution_error`
+# recognises that.
 _WITH_HOME = ("/bin/sh", "-c", 'HOME=/tmp; export HOME; exec "$@"', "kleinkram")
 _SEPARATORS = re.compile(r"[:,]")
 
