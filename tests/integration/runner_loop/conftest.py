@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.environments.uv import parse_index
-from kleinkram.runner.arguments import TOKEN_VARIABLE, Arguments, ExecutorChoice
+from kleinkram.runner.arguments import DEFAULT_IMAGE, TOKEN_VARIABLE, Arguments, ExecutorChoice, ImageChoice
 from kleinkram.runner.executors.local import LocalExecutor, Machine, MachineShare
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.loop import Runner, RunnerOptions
@@ -56,8 +56,8 @@ class Runners:
         self._threads.append((runner, thread))
         return runner
 
-    def spawn(self, docker: Dockerd | None = None) -> subprocess.Popen[bytes]:
-        """Start a runner as a process."""
+    def spawn(self, docker: Dockerd | None = None, default_image: str | None = None) -> subprocess.Popen[bytes]:
+        """Start a runner as a process; with a default image, its processes run in images."""
         arguments = Arguments(
             url=self.server.url,
             data_dir=self.folder,
@@ -67,6 +67,9 @@ class Runners:
             disk_bytes=10**9,
             cache_bytes=10**9,
             executor=ExecutorChoice.docker if docker else ExecutorChoice.process,
+            images=ImageChoice.namespaces if default_image else ImageChoice.off,
+            images_bytes=10**9,
+            default_image=default_image or DEFAULT_IMAGE,
         )
         environment = {**os.environ, TOKEN_VARIABLE: RUNNER_TOKEN}
         if docker:
