@@ -54,7 +54,7 @@ def test_what_an_image_says_of_itself_is_honoured(bench: Bench, image_folder: Im
         "Entrypoint": ["python3", "-c"],
         "Cmd": ["print('the command of the image')"],
         "WorkingDir": "/work/space",
-        "Volumes": {"/data/large": {}, "/tmp": {}},
+        "Volumes": {"/data/large": {}, "/tmp": {}, "/": {}, "/proc": {}},
         "User": "1234:1234",
     }
     image = image_folder.registry.push("lab/configured", [gzipped(python_root())], config=config)

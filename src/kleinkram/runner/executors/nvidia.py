@@ -11,8 +11,8 @@ from pathlib import Path
 
 VISIBLE = "CUDA_VISIBLE_DEVICES"
 # Where a job sees them.
-LIBRARIES = "/nvidia/lib"
-PROGRAMS = "/nvidia/bin"
+LIBRARIES = "/.nvidia/lib"
+PROGRAMS = "/.nvidia/bin"
 _DEVICES = Path("/dev")
 # Of all GPUs together; `nvidia0` and so on are those of one.
 _SHARED_DEVICES = ("nvidiactl", "nvidia-modeset", "nvidia-uvm", "nvidia-uvm-tools", "nvidia-caps/*")

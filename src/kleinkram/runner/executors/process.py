@@ -28,6 +28,7 @@ from kleinkram.runner.executors import nvidia, process_sandbox, process_supervis
 from kleinkram.runner.executors.base import CannotStart, Ending, PinnedImage, RunJob
 from kleinkram.runner.executors.docker.container import NOT_EXECUTED_CODES, execution_error
 from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
+from kleinkram.runner.executors.process_sandbox import OWN_ENTRIES
 from kleinkram.runner.executors.supervision import ENDING, USAGE, command_not_found, reserve, write_atomically
 from kleinkram.runner.images.apptainer import VARIABLE, Apptainer
 from kleinkram.runner.images.store import ImageFailure, ImageRun, ImageStore, StoredImage
@@ -326,8 +327,8 @@ def _environment_in_image(job: RunJob, run: ImageRun) -> dict[str, str]:
 
 def _make_volumes(job: RunJob, run: ImageRun, uid: int | None) -> list[str]:
     """Create the directories of the volumes of an image, and return where it sees them."""
-    # Those in its own directories are writable anyway.
-    volumes = [path for path in run.volumes if path.split("/")[1] not in ("in", "out", "tmp")]
+    # `/out` and `/tmp` are writable anyway, and the rest is the sandbox's.
+    volumes = [path for path in sorted(run.volumes) if path != "/" and path.split("/")[1] not in OWN_ENTRIES]
     for number, _ in enumerate(volumes):
         directory = process_sandbox.volume_directory(job.directory, number)
         directory.mkdir(exist_ok=True)

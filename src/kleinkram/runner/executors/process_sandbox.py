@@ -21,7 +21,7 @@ _INSIDE_UID = 1000
 _SYSTEM = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/etc", "/opt")
 _DEVICES = ("null", "zero", "full", "random", "urandom")
 # Of a sandbox; what an image has there is not shown.
-_OWN_ENTRIES = {"in", "out", "tmp", "env", "dev", "proc", "sys"}
+OWN_ENTRIES = frozenset({"in", "out", "tmp", "env", "dev", "proc", "sys"})
 # Where a job sees the packages of its script.
 PACKAGES = "/env"
 SHARED_MEMORY = Path("dev/shm")
@@ -218,7 +218,7 @@ def _mount_root(sandbox: Sandbox) -> None:
 
 def _mount_image(directory: Path, image: ImageRoot, root: Path) -> None:
     for entry in Path(image.root).iterdir():
-        if entry.name not in _OWN_ENTRIES:
+        if entry.name not in OWN_ENTRIES:
             _bind_read_only(entry, root / entry.name)
     for number, path in enumerate(image.volumes):
         _bind(volume_directory(directory, number), root / path[1:])

@@ -19,6 +19,7 @@ from urllib.parse import urlencode, urlsplit
 import urllib3
 from pydantic import BaseModel, Field, ValidationError
 
+from kleinkram.contract.problems import first_problem
 from kleinkram.runner.images.names import HUB, ImageName, credentials_for
 
 _HUB_HOST = "registry-1.docker.io"
@@ -319,8 +320,5 @@ def _parse(model: type[_Document], data: bytes, name: ImageName) -> _Document:
     try:
         return model.model_validate_json(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise RegistryFailure(
-            f"The image {name.repository} has a damaged description: {where}: {first['msg']}."
-        ) from error
+        reason = first_problem(error)
+        raise RegistryFailure(f"The image {name.repository} has a damaged description: {reason}.") from error
