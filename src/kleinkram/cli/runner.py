@@ -39,6 +39,17 @@ _Transfers = Annotated[
     TransfersOption,
     option("--transfers", None, "Let the compute nodes move inputs and results, or this machine. Nodes need HTTPS."),
 ]
+
+
+class ImagesOption(str, Enum):
+    """How processes run images."""
+
+    off = "off"
+    auto = "auto"
+    namespaces = "namespaces"
+    apptainer = "apptainer"
+
+
 _TokenFile = Annotated[
     Path | None,
     option("--token-file", "F", "Read its token from a file with mode 0600. Default: KLEINKRAM_RUNNER_TOKEN."),
@@ -54,6 +65,10 @@ _PackageIndex = Annotated[
 ]
 _Executor = Annotated[
     ExecutorOption, option("--executor", None, "Choose how to run actions; auto: in containers if possible.")
+]
+_Images = Annotated[
+    ImagesOption,
+    option("--images", None, "Choose how to run images without a container engine; off: only scripts."),
 ]
 _DefaultImage = Annotated[
     Text, option("--default-image", "IMAGE", "Set the image of scripts. Default: kleinkram/action-python.")
@@ -114,6 +129,8 @@ def start(
     gpu: _Gpu = None,
     gpu_sharing: Annotated[int, option("--gpu-sharing", "N", "Set how many runs may have the same GPU.", min=1)] = 1,
     executor: _Executor = ExecutorOption.auto,
+    images: _Images = ImagesOption.off,
+    image_cache: Annotated[Text, _limit("--image-cache", "these images", "20 % of the free space")] = None,
     default_image: _DefaultImage = None,
     registry: _Registries = None,
     data_dir: _DataDir = None,
@@ -124,7 +141,7 @@ def start(
 ) -> None:
     """Run actions on this machine. Ctrl-C ends the runner and its runs; SIGTERM leaves its runs to the next one."""
     from kleinkram.client.config import find_endpoint
-    from kleinkram.runner.arguments import DEFAULT_IMAGE, Arguments, ExecutorChoice
+    from kleinkram.runner.arguments import DEFAULT_IMAGE, Arguments, ExecutorChoice, ImageChoice
 
     arguments = Arguments(
         url=url or find_endpoint().url,
@@ -143,6 +160,8 @@ def start(
         gpu_names=gpu or [],
         gpu_sharing=gpu_sharing,
         executor=ExecutorChoice(executor.value),
+        images=ImageChoice(images.value),
+        images_bytes=parse_size(image_cache) if image_cache else None,
         default_image=default_image or DEFAULT_IMAGE,
         registries=registry or None,
         once=once,

@@ -1,26 +1,20 @@
 """The cache of environments: one folder for each lock, Python and image, used by runs, and read-only.
 
     <key>/packages/         the packages, which runs see as `/env`
-    <key>/complete.json     the number and size of its files, written last; its time is that of the last use
-    <key>.lock              held (flock) exclusively while the environment is built or removed, shared while it is used
-    <key>.new-<random>/     an environment being built, renamed to <key> once it is complete
+    <key>/complete.json     the number and size of its files
 
-The locks hold between threads and between processes. A killed process leaves a folder `.new-...` that nothing uses, and
-that the next build removes; `uv` inherits the lock, so that this is not done while it still writes there.
+`uv` inherits the lock of what it builds (`folder_cache.py`), which nobody removes while it still writes there.
 """
 
 import contextlib
 import errno
-import fcntl
 import hashlib
-import json
 import os
 import shutil
 import stat
 import subprocess
-import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,10 +23,11 @@ from typing import NamedTuple
 from packaging.specifiers import SpecifierSet
 
 from kleinkram.contract.locks import parse_lock
+from kleinkram.environments.folder_cache import EntryTooLarge, FolderCache, remove_read_only
 from kleinkram.environments.python import Python
 from kleinkram.environments.uv import PackageIndex, UvFailed, Wait, run_uv
 
-_PACKAGES, _COMPLETE, _LOCK, _NEW = "packages", "complete.json", ".lock", ".new-"
+_PACKAGES = "packages"
 _BUILD_TIMEOUT_S = 1800.0
 _RETRY_S = 0.1
 _MEASURE_EVERY_S = 2.0
@@ -92,16 +87,12 @@ class Environment:
         self._lock = -1
 
 
-class EnvironmentCache:
+class EnvironmentCache(FolderCache):
     """Environments in one folder, of at most `limit_bytes` beside those in use. For all threads and processes."""
 
     def __init__(self, folder: Path, index: PackageIndex, limit_bytes: int) -> None:
-        self._folder = folder
+        super().__init__(folder, limit_bytes)
         self._index = index
-        self._limit_bytes = limit_bytes
-        folder.mkdir(mode=0o711, parents=True, exist_ok=True)
-        for abandoned in {path.name.partition(_NEW)[0] for path in folder.glob(f"*{_NEW}*")}:
-            self._remove(abandoned, if_complete=False)
 
     def get(self, request: EnvironmentRequest, *, wait: Wait, show: Show, compile_in: Compile) -> Environment:
         """Return an environment, which is built if there is none: by one caller, while others `wait` (seconds).
@@ -116,7 +107,7 @@ class EnvironmentCache:
         _check_python(request)
         needed = sum(package.is_needed(request.python.markers()) for package in packages)
         while (environment := self.find(request.key)) is None:
-            with self._try_lock(request.key) as lock:
+            with self.try_lock(request.key) as lock:
                 if lock is None:  # another caller builds it, or uses it already
                     wait(_RETRY_S)
                 elif not self._is_complete(request.key):
@@ -126,27 +117,14 @@ class EnvironmentCache:
 
     def find(self, key: str) -> Environment | None:
         """Return an environment that is complete, in use from now on; None without it."""
-        lock = self._open_lock(key)
-        try:
-            # Does not wait: whoever has the lock builds the environment, or removes it.
-            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            if self._is_current(key, lock) and self._is_complete(key):
-                with contextlib.suppress(OSError):
-                    os.utime(self._folder / key / _COMPLETE)
-                used, lock = lock, -1
-                return Environment(key, self._folder / key / _PACKAGES, used)
-        except BlockingIOError:
-            return None
-        finally:
-            if lock >= 0:
-                os.close(lock)
-        return None
+        lock = self.use(key)
+        return None if lock is None else Environment(key, self._folder / key / _PACKAGES, lock)
 
     def _build(self, request: EnvironmentRequest, lock: int, preparation: Preparation) -> None:
         wait, show, compile_in = preparation
         show(0.0)
-        self._remove_folders(request.key)
-        new = Path(tempfile.mkdtemp(prefix=f"{request.key}{_NEW}", dir=self._folder))
+        self.remove_folders(request.key)
+        new = self.make_folder(request.key)
         try:
             target = new / _PACKAGES
             (new / "lock.txt").write_text(request.lock)
@@ -170,14 +148,11 @@ class EnvironmentCache:
             guard.wait(0)
             compile_in(target, guard.wait)
             _make_read_only(target)
-            (new / _COMPLETE).write_text(json.dumps(_inventory(target)))
-            new.chmod(0o711)
-            self._make_space(_inventory(target)["size_bytes"])
-            # Otherwise, files could be empty after a power failure.
-            os.sync()
-            new.rename(self._folder / request.key)
+            self.publish(new, request.key, _inventory(target))
         except UvFailed as error:
             raise CannotInstall(str(error)) from None
+        except EntryTooLarge:
+            raise _too_large(_inventory(target)["size_bytes"], self._limit_bytes) from None
         except OSError as error:
             if error.errno != errno.ENOSPC:
                 raise
@@ -186,77 +161,10 @@ class EnvironmentCache:
             if new.exists():
                 remove_read_only(new)
 
-    def _make_space(self, needed_bytes: int) -> None:
-        """Remove the environments that were used longest ago, and by nobody now, until there is space.
-
-        Raises:
-            CannotInstall: there is not enough for this one alone.
-        """
-        complete: list[tuple[float, int, str]] = []
-        for path in self._folder.glob(f"*/{_COMPLETE}"):
-            with contextlib.suppress(OSError, ValueError, KeyError):
-                if _NEW not in path.parent.name:
-                    complete.append(
-                        (path.stat().st_mtime, json.loads(path.read_text())["size_bytes"], path.parent.name)
-                    )
-        if needed_bytes > self._limit_bytes:
-            raise _too_large(needed_bytes, self._limit_bytes)
-        excess_bytes = sum(size_bytes for _, size_bytes, _ in complete) + needed_bytes - self._limit_bytes
-        for _, size_bytes, key in sorted(complete):
-            if excess_bytes <= 0:
-                return
-            if self._remove(key):
-                excess_bytes -= size_bytes
-
-    def _remove(self, key: str, *, if_complete: bool = True) -> bool:
-        """Remove an environment, or what a killed build left, unless it is in use; return whether it was removed."""
-        with self._try_lock(key) as lock:
-            if lock is None or (not if_complete and self._is_complete(key)):
-                return False
-            self._remove_folders(key)
-            (self._folder / f"{key}{_LOCK}").unlink(missing_ok=True)
-        return True
-
-    def _remove_folders(self, key: str) -> None:
-        # No longer complete, if this process is killed now.
-        (self._folder / key / _COMPLETE).unlink(missing_ok=True)
-        remove_read_only(self._folder / key)
-        for abandoned in self._folder.glob(f"{key}{_NEW}*"):
-            # What compiled it may still write there; it is never used, and removed the next time.
-            with contextlib.suppress(OSError):
-                remove_read_only(abandoned)
-
-    @contextlib.contextmanager
-    def _try_lock(self, key: str) -> Iterator[int | None]:
-        """Yield a lock on an environment that nobody else builds or uses; None where somebody does."""
-        lock = self._open_lock(key)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            is_locked = self._is_current(key, lock)
-        except BlockingIOError:
-            is_locked = False
-        try:
-            yield lock if is_locked else None
-        finally:
-            os.close(lock)
-
-    def _open_lock(self, key: str) -> int:
-        return os.open(self._folder / f"{key}{_LOCK}", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-
-    def _is_current(self, key: str, lock: int) -> bool:
-        """Whether a lock file is still the one that others open: it is removed together with its environment."""
-        try:
-            return os.fstat(lock).st_ino == (self._folder / f"{key}{_LOCK}").stat().st_ino
-        except FileNotFoundError:
-            return False
-
     def _is_complete(self, key: str) -> bool:
         """Whether an environment has all of its files; after a power failure, some may be missing."""
-        try:
-            expected = json.loads((self._folder / key / _COMPLETE).read_text())
-        except (FileNotFoundError, ValueError):
-            return False
-        return bool(_inventory(self._folder / key / _PACKAGES) == expected)
+        expected = self._read_complete(key)
+        return expected is not None and _inventory(self._folder / key / _PACKAGES) == expected
 
 
 class _SizeGuard:
@@ -339,16 +247,3 @@ def _inventory(folder: Path) -> dict[str, int]:
                     count += 1
                     size_bytes += entry.stat(follow_symlinks=False).st_size
     return {"files": count, "size_bytes": size_bytes}
-
-
-def remove_read_only(path: Path) -> None:
-    """Remove a file or a folder, whatever its permissions; nothing where it does not exist."""
-    if not path.is_dir() or path.is_symlink():
-        path.unlink(missing_ok=True)
-        return
-    for parent, names, _ in os.walk(path):
-        Path(parent).chmod(0o700)
-        for name in names:
-            if not (Path(parent) / name).is_symlink():
-                (Path(parent) / name).chmod(0o700)
-    shutil.rmtree(path)

@@ -81,6 +81,7 @@ def _machine_of(arguments: Arguments, state: StateDirectory) -> Machine:
         arguments.cache_bytes,
         arguments.environments_bytes,
         arguments.cache_age_days,
+        arguments.images_bytes,
     )
     return Machine(state.path, share, find_index(arguments.package_index))
 

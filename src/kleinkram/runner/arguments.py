@@ -10,10 +10,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kleinkram.client.errors import ConfigurationBroken, CredentialsExposed, NotConfigured
 from kleinkram.contract.names import Label
-from kleinkram.runner.executors.docker.executor import Pull
 from kleinkram.runner.executors.gpus import GpuRequest
 from kleinkram.runner.executors.kubernetes.options import KubernetesOptions
 from kleinkram.runner.executors.slurm.options import SlurmOptions
+from kleinkram.runner.images.names import Pull
 
 DEFAULT_IMAGE = "kleinkram/action-python:latest"
 TOKEN_VARIABLE = "KLEINKRAM_RUNNER_TOKEN"  # noqa: S105  the name of the variable
@@ -25,6 +25,18 @@ class ExecutorChoice(str, enum.Enum):
     auto = "auto"
     docker = "docker"
     process = "process"
+
+
+class ImageChoice(str, enum.Enum):
+    """How processes run images. `auto`: as `namespaces` where the kernel allows them, else as `apptainer`.
+
+    `auto` runs none where neither is possible, or the default image is not available.
+    """
+
+    off = "off"
+    auto = "auto"
+    namespaces = "namespaces"
+    apptainer = "apptainer"
 
 
 class Arguments(BaseModel):
@@ -52,6 +64,8 @@ class Arguments(BaseModel):
     gpu_names: list[str] = []
     gpu_sharing: Annotated[int, Field(ge=1)] = 1
     executor: ExecutorChoice = ExecutorChoice.auto
+    images: ImageChoice = ImageChoice.off
+    images_bytes: int | None = None
     slurm: SlurmOptions | None = None
     kubernetes: KubernetesOptions | None = None
     default_image: str = DEFAULT_IMAGE

@@ -10,10 +10,11 @@ from kleinkram.contract.isolation import Isolation
 from kleinkram.environments.cache import EnvironmentCache
 from kleinkram.environments.local import local_index
 from kleinkram.environments.uv import PackageIndex
-from kleinkram.runner.arguments import ExecutorChoice
+from kleinkram.runner.arguments import ExecutorChoice, ImageChoice
+from kleinkram.runner.executors import process_sandbox
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.docker.client import DockerClient, EngineError, EngineUnavailable, find_socket
-from kleinkram.runner.executors.docker.executor import DockerExecutor, Pull
+from kleinkram.runner.executors.docker.executor import DockerExecutor
 from kleinkram.runner.executors.kubernetes.cluster import connect
 from kleinkram.runner.executors.kubernetes.executor import KubernetesExecutor
 from kleinkram.runner.executors.kubernetes.manifests import Manifests
@@ -25,6 +26,9 @@ from kleinkram.runner.executors.slurm.commands import SlurmCommands
 from kleinkram.runner.executors.slurm.executor import SlurmExecutor
 from kleinkram.runner.executors.slurm.options import SlurmOptions
 from kleinkram.runner.executors.slurm.probe import find_site
+from kleinkram.runner.images.apptainer import Apptainer, find_apptainer
+from kleinkram.runner.images.names import Pull
+from kleinkram.runner.images.store import FolderBuilder, ImageBuilder, ImageFailure, ImageStore
 
 _log = logging.getLogger("kleinkram.runner")
 
@@ -54,16 +58,18 @@ def choose_executor(
     policy: ImagePolicy,
     default_image: str,
     *,
+    images: ImageChoice = ImageChoice.off,
     runner: str = "local",
     machine: Machine | None = None,
     environments: EnvironmentCache | None = None,
 ) -> Executor:
     """Return the executor of a runner. The default image may be pulled first, which may take long.
 
-    `environments` are those of scripts; by default the machine's.
+    `environments` are those of scripts; by default the machine's. `images` is how processes run images.
 
     Raises:
-        InvalidInput: `choice` is `docker`, and no engine answers; or it cannot give the machine's GPUs to runs.
+        InvalidInput: `choice` is `docker`, and no engine answers; it cannot give the GPUs of the machine to runs; or
+            `images` is not possible here.
     """
     socket = None if choice is ExecutorChoice.process else find_socket()
     if choice is ExecutorChoice.docker and socket is None:
@@ -88,7 +94,7 @@ def choose_executor(
             )
     elif choice is ExecutorChoice.auto:
         _log.info("no socket of a container engine was found: scripts run as processes")
-    executor = ProcessExecutor(machine, environments)
+    executor = ProcessExecutor(machine, environments, _image_store(images, policy, default_image, machine))
     executor.check_gpus()
     if executor.abilities.isolation is Isolation.none:
         _log.warning("this kernel allows this user no namespaces: runs can read and change whatever the runner can")
@@ -116,3 +122,31 @@ def kubernetes_executor(options: KubernetesOptions, *, runner: str, url: str, to
     cluster = connect(options.namespace, options.kubeconfig, options.context)
     networks = find_networks(cluster, Manifests(options, runner), url)
     return KubernetesExecutor(cluster, options, runner=runner, url=url, token=token, networks=networks)
+
+
+def _image_store(
+    choice: ImageChoice, policy: ImagePolicy, default_image: str, machine: Machine | None
+) -> ImageStore | None:
+    if choice is ImageChoice.off or machine is None:
+        return None
+    has_namespaces, apptainer = process_sandbox.is_available(), find_apptainer()
+    if choice is ImageChoice.namespaces and not has_namespaces:
+        raise InvalidInput(what="--images namespaces", reason="this kernel allows this user no namespaces")
+    if choice is ImageChoice.apptainer and apptainer is None:
+        raise InvalidInput(what="--images apptainer", reason="there is no program apptainer in PATH")
+    builder: ImageBuilder
+    if has_namespaces and choice is not ImageChoice.apptainer:
+        builder = FolderBuilder()
+    elif apptainer is not None:
+        builder = Apptainer(apptainer)
+    else:
+        _log.warning("images do not run: this kernel allows this user no namespaces, and Apptainer is not installed")
+        return None
+    store = ImageStore(machine.images_folder, machine.images_bytes, builder, pull=policy.pull, allowed=policy.allowed)
+    if choice is ImageChoice.auto:
+        try:
+            store.prepare(default_image)
+        except ImageFailure as error:
+            _log.warning("%s So images do not run; to change this: --images namespaces, or --default-image", error)
+            return None
+    return store

@@ -9,6 +9,7 @@ runs/<run>-<attempt>/ the directory of each attempt, which is also the directory
     log-upload.json   how much of the log is stored
 cache/                inputs
 environments/         packages of scripts
+images/               images, of a runner without a container engine
 slurm-site.json       what a cluster offers, for a runner on Slurm
 """
 

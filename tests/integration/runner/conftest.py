@@ -26,10 +26,13 @@ from kleinkram.runner.executors.slurm.commands import SlurmCommands
 from kleinkram.runner.executors.slurm.executor import SlurmExecutor
 from kleinkram.runner.executors.slurm.options import SlurmOptions
 from kleinkram.runner.executors.slurm.probe import SlurmSite, find_site
+from kleinkram.runner.images.store import FolderBuilder, ImageStore
 from tests.integration.kubernetes.fake_cluster import NAMESPACE, FakeCluster
 from tests.integration.runner import engines, podman_engines
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner.podman_engines import Podman
+from tests.integration.runner.registry_images import RegistryImages, gzipped
+from tests.ports import choose_port
 from tests.requirements import missing, need
 from tests.slurm_cluster import SlurmCluster
 
@@ -129,6 +132,35 @@ def _loaded(
         yield made
 
 
+@dataclass
+class ImageFolder:
+    """A registry for tests, with an image of this Python, and a store that has it."""
+
+    registry: RegistryImages
+    folder: Path
+    image: str
+
+    def store(self) -> ImageStore:
+        return ImageStore(self.folder / "images", 10**10, FolderBuilder())
+
+
+@pytest.fixture(scope="session")
+def registry_images(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RegistryImages]:
+    """A registry for tests, without a container engine."""
+    need("docker-registry")
+    registry = engines.Registry(tmp_path_factory.mktemp("registry"), choose_port())
+    registry.start()
+    yield RegistryImages(registry)
+    registry.end()
+
+
+@pytest.fixture(scope="session")
+def image_folder(registry_images: RegistryImages, tmp_path_factory: pytest.TempPathFactory) -> ImageFolder:
+    """A store of images without a container engine."""
+    image = registry_images.push("kleinkram.test/python", [gzipped(engines.python_root())])
+    return ImageFolder(registry_images, tmp_path_factory.mktemp("images"), image)
+
+
 @pytest.fixture(params=["docker", pytest.param("podman", marks=pytest.mark.soak)])
 def engine(request: pytest.FixtureRequest) -> Dockerd:
     """Each container engine."""
@@ -145,6 +177,11 @@ def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Ben
         return Bench(SlurmExecutor(site), folder, lambda: SlurmExecutor(site))
     if executor == "kubernetes":
         return kubernetes_bench(request, folder)
+    if executor == "images":
+        images: ImageFolder = request.getfixturevalue("image_folder")
+        process = ProcessExecutor(images=images.store())
+        reference = process.prepare_image(images.image).reference
+        return Bench(process, folder, lambda: ProcessExecutor(images=images.store()), reference, "python3")
     engine: Dockerd = request.getfixturevalue(executor)
     made = DockerExecutor(engine.engine)
     image = made.prepare_image(engines.IMAGE).reference
@@ -187,7 +224,12 @@ def lent(executor: str, request: pytest.FixtureRequest, folder: Path) -> Iterato
 
 
 # Of this machine: they measure what a job uses, and give it the network `api` by port forwards.
-_LOCAL = ["process", pytest.param("docker", marks=pytest.mark.slow)]
+# With `images`, processes run in images.
+_LOCAL = [
+    "process",
+    pytest.param("images", marks=pytest.mark.slow),
+    pytest.param("docker", marks=pytest.mark.slow),
+]
 _CLUSTER = pytest.param("kubernetes", marks=pytest.mark.slow)
 LOCALLY = pytest.mark.parametrize(
     "bench",

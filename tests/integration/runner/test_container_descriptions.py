@@ -14,10 +14,10 @@ import pytest
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.runner.executors.base import RunJob
 from kleinkram.runner.executors.docker import container as docker_container
-from kleinkram.runner.executors.docker.client import ImageInfo, credentials_for, parse_image_name
+from kleinkram.runner.executors.docker.client import ImageInfo
 from kleinkram.runner.executors.docker.container import describe, execution_error, with_barrier
-from kleinkram.runner.executors.docker.executor import is_allowed
 from kleinkram.runner.executors.port_forward import PortForward
+from kleinkram.runner.images.names import credentials_for, is_allowed, parse_image_name
 
 
 def job_of(folder: Path, network: Network = Network.none, **resources: int) -> RunJob:
@@ -164,7 +164,7 @@ def test_credentials_may_come_from_a_helper_program(tmp_path: Path, monkeypatch:
 def read_credentials(registry: str) -> dict[str, str]:
     values = credentials_for(registry)
     assert values is not None
-    return dict(json.loads(base64.urlsafe_b64decode(values)))
+    return values
 
 
 def test_usage_of_both_versions_of_control_groups(tmp_path: Path) -> None:

@@ -16,8 +16,9 @@ import pytest
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import CannotStart, RunJob, wait_for_end
-from kleinkram.runner.executors.docker.executor import DockerExecutor, Pull
+from kleinkram.runner.executors.docker.executor import DockerExecutor
 from kleinkram.runner.executors.port_forward import PortForward
+from kleinkram.runner.images.names import Pull
 from tests.integration.runner import engines
 from tests.integration.runner.conftest import Bench, lent, log_of
 from tests.integration.runner.engines import Dockerd, Registry

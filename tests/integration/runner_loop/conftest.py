@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from kleinkram.environments.uv import parse_index
-from kleinkram.runner.arguments import TOKEN_VARIABLE, Arguments, ExecutorChoice
+from kleinkram.runner.arguments import DEFAULT_IMAGE, TOKEN_VARIABLE, Arguments, ExecutorChoice, ImageChoice
 from kleinkram.runner.executors.local import LocalExecutor, Machine, MachineShare
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.executors.slurm.options import SlurmOptions
@@ -69,9 +69,13 @@ class Runners:
         return runner
 
     def spawn(
-        self, docker: Dockerd | None = None, slurm: SlurmCluster | None = None, **options: Any
+        self,
+        docker: Dockerd | None = None,
+        slurm: SlurmCluster | None = None,
+        default_image: str | None = None,
+        **options: Any,
     ) -> subprocess.Popen[bytes]:
-        """Start a runner as a process. `options` are those of Slurm."""
+        """Start a runner as a process; with a default image, its processes run in images. `options`: of Slurm."""
         token_file = self.folder.with_name("token")
         token_file.touch(0o600)
         token_file.write_text(RUNNER_TOKEN)
@@ -86,6 +90,9 @@ class Runners:
             cache_bytes=10**9,
             executor=ExecutorChoice.docker if docker else ExecutorChoice.process,
             slurm=SlurmOptions(**{"max_jobs": 20, **options}) if slurm else None,
+            images=ImageChoice.namespaces if default_image else ImageChoice.off,
+            images_bytes=10**9,
+            default_image=default_image or DEFAULT_IMAGE,
         )
         environment = {**os.environ, TOKEN_VARIABLE: RUNNER_TOKEN}
         if docker:

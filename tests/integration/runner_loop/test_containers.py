@@ -10,7 +10,8 @@ from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner.arguments import ExecutorChoice
 from kleinkram.runner.choose_executor import ImagePolicy, choose_executor
-from kleinkram.runner.executors.docker.executor import DockerExecutor, Pull
+from kleinkram.runner.executors.docker.executor import DockerExecutor
+from kleinkram.runner.images.names import Pull
 from tests.integration.runner import engines
 from tests.integration.runner.conftest import docker, engine, podman  # noqa: F401  fixtures
 from tests.integration.runner.engines import Dockerd

@@ -14,7 +14,8 @@ import pytest
 
 import kleinkram
 from kleinkram.client.errors import InvalidInput
-from kleinkram.contract.runners import LOG_PATH, Isolation
+from kleinkram.contract.isolation import Isolation
+from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner.executors.slurm.commands import SlurmCommands
 from kleinkram.runner.executors.slurm.options import SlurmOptions

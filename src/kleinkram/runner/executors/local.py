@@ -37,6 +37,7 @@ _DISK_SHARE = 0.5
 _CACHE_SHARE = 0.3
 _ENVIRONMENTS_SHARE = 0.1
 _DAY_S = 86_400.0
+_IMAGES_SHARE = 0.2
 _CGROUP_MEMORY = Path("/sys/fs/cgroup/memory.max")
 # Where the runner is root, each job has its own uid, from a range that no system assigns.
 _FIRST_UID = 1_000_000_000
@@ -54,6 +55,7 @@ class MachineShare:
     cache_bytes: int | None = None
     environments_bytes: int | None = None
     cache_age_days: int | None = None
+    images_bytes: int | None = None
 
 
 class Machine:
@@ -77,6 +79,8 @@ class Machine:
         )
         max_age_s = share.cache_age_days * _DAY_S if share.cache_age_days else None
         self.cache = InputCache(directory / "cache", share.cache_bytes or int(space * _CACHE_SHARE), max_age_s)
+        self.images_folder = directory / "images"
+        self.images_bytes = share.images_bytes or int(space * _IMAGES_SHARE)
         self.environments: EnvironmentCache | None = None
         if index is not None and find_uv() is not None:
             limit_bytes = share.environments_bytes or int(space * _ENVIRONMENTS_SHARE)

@@ -13,12 +13,15 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
-from kleinkram.runner.executors import linux_syscalls, port_forward
+from kleinkram.runner.executors import linux_syscalls, nvidia, port_forward
 
 _INSIDE_UID = 1000
 _SYSTEM = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/etc", "/opt")
 _DEVICES = ("null", "zero", "full", "random", "urandom")
+# Of a sandbox; what an image has there is not shown.
+OWN_ENTRIES = frozenset({"in", "out", "tmp", "env", "dev", "proc", "sys"})
 # Where a job sees the packages of its script.
 PACKAGES = "/env"
 SHARED_MEMORY = Path("dev/shm")
@@ -28,12 +31,23 @@ _PROCESSES = 1024
 _FILE_MARGIN_BYTES = 64 * 2**20
 
 
+class ImageRoot(NamedTuple):
+    """The files of an image, in the folder `root`: what a command sees in place of the system's.
+
+    `volumes` are further directories that it writes to, without symlinks; `directory` is where commands start.
+    """
+
+    root: str
+    volumes: Sequence[str]
+    directory: str
+
+
 @dataclass(frozen=True)
 class Sandbox:
     """Where and as whom a command runs. `uid` is None where this process cannot change its uid.
 
     The listening sockets of its port forwards are sent to `listeners`. `packages` is a folder to show as `PACKAGES`,
-    `devices` are further files below `/dev` to show.
+    `devices` are further files below `/dev` to show. `has_gpus`: the driver of GPUs is shown, too.
     """
 
     directory: Path
@@ -43,7 +57,9 @@ class Sandbox:
     forwards: Sequence[port_forward.PortForward]
     listeners: socket.socket
     packages: Path | None = None
+    image: ImageRoot | None = None
     devices: Sequence[Path] = ()
+    has_gpus: bool = False
 
 
 def is_available() -> bool:
@@ -119,7 +135,7 @@ def _be_first(sandbox: Sandbox, command: Sequence[str], environment: Mapping[str
         os.setresuid(sandbox.uid, sandbox.uid, sandbox.uid)
         linux_syscalls.die_with_parent(signal.SIGKILL)
     apply_limits(sandbox)
-    os.chdir("/tmp")  # noqa: S108  the job's own
+    os.chdir("/tmp" if sandbox.image is None else sandbox.image.directory)  # noqa: S108  the job's own
     pid = os.fork()
     if pid == 0:
         os.setsid()
@@ -156,8 +172,13 @@ def apply_limits(sandbox: Sandbox) -> None:
     """Apply the limits of the kernel to this process and its children."""
     linux_syscalls.give_up_privileges()
     linux_syscalls.deny_uncounted_memory()
+    limit_resources(sandbox.disk_bytes)
+
+
+def limit_resources(disk_bytes: int) -> None:
+    """Apply the limits of the kernel that leave this process its privileges."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    largest = sandbox.disk_bytes + _FILE_MARGIN_BYTES
+    largest = disk_bytes + _FILE_MARGIN_BYTES
     resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
     resource.setrlimit(resource.RLIMIT_NPROC, (_PROCESSES, _PROCESSES))
 
@@ -169,20 +190,16 @@ def _mount_root(sandbox: Sandbox) -> None:
     linux_syscalls.mount("tmpfs", root, "tmpfs", linux_syscalls.MS_NOSUID | linux_syscalls.MS_NODEV, "size=1m,mode=755")
     for name in ("out", "tmp"):
         _bind(sandbox.directory / name, root / name)
-    # After those: Python itself may stand below /tmp.
-    for path in _system_paths():
-        _bind_read_only(path, root / str(path)[1:])
+    if sandbox.image is not None:
+        _mount_image(sandbox.directory, sandbox.image, root)
+    else:
+        # After those: Python itself may stand below /tmp.
+        for path in _system_paths():
+            _bind_read_only(path, root / str(path)[1:])
     _bind_read_only(sandbox.directory / "in", root / "in")
     if sandbox.packages is not None:
         _bind_read_only(sandbox.packages, root / PACKAGES[1:])
-    names = port_forward.host_entries([forward.host for forward in sandbox.forwards])
-    if names:
-        hosts = sandbox.directory / "hosts"
-        hosts.write_text("127.0.0.1 localhost\n" + "".join(f"{address} {name}\n" for name, address in names.items()))
-        hosts.chmod(0o644)
-        target = root / "etc" / "hosts"
-        linux_syscalls.mount(str(hosts), target, None, linux_syscalls.MS_BIND)
-        linux_syscalls.make_read_only(target)
+    _mount_network_files(sandbox, root / "etc")
     devices = root / "dev"
     (devices / "shm").mkdir(parents=True)
     for node in (*(Path("/dev", name) for name in _DEVICES), *sandbox.devices):
@@ -192,12 +209,57 @@ def _mount_root(sandbox: Sandbox) -> None:
         linux_syscalls.mount(str(node), target, None, linux_syscalls.MS_BIND)
     for name, number in (("fd", ""), ("stdin", "/0"), ("stdout", "/1"), ("stderr", "/2")):
         (devices / name).symlink_to(f"/proc/self/fd{number}")
+    if sandbox.has_gpus:
+        _mount_driver(root)
     flags = linux_syscalls.MS_NOSUID | linux_syscalls.MS_NODEV
     linux_syscalls.mount("tmpfs", devices / "shm", "tmpfs", flags, f"size={SHARED_MEMORY_BYTES},mode=1777")
     (root / "proc").mkdir()
     linux_syscalls.mount("proc", root / "proc", "proc", linux_syscalls.MS_NOSUID | linux_syscalls.MS_NODEV)
     linux_syscalls.change_root(root)
     linux_syscalls.make_read_only(Path("/"), with_all_below=False)
+
+
+def _mount_image(directory: Path, image: ImageRoot, root: Path) -> None:
+    for entry in Path(image.root).iterdir():
+        if entry.name not in OWN_ENTRIES:
+            _bind_read_only(entry, root / entry.name)
+    for number, path in enumerate(image.volumes):
+        _bind(volume_directory(directory, number), root / path[1:])
+
+
+def _mount_driver(root: Path) -> None:
+    """Mount the libraries and programs of the driver of GPUs."""
+    for folder, files in ((nvidia.LIBRARIES, nvidia.libraries()), (nvidia.PROGRAMS, nvidia.programs())):
+        (root / folder[1:]).mkdir(parents=True)
+        for file in files:
+            target = root / folder[1:] / file.name
+            target.touch()
+            linux_syscalls.mount(str(file.resolve()), target, None, linux_syscalls.MS_BIND)
+            linux_syscalls.make_read_only(target)
+
+
+def volume_directory(directory: Path, number: int) -> Path:
+    """Return the directory of a volume of an image: its content counts as `/tmp`."""
+    return directory / "tmp" / f".volume-{number}"
+
+
+def _mount_network_files(sandbox: Sandbox, etc: Path) -> None:
+    """Mount the names of the port forwards; over the files of an image, those of this machine if it has its network."""
+    names = port_forward.host_entries([forward.host for forward in sandbox.forwards])
+    if sandbox.image is not None and sandbox.has_network:
+        for name in ("hosts", "resolv.conf"):
+            _mount_file(Path("/etc", name), etc / name)
+    elif names or sandbox.image is not None:
+        hosts = sandbox.directory / "hosts"
+        hosts.write_text("127.0.0.1 localhost\n" + "".join(f"{address} {name}\n" for name, address in names.items()))
+        hosts.chmod(0o644)
+        _mount_file(hosts, etc / "hosts")
+
+
+def _mount_file(source: Path, target: Path) -> None:
+    if source.exists():
+        linux_syscalls.mount(str(source), target, None, linux_syscalls.MS_BIND)
+        linux_syscalls.make_read_only(target)
 
 
 def _system_paths() -> list[Path]:
@@ -220,5 +282,8 @@ def _bind_read_only(source: Path, target: Path) -> None:
 
 
 def _bind(source: Path, target: Path) -> None:
-    target.mkdir(parents=True, exist_ok=True)
+    if source.is_file():
+        target.touch()
+    else:
+        target.mkdir(parents=True, exist_ok=True)
     linux_syscalls.mount(str(source), target, None, linux_syscalls.MS_BIND | linux_syscalls.MS_REC)

@@ -18,12 +18,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from kleinkram.runner.executors import linux_syscalls, port_forward
+from kleinkram.runner.executors import linux_syscalls, nvidia, port_forward
 from kleinkram.runner.executors.process_sandbox import (
     SHARED_MEMORY,
     SHARED_MEMORY_BYTES,
+    ImageRoot,
     Sandbox,
     apply_limits,
+    limit_resources,
     run_in_sandbox,
 )
 from kleinkram.runner.executors.supervision import (
@@ -108,10 +110,16 @@ class JobSupervisor:
             job = self._job
             disk_bytes = self._limits_of_job.disk_bytes
             packages = Path(job["packages"]) if job["packages"] else None
+            image = ImageRoot(*job["image"]) if job["image"] else None
             has_network, uid = job["has_network"], job["uid"]
-            devices = tuple(map(Path, job["devices"]))
+            devices = self._devices()
+            if job["has_own_isolation"]:
+                limit_resources(disk_bytes)
+                return run_beside(job["command"], job["environment"])
             sandbox = Sandbox(
-                self._directory, has_network, disk_bytes, uid, self._forwards, listeners, packages, devices
+                *(self._directory, has_network, disk_bytes, uid, self._forwards, listeners, packages, image),
+                devices=devices,
+                has_gpus=bool(job["gpus"]),
             )
             if job["is_isolated"]:
                 return run_in_sandbox(sandbox, job["command"], job["environment"], error)
@@ -123,6 +131,15 @@ class JobSupervisor:
             kind = _NOT_FOUND if isinstance(failure, FileNotFoundError) else ""
             os.write(error, f"{kind}{failure}".encode())
         return 127
+
+    def _devices(self) -> list[Path]:
+        """Return the devices of the GPUs of the job: the runner's choice, or that of a cluster, which is made here."""
+        job = self._job
+        visible = os.environ.get(nvidia.VISIBLE, "") if job["gpus"] and not job["devices"] else ""
+        if not visible:
+            return [Path(node) for node in job["devices"]]
+        job["environment"][f"{job['variable_prefix']}{nvidia.VISIBLE}"] = visible
+        return nvidia.devices(visible)
 
     def _serve_port_forwards(self, listeners: socket.socket) -> None:
         with listeners:
@@ -242,6 +259,30 @@ def _read_available(descriptor: int, readers: dict[int, Callable[[bytes], object
 def _kill(pid: int, number: signal.Signals) -> None:
     with contextlib.suppress(ProcessLookupError):
         os.kill(pid, number)
+
+
+def run_beside(command: list[str], environment: dict[str, str]) -> int:
+    """Run a program that changes its privileges, and return its exit code; end it if this process's parent ends.
+
+    The kernel cannot do that: it forgets the signal of `die_with_parent` for such a program.
+    """
+    linux_syscalls.adopt_orphans()
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    parent = os.getppid()
+    pid = os.fork()
+    if pid == 0:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        os.execvpe(command[0], command, environment)  # noqa: S606  what jobs are for
+    while True:
+        ended, status = os.waitpid(-1, os.WNOHANG)
+        if ended == pid:
+            code = os.waitstatus_to_exitcode(status)
+            return code if code >= 0 else 128 - code
+        if os.getppid() != parent:
+            for remaining in _descendants(os.getpid()):
+                _kill(remaining, signal.SIGKILL)
+        if not ended:
+            time.sleep(_CHECK_EVERY_S)
 
 
 def _descendants(pid: int) -> list[int]:

@@ -1,15 +1,13 @@
-"""Client for the Docker Engine API over a Unix socket, which Podman serves as well; names of images and credentials.
+"""Client for the Docker Engine API over a Unix socket, which Podman serves as well.
 
 Every call uses its own connection, so threads may share a client.
 """
 
 import base64
-import binascii
 import json
 import os
 import shutil
 import socket
-import subprocess
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -19,18 +17,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote, urlencode
 
+from kleinkram.runner.images.names import ImageName, parse_image_name
+
 _TIMEOUT_S = 60.0
 # Engines themselves give up sooner on a registry that does not answer.
 _PULL_TIMEOUT_S = 300.0
 # The exit code of a container whose end the engine did not see.
 UNSEEN_EXIT = 255
 _NEVER = "0001-"
-_HUB = "docker.io"
 # Every Podman since 4.0 serves it.
 _LIBPOD_VERSION = "v4.0.0"
-# The name of Docker's own registry in files of credentials.
-_HUB_CREDENTIALS = "https://index.docker.io/v1/"
-_CREDENTIALS_TIMEOUT_S = 20
 _NVIDIA_HOOK = "nvidia-container-runtime-hook"
 _SOCKETS = ("/var/run/docker.sock", "/run/podman/podman.sock")
 
@@ -163,10 +159,10 @@ class DockerClient:
         python_path = variables.get("PYTHONPATH", "")
         return ImageInfo(image["Id"], digests, image["Architecture"], volumes, entrypoint, command, python_path)
 
-    def pull(self, name: str, tag: str, *, architecture: str, credentials: str | None) -> None:
+    def pull(self, name: str, tag: str, *, architecture: str, credentials: Mapping[str, str] | None) -> None:
         """Pull an image; `tag` may be a digest."""
         query = {"fromImage": name, "tag": tag, "platform": f"linux/{architecture}"}
-        headers = {"X-Registry-Auth": credentials} if credentials else {}
+        headers = {"X-Registry-Auth": _encoded(credentials)} if credentials else {}
         path = f"/images/create?{urlencode(query)}"
         with self._open("POST", path, headers=headers, timeout_s=_PULL_TIMEOUT_S) as answer:
             for line in answer:
@@ -331,29 +327,6 @@ def _frames(answer: BufferedReader) -> Iterator[list[OutputPiece]]:
             yield pieces
 
 
-class ImageName(NamedTuple):
-    """A full image name: `repository` includes the registry; `digest` is empty where the name has none."""
-
-    repository: str
-    tag: str
-    digest: str
-
-
-def parse_image_name(text: str) -> ImageName:
-    """Return the full name: `debian` is `docker.io/library/debian:latest`.
-
-    Source: github.com/distribution/reference, normalize.go.
-    """
-    rest, _, digest = text.partition("@")
-    first, slash, others = rest.partition("/")
-    has_registry = bool(slash) and ("." in first or ":" in first or first == "localhost")
-    registry, path = (first, others) if has_registry else (_HUB, rest)
-    path, _, tag = path.partition(":")
-    if registry == _HUB and "/" not in path:
-        path = f"library/{path}"
-    return ImageName(f"{registry}/{path}", tag or "latest", digest)
-
-
 def digest_of(image: ImageInfo, name: ImageName) -> str:
     """Return the digest in the registry of the name; the id where the image is in no registry."""
     if name.digest:
@@ -362,39 +335,5 @@ def digest_of(image: ImageInfo, name: ImageName) -> str:
     return digests[-1] if digests else image.id
 
 
-def credentials_for(registry: str) -> str | None:
-    """Return the credentials of a registry, as engines send them, from the file of `docker login`; None without."""
-    directory = Path(os.environ.get("DOCKER_CONFIG") or Path.home() / ".docker")
-    try:
-        config = json.loads((directory / "config.json").read_text())
-    except (OSError, ValueError):
-        return None
-    address = _HUB_CREDENTIALS if registry == _HUB else registry
-    helper = config.get("credHelpers", {}).get(registry) or config.get("credsStore")
-    known = _from_helper(helper, address) if helper else _from_file(config.get("auths", {}).get(address, {}))
-    if known is None:
-        return None
-    return base64.urlsafe_b64encode(json.dumps({**known, "serveraddress": address}).encode()).decode()
-
-
-def _from_file(entry: dict[str, str]) -> dict[str, str] | None:
-    if "identitytoken" in entry:
-        return {"identitytoken": entry["identitytoken"]}
-    try:
-        user, colon, password = base64.b64decode(entry.get("auth", "")).decode().partition(":")
-    except (binascii.Error, UnicodeDecodeError):
-        return None
-    return {"username": user, "password": password} if colon else None
-
-
-def _from_helper(helper: str, address: str) -> dict[str, str] | None:
-    command = [f"docker-credential-{helper}", "get"]
-    try:
-        done = subprocess.run(
-            command, input=address, capture_output=True, text=True, check=True, timeout=_CREDENTIALS_TIMEOUT_S
-        )
-        answer = json.loads(done.stdout)
-        user, secret = answer["Username"], answer["Secret"]
-    except (OSError, subprocess.SubprocessError, ValueError, KeyError):
-        return None
-    return {"identitytoken": secret} if user == "<token>" else {"username": user, "password": secret}
+def _encoded(credentials: Mapping[str, str]) -> str:
+    return base64.urlsafe_b64encode(json.dumps(credentials).encode()).decode()

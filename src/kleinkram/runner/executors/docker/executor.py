@@ -4,7 +4,6 @@ A container outlives the runner. A later runner finds it by name, and continues 
 """
 
 import contextlib
-import enum
 import json
 import logging
 import os
@@ -37,10 +36,7 @@ from kleinkram.runner.executors.docker.client import (
     EngineError,
     EngineUnavailable,
     ImageInfo,
-    ImageName,
-    credentials_for,
     digest_of,
-    parse_image_name,
 )
 from kleinkram.runner.executors.gpus import Gpu
 from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
@@ -56,6 +52,7 @@ from kleinkram.runner.executors.supervision import (
     start_ticks,
     write_atomically,
 )
+from kleinkram.runner.images.names import ImageName, ImageNotAllowed, Pull, check_allowed, credentials_for
 
 _log = logging.getLogger("kleinkram.runner")
 _STOP_REASON = "stop-reason.json"
@@ -72,14 +69,6 @@ _KILLED = 128 + signal.SIGKILL
 _LOST = Ending(
     EndReason.lost, "Its container was ended from outside: by a restart of the engine or machine, or by hand."
 )
-
-
-class Pull(str, enum.Enum):
-    """When images are pulled. For a name with a digest, `always` means `missing`."""
-
-    always = "always"
-    missing = "missing"
-    never = "never"
 
 
 class DockerExecutor(LocalExecutor):
@@ -329,10 +318,10 @@ class Images:
         Raises:
             CannotStart: it is not allowed, not available, or for another architecture.
         """
-        name = parse_image_name(text)
-        if self._allowed is not None and not is_allowed(name, self._allowed):
-            choices = ", ".join(self._allowed) or "none"
-            raise _image_unavailable(f"This runner may not use {name.repository}; it may use images of: {choices}.")
+        try:
+            name = check_allowed(text, self._allowed)
+        except ImageNotAllowed as error:
+            raise _image_unavailable(str(error)) from error
         try:
             image = self._find(text, name)
             is_outdated = self._pull is Pull.always and not name.digest
@@ -363,11 +352,6 @@ class Images:
             self._client.pull(name.repository, tag, architecture=self._architecture, credentials=credentials)
         except EngineError as error:
             raise _image_unavailable(f"The image {text} cannot be pulled from {registry}: {error}.") from error
-
-
-def is_allowed(name: ImageName, allowed: Sequence[str]) -> bool:
-    """Whether an image comes from one of the registries or namespaces, such as `ghcr.io` or `ghcr.io/lab`."""
-    return any(name.repository == prefix or name.repository.startswith(prefix.rstrip("/") + "/") for prefix in allowed)
 
 
 def _image_unavailable(message: str) -> CannotStart:

@@ -32,7 +32,7 @@ from kleinkram.runner.executors.base import (
 )
 from kleinkram.runner.executors.kubernetes import endings
 from kleinkram.runner.executors.kubernetes.cluster import Body, Cluster, ClusterError, ClusterUnavailable, Kind, Pod
-from kleinkram.runner.executors.kubernetes.image_registry import ImageRegistry
+from kleinkram.runner.executors.kubernetes.image_registry import pin_image
 from kleinkram.runner.executors.kubernetes.manifests import (
     KEY_LABEL,
     AssignmentTooLarge,
@@ -99,7 +99,6 @@ class KubernetesExecutor(Executor):
         self._monitors: dict[str, _JobMonitor] = {}
         self._left_keys: set[str] = set()
         self._lock = threading.Lock()
-        self._images = ImageRegistry()
         authorities = os.environ.get("SSL_CERT_FILE")
         self._authorities = Path(authorities).read_text() if authorities else None
 
@@ -136,7 +135,7 @@ class KubernetesExecutor(Executor):
 
     def prepare_image(self, image: str) -> PinnedImage:
         """Return the digest of an image; nodes pull it when a job starts there."""
-        return self._images.pin(image)
+        return pin_image(image)
 
     def place_inputs(self, directory: Path, files: Mapping[str, InputFile], source: InputSource) -> None:
         """Have a pod write the inputs, and what else is in `/in`, to a new volume of the job."""

@@ -1,0 +1,52 @@
+"""What a sandbox needs for NVIDIA GPUs: their devices, and the libraries and programs of the driver of this machine.
+
+Imports only the standard library, since jobs wait for it.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+VISIBLE = "CUDA_VISIBLE_DEVICES"
+# Where a job sees them.
+LIBRARIES = "/.nvidia/lib"
+PROGRAMS = "/.nvidia/bin"
+_DEVICES = Path("/dev")
+# Of all GPUs together; `nvidia0` and so on are those of one.
+_SHARED_DEVICES = ("nvidiactl", "nvidia-modeset", "nvidia-uvm", "nvidia-uvm-tools", "nvidia-caps/*")
+_LIBRARY = re.compile(r"lib(cuda|cudadebugger|nv[a-z]+|nvidia-[a-z0-9-]+|GLX_nvidia|EGL_nvidia)\.so")
+_LDCONFIG_LINE = re.compile(r"^\s*(\S+) \(([^)]*)\) => (/\S+)$", re.MULTILINE)
+_PROGRAMS = ("nvidia-smi", "nvidia-debugdump", "nvidia-persistenced", "nvidia-cuda-mps-control")
+
+
+def devices(visible: str, folder: Path = _DEVICES) -> list[Path]:
+    """Return the devices for the visible GPUs; of all where they are not named by their numbers."""
+    numbers = [word for word in visible.split(",") if word.isdigit()]
+    is_numbered = bool(numbers) and len(numbers) == len(visible.split(","))
+    patterns = [*_SHARED_DEVICES, *([f"nvidia{number}" for number in numbers] if is_numbered else ["nvidia[0-9]*"])]
+    return [path for pattern in patterns for path in sorted(folder.glob(pattern))]
+
+
+def libraries() -> list[Path]:
+    """Return the libraries of the driver, as the linker of this machine finds them."""
+    linker = shutil.which("ldconfig", path=f"{os.environ.get('PATH', '')}:/sbin:/usr/sbin")
+    if linker is None:
+        return []
+    output = subprocess.run([linker, "-p"], capture_output=True, text=True, check=False).stdout
+    return [Path(path) for path in parse_libraries(output)]
+
+
+def parse_libraries(output: str) -> list[str]:
+    """Return the libraries of the driver in the output of `ldconfig -p`: the first of each name, of 64 bits."""
+    paths: dict[str, str] = {}
+    for name, kind, path in _LDCONFIG_LINE.findall(output):
+        if _LIBRARY.match(name) and ("64" in kind or "aarch64" in kind.lower()):
+            paths.setdefault(name, path)
+    return list(paths.values())
+
+
+def programs() -> list[Path]:
+    """Return the programs of the driver."""
+    return [Path(path) for name in _PROGRAMS if (path := shutil.which(name))]
