@@ -70,7 +70,7 @@ def main() -> int:
         with running_instance(story):
             upload_and_find(story)
             if options.story:
-                # Before there is a second account: without containers, runs are allowed for one person only.
+                # Before there is a second account: then runs without containers need nobody's permission.
                 evaluate_odometry(story)
             show_access(story)
             if options.story:

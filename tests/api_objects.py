@@ -111,6 +111,7 @@ def run_detail(state: RunState, **more: object) -> RunDetail:
         "input_count": 1,
         "input_bytes": 10,
         "artifact_count": 0,
+        "priority": "normal",
         "check_counts": {},
         "finding_counts": {},
         "metric_count": 0,

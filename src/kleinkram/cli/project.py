@@ -10,6 +10,7 @@ from kleinkram.cli.units import count as count_of
 from kleinkram.cli.units import parse_size, size, total_hours
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.projects import ProjectRead, ProjectSort
 
 app = Subcommands("Manage projects, which contain missions, which contain files.")
@@ -21,6 +22,14 @@ DescriptionOption = Annotated[Text, option("--description -d", None, "Set the de
 FieldsOption = Annotated[
     Path | None, option("--fields", "fields.yaml", "Set the metadata fields of the missions, and which are required.")
 ]
+# What a project's runs may do to each other, said once it is allowed.
+_ALLOWED = {
+    Isolation.container: "Runs of this project start only in containers.",
+    Isolation.namespaces: "Runs of this project may also start in namespaces, without containers: they see no other "
+    "runs and no other files, but share the machine's programs and users.",
+    Isolation.none: "Runs of this project may also start without any isolation: they can read and change whatever "
+    "their runner can, such as the inputs of other runs and its token.",
+}
 
 
 @app.command("create")
@@ -77,13 +86,16 @@ def update(
         Text, option("--licence", None, "Set the licence, an SPDX identifier such as CC-BY-4.0.")
     ] = None,
     citation: Annotated[Text, option("--citation", None, "Set the citation.")] = None,
+    isolation: Annotated[
+        Isolation | None, option("--isolation", None, "Set the weakest isolation that its runs may have.")
+    ] = None,
     quota_bytes: Annotated[Text, option("--quota-bytes", "SIZE", "Limit its size, such as to 2TB; or none.")] = None,
     quota_files: Annotated[Text, option("--quota-files", "N", "Limit its number of files; or none.")] = None,
     etag: options.IfMatch = None,
 ) -> Output:
     """Change a project. Missions whose metadata does not satisfy new fields are counted, not changed.
 
-    Publishing a project requires DELETE on it. Only admins can set quotas.
+    Publishing a project, and setting its isolation, require DELETE on it. Only admins can set quotas.
     """
     values = {
         "name": new_name,
@@ -92,6 +104,7 @@ def update(
         "is_public": public,
         "licence": licence,
         "citation": citation,
+        "isolation": isolation,
     }
     changes: dict[str, str | bool | int | None] = {key: value for key, value in values.items() if value is not None}
     if quota_bytes is not None:
@@ -107,6 +120,8 @@ def update(
             f"{count_of(changed.unsatisfied_mission_count, 'mission')} do not satisfy the fields: "
             f"klein mission list -p {changed.id} --unsatisfied"
         )
+    if changed.isolation is not target.isolation:
+        note(_ALLOWED[changed.isolation])
     return _output(changed)
 
 
@@ -148,6 +163,7 @@ def _show(project: ProjectRead) -> None:
             ("public", project.is_public or None),
             ("licence", project.licence),
             ("citation", project.citation),
+            ("isolation of runs", f"{project.isolation.value}, or stronger"),
             ("quota", f"{used} of {size(project.quota_bytes)}" if project.quota_bytes is not None else None),
             ("quota of files", f"{files} of {project.quota_files}" if project.quota_files is not None else None),
             ("unsatisfied missions", project.unsatisfied_mission_count or None),

@@ -25,6 +25,7 @@ from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.contract import runs as contract
 from kleinkram.contract.checks import CheckStatus, Verdict
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.library import LIBRARY_PREFIX
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.problems import first_message, from_problem
@@ -199,6 +200,11 @@ def list_(
     verdict: Annotated[
         list[Verdict] | None, option("--verdict", None, "Select by verdict: good, warnings or bad; repeatable.")
     ] = None,
+    node: Annotated[Text, option("--node", "NODE", "Select runs on a node of a cluster.")] = None,
+    job: Annotated[Text, option("--job", "ID", "Select the run of a job of a cluster.")] = None,
+    isolation: Annotated[
+        list[Isolation] | None, option("--isolation", None, "Select by the isolation that runs had; repeatable.")
+    ] = None,
     active: Annotated[bool, flag("--active", "Select only runs that have not ended.")] = False,
     mine: Annotated[bool, flag("--mine", "Select only your own runs.")] = False,
     limit: options.Limit = None,
@@ -206,7 +212,7 @@ def list_(
 ) -> Output:
     """List runs, latest first."""
     criteria: dict[str, object] = {"action": action, "state": state, "active": active, "mine": mine}
-    criteria["verdict"] = verdict
+    criteria |= {"verdict": verdict, "node": node, "job_id": job, "isolation": isolation}
     criteria |= ids_of(client, project, mission)
     matching = filter_of(contract.RunFilter, criteria)
     if count:

@@ -66,8 +66,13 @@ def status_text(run: RunRead) -> str:
 def show_runs(runs: Iterable[RunRead]) -> None:
     """Print runs of any missions as a table, and why queued ones wait."""
     rows = [*runs]
+    are_placed = any(_place(run) for run in rows)
     table(
-        ["project", "mission", "action", "state", "took", "findings", "metrics", "artifacts", "made", "by", "run"],
+        [
+            *("project", "mission", "action", "state", "took", "findings", "metrics", "artifacts"),
+            *(["where"] if are_placed else []),
+            *("made", "by", "run"),
+        ],
         [
             (
                 run.mission.project.name,
@@ -76,6 +81,7 @@ def show_runs(runs: Iterable[RunRead]) -> None:
                 run.state.value if run.state in {RunState.queued, RunState.collecting} else status_text(run),
                 _took(run),
                 *_counts(run),
+                *([_place(run)] if are_placed else []),
                 run.created_at,
                 run.cause.person and run.cause.person.name,
                 run.id,
@@ -109,6 +115,8 @@ def show_run(run: RunDetail) -> None:
             ("took", _took(run)),
             ("attempt", run.attempt if run.attempt > 1 else None),
             ("runner", run.runner),
+            ("isolation", run.isolation and run.isolation.value),
+            *_placement_rows(run),
             ("image", run.image_digest),
             ("network", run.network.value),
             ("inputs", f"{count(run.input_count, 'file')}, {size(run.input_bytes)}"),
@@ -123,6 +131,35 @@ def show_run(run: RunDetail) -> None:
             *(("problem", problem) for problem in run.problems),
         ]
     )
+
+
+def _place(run: RunRead) -> str | None:
+    """Return the node and the job of a run on a cluster."""
+    placement = run.placement
+    if placement is None:
+        return None
+    job = None if placement.job_id is None else f"job {placement.job_id}"
+    return ", ".join(part for part in (placement.node, job) if part) or None
+
+
+def _placement_rows(run: RunRead) -> list[tuple[str, object]]:
+    """Return where a run is on its cluster or machine, and what that measured."""
+    placement = run.placement
+    if placement is None:
+        return []
+    used = []
+    if placement.cpu_s is not None:
+        used.append(f"{placement.cpu_s:.1f} s of cores")
+    if placement.peak_memory_bytes is not None:
+        used.append(f"{size(placement.peak_memory_bytes)} of memory at most")
+    return [
+        ("node", placement.node),
+        ("job", placement.job_id),
+        ("queued there", None if placement.queued_s is None else duration(int(placement.queued_s * _NS))),
+        ("requeued there", count(placement.requeues, "time") if placement.requeues else None),
+        ("GPUs", ", ".join(placement.gpus)),
+        ("accounted", ", ".join(used)),
+    ]
 
 
 def show_results(checks: Sequence[Check], metrics: Sequence[Metric], findings: Sequence[Finding]) -> None:

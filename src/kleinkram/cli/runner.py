@@ -370,8 +370,8 @@ def _selector(texts: list[str] | None, name: str) -> dict[str, str]:
 @app.command("list")
 def list_(client: Client) -> Output:
     """List the runners; for admins."""
-    headers = ["name", "seen", "runs", "executor", "cores", "memory", "gpus", "labels", "token", "version", "id"]
-    return as_table(client.runners.list(), headers, _cells)
+    headers = ["name", "seen", "runs", "executor", "isolation", "cores", "memory", "gpus", "labels", "lease", "token"]
+    return as_table(client.runners.list(), [*headers, "version", "id"], _cells)
 
 
 def _cells(row: RunnerRead) -> tuple[object, ...]:
@@ -381,6 +381,7 @@ def _cells(row: RunnerRead) -> tuple[object, ...]:
         limits += [f"label {label}" for label in row.token.labels or []]
         token = f"{row.token.name} (only {', '.join(limits)})" if limits else row.token.name
     seen = "now" if row.is_alive else moment(row.last_seen_at)
+    executor = (row.abilities.executor, row.abilities.isolation.value)
     resources = (f"{row.capacity.cores:g}", size(row.capacity.memory_bytes), row.capacity.gpus)
-    labels = ", ".join(row.labels) or None
-    return row.name, seen, row.active_runs, row.abilities.executor, *resources, labels, token, row.version, row.id
+    more = (", ".join(row.labels) or None, f"{row.lease_s} s", token)
+    return row.name, seen, row.active_runs, *executor, *resources, *more, row.version, row.id

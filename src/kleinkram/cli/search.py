@@ -173,6 +173,7 @@ def _show_lineage(read: LineageRead) -> None:
                 ("version", run.version_id),
                 ("image", run.image_digest),
                 ("runner", run.runner),
+                ("isolation", run.isolation and run.isolation.value),
                 ("started", run.started_at),
                 ("ended", run.ended_at),
                 *((f"  {name}", value) for name, value in run.parameters.items()),

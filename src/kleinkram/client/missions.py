@@ -78,7 +78,7 @@ class Projects(NamedResource[ProjectRead]):
 
         Raises:
             NameTaken, FieldsInvalid, YamlInvalid, InvalidInput: as in `create`.
-            Forbidden: only owners can publish, and only admins can set quotas.
+            Forbidden: only owners can publish and set the isolation of runs, and only admins can set quotas.
         """
         body = checked(ProjectUpdate, "The project", **changes)
         return self._api.patch(f"/projects/{self.id_of(project_id)}", ProjectRead, body, etag=if_match)

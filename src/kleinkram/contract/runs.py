@@ -292,13 +292,17 @@ class RunsCreated(Response):
 class RunFilter(LocationFilter):
     """A filter for runs: all criteria must match. `action` may be a glob of the name.
 
-    Of several projects, missions, states or verdicts, any may match.
+    Of several projects, missions, states or verdicts, any may match. `job_id` is that of a cluster, `node` a node or
+    machine; `isolation` the class that runs had.
     """
 
     action_id: uuid.UUID | None = None
     action: Term | None = None
     state: Annotated[list[RunState], Field(max_length=len(RunState))] = []
     verdict: Annotated[list[ReportedVerdict], Field(max_length=3)] = []
+    job_id: Term | None = None
+    node: Term | None = None
+    isolation: Annotated[list[Isolation], Field(max_length=len(Isolation))] = []
     active: bool | None = None
     mine: bool = False
 

@@ -286,7 +286,7 @@ await checkPage(page, "sessions", { path: "/sessions" });
 await checkPage(page, "audit", { path: "/audit", expectedTexts: [project] });
 await checkPage(page, "audit-groups", { path: "/audit?operation=group.*", expectedTexts: [texts.group] });
 await checkPage(page, "trash", { path: "/trash", expectedTexts: [texts.gone, project] });
-for (const tab of ["storage", "scrub", "jobs", "health", "settings"]) await checkPage(page, `admin-${tab}`, { path: `/admin?tab=${tab}` });
+for (const tab of ["storage", "scrub", "jobs", "runners", "health", "settings"]) await checkPage(page, `admin-${tab}`, { path: `/admin?tab=${tab}` });
 await checkPage(page, "not-found", { path: `/nowhere/${encodeURIComponent(texts.label)}`, allowedErrors: CLIENT_ERROR });
 await checkPage(page, "signed-in", { path: "/signed-in", allowedErrors: WINDOW_NOT_CLOSED });
 

@@ -13537,10 +13537,13 @@ export interface operations {
                 active?: boolean | null;
                 count?: boolean;
                 cursor?: string | null;
+                isolation?: components["schemas"]["Isolation"][];
+                job_id?: string | null;
                 limit?: number;
                 mine?: boolean;
                 mission_id?: string | null;
                 mission_ids?: string[];
+                node?: string | null;
                 project_id?: string | null;
                 project_ids?: string[];
                 state?: components["schemas"]["RunState"][];

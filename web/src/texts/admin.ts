@@ -7,9 +7,9 @@ const states: Readonly<Record<string, string>> = {
 
 export const texts = {
   title: "Admin",
-  tabs: { label: "Admin", storage: "Storage", scrub: "Scrubs", jobs: "Jobs", health: "Health", settings: "Settings" },
+  tabs: { label: "Admin", storage: "Storage", scrub: "Scrubs", jobs: "Jobs", runners: "Runners", health: "Health", settings: "Settings" },
   notForYou: "Admins only",
-  notForYouText: "This page shows the storage, jobs, health, and settings of the server. An admin can make you an admin.",
+  notForYouText: "This page shows the storage, jobs, runners, health, and settings of the server. An admin can make you an admin.",
   whoIsAdmin: "Show people",
 
   storage: {
@@ -29,6 +29,15 @@ export const texts = {
     markedForDeletion: "Marked for deletion",
     markedForDeletionWhy: "Content that no file uses; the next garbage collection deletes it",
     openTrash: "Open trash",
+  },
+  runners: {
+    label: "Runners",
+    columns: { name: "Runner", executor: "Executor", isolation: "Isolation", runs: "Runs", capacity: "Largest run", labels: "Labels", lease: "Lease", seen: "Last seen" },
+    capacity: (cores: number, memory: string, gpus: number) => [`${cores} cores`, memory, ...(gpus > 0 ? [counted(gpus, "GPU")] : [])].join(", "),
+    seconds: (seconds: number) => `${seconds} s`,
+    now: "Now",
+    empty: "No runners yet",
+    emptyText: "A runner takes queued runs and executes them, on this machine, another one, or a cluster.",
   },
   scrub: {
     last: "Last scrub",

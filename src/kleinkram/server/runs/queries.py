@@ -109,6 +109,11 @@ def filter_runs(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[
         conditions.append(run.c.state.in_([state.value for state in matching.state]))
     if matching.verdict:
         conditions.append(run.c.verdict.in_([verdict.value for verdict in matching.verdict]))
+    for name, value in (("job_id", matching.job_id), ("node", matching.node)):
+        if value is not None:
+            conditions.append(run.c.placement[name].astext == value)
+    if matching.isolation:
+        conditions.append(run.c.isolation.in_([isolation.value for isolation in matching.isolation]))
     if matching.active is not None:
         conditions.append(run.c.state.in_(ACTIVE) == matching.active)
     if matching.mine:

@@ -169,6 +169,14 @@ run = sa.Table(
     ),
     sa.Index("ix_run_created_at", "created_at", "id"),
     sa.Index("ix_run_mission_id", "mission_id", "created_at"),
+    sa.Index("ix_run_job_id", sa.text("(placement ->> 'job_id')"), postgresql_where=sa.text("placement IS NOT NULL")),
+    sa.Index(
+        "ix_run_node",
+        sa.text("(placement ->> 'node')"),
+        "created_at",
+        "id",
+        postgresql_where=sa.text("placement IS NOT NULL"),
+    ),
     sa.Index("ix_run_inputs", "inputs_fingerprint", postgresql_where=sa.text("state = 'done'")),
 )
 

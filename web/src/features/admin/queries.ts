@@ -1,6 +1,7 @@
 // Queries and mutations of the admin pages. They poll while a page is visible.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
+import { useList } from "@/api/queries";
 import type { components } from "@/api/schema";
 import type { Tone } from "@/components/tones";
 import { texts as all } from "@/texts/admin";
@@ -9,8 +10,10 @@ export type Setting = components["schemas"]["SettingRead"];
 export type FailedJob = components["schemas"]["FailedJob"];
 export type CapacityForecast = components["schemas"]["CapacityForecast"];
 export type JobAmount = components["schemas"]["JobAmount"];
+export type Runner = components["schemas"]["RunnerRead"];
 export type Storage = components["schemas"]["AdminStorage"];
 
+const PAGE = 100;
 const POLL_MS = 10_000;
 const FAST_POLL_MS = 1_000;
 // The status sums up all files.
@@ -49,6 +52,10 @@ export function useHealth() {
 /** What needs an admin, what is full, and when it will be. */
 export function useStatus() {
   return useQuery({ queryKey: ["admin", "status"], queryFn: ({ signal }) => call(api.GET("/api/v1/admin/status", { signal })), refetchInterval: SLOW_POLL_MS });
+}
+
+export function useRunners() {
+  return useList(() => ["admin", "runners"], () => ({ limit: PAGE }), (query, signal) => call(api.GET("/api/v1/runners", { params: { query }, signal })));
 }
 
 export function useSettings() {

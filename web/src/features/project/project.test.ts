@@ -14,6 +14,7 @@ import {
   valueText,
   validateDrafts,
 } from "./fields";
+import { isForbidden, isolations } from "./isolation";
 import { barsOf, csvOf, type Overview, type StatsRow } from "./queries";
 import type { MetadataField, MetadataFields, Mission } from "@/api/types";
 import { Problem } from "@/api/problem";
@@ -119,4 +120,9 @@ it("takes no order from the address that the server does not know", () => {
   expect(["meta.robot", "-meta.site.name", "-verdict", "size", "meta.", "x"].map(sortOf)).toEqual([
     "meta.robot", "-meta.site.name", "-verdict", "-start", "-start", "-start",
   ]);
+});
+
+it("forbids the classes of isolation that are weaker than the server allows", () => {
+  const forbidden = (weakest: (typeof isolations)[number]) => isolations.filter((item) => isForbidden(item, weakest));
+  expect([forbidden("container"), forbidden("namespaces"), forbidden("none")]).toEqual([["namespaces", "none"], ["none"], []]);
 });

@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { LogLines, shownLine } from "./log";
 import { areaOf, levels, most, rates, rowsOf, scaleOf, trackOf } from "./preview";
-import { chipOf, failedChecksOf, findingsOf, metricNames, metricText } from "./states";
+import { chipOf, failedChecksOf, findingsOf, metricNames, metricText, placeOf, placementFacts, waitOf } from "./states";
 import type { Run } from "@/api/types";
 
 describe("lines of a log", () => {
@@ -119,4 +119,26 @@ it("names the metrics that most runs have first, and writes them with their unit
   const two = run([{ name: "ate_rmse", value: 1, unit: null, file: null, labels: {} }, { name: "of_files", value: 1, file: "a", labels: {} }, { name: "of_files", value: 2, file: "b", labels: {} }]);
   expect(metricNames([two, one])).toEqual(["ate_rmse", "hz", "of_files"]);
   expect([metricText(one, "ate_rmse"), metricText(one, "hz"), metricText(two, "of_files"), metricText(two, "hz")]).toEqual(["0.12346 m", "20", "2 values", ""]);
+});
+
+describe("the place of a run on a cluster", () => {
+  const placement = { job_id: "4711_3", node: "gpu07", queued_s: 12.4, gpus: ["GPU-5f2e", "GPU-9a10"], cpu_s: 41.25, peak_memory_bytes: 1_500_000_000, requeues: 1 };
+  it("is its node and its job, as far as they are known", () => {
+    expect(placeOf({ placement })).toBe("gpu07, job 4711_3");
+    expect(placeOf({ placement: { ...placement, node: null } })).toBe("job 4711_3");
+    expect(placeOf({ placement: null })).toBe("");
+  });
+  it("has facts only where the runner reported them", () => {
+    expect(placementFacts({ placement }).map(({ label, value }) => `${label}: ${value}`)).toEqual([
+      "Job: 4711_3", "Queued there: 12.0 s", "Requeued there: 1 time", "GPUs: GPU-5f2e, GPU-9a10", "Accounted: 41.3 s of cores, 1.5 GB of memory at most",
+    ]);
+    expect(placementFacts({ placement: { gpus: [], requeues: 0 } })).toEqual([]);
+    expect(placementFacts({ placement: null })).toEqual([]);
+  });
+  it("has a reason while its job waits, which is not that of a queued run", () => {
+    const progress = { fraction: 0, message: "waits in the queue of Slurm: Resources" };
+    expect(waitOf({ state: "preparing", waits_for: null, progress })).toBe(progress.message);
+    expect(waitOf({ state: "running", waits_for: null, progress })).toBe("");
+    expect(waitOf({ state: "queued", waits_for: "No runner is registered.", progress: null })).toBe("No runner is registered.");
+  });
 });

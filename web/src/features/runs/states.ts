@@ -1,6 +1,6 @@
 // Display of runs: the tone of each state, the duration, the equivalent commands, and their results.
 import type { Run, RunState } from "@/api/types";
-import { formatDuration } from "@/components/format";
+import { formatDuration, formatSize } from "@/components/format";
 import { statusTones, verdictIcons, verdictTones, type Tone } from "@/components/tones";
 import { texts as common } from "@/texts/common";
 import { severityTones } from "@/components/warnings";
@@ -41,6 +41,36 @@ export function tookOf(run: Run, now: Date): string {
   const end = run.ended_at === null ? now : new Date(run.ended_at);
   const milliseconds = Math.max(0, end.getTime() - new Date(run.started_at).getTime());
   return formatDuration(milliseconds < MS_PER_S ? milliseconds * NS_PER_MS : Math.round(milliseconds / MS_PER_S) * MS_PER_S * NS_PER_MS);
+}
+
+/** Returns the node and the job of a run on a cluster; empty where it has none. */
+export function placeOf({ placement }: Pick<Run, "placement">): string {
+  return [placement?.node ?? "", placement?.job_id ? texts.job(placement.job_id) : ""].filter((item) => item !== "").join(", ");
+}
+
+/** Returns what a run waits for, or what its preparation does at the moment; empty where it does neither. */
+export function waitOf({ state, waits_for: waits, progress }: Pick<Run, "state" | "waits_for" | "progress">): string {
+  return (waits ?? "") || (state === "preparing" ? (progress?.message ?? "") : "");
+}
+
+export interface Fact {
+  readonly label: string;
+  readonly value: string;
+}
+
+/** Returns where a run is on its cluster or machine, and what that measured. */
+export function placementFacts({ placement }: Pick<Run, "placement">): readonly Fact[] {
+  if (!placement) return [];
+  const { job_id: job, queued_s: queued, gpus, cpu_s: cpu, peak_memory_bytes: memory, requeues } = placement;
+  const accounted = [typeof cpu === "number" ? texts.coreSeconds(cpu) : "", typeof memory === "number" ? texts.memoryAtMost(formatSize(memory)) : ""];
+  const facts = [
+    { label: texts.facts.job, value: job ?? "" },
+    { label: texts.facts.queued, value: typeof queued === "number" ? formatDuration(Math.round(queued) * MS_PER_S * NS_PER_MS) : "" },
+    { label: texts.facts.requeues, value: requeues > 0 ? texts.times(requeues) : "" },
+    { label: texts.facts.gpus, value: gpus.join(", ") },
+    { label: texts.facts.accounted, value: accounted.filter((item) => item !== "").join(", ") },
+  ];
+  return facts.filter(({ value }) => value !== "");
 }
 
 const SEVERITIES = ["error", "warning", "info"] as const;

@@ -19,6 +19,8 @@ ALTER TABLE run ADD COLUMN isolation text
     CONSTRAINT ck_run_isolation CHECK (isolation IN ('container', 'namespaces', 'none'));
 ALTER TABLE run ADD COLUMN placement jsonb;
 ALTER TABLE run ADD COLUMN is_recorded boolean DEFAULT false NOT NULL;
+CREATE INDEX ix_run_job_id ON run ((placement ->> 'job_id')) WHERE placement IS NOT NULL;
+CREATE INDEX ix_run_node ON run ((placement ->> 'node'), created_at, id) WHERE placement IS NOT NULL;
 ALTER TABLE runner ADD COLUMN lease_s integer DEFAULT 60 NOT NULL;
 """
 
