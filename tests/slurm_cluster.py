@@ -166,14 +166,16 @@ class SlurmCluster:
             with contextlib.suppress(subprocess.SubprocessError):
                 self.command("scancel", f"--user={os.geteuid()}", check=False)
                 _wait_for(lambda: not self.command("squeue", "--noheader", check=False).stdout.strip(), 20)
-        for program in ("slurmd", "slurmctld", "munged"):
-            if process := self._services.pop(program, None):
-                process.terminate()
-                try:
-                    process.wait(10)
-                except subprocess.TimeoutExpired:
-                    process.kill()
-                    process.wait()
+        if "slurmd" in self._services:  # unshare ignores SIGTERM
+            self.kill("slurmd")
+        for process in reversed(self._services.values()):
+            process.terminate()
+            try:
+                process.wait(10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        self._services.clear()
 
     def _start(self, service: str, *arguments: str, program: str | None = None) -> None:
         log = (self.folder / f"{service}.out").open("ab")

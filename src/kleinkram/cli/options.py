@@ -1,5 +1,6 @@
 """Options and prompts that several commands share, and completion of names."""
 
+import json
 import logging
 import re
 import sys
@@ -120,6 +121,21 @@ def parameter_values(definition: "ActionDefinition", assignments: Iterable[str])
         definition.fill_in(values)
     except ValueError as error:
         raise InvalidInput(what="The parameters", reason=str(error)) from None
+    return values
+
+
+def untyped_values(assignments: Iterable[str]) -> "ParameterValues":
+    """Return the values of `NAME=VALUE` assignments: numbers, `true` and `false`, and texts."""
+    values: ParameterValues = {}
+    for assignment in assignments:
+        name, equals, text = assignment.partition("=")
+        if not equals:
+            raise InvalidInput(what=f"The parameter {assignment!r}", reason="write it as NAME=VALUE")
+        try:
+            value = json.loads(text)
+        except ValueError:
+            value = text
+        values[name] = value if isinstance(value, bool | int | float) else text
     return values
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from pydantic import ValidationError
 
 from kleinkram.cli import options, run_reports
 from kleinkram.cli.action_library import read_action
@@ -26,7 +27,8 @@ from kleinkram.contract import runs as contract
 from kleinkram.contract.checks import CheckStatus, Verdict
 from kleinkram.contract.library import LIBRARY_PREFIX
 from kleinkram.contract.missions import MissionRead
-from kleinkram.contract.problems import from_problem
+from kleinkram.contract.problems import first_message, from_problem
+from kleinkram.contract.reports import Report
 
 ForceOption = Annotated[bool, flag("--force", "Run again, even if an identical run has results.")]
 IgnoreVerdictOption = Annotated[
@@ -271,6 +273,47 @@ def retry(
         show_runs([made])
     if follow_it:
         raise typer.Exit(_exit_code([made], Counted.state_alone if ignore_verdict else Counted.verdict))
+
+
+@app.command("record")
+def record(
+    client: Client,
+    name: Annotated[str, argument("NAME", "What was executed, as for an action: a name.")],
+    script: Annotated[Path, option("--script", "FILE", "The script that was executed; its text is kept.")],
+    project: options.ProjectOption = None,
+    mission: options.MissionOption = None,
+    inputs: Annotated[Many, option("--input", "PATH", "A file of the mission that it read; repeatable.")] = None,
+    outputs: Annotated[
+        Many, option("--output", "PATH", "A file of the mission that it made, uploaded before; repeatable.")
+    ] = None,
+    parameters: options.SetOption = None,
+    report: Annotated[
+        Path | None, option("--report", "FILE", "Its report.json: metrics, findings, checks, metadata.")
+    ] = None,
+    duration_s: Annotated[float | None, option("--duration", "SECONDS", "How long it took.", min=0)] = None,
+) -> Output:
+    """Record a run that was executed elsewhere, such as by a pipeline, with its results and their lineage.
+
+    The same command again changes nothing.
+    """
+    target = client.missions.get(options.the_ref("mission", None, mission), project=project)
+    reported = None
+    if (text := options.read_text(report)) is not None:
+        try:
+            reported = Report.model_validate_json(text)
+        except ValidationError as error:
+            raise InvalidInput(what=f"The report {report}", reason=first_message(error)) from None
+    recorded = client.runs.record(
+        name,
+        target,
+        script=options.read_text(script) or "",
+        inputs=inputs or [],
+        outputs=outputs or [],
+        parameters=options.untyped_values(parameters or []),
+        report=reported,
+        duration_s=duration_s,
+    )
+    return as_list([recorded], show_runs)
 
 
 @app.command("artifacts")

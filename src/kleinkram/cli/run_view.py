@@ -102,6 +102,7 @@ def show_run(run: RunDetail) -> None:
             ("message", run.message),
             ("results of", run.reuses_id),
             ("retry of", run.cause.retry_of_id),
+            ("recorded", "it was executed elsewhere" if run.is_recorded else None),
             ("made", f"{run.created_at:%Y-%m-%d %H:%M:%S}Z{person}"),
             ("started", run.started_at),
             ("ended", run.ended_at),

@@ -23,7 +23,7 @@ from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.checks import CheckStatus, Verdict
 from kleinkram.contract.files import BlobState, DownloadLink
 from kleinkram.contract.previews import MissionPreview
-from kleinkram.contract.reports import Severity
+from kleinkram.contract.reports import Report, Severity
 from kleinkram.contract.uploads import UploadDecisions, UploadFile
 
 if TYPE_CHECKING:
@@ -120,6 +120,37 @@ class Runs(ApiResource):
             body = checked(runs.RunsCreate, "The run", mission_ids=ids[start : start + runs.MAX_LAUNCHED], **requested)
             outcomes += self._api.send("POST", "/runs", runs.RunsCreated, body).items
         return outcomes
+
+    def record(
+        self,
+        name: str,
+        mission: Ref,
+        *,
+        script: str,
+        inputs: Sequence[str],
+        outputs: Sequence[str] = (),
+        parameters: ParameterValues | None = None,
+        report: Report | Mapping[str, object] | None = None,
+        duration_s: float | None = None,
+    ) -> runs.RunRead:
+        """Record a run that was executed elsewhere, such as by a pipeline, and return it; again, the same one.
+
+        `script` is the text that was executed. `inputs` and `outputs` are paths of files of the mission; upload the
+        outputs before. They become files that the run made, and the numbers of its report are those of any run.
+        """
+        body = checked(
+            runs.RunRecord,
+            "The run",
+            mission_id=Missions(self._api).id_of(mission),
+            name=name,
+            script=script,
+            inputs=[*inputs],
+            outputs=[*outputs],
+            parameters=parameters or {},
+            report=report or {},
+            duration_s=duration_s,
+        )
+        return self._api.repeat("/runs/recorded", runs.RunRead, body)
 
     def list(
         self, matching: runs.RunFilter | None = None, *, limit: int | None = None, **fields: Unpack[RunFields]

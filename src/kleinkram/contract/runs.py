@@ -5,22 +5,29 @@ import enum
 import uuid
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import Self
 
-from kleinkram.contract.actions import ActionDefinition, Network, OwnDefinition, ParameterValues
+from kleinkram.contract.actions import (
+    MAX_SCRIPT_CHARACTERS,
+    ActionDefinition,
+    Network,
+    OwnDefinition,
+    ParameterValues,
+)
 from kleinkram.contract.base import Request, Response
 from kleinkram.contract.checks import Check, CheckStatus
 from kleinkram.contract.files import FetchPurpose, FileRead, RecordingRead, TopicRead
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import LocationFilter, MissionRead, MissionRef
-from kleinkram.contract.names import Term
+from kleinkram.contract.names import FilePath, Name, Term, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.problems import ProblemDocument
-from kleinkram.contract.reports import Finding, Metric, Preview, Progress, ReportedVerdict, Severity
+from kleinkram.contract.reports import Finding, Metric, Preview, Progress, Report, ReportedVerdict, Severity
 
 CONTEXT_FILE = "mission.json"
 MAX_LAUNCHED = 1000
+MAX_RECORDED_FILES = 10_000
 MAX_SAMPLES = 720
 # Metrics that a run in a list carries.
 MAX_LISTED_METRICS = 12
@@ -144,6 +151,32 @@ class UsageSample(Response):
     usage: Usage
 
 
+class RunRecord(Request):
+    """A run that was executed elsewhere, such as by Snakemake or a job of a cluster, with its results.
+
+    `script` is the text that was executed, for people to read. `inputs` and `outputs` are paths of files of the
+    mission; the caller has uploaded the outputs, which become files that the run made. Recording the same again, with
+    the same bytes, returns the same run.
+    """
+
+    mission_id: uuid.UUID
+    name: Name
+    script: Annotated[str, AfterValidator(check_text), Field(min_length=1, max_length=MAX_SCRIPT_CHARACTERS)]
+    parameters: ParameterValues = {}
+    inputs: Annotated[list[FilePath], Field(min_length=1, max_length=MAX_RECORDED_FILES)]
+    outputs: Annotated[list[FilePath], Field(max_length=MAX_RECORDED_FILES)] = []
+    report: Report = Report()
+    duration_s: Annotated[float, Field(ge=0, le=365 * 86_400)] | None = None
+
+    @model_validator(mode="after")
+    def _reports_no_artifacts(self) -> Self:
+        if self.report.previews or self.report.mission_files:
+            raise ValueError("a recorded run has outputs instead of previews and mission_files")
+        if both := sorted({*self.inputs} & {*self.outputs}):
+            raise ValueError(f"{both[0]!r} is both an input and an output")
+        return self
+
+
 class RunPriority(str, enum.Enum):
     """Which queued runs start first; among those of one priority, people and projects take turns."""
 
@@ -176,8 +209,8 @@ class RunRead(Response):
     the image that was run. `reuses_id` is the earlier run whose results this run reuses; it has none of its own.
     `verdict` is the worst of what its report says: its verdict, checks and findings. Null where it is not `done`, and
     where it judged nothing. `metrics` are the first reported ones, those of the run before those of single files; empty
-    in a lineage. `placement` is null before its runner reports one. `may_cancel`: the caller may cancel it, and it has
-    not ended.
+    in a lineage. `placement` is null before its runner reports one. `is_recorded`: it was executed elsewhere, and
+    recorded with its results. `may_cancel`: the caller may cancel it, and it has not ended.
     """
 
     id: uuid.UUID
@@ -208,6 +241,7 @@ class RunRead(Response):
     metric_count: int
     metrics: Annotated[list[Metric], Field(max_length=MAX_LISTED_METRICS)] = []
     reuses_id: uuid.UUID | None
+    is_recorded: bool = False
     created_at: datetime.datetime
     claimed_at: datetime.datetime | None
     started_at: datetime.datetime | None

@@ -80,6 +80,20 @@ RUN_OPERATIONS: dict[str, tuple[Caller, ...]] = {
     ),
     "remove_project_action": (Caller(delete("/projects/{project}/actions/{action}"), Target.project),),
     "create_runs": (Caller(post("/runs", _launch), Target.mission, outcome=_launched),),
+    "record_run": (
+        Caller(
+            post(
+                "/runs/recorded",
+                lambda principal: {
+                    "mission_id": principal.objects.mission,
+                    "name": "pipeline",
+                    "script": "true",
+                    "inputs": ["one.mcap"],
+                },
+            ),
+            Target.mission,
+        ),
+    ),
     "list_runs": (Caller(get("/runs", mission_id="{mission}", limit="500"), Target.mission, shows=lists("run")),),
     "get_run": (Caller(get("/runs/{run}"), Target.mission),),
     # The run was started by another person.

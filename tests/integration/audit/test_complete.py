@@ -43,6 +43,7 @@ WRITES: dict[str, set[str]] = {
     "add_project_action": {"project.add_action"},
     "remove_project_action": {"[project.remove_action]"},
     "create_runs": {"run.create"},
+    "record_run": {"[run.record]"},
     "retry_run": {"run.create"},
     "cancel_run": {"[run.cancel]"},
     "download_artifacts": {"run.download", "[run.preview]"},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -40,10 +41,12 @@ def wait_until(condition: Callable[[], object], *, timeout_s: float = 60) -> Non
 
 @dataclass
 class Runners:
-    """The consecutive runners of one test on one state directory."""
+    """The consecutive runners of one test on one state directory. `user` and `python` are those of processes."""
 
     server: FakeServer
     folder: Path
+    user: int | None = None
+    python: str = sys.executable
     _threads: list[tuple[Runner, threading.Thread]] = field(default_factory=list)
     _processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
@@ -89,7 +92,9 @@ class Runners:
             environment["DOCKER_HOST"] = f"unix://{docker.socket}"
         if slurm:
             environment |= slurm.environment
-        process = subprocess.Popen(arguments.command(), env=environment)
+        process = subprocess.Popen(
+            [self.python, *arguments.command()[1:]], env=environment, user=self.user, group=self.user
+        )
         self._processes.append(process)
         return process
 

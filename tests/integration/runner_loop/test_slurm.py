@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+import kleinkram
 from kleinkram.client.errors import InvalidInput
-from kleinkram.contract.runners import LOG_PATH
+from kleinkram.contract.runners import LOG_PATH, Isolation
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner.executors.slurm.commands import SlurmCommands
 from kleinkram.runner.executors.slurm.options import SlurmOptions
@@ -20,6 +24,7 @@ from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer
 from tests.integration.runner_loop.test_faults import LASTING, SHORT, heartbeat_of, is_alive, until_running
+from tests.requirements import missing
 from tests.slurm_cluster import SlurmCluster
 
 pytestmark = pytest.mark.slow
@@ -80,6 +85,38 @@ def test_a_run_reads_inputs_and_leaves_artifacts(server: FakeServer, runners: Ru
     assert finish.usage is not None
     assert server.hellos[0].capacity.cores == 8
     assert server.hellos[0].lease_s == 900
+
+
+def python_of_everybody(folder: Path) -> str:
+    """Return a Python with the packages of the tests that another user can run, or skip."""
+    system = Path("/usr/bin/python3")
+    version = f"python3.{sys.version_info.minor}"
+    if not system.exists() or system.resolve().name != version:
+        missing("no Python that every user can run has the version of that of the tests")
+    subprocess.run([system, "-m", "venv", "--without-pip", folder], check=True)
+    packages = [path for path in sys.path if path.endswith("site-packages")] + [
+        str(Path(kleinkram.__file__).parents[1])
+    ]
+    (folder / "lib" / version / "site-packages" / "tests.pth").write_text("\n".join(packages))
+    return str(folder / "bin" / "python3")
+
+
+def test_an_ordinary_user_runs_isolated_jobs(server: FakeServer, runners: Runners, slurm: SlurmCluster) -> None:
+    runners.user = 65534
+    runners.folder = slurm.folder / "home"
+    runners.folder.mkdir()
+    os.chown(runners.folder, runners.user, runners.user)
+    runners.python = python_of_everybody(slurm.folder / "python")
+    runners.spawn(slurm=slurm)
+    run = server.launch(
+        "import os\nfrom kleinkram.action import out\n(out / 'x').write_text('x')\n"
+        f"print(os.path.exists('{slurm.folder}/slurm.conf'))\n"
+    )
+    finish = ended(run).finishes[0]
+    assert (finish.reason, run.artifacts) == (EndReason.done, {"x": b"x", LOG_PATH: b"False\n"})
+    assert server.hellos[0].abilities.isolation is Isolation.namespaces
+    users = slurm.command("squeue", "--noheader", "--states=all", "--format=%U", f"--jobs={job_of(slurm, run)}").stdout
+    assert users.split() == ["65534"]
 
 
 def test_a_runner_killed_while_its_job_waits_finds_it_again(

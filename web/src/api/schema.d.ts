@@ -2701,6 +2701,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/runs/recorded": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Record Run
+         * @description Record a run that was executed elsewhere, with its results; recording the same again changes nothing.
+         */
+        post: operations["record_run"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/search": {
         parameters: {
             query?: never;
@@ -7212,6 +7232,11 @@ export interface components {
             input_bytes: number;
             /** Input Count */
             input_count: number;
+            /**
+             * Is Recorded
+             * @default false
+             */
+            is_recorded: boolean;
             /** May Cancel */
             may_cancel: boolean;
             /** Message */
@@ -7452,8 +7477,8 @@ export interface components {
          *     the image that was run. `reuses_id` is the earlier run whose results this run reuses; it has none of its own.
          *     `verdict` is the worst of what its report says: its verdict, checks and findings. Null where it is not `done`, and
          *     where it judged nothing. `metrics` are the first reported ones, those of the run before those of single files; empty
-         *     in a lineage. `placement` is null before its runner reports one. `may_cancel`: the caller may cancel it, and it has
-         *     not ended.
+         *     in a lineage. `placement` is null before its runner reports one. `is_recorded`: it was executed elsewhere, and
+         *     recorded with its results. `may_cancel`: the caller may cancel it, and it has not ended.
          */
         RunRead: {
             action: components["schemas"]["ActionRef"];
@@ -7497,6 +7522,11 @@ export interface components {
             input_bytes: number;
             /** Input Count */
             input_count: number;
+            /**
+             * Is Recorded
+             * @default false
+             */
+            is_recorded: boolean;
             /** May Cancel */
             may_cancel: boolean;
             /** Message */
@@ -7536,6 +7566,52 @@ export interface components {
             version_id: string;
             /** Waits For */
             waits_for: string | null;
+        };
+        /**
+         * RunRecord
+         * @description A run that was executed elsewhere, such as by Snakemake or a job of a cluster, with its results.
+         *
+         *     `script` is the text that was executed, for people to read. `inputs` and `outputs` are paths of files of the
+         *     mission; the caller has uploaded the outputs, which become files that the run made. Recording the same again, with
+         *     the same bytes, returns the same run.
+         */
+        RunRecord: {
+            /** Duration S */
+            duration_s?: number | null;
+            /** Inputs */
+            inputs: string[];
+            /**
+             * Mission Id
+             * Format: uuid
+             */
+            mission_id: string;
+            /** Name */
+            name: string;
+            /**
+             * Outputs
+             * @default []
+             */
+            outputs: string[];
+            /**
+             * Parameters
+             * @default {}
+             */
+            parameters: {
+                [key: string]: boolean | number | string;
+            };
+            /**
+             * @default {
+             *       "checks": [],
+             *       "findings": [],
+             *       "metadata": {},
+             *       "metrics": [],
+             *       "mission_files": [],
+             *       "previews": []
+             *     }
+             */
+            report: components["schemas"]["Report"];
+            /** Script */
+            script: string;
         };
         /**
          * RunRefused
@@ -13797,6 +13873,39 @@ export interface operations {
             cookie?: never;
         };
         requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RunRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    record_run: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["RunRecord"];
+            };
+        };
         responses: {
             /** @description Successful Response */
             201: {

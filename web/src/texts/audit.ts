@@ -82,6 +82,7 @@ const operations: Readonly<Record<string, string>> = {
   "run.download": "downloaded artifacts of the run of",
   "run.preview": "viewed results of the run of",
   "run.end": "finished the run of",
+  "run.record": "recorded a run of",
   "runner.register": "registered the runner",
   "server.bootstrap": "set up the server",
   "session.create": "signed in",

@@ -136,6 +136,7 @@ OPERATIONS: dict[str, Permission] = {
     "remove_project_action": Permission(ResourceKind.project, Right.write, _WRITE),
     # Runs. Starting one also requires the rights of its action; cancelling another person's requires DELETE.
     "create_runs": Permission(ResourceKind.mission, Right.create, _RUN, also=Scope.read),
+    "record_run": Permission(ResourceKind.mission, Right.create, _UPLOAD, also=Scope.read),
     "list_runs": _visible(guests=False),
     "get_run": Permission(ResourceKind.mission, Right.read, _READ),
     "cancel_run": Permission(ResourceKind.mission, Right.create, _RUN, also=Scope.read),

@@ -24,7 +24,7 @@ _MAX_ID_CHARACTERS = 36
 _ANONYMOUS_BODY_BYTES = 64 * 1024
 _API_PATH, _SIGN_IN_PATH = "/api/v1/", "/api/v1/auth/"
 # Requests that send a report, which is refused whole or stored whole.
-_REPORT_PATH = re.compile(r"/api/v1/(runner/runs/[^/]+/finish|missions/[^/]+/check-reports)")
+_REPORT_PATH = re.compile(r"/api/v1/(runner/runs/[^/]+/finish|runs/recorded|missions/[^/]+/check-reports)")
 # Sent by the Python client of the original Kleinkram with each request.
 _ORIGINAL_CLIENT_HEADER = b"kleinkram-client-version"
 _REQUEST_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")

@@ -2,7 +2,6 @@
 
 import datetime
 import uuid
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -10,10 +9,9 @@ from sqlalchemy import ColumnElement, func, insert, null, select, update
 
 from kleinkram.contract.actions import ActionDefinition, Network, ParameterValues
 from kleinkram.contract.audit import ChangeKind
-from kleinkram.contract.checks import CheckStatus
 from kleinkram.contract.errors import Forbidden, NotFound, RunGone
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.reports import Severity, verdict_of_report
+from kleinkram.contract.reports import verdict_of_report
 from kleinkram.contract.runners import (
     ArtifactUploadsCreate,
     Heartbeat,
@@ -50,7 +48,7 @@ from kleinkram.server.files import queries as files
 from kleinkram.server.missions import service as missions
 from kleinkram.server.recordings import queries as recordings
 from kleinkram.server.runs.declared_inputs import checks_at_launch, mission_at_launch, reference_at_launch
-from kleinkram.server.runs.lifecycle import EndedRun, RunArtifact, create_mission_files, end_run
+from kleinkram.server.runs.lifecycle import EndedRun, RunArtifact, create_mission_files, end_run, store_report
 from kleinkram.server.s3.storage import PartTarget
 from kleinkram.server.tables import (
     action,
@@ -62,10 +60,7 @@ from kleinkram.server.tables import (
     project,
     run,
     run_artifact,
-    run_check,
-    run_finding,
     run_input,
-    run_metric,
     runner,
     token,
 )
@@ -396,25 +391,13 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
         ended_run = EndedRun(row.id, row.mission_id, row.project_id, row.started_by_id, row.definition)
         problems += await create_mission_files(db, ended_run, finish.report.mission_files, artifacts)
     await _pin_image(db, row, finish.image_digest)
-    findings = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in finish.report.findings]
-    metrics = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in finish.report.metrics]
-    checks = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in finish.report.checks]
-    for table, rows in ((run_check, checks), (run_finding, findings), (run_metric, metrics)):
-        for first in range(0, len(rows), _BATCH):
-            await db.execute(insert(table), rows[first : first + _BATCH])
-    counts = Counter(entry.severity for entry in finish.report.findings)
-    check_counts = Counter(entry.status for entry in finish.report.checks)
     verdict = verdict_of_report(finish.report) if finish.reason is EndReason.done else None
-    values = {
+    values = await store_report(db, run_id, finish.report) | {
         "problems": problems[:200],
         "exit_code": finish.exit_code,
-        "proposed": finish.report.metadata,
         "previews": [entry.model_dump(mode="json") for entry in finish.report.previews if entry.path in artifacts],
         "artifact_count": len(artifacts),
-        "metric_count": len(finish.report.metrics),
         "verdict": verdict and verdict.value,
-        "check_counts": {status.value: check_counts[status] for status in CheckStatus if check_counts[status]},
-        "finding_counts": {severity.value: counts[severity] for severity in Severity if counts[severity]},
         "image_digest": row.image_digest or finish.image_digest,
         "samples": _thinned(row.samples, finish.samples),
         "placement": row.placement if finish.placement is None else finish.placement.model_dump(mode="json"),

@@ -234,11 +234,15 @@ async def retry_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, force: b
     Raises:
         NotFound: it is not there, or not for this actor.
         Forbidden: their right on its mission is lower than the action requires.
+        InvalidRequest: it was executed elsewhere.
         NoInputs: no file of it is an input any more.
         FileUnavailable: an input is lost or corrupt.
         NoRunner: no runner can ever execute it.
     """
     earlier = (await service.find_run(db, actor, run_id)).run
+    if earlier.is_recorded:
+        message = "it was executed elsewhere, and only recorded here; run it there again"
+        raise InvalidRequest(problems=[FieldProblem(field="run_id", message=message)])
     stmt = select(action_version.c.definition, action_version.c.image_digest, action.c.project_id)
     joined = stmt.outerjoin(action, action.c.id == action_version.c.action_id)
     row = (await db.execute(joined.where(action_version.c.id == earlier.version_id))).one()
@@ -365,6 +369,7 @@ async def _reusable_results(
         images = {known.default_image for known in task.runners.runners if known.is_alive}
     same_image = or_(false(), *(run.c.image_digest.is_not_distinct_from(entry) for entry in images))
     good = (run.c.inputs_fingerprint == fingerprint) & (run.c.state == RunState.done.value) & run.c.reuses_id.is_(None)
+    good &= ~run.c.is_recorded
     columns = (run.c.id.label("reuses_id"), *(run.c[name] for name in _REUSED_COLUMNS))
     stmt = select(*columns).where(good, run.c.mission_id == mission_id, same_image)
     earlier = (await db.execute(stmt.order_by(run.c.ended_at.desc()).limit(1))).mappings().one_or_none()

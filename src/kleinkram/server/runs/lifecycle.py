@@ -1,6 +1,7 @@
 """Ends of runs: cancelled, lost with their runners, or completed; then artifacts may become files of the mission."""
 
 import uuid
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
@@ -11,11 +12,12 @@ from sqlalchemy import delete, func, insert, or_, select, update
 from kleinkram.contract.access import Right
 from kleinkram.contract.actions import ActionDefinition
 from kleinkram.contract.audit import ChangeKind
+from kleinkram.contract.checks import CheckStatus
 from kleinkram.contract.errors import Forbidden, KleinkramError
 from kleinkram.contract.files import ContentState
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
-from kleinkram.contract.reports import MissionFile
+from kleinkram.contract.reports import MissionFile, Report, Severity
 from kleinkram.contract.runs import EndReason, RunRead, RunState
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server import metrics
@@ -32,13 +34,27 @@ from kleinkram.server.quotas import Amount, require_room
 from kleinkram.server.recordings.derive import derive_again
 from kleinkram.server.runs import service
 from kleinkram.server.runs.eligibility import is_alive
-from kleinkram.server.tables import blob, file, mission, project, run, run_artifact, runner, token, upload
+from kleinkram.server.tables import (
+    blob,
+    file,
+    mission,
+    project,
+    run,
+    run_artifact,
+    run_check,
+    run_finding,
+    run_metric,
+    runner,
+    token,
+    upload,
+)
 from kleinkram.server.tables.blobs import UNDER_WAY
 from kleinkram.server.tables.runs import ASSIGNED
 
 # How often a run is queued again after its runner was lost.
 _MAX_REQUEUES = 2
 _BATCH = 500
+_REPORT_BATCH = 1000
 
 
 async def cancel_run(db: Connection, actor: Actor, *, run_id: uuid.UUID) -> RunRead:
@@ -131,6 +147,22 @@ async def cancel_orphans(db: Connection) -> None:
     queued = stmt.where(run.c.state == RunState.queued.value, deleted).limit(_BATCH)
     for run_id in (await db.execute(queued.with_for_update(of=run, skip_locked=True))).scalars().all():
         await end_run(db, run_id, EndReason.cancelled, "Its mission was deleted before it started.")
+
+
+async def store_report(db: Connection, run_id: uuid.UUID, report: Report) -> dict[str, object]:
+    """Store the checks, findings and metrics of a run; return the columns of the run that follow from its report."""
+    for table, entries in ((run_check, report.checks), (run_finding, report.findings), (run_metric, report.metrics)):
+        rows = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in entries]
+        for first in range(0, len(rows), _REPORT_BATCH):
+            await db.execute(insert(table), rows[first : first + _REPORT_BATCH])
+    statuses = Counter(entry.status.value for entry in report.checks)
+    severities = Counter(entry.severity.value for entry in report.findings)
+    return {
+        "proposed": report.metadata,
+        "metric_count": len(report.metrics),
+        "check_counts": {status.value: statuses[status.value] for status in CheckStatus if statuses[status.value]},
+        "finding_counts": {level.value: severities[level.value] for level in Severity if severities[level.value]},
+    }
 
 
 class RunArtifact(NamedTuple):

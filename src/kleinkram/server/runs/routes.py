@@ -14,7 +14,7 @@ from kleinkram.contract.project_actions import ProjectActionAdd, ProjectActionLi
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
 from kleinkram.server.http.middleware import mark_as_stream
 from kleinkram.server.pagination import CountedPageQuery, PageQuery
-from kleinkram.server.runs import launch, lifecycle, logs, metric_tables, previews, project_actions, service
+from kleinkram.server.runs import launch, lifecycle, logs, metric_tables, previews, project_actions, recorded, service
 
 router = APIRouter(prefix="/api/v1", tags=["runs"])
 
@@ -48,6 +48,12 @@ class LogQuery(BaseModel):
 async def create_runs(requested: runs.RunsCreate, context: CurrentContext, actor: CurrentActor) -> runs.RunsCreated:
     """Run an action on each of some missions, with an outcome for each."""
     return await launch.launch(context, actor, requested=requested)
+
+
+@router.post("/runs/recorded", operation_id="record_run", status_code=201)
+async def record_run(requested: runs.RunRecord, db: Transaction, actor: CurrentActor) -> runs.RunRead:
+    """Record a run that was executed elsewhere, with its results; recording the same again changes nothing."""
+    return await recorded.record_run(db, actor, requested=requested)
 
 
 @router.get("/runs", operation_id="list_runs")

@@ -43,6 +43,7 @@ _SAME = (
         "attempt",
         "priority",
         "placement",
+        "is_recorded",
         "image_digest",
         "usage",
         "input_count",

@@ -110,6 +110,8 @@ run = sa.Table(
     sa.Column("input_metadata", JSONB(none_as_null=True)),
     sa.Column("checks_sha256", sa.LargeBinary),
     sa.Column("reuses_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
+    # It was executed elsewhere, and recorded with its results.
+    sa.Column("is_recorded", sa.Boolean, nullable=False, server_default=sa.text("false")),
     sa.Column("retry_of_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
     sa.Column("started_by_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False, index=True),
     sa.Column("attempt", sa.Integer, nullable=False, server_default="0"),

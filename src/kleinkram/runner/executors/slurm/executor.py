@@ -50,7 +50,9 @@ from kleinkram.runner.executors.transfer_steps import FINISH
 from kleinkram.runner.input_cache import InputCache
 
 _LEASE_S = min(900, MAX_LEASE_S)
-_READ_ENDING_EVERY_S = 0.25
+_LEASE_EVERY_S = 20.0
+# Of running jobs, and of waiting ones, which may have started since.
+_READ_ENDING_EVERY_S = (0.5, 5.0)
 # How long Slurm must show a job as ended, or not at all, before that is believed: one that is about to be started again
 # looks ended for moments, and files of a node are seen late.
 _SETTLED_S = 6.0
@@ -81,8 +83,13 @@ class _SubmittedJob:
     start_read_at_s: float = 0.0
     releases: int = 0
     released_s: float = 0.0
+    # Its state in the last answer, None where it was not in it; and the last that was known.
+    queue_state: str | None = None
     entry: QueueEntry | None = None
     start: NodeStart | None = None
+    # The start that got the lease last, and when.
+    leased_start: NodeStart | None = None
+    leased_s: float = 0.0
     ending: Ending | None = None
     ended_s: float | None = None
     account: JobAccount | None = None
@@ -136,8 +143,14 @@ class SlurmExecutor(ProcessExecutor):
         return self.capacity if job_count < self._options.max_jobs else None
 
     def set_lease(self, job: RunJob, until_s: float, *, create: bool = False) -> None:
-        """Write how long the job may go on from now."""
-        write_lease(job.directory, until_s - boot_time_s(), create=create)
+        """Write how long the job may go on from now; not each time, since hundreds of jobs share a file system."""
+        remaining_s = until_s - boot_time_s()
+        submitted = self._jobs.get(job.key)
+        if submitted is None or create:
+            write_lease(job.directory, remaining_s, create=create)
+        elif self._is_lease_due(submitted, remaining_s):
+            write_lease(job.directory, remaining_s, create=False)
+            submitted.leased_start, submitted.leased_s = submitted.start, boot_time_s()
 
     def submit(self, job: RunJob) -> None:
         """Submit a job. Where Slurm does not answer, `poll` submits it again, unless it is in the queue."""
@@ -149,7 +162,10 @@ class SlurmExecutor(ProcessExecutor):
 
     def poll(self, job: RunJob) -> Ending | None:
         """Return the ending that the supervisor wrote, or what Slurm says where it wrote none."""
-        submitted = self._find(job)
+        try:
+            submitted = self._find(job)
+        except OSError:  # the shared file system is not available
+            return None
         if submitted is None:
             return _LOST
         if submitted.ending is None:
@@ -237,6 +253,7 @@ class SlurmExecutor(ProcessExecutor):
         submitted = self._find(job)
         if submitted is None:
             return
+        submitted.ending = submitted.ending or self._own_ending(job, submitted)
         (job.directory / SUBMISSION).unlink(missing_ok=True)
         super().remove(job)
         name = submitted.submission.name
@@ -299,6 +316,9 @@ class SlurmExecutor(ProcessExecutor):
     def _update(self, job: RunJob, submitted: _SubmittedJob) -> None:
         """Take over what the queue, and the node, say."""
         entry = self._queue.snapshot.entries.get(submitted.submission.name)
+        state = entry.state if entry is not None else None
+        if state != submitted.queue_state:
+            submitted.queue_state, submitted.read_at_s = state, 0.0
         if entry is not None:
             submitted.entry = entry
             if not submitted.submission.job_id:  # the answer to its submission was lost
@@ -308,7 +328,7 @@ class SlurmExecutor(ProcessExecutor):
                     write_submission(job.directory, submitted.submission)
         is_started = entry is not None and phase_of(entry.state) is not Phase.waiting
         if is_started and boot_time_s() >= submitted.start_read_at_s:
-            submitted.start_read_at_s = boot_time_s() + (_READ_ENDING_EVERY_S if submitted.start is None else 2.0)
+            submitted.start_read_at_s = boot_time_s() + (0.2 if submitted.start is None else 2.0)
             with contextlib.suppress(OSError):
                 submitted.start = read_start(job.directory) or submitted.start
 
@@ -317,12 +337,17 @@ class SlurmExecutor(ProcessExecutor):
         now_s = boot_time_s()
         if now_s < submitted.read_at_s:
             return None
-        submitted.read_at_s = now_s + _READ_ENDING_EVERY_S
+        entry = self._queue.snapshot.entries.get(submitted.submission.name)
+        is_waiting = entry is not None and phase_of(entry.state) is Phase.waiting
+        submitted.read_at_s = now_s + _READ_ENDING_EVERY_S[is_waiting]
         if submitted.settled_at_s is not None:
             refresh(job.directory)
         try:
             values = json.loads((job.directory / ENDING).read_text())
         except FileNotFoundError:
+            return None
+        except OSError:  # the shared file system is not available
+            submitted.settled_at_s = None
             return None
         refresh(job.directory / "out")
         ending = Ending(EndReason(values["reason"]), values["message"], values["exit_code"])
@@ -358,7 +383,8 @@ class SlurmExecutor(ProcessExecutor):
             submitted.settled_at_s = boot_time_s() + _SETTLED_S
         if snapshot.queried_s < submitted.settled_at_s:
             return None
-        return self._end_or_submit_again(job, submitted, entry)
+        submitted.read_at_s = 0.0
+        return self._own_ending(job, submitted) or self._end_or_submit_again(job, submitted, entry)
 
     def _end_or_submit_again(self, job: RunJob, submitted: _SubmittedJob, entry: QueueEntry | None) -> Ending | None:
         ending = self._ending_by_state(submitted, entry)
@@ -391,6 +417,14 @@ class SlurmExecutor(ProcessExecutor):
         except SlurmRefused as error:
             return Ending(EndReason.not_possible, f"Slurm refused its job: {error}.")
         return None
+
+    @staticmethod
+    def _is_lease_due(submitted: _SubmittedJob, remaining_s: float) -> bool:
+        """Whether a job needs its lease: one that has just started waits for it."""
+        entry = submitted.entry
+        is_waiting = entry is not None and phase_of(entry.state) is Phase.waiting
+        is_known = is_waiting or (submitted.start is not None and submitted.start == submitted.leased_start)
+        return not is_known or boot_time_s() - submitted.leased_s > min(_LEASE_EVERY_S, remaining_s / 20)
 
     def _new_name(self, job: RunJob) -> str:
         return f"{self._prefix}{job.key}-{uuid.uuid4().hex[:8]}"

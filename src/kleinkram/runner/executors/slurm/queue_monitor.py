@@ -15,6 +15,7 @@ _EVERY_S = 1.0
 # Slurm is busy: ask for at most this share of the time.
 _BUSY_SHARE = 0.25
 _MAX_PAUSE_S = 30.0
+_DOWN_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -81,13 +82,13 @@ class QueueMonitor:
         self._wake()
 
     def wait_until_gone(self, name: str, timeout_s: float) -> bool:
-        """Wait until a job has ended, or is unknown to Slurm; return whether that is so."""
-        queried_s = deadline_s = boot_time_s()
-        deadline_s += timeout_s
+        """Wait until a job has ended, or is unknown to Slurm; return whether that is so. Soon where Slurm is down."""
+        queried_s = boot_time_s()
         with self._has_answer:
             while not self._is_gone(name, queried_s):
                 self._wake()
-                if boot_time_s() >= deadline_s:
+                waited_s = boot_time_s() - queried_s
+                if waited_s >= timeout_s or (self.error is not None and waited_s >= _DOWN_S):
                     return False
                 self._has_answer.wait(0.2)
         return True

@@ -1,4 +1,4 @@
-"""Runs have a priority and a placement, runners a length of their leases, and projects an allowed isolation."""
+"""Runs have a priority and a placement, and may be recorded; leases have lengths, projects an allowed isolation."""
 
 from alembic import op
 
@@ -16,6 +16,7 @@ ALTER TABLE project ADD COLUMN isolation text DEFAULT 'container' NOT NULL
 ALTER TABLE run ADD COLUMN priority text DEFAULT 'normal' NOT NULL
     CONSTRAINT ck_run_priority CHECK (priority IN ('low', 'normal', 'high'));
 ALTER TABLE run ADD COLUMN placement jsonb;
+ALTER TABLE run ADD COLUMN is_recorded boolean DEFAULT false NOT NULL;
 ALTER TABLE runner ADD COLUMN lease_s integer DEFAULT 60 NOT NULL;
 """
 
