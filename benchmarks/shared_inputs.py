@@ -22,7 +22,7 @@ from kleinkram.runner.node_transfers import order_transfers, read_status
 from kleinkram.runner.state_directory import StateDirectory
 
 _JOBS = int(os.environ.get("KLEINKRAM_BENCH_JOBS", "50"))
-_BYTES = 1_000_000_000
+_BYTES = int(os.environ.get("KLEINKRAM_BENCH_SHARED_MB", "1000")) * 10**6
 _ROOM = {"cores": 1000, "memory_bytes": 10**12, "disk_bytes": 10**13, "gpus": 0}
 _ABILITIES = {
     "executor": "slurm",
@@ -55,11 +55,11 @@ def shared_inputs_row(
     ]
     codes = [step.wait() for step in steps]
     took_s, sent = time.perf_counter() - started, _sent_bytes(store) - sent_before
-    inodes = {next((directory / "in").glob("*.bin")).stat().st_ino for directory in directories}
+    inodes = {path.stat().st_ino for directory in directories for path in (directory / "in").glob("*.bin")}
     statuses = [read_status(directory) for directory in directories]
     fetched = sum(status.store_bytes for status in statuses if status is not None)
     return {
-        "what": f"a 1 GB input for {_JOBS} jobs at once, by a shared cache",
+        "what": f"an input of {_BYTES / 1e9:g} GB for {_JOBS} jobs at once, by a shared cache",
         "measured": f"{sent / 1e9:.3f} GB sent by the store, {fetched / 1e9:.3f} GB received by jobs",
         "bar": "once",
         "met": codes == [0] * _JOBS and sent < 1.05 * _BYTES and fetched == _BYTES and len(inodes) == 1,
@@ -84,7 +84,14 @@ def _claim_runs(url: str, owner_token: str, mission_id: str, folder: Path) -> li
         state_folder = folder / "runner"
         state_folder.mkdir(mode=0o700)
         state = StateDirectory(state_folder)
-        hello = {"id": str(state.runner_id), "name": label, "labels": [label], "capacity": _ROOM, "version": "0"}
+        hello = {
+            "id": str(state.runner_id),
+            "name": label,
+            "labels": [label],
+            "capacity": _ROOM,
+            "version": "0",
+            "lease_s": 900,
+        }
         post("runners", secret, {**hello, "abilities": _ABILITIES})
         for _ in range(_JOBS):
             launch = {"mission_ids": [mission_id], "definition": definition, "force": True}

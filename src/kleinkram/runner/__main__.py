@@ -32,6 +32,7 @@ from kleinkram.runner.loop import Runner, RunnerOptions
 from kleinkram.runner.state_directory import StateDirectory, open_state_directory
 
 _log = logging.getLogger("kleinkram.runner")
+_CHECK_SIGNALS_EVERY_S = 1.0
 
 
 def main() -> None:
@@ -150,7 +151,9 @@ def _run_until_signal(runner: Runner, *, once: bool) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, stop)
     threading.Thread(target=run, name="runner", daemon=True).start()
-    has_ended.wait()
+    # A signal that comes just before a wait, or to another thread, does not interrupt it.
+    while not has_ended.wait(_CHECK_SIGNALS_EVERY_S):
+        pass
     runner.close(kill=signal.SIGINT in signals)
     for error in errors:
         sys.stderr.write(f"Error: {error}\n")
