@@ -152,7 +152,9 @@ class RegistryClient:
         received = 0
         failure: Exception | None = None
         with path.open("wb") as stream:
-            for _ in range(_ATTEMPTS):
+            attempts = 0
+            while received < layer.size_bytes and attempts < _ATTEMPTS:
+                attempts += 1
                 try:
                     answer = self._open(f"blobs/{layer.digest}", {"Range": f"bytes={received}-"} if received else {})
                     if received and answer.status != 206:
@@ -166,11 +168,9 @@ class RegistryClient:
                         check(len(piece))
                         digest.update(piece)
                         stream.write(piece)
+                        attempts = 0
                 except urllib3.exceptions.HTTPError as error:
                     failure = error
-                    continue
-                if received >= layer.size_bytes:
-                    break
         if received < layer.size_bytes:
             raise RegistryFailure(f"The connection to {self._registry} broke off: {failure or 'data are missing'}.")
         if received > layer.size_bytes or f"sha256:{digest.hexdigest()}" != layer.digest:
@@ -277,6 +277,8 @@ class RegistryClient:
         else:
             url = f"{realm}{'&' if urlsplit(realm).query else '?'}{urlencode(query)}"
             answer = pool.request("GET", url, headers=basic, timeout=_TIMEOUT, retries=_RETRIES)
+        if answer.status >= 300:
+            return basic
         try:
             body = answer.json()
             return {"Authorization": f"Bearer {body.get('token') or body['access_token']}"}
