@@ -54,7 +54,7 @@ def test_wrong_options_are_refused(
     started: list[list[str]], wrong: dict[str, list[str]], sentence: str, tmp_path: Path
 ) -> None:
     with pytest.raises(InvalidInput, match=sentence):
-        commands.kubernetes(url="https://kleinkram.lab.example", data_dir=tmp_path, **wrong)  # type: ignore[arg-type]
+        commands.kubernetes(url="https://kleinkram.lab.example", data_dir=tmp_path, **wrong)
     assert not started
 
 

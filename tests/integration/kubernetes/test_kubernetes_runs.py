@@ -142,7 +142,7 @@ def test_words_of_a_command_are_not_expanded(site: Site) -> None:
 
 
 @pytest.mark.slow
-def test_a_damaged_input_is_not_given_to_an_action(site: Site) -> None:
+def test_no_action_starts_with_a_damaged_input(site: Site) -> None:
     site.server.spoilt["drive.bag"] = b"BYTES of a drive"
     site.start()
     run = site.server.launch("print('x')", {"drive.bag": b"bytes of a drive"})
@@ -319,7 +319,7 @@ def test_a_killed_runner_finds_its_jobs_again(site: Site, when: str) -> None:
 
 
 @pytest.mark.slow
-def test_objects_of_runs_that_nobody_knows_are_removed(site: Site) -> None:
+def test_objects_of_unknown_runs_are_removed(site: Site) -> None:
     first = site.spawn()
     run = site.server.launch(_LASTING)
     wait_until(lambda: has_begun(site))
