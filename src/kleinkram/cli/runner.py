@@ -93,7 +93,7 @@ def _limit(name: str, what: str, default: str) -> Any:  # Any: what `option` ret
     return option(name, "SIZE", f"Limit {what}. Default: {default}.")
 
 
-def _per_run(name: str, what: str) -> Any:  # Any: what `option` returns
+def _limit_of_run(name: str, what: str) -> Any:  # Any: what `option` returns
     return option(name, "SIZE", f"Limit {what} of each run.")
 
 
@@ -286,8 +286,8 @@ def kubernetes(
     ] = None,
     max_jobs: Annotated[int, option("--max-jobs", "N", "Limit the runs at a time.", min=1, max=1000)] = 10,
     cores: Annotated[float, option("--cores", "N", "Limit the cores of each run.", min=0.1)] = 4,
-    memory: Annotated[str, _per_run("--memory", "the memory")] = "16GB",
-    disk: Annotated[str, _per_run("--disk", "the disk")] = "100GB",
+    memory: Annotated[str, _limit_of_run("--memory", "the memory")] = "16GB",
+    disk: Annotated[str, _limit_of_run("--disk", "the disk")] = "100GB",
     gpus: Annotated[int, option("--gpus", "N", "Limit the GPUs of each run.", min=0)] = 0,
     gpu_resource: Annotated[str, option("--gpu-resource", "R", "Request GPUs by this name.")] = "nvidia.com/gpu",
     node_selector: Annotated[

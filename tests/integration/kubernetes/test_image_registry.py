@@ -73,7 +73,7 @@ def test_a_tag_becomes_a_digest(registry: str) -> None:
     assert (image.reference, image.digest) == (f"{registry}/lab/slam@{DIGEST}", DIGEST)
 
 
-def test_a_digest_is_not_asked_for() -> None:
+def test_a_name_with_a_digest_needs_no_registry() -> None:
     assert pin_image(f"slam@{DIGEST}").reference == f"docker.io/library/slam@{DIGEST}"
 
 

@@ -142,7 +142,7 @@ def test_words_of_a_command_are_not_expanded(site: Site) -> None:
 
 
 @pytest.mark.slow
-def test_a_damaged_input_does_not_reach_an_action(site: Site) -> None:
+def test_no_action_starts_with_a_damaged_input(site: Site) -> None:
     site.server.spoilt["drive.bag"] = b"BYTES of a drive"
     site.start()
     run = site.server.launch("print('x')", {"drive.bag": b"bytes of a drive"})

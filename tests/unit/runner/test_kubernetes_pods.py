@@ -184,7 +184,7 @@ def test_a_full_log_is_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert text.count("the log is full") == 1
 
 
-def test_a_report_is_told_by_lines_and_a_damaged_one_is_noticed() -> None:
+def test_a_report_is_written_as_lines_and_a_damaged_one_is_noticed() -> None:
     findings = [Finding(severity=Severity.warning, code="imu.gap", message=f"{n * 7919}") for n in range(5000)]
     finish = RunFinish(attempt=2, reason=EndReason.done, message="", report=Report(findings=findings))
     lines = [b"a warning of a library", *finish_lines(finish)]
