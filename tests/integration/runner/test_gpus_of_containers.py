@@ -16,7 +16,7 @@ from kleinkram.contract.runs import EndReason, RunPlacement
 from kleinkram.runner.executors import gpus
 from kleinkram.runner.executors.base import CannotStart, RunJob
 from kleinkram.runner.executors.docker.client import EngineInfo
-from kleinkram.runner.executors.docker.container import describe
+from kleinkram.runner.executors.docker.container import describe, describe_tool
 from kleinkram.runner.executors.docker.device_requests import gpu_obstacle, with_gpus
 from kleinkram.runner.executors.docker.executor import DockerExecutor
 from kleinkram.runner.executors.gpu_pool import acquire_gpus
@@ -91,9 +91,12 @@ def test_gpus_are_requested_by_id(tmp_path: Path) -> None:
 def test_an_image_that_asks_for_all_gpus_gets_none(tmp_path: Path) -> None:
     """Images of CUDA set this variable to `all`, which NVIDIA's runtime obeys where it is Docker's default."""
     job = RunJob("run-1", tmp_path, ["ls"], "sha256:1", Resources(), Network.none)
-    described_ = with_gpus(describe(job, user="1:1", volumes=(), labels={}), [], DOCKER._replace(has_nvidia=True))
-    assert "NVIDIA_VISIBLE_DEVICES=void" in described_["Env"]
-    assert described_["HostConfig"]["DeviceRequests"] == []
+    container = describe(job, user="1:1", volumes=(), labels={})
+    tool = describe_tool("sha256:1", ["python3"], user="1:1", labels={}, folder=None)
+    for plain in (container, tool):
+        limited = with_gpus(plain, [], DOCKER._replace(has_nvidia=True))
+        assert "NVIDIA_VISIBLE_DEVICES=void" in limited["Env"]
+        assert limited["HostConfig"]["DeviceRequests"] == []
 
 
 class Recording(BaseHTTPRequestHandler):

@@ -236,7 +236,7 @@ class DockerExecutor(LocalExecutor):
             description = containers.describe_tool(
                 image, command, user=user, labels=labels, folder=folder, is_podman=self._engine.is_podman
             )
-            self._client.create(name, description)
+            self._client.create(name, device_requests.with_gpus(description, (), self._engine))
             try:
                 self._client.start(name)
                 while (container := self._client.find_container(name)) is not None and container.status != "exited":
