@@ -104,6 +104,17 @@ class RunContext(Response):
     reference: str | None = None
 
 
+class RunPriority(str, enum.Enum):
+    """Which queued runs start first; among those of one priority, projects take turns, and people within a project.
+
+    `high` requires DELETE on the mission. A run of priority `low` that waited for an hour counts as `normal`.
+    """
+
+    low = "low"
+    normal = "normal"
+    high = "high"
+
+
 class RunsCreate(Request):
     """An action to run on each of some missions: a published one by id, or an unpublished definition.
 
@@ -116,6 +127,7 @@ class RunsCreate(Request):
     version: Annotated[int, Field(ge=1, lt=2**31)] | None = None
     definition: OwnDefinition | None = None
     parameters: ParameterValues = {}
+    priority: RunPriority = RunPriority.normal
     force: bool = False
 
     @model_validator(mode="after")
@@ -142,14 +154,6 @@ class UsageSample(Response):
 
     at_s: Annotated[float, Field(ge=0)]
     usage: Usage
-
-
-class RunPriority(str, enum.Enum):
-    """Which queued runs start first; among those of one priority, people and projects take turns."""
-
-    low = "low"
-    normal = "normal"
-    high = "high"
 
 
 class RunPlacement(Response):

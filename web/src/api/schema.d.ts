@@ -3918,14 +3918,22 @@ export interface components {
         };
         /**
          * ClaimReply
-         * @description The answer to a claim; `run` is null where no run fits.
+         * @description The answer to a claim; `run` is null where no run fits. `more` are those beyond the first.
          */
         ClaimReply: {
+            /**
+             * More
+             * @default []
+             */
+            more: components["schemas"]["RunAssignment"][];
             run: components["schemas"]["RunAssignment"] | null;
         };
         /**
          * ClaimRequest
          * @description A runner's free resources, and how long to wait for a run. `active_run_ids`: the runs that it already has.
+         *
+         *     At most `max_runs` are assigned at once; each of them may need all of the free resources, so that a runner with room
+         *     for one at a time asks for one.
          */
         ClaimRequest: {
             /**
@@ -3934,6 +3942,11 @@ export interface components {
              */
             active_run_ids: string[];
             free: components["schemas"]["Capacity"];
+            /**
+             * Max Runs
+             * @default 1
+             */
+            max_runs: number;
             /**
              * Wait S
              * @default 0
@@ -7403,7 +7416,9 @@ export interface components {
         };
         /**
          * RunPriority
-         * @description Which queued runs start first; among those of one priority, people and projects take turns.
+         * @description Which queued runs start first; among those of one priority, projects take turns, and people within a project.
+         *
+         *     `high` requires DELETE on the mission. A run of priority `low` that waited for an hour counts as `normal`.
          * @enum {string}
          */
         RunPriority: "low" | "normal" | "high";
@@ -7542,6 +7557,8 @@ export interface components {
             parameters: {
                 [key: string]: boolean | number | string;
             };
+            /** @default normal */
+            priority: components["schemas"]["RunPriority"];
             /** Version */
             version?: number | null;
         };

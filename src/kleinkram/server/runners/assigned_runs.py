@@ -108,14 +108,11 @@ class AssignedRun(NamedTuple):
     is_deleted: bool
 
 
-async def lock_run(db: Connection, condition: ColumnElement[bool], *, is_queued: bool = False) -> AssignedRun | None:
-    """Return a run that meets a condition, locked until this transaction ends.
-
-    With `is_queued`, the oldest queued run that no other transaction has locked.
-    """
+async def lock_runs(db: Connection, condition: ColumnElement[bool], *, limit: int) -> list[AssignedRun]:
+    """Return runs that meet a condition, in the order of their ids, locked until this transaction ends."""
     columns = (
         *(run.c[name] for name in AssignedRun._fields[:18]),
-        action_version.c.definition,
+        null().label("definition"),
         action_version.c.image_digest.label("pinned_digest"),
         action_version.c.number,
         action.c.id.label("action_id"),
@@ -129,16 +126,16 @@ async def lock_run(db: Connection, condition: ColumnElement[bool], *, is_queued:
         .join(action_version, action_version.c.id == run.c.version_id)
         .outerjoin(action, action.c.id == action_version.c.action_id)
         .where(condition)
-        .limit(1)
+        .order_by(run.c.id)
+        .limit(limit)
+        .with_for_update(of=run, key_share=True)
     )
-    if is_queued:
-        stmt = stmt.order_by(run.c.created_at, run.c.id).with_for_update(of=run, skip_locked=True)
-    else:
-        stmt = stmt.with_for_update(of=run, key_share=True)
-    row = (await db.execute(stmt)).one_or_none()
-    if row is None:
-        return None
-    return AssignedRun._make(row)._replace(definition=ActionDefinition.model_validate(row.definition))
+    rows = [AssignedRun._make(row) for row in await db.execute(stmt)]
+    # Once for each version: a definition with its lock is large.
+    versions = select(action_version.c.id, action_version.c.definition)
+    versions = versions.where(among(action_version.c.id, {row.version_id for row in rows}))
+    definitions = {one.id: ActionDefinition.model_validate(one.definition) for one in await db.execute(versions)}
+    return [row._replace(definition=definitions[row.version_id]) for row in rows]
 
 
 def _is_of(actor: Actor, run_id: uuid.UUID, attempt: int) -> ColumnElement[bool]:
@@ -153,10 +150,10 @@ async def lock_assigned_run(db: Connection, actor: Actor, run_id: uuid.UUID, att
     Raises:
         RunGone: it does not have the run, or this attempt is outdated.
     """
-    row = await lock_run(db, _is_of(actor, run_id, attempt) & run.c.state.in_(ASSIGNED))
-    if row is None:
+    rows = await lock_runs(db, _is_of(actor, run_id, attempt) & run.c.state.in_(ASSIGNED), limit=1)
+    if not rows:
         raise RunGone(run_id=str(run_id))
-    return row
+    return rows[0]
 
 
 async def record_seen(db: Connection, actor: Actor, runner_id: uuid.UUID) -> int:

@@ -54,6 +54,7 @@ class QueuedRuns(NamedTuple):
 class KnownRunner(NamedTuple):
     """A runner, with the limits of its token; None: unlimited."""
 
+    id: uuid.UUID
     name: str
     labels: Sequence[str]
     capacity: Capacity
@@ -198,7 +199,7 @@ async def has_single_person(db: Connection) -> bool:
 
 
 async def _runners(db: Connection, condition: ColumnElement[bool]) -> list[KnownRunner]:
-    names = ("name", "labels", "capacity", "abilities", "default_image")
+    names = ("id", "name", "labels", "capacity", "abilities", "default_image")
     stmt = select(*(runner.c[name] for name in names), is_alive().label("is_alive")).select_from(runner)
     return [
         KnownRunner(*row)._replace(
