@@ -308,11 +308,13 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
     Raises:
         RunGone: the runner does not have the run by this attempt, and did not end it.
     """
-    ended = select(run.c.state).where(_is_of(actor, run_id, finish.attempt), run.c.ended_at.is_not(None))
-    state = (await db.execute(ended)).scalar_one_or_none()
-    if state is not None:
-        return RunFinished(state=RunState(state))
-    row = await lock_assigned_run(db, actor, run_id, finish.attempt)
+    try:
+        row = await lock_assigned_run(db, actor, run_id, finish.attempt)
+    except RunGone:
+        ended = select(run.c.state).where(_is_of(actor, run_id, finish.attempt), run.c.ended_at.is_not(None))
+        if (earlier := (await db.execute(ended)).scalar_one_or_none()) is None:
+            raise
+        return RunFinished(state=RunState(earlier))
     problems = list(finish.problems)
     columns = (run_artifact.c.id, run_artifact.c.path, run_artifact.c.blob_id, blob.c.size_bytes)
     stmt = select(*columns).join_from(run_artifact, blob).where(run_artifact.c.run_id == run_id)
@@ -347,11 +349,10 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
         "placement": row.placement if finish.placement is None else finish.placement.model_dump(mode="json"),
         "usage": row.usage if finish.usage is None else finish.usage.model_dump(mode="json"),
     }
-    await end_run(db, run_id, finish.reason, finish.message, **values)
-    state = (await db.execute(select(run.c.state).where(run.c.id == run_id))).scalar_one()
+    state = await end_run(db, run_id, finish.reason, finish.message, **values)
     after: Metadata = {"reason": finish.reason.value, "artifacts": len(artifacts)}
     if verdict is not None:
         after["verdict"] = verdict.value
     event = Event("run.end", "run", run_id, row.action_name, row.project_id, after=after, mission_id=row.mission_id)
     await audit(db, actor, event)
-    return RunFinished(state=RunState(state))
+    return RunFinished(state=state)
