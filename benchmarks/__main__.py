@@ -13,6 +13,7 @@ import psutil
 
 from benchmarks.checks import check_rows
 from benchmarks.claims import claims_row
+from benchmarks.cluster import cluster_rows
 from benchmarks.instance import DATA, GB, STAGE, endpoint_info, instance, klein, mission_with, settle
 from benchmarks.packages import package_rows
 from benchmarks.previews import preview_rows
@@ -43,6 +44,7 @@ ROWS = {
     "runs",
     "claims",
     "shared",
+    "cluster",
     "traces",
     "scale",
 }
@@ -100,6 +102,8 @@ def measured(selected: set[str]) -> Iterator[Row]:
             yield rights_row(endpoint_info()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"])
     if selected & {"runs", "claims", "shared"}:
         yield from rows_of_runs(selected)
+    if "cluster" in selected:
+        yield from rows_of_a_cluster()
     if "web" in selected:
         yield from rows_of_the_web()
     if "scale" in selected:
@@ -133,6 +137,16 @@ def rows_of_runs(selected: set[str]) -> Iterator[Row]:
         if "shared" in selected:
             store = psutil.Process(endpoint_info()["services"]["store"])
             yield shared_inputs_row(endpoint_info()["url"], owner_token, store, STAGE / "shared", mission_with)
+
+
+def rows_of_a_cluster() -> Iterator[Row]:
+    """Measure a simulated cluster, on an instance of its own."""
+    shutil.rmtree(DATA, ignore_errors=True)
+    with instance() as environment:
+        klein("project", "create", "bench")
+        owner_token = (DATA / "owner-token").read_text().strip()
+        mission_id = mission_with("cluster", random_file(STAGE / "cluster.bin", 1000))
+        yield from cluster_rows(endpoint_info()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"], mission_id)
 
 
 def rows_of_a_size(size: int) -> Iterator[Row]:

@@ -108,7 +108,7 @@ def _play(lab: _Lab, label: str, seed: int) -> None:
             started = time.perf_counter()
             _, answer = lab.post(f"runners/{runner_id}/claims", {"free": _ROOM, "wait_s": 0})
             lab.seconds.append(time.perf_counter() - started)
-            claim = answer["claim"]
+            claim = answer["run"]
             if claim is None:
                 return
             lab.begun.append((claim["run_id"], claim["attempt"]))

@@ -42,7 +42,9 @@ def klein(*arguments: str) -> str:
 @contextmanager
 def instance() -> Iterator[dict[str, str]]:
     """Run an instance; yields the environment by which a side reaches API and store."""
-    process = subprocess.Popen([str(KLEIN), "up"], env=variables(), stdout=subprocess.PIPE, text=True)
+    # Not the usual port, which another instance of this machine may have.
+    command = [str(KLEIN), "up", "--port", str(_free_port())]
+    process = subprocess.Popen(command, env=variables(), stdout=subprocess.PIPE, text=True)
     try:
         if not (process.stdout and process.stdout.readline()):
             raise SystemExit("Kleinkram did not start")
@@ -67,9 +69,7 @@ def endpoint_info() -> dict[str, Any]:
 @contextmanager
 def api_process(environment: Mapping[str, str]) -> Iterator[tuple[str, psutil.Process]]:
     """Run one more API process beside the instance's own; yields its URL and the process."""
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        port = listener.getsockname()[1]
+    port = _free_port()
     without = {key: value for key, value in environment.items() if key != "KLEINKRAM_OWNER_TOKEN_FILE"}
     process = subprocess.Popen([sys.executable, "-m", "kleinkram.server", "api", "--port", str(port)], env=without)
     url = f"http://127.0.0.1:{port}"
@@ -79,6 +79,13 @@ def api_process(environment: Mapping[str, str]) -> Iterator[tuple[str, psutil.Pr
     finally:
         process.terminate()
         process.wait(timeout=60)
+
+
+def _free_port() -> int:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        port: int = listener.getsockname()[1]
+        return port
 
 
 def _wait_until_ready(url: str) -> None:

@@ -32,6 +32,10 @@ from kleinkram.contract.problems import first_message, from_problem
 from kleinkram.contract.reports import Report
 
 ForceOption = Annotated[bool, flag("--force", "Run again, even if an identical run has results.")]
+PriorityOption = Annotated[
+    contract.RunPriority,
+    option("--priority", None, "Start before or after other queued runs; high requires DELETE on the missions."),
+]
 IgnoreVerdictOption = Annotated[
     bool, flag("--ignore-verdict", "With --follow, exit with 0 also if a run is done and its verdict is bad.")
 ]
@@ -51,6 +55,7 @@ def launch(
     query: Annotated[Text, option("--query -q", "QUERY", "Run on each mission that the query finds.")] = None,
     where: WhereOption = None,
     parameters: options.SetOption = None,
+    priority: PriorityOption = contract.RunPriority.normal,
     force: ForceOption = False,
     follow_it: FollowOption = False,
     ignore_verdict: IgnoreVerdictOption = False,
@@ -91,6 +96,7 @@ def launch(
         [mission.id for mission in targets],
         version=version,
         parameters=values,
+        priority=priority,
         force=force,
     )
     verdict = Counted.state_alone if ignore_verdict else Counted.verdict

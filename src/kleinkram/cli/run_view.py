@@ -17,7 +17,7 @@ from kleinkram.client import Client
 from kleinkram.contract.checks import Check, CheckStatus, Verdict
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.reports import Finding, Metric, Severity
-from kleinkram.contract.runs import ActionRef, RunDetail, RunRead, RunState
+from kleinkram.contract.runs import ActionRef, RunDetail, RunPriority, RunRead, RunState
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -50,7 +50,7 @@ def mission_name(run: RunRead) -> str:
 def status_text(run: RunRead) -> str:
     """Return the state of a run with its progress, its reason, or its verdict where that is not good."""
     if run.state is RunState.queued:
-        return f"queued: {run.waits_for}" if run.waits_for else "queued"
+        return f"{_queued(run)}: {run.waits_for}" if run.waits_for else _queued(run)
     if run.state is RunState.failed and run.reason is not None:
         return f"failed: {run.reason.value}" + ("" if run.exit_code is None else f" {run.exit_code}")
     if run.state is RunState.done:
@@ -61,6 +61,16 @@ def status_text(run: RunRead) -> str:
     if run.state in {RunState.preparing, RunState.collecting} and run.progress is not None and run.progress.message:
         return f"{run.state.value}: {run.progress.message}"
     return str(run.state.value)
+
+
+def _queued(run: RunRead) -> str:
+    return "queued" if run.priority is RunPriority.normal else f"queued ({run.priority.value} priority)"
+
+
+def _short_status(run: RunRead) -> str:
+    if run.state is RunState.queued:
+        return _queued(run)
+    return run.state.value if run.state is RunState.collecting else status_text(run)
 
 
 def show_runs(runs: Iterable[RunRead]) -> None:
@@ -78,7 +88,7 @@ def show_runs(runs: Iterable[RunRead]) -> None:
                 run.mission.project.name,
                 run.mission.name,
                 action_name(run.action),
-                run.state.value if run.state in {RunState.queued, RunState.collecting} else status_text(run),
+                _short_status(run),
                 _took(run),
                 *_counts(run),
                 *([_place(run)] if are_placed else []),
@@ -105,6 +115,7 @@ def show_run(run: RunDetail) -> None:
             ("action", action_name(run.action)),
             ("mission", mission_name(run)),
             ("state", status_text(run)),
+            ("priority", None if run.priority is RunPriority.normal else run.priority.value),
             ("message", run.message),
             ("results of", run.reuses_id),
             ("retry of", run.cause.retry_of_id),

@@ -100,18 +100,21 @@ class Runs(ApiResource):
         *,
         version: int | None = None,
         parameters: ParameterValues | None = None,
+        priority: runs.RunPriority = runs.RunPriority.normal,
         force: bool = False,
     ) -> Sequence[runs.RunCreated | runs.RunRefused]:
         """Run an action on each of some missions, and return the outcome for each, in order.
 
         The action is a published one, in its latest version unless `version` is given; or a definition, which is run
         without being published. Results of an earlier successful run with the same version, parameters and inputs are
-        reused, and the run is `done` at once, unless `force`. A mission on which it may not run has a `RunRefused`.
+        reused, and the run is `done` at once, unless `force`. A mission on which it may not run has a `RunRefused`:
+        `priority` high requires DELETE on it.
         """
         what = "definition" if isinstance(action, ActionDefinition) else "action_id"
         if not isinstance(action, ActionDefinition):
             action = Actions(self._api).id_of(action)
-        requested: dict[str, object] = {what: action, "parameters": parameters or {}, "force": force}
+        requested: dict[str, object] = {what: action, "parameters": parameters or {}, "priority": priority}
+        requested["force"] = force
         if version is not None:
             requested["version"] = version
         missions = Missions(self._api)
@@ -374,9 +377,10 @@ class Runners(ApiResource):
         """Register a runner, or update its description."""
         return self._api.repeat("/runners", runners.RunnerRead, registration)
 
-    def claim(self, runner_id: uuid.UUID, request: runners.ClaimRequest) -> runners.RunAssignment | None:
-        """Wait for a run and return it; None where there is none."""
-        return self._api.send("POST", f"/runners/{runner_id}/claims", runners.ClaimReply, request).run
+    def claim(self, runner_id: uuid.UUID, request: runners.ClaimRequest) -> Sequence[runners.RunAssignment]:
+        """Wait for runs, and return at most as many as requested."""
+        reply = self._api.send("POST", f"/runners/{runner_id}/claims", runners.ClaimReply, request)
+        return [] if reply.run is None else [reply.run, *reply.more]
 
     def send_heartbeats(self, runner_id: uuid.UUID, heartbeats: runners.Heartbeats) -> runners.HeartbeatReplies:
         """Send the states of all runs, and renew their leases."""

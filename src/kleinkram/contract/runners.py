@@ -26,6 +26,8 @@ MAX_LEASE_S = 3600
 # The interval of heartbeats, and so the delay with which a runner learns of a cancellation.
 HEARTBEAT_S = 2.0
 MAX_WAIT_S = 25
+# The most runs that one claim assigns.
+MAX_CLAIMED = 100
 # The path under which a runner uploads the complete log of a run; no artifact can have it.
 LOG_PATH = ".kleinkram/log"
 
@@ -105,9 +107,14 @@ class RunnerRead(Response):
 
 
 class ClaimRequest(Request):
-    """A runner's free resources, and how long to wait for a run. `active_run_ids`: the runs that it already has."""
+    """A runner's free resources, and how long to wait for a run. `active_run_ids`: the runs that it already has.
+
+    At most `max_runs` are assigned at once; each of them may need all of the free resources, so that a runner with room
+    for one at a time asks for one.
+    """
 
     free: Capacity
+    max_runs: Annotated[int, Field(ge=1, le=MAX_CLAIMED)] = 1
     wait_s: Annotated[float, Field(ge=0, le=MAX_WAIT_S)] = 0
     active_run_ids: Annotated[list[uuid.UUID], Field(max_length=10_000)] = []
 
@@ -151,9 +158,10 @@ class RunAssignment(Response):
 
 
 class ClaimReply(Response):
-    """The answer to a claim; `run` is null where no run fits."""
+    """The answer to a claim; `run` is null where no run fits. `more` are those beyond the first."""
 
     run: RunAssignment | None
+    more: list[RunAssignment] = []
 
 
 class Heartbeat(Request):

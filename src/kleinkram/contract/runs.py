@@ -112,6 +112,17 @@ class RunContext(Response):
     reference: str | None = None
 
 
+class RunPriority(str, enum.Enum):
+    """Which queued runs start first; among those of one priority, projects take turns, and people within a project.
+
+    `high` requires DELETE on the mission. A run of priority `low` that waited for an hour counts as `normal`.
+    """
+
+    low = "low"
+    normal = "normal"
+    high = "high"
+
+
 class RunsCreate(Request):
     """An action to run on each of some missions: a published one by id, or an unpublished definition.
 
@@ -124,6 +135,7 @@ class RunsCreate(Request):
     version: Annotated[int, Field(ge=1, lt=2**31)] | None = None
     definition: OwnDefinition | None = None
     parameters: ParameterValues = {}
+    priority: RunPriority = RunPriority.normal
     force: bool = False
 
     @model_validator(mode="after")
@@ -176,14 +188,6 @@ class RunRecord(Request):
         if both := sorted({*self.inputs} & {*self.outputs}):
             raise ValueError(f"{both[0]!r} is both an input and an output")
         return self
-
-
-class RunPriority(str, enum.Enum):
-    """Which queued runs start first; among those of one priority, people and projects take turns."""
-
-    low = "low"
-    normal = "normal"
-    high = "high"
 
 
 class RunPlacement(Response):

@@ -25,10 +25,12 @@ from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.errors import Forbidden, KleinkramError, NotAuthenticated, NotFound, ScopeMissing
 from kleinkram.contract.runners import (
     HEARTBEAT_S,
+    MAX_CLAIMED,
     MAX_WAIT_S,
     Capacity,
     ClaimRequest,
     Heartbeats,
+    RunAssignment,
     RunnerRegistration,
 )
 from kleinkram.runner import state_directory as runner_state
@@ -135,10 +137,10 @@ class Runner:
             self._executor.abilities.executor,
         )
         while not self._is_stopping.is_set():
-            run = self._claim()
-            if run is not None and once:
+            runs = self._claim(max_runs=1 if once else MAX_CLAIMED)
+            if runs and once:
                 while self._active:
-                    run.join(_ENFORCE_EVERY_S)
+                    runs[0].join(_ENFORCE_EVERY_S)
                 return
 
     @property
@@ -238,40 +240,42 @@ class Runner:
                 _log.warning("the default image could not be reported to the server yet: %s", error)
             time.sleep(_DEFAULT_IMAGE_RETRY_S)
 
-    def _claim(self) -> ActiveRun | None:
-        """Wait for a run and start it; None where there is none."""
+    def _claim(self, *, max_runs: int) -> list[ActiveRun]:
+        """Wait for runs and start them; none where there are none."""
         self._has_capacity.clear()
         self._progress_s["claims"] = time.monotonic()
         active = self._active_runs()
         free = self._executor.free(_reserved_by(active), len(active))
         if free is None:
             self._has_capacity.wait(HEARTBEAT_S)
-            return None
+            return []
         # With active runs, capacity may be freed soon, which a new request reports.
         request = ClaimRequest(
             free=free,
+            max_runs=min(max_runs, self._executor.max_claimed(len(active))),
             wait_s=HEARTBEAT_S if active else MAX_WAIT_S,
             active_run_ids=[run.assignment.run_id for run in active],
         )
         requested_s = boot_time_s()
         try:
             self._executor.evict_unused()
-            assignment = self._runners.claim(self._state.runner_id, request)
+            assignments = self._runners.claim(self._state.runner_id, request)
             self._is_unreachable = False
             self.statistics.count_answer()
-            if assignment is None:
-                return None
-            _log.info("got the run %s of %s", assignment.run_id, assignment.action.name)
-            attempt = self._state.create_attempt(assignment)
-            # Counted from the request, the lease ends here before it does on the server.
-            return self._add(attempt, Lease(requested_s + assignment.lease_s - LEASE_MARGIN_S), is_new=True)
+            return [self._start(assignment, requested_s) for assignment in assignments]
         except NotFound:
             self._register_until_accepted()
         except (KleinkramError, OSError) as error:
             self.statistics.count_error("claim")
             self._log_unreachable(error)
             self._is_stopping.wait(_REFUSED_RETRY_S if isinstance(error, _REFUSALS) else _RETRY_S)
-        return None
+        return []
+
+    def _start(self, assignment: RunAssignment, requested_s: float) -> ActiveRun:
+        _log.info("got the run %s of %s", assignment.run_id, assignment.action.name)
+        attempt = self._state.create_attempt(assignment)
+        # Counted from the request, the lease ends here before it does on the server.
+        return self._add(attempt, Lease(requested_s + assignment.lease_s - LEASE_MARGIN_S), is_new=True)
 
     def _log_unreachable(self, error: Exception) -> None:
         """Log an error once, however long it lasts."""

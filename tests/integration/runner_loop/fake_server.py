@@ -31,6 +31,7 @@ from kleinkram.contract.runners import (
     LogChunkConfirm,
     LogChunkCreate,
     LogChunkUpload,
+    RunAssignment,
     RunFinish,
     RunFinished,
     RunnerRead,
@@ -193,6 +194,7 @@ class FakeServer:
         until = time.monotonic() + ask.wait_s
         with self._changed:
             self.requested.append(ask)
+            claimed: list[RunAssignment] = []
             while not self.is_silent.is_set():
                 for run in self.runs.values():
                     expected = run.claim.resources
@@ -200,11 +202,13 @@ class FakeServer:
                         run.runner_id == runner_id and run.claim.run_id not in ask.active_run_ids and not run.finishes
                     )
                     fits = expected.cores <= ask.free.cores and expected.memory_bytes <= ask.free.memory_bytes
-                    fits = fits and expected.gpus <= ask.free.gpus
+                    fits = fits and expected.gpus <= ask.free.gpus and len(claimed) < ask.max_runs
                     if (run.state is RunState.queued or is_lost) and fits:
                         run.state, run.runner_id, run.attempt = RunState.preparing, runner_id, run.attempt + 1
                         run.claim = run.claim.model_copy(update={"attempt": run.attempt})
-                        return ClaimReply(run=run.claim)
+                        claimed.append(run.claim)
+                if claimed:
+                    return ClaimReply(run=claimed[0], more=claimed[1:])
                 if not self._changed.wait(max(0.0, until - time.monotonic())):
                     break
             return ClaimReply(run=None)

@@ -15,6 +15,7 @@ from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner import results
 from kleinkram.runner.active_run import ActiveRun
+from kleinkram.runner.executors.base import Executor
 from kleinkram.runner.state_directory import LEASE_MARGIN_S
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
@@ -244,6 +245,22 @@ def test_a_claim_whose_response_was_lost_is_repeated(server: FakeServer, runners
     run.state, run.runner_id = RunState.preparing, runner._state.runner_id
     server.wake()
     assert ended(run).finishes[0].reason is EndReason.done
+
+
+def test_all_runs_that_a_claim_assigns_are_executed(
+    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also those whose assignment was lost with an earlier response."""
+    monkeypatch.setattr(Executor, "max_claimed", lambda *_: 3)
+    runs = [server.launch("print('done')", resources={"cores": 0.5}) for _ in range(3)]
+    runner = runners.start()
+    assert [ended(run).finishes[0].reason for run in runs] == [EndReason.done] * 3
+    lost = [server.launch("print('done')", resources={"cores": 0.5}) for _ in range(2)]
+    for run in lost:
+        run.state, run.runner_id = RunState.preparing, runner._state.runner_id
+    server.wake()
+    assert [ended(run).finishes[0].reason for run in lost] == [EndReason.done] * 2
+    assert {request.max_runs for request in server.requested} == {3}
 
 
 @pytest.mark.slow

@@ -55,13 +55,22 @@ class FakeRunner:
         return self.api.post("/runners", self.registration(**abilities)).ok()
 
     def claim(self, wait_s: float = 0, **free: Any) -> Any:
-        """Claim a run; None where there is none."""
-        capacity = {"cores": 4, "memory_bytes": 16 * GB, "disk_bytes": 100 * GB, "gpus": 0} | free
-        requested = {"free": capacity, "wait_s": wait_s, "active_run_ids": self.active_ids}
-        result = self.api.post(f"/runners/{self.id}/claims", requested).ok()["run"]
-        if result is not None:
-            self.active_ids.append(result["run_id"])
-        return result
+        """Claim a run, as a runner does that knows of one at a time; None where there is none."""
+        claims = self._claim(wait_s, free)
+        assert len(claims) <= 1
+        return claims[0] if claims else None
+
+    def claim_several(self, max_runs: int, wait_s: float = 0, **free: Any) -> list[Any]:
+        """Claim runs."""
+        return self._claim(wait_s, free, max_runs=max_runs)
+
+    def _claim(self, wait_s: float, free: Mapping[str, Any], **values: int) -> list[Any]:
+        capacity = {"cores": 4, "memory_bytes": 16 * GB, "disk_bytes": 100 * GB, "gpus": 0, **free}
+        requested = {"free": capacity, "wait_s": wait_s, "active_run_ids": self.active_ids, **values}
+        reply = self.api.post(f"/runners/{self.id}/claims", requested).ok()
+        claims = [] if reply["run"] is None else [reply["run"], *reply["more"]]
+        self.active_ids += [claim["run_id"] for claim in claims]
+        return claims
 
     def heartbeat(self, claim: Mapping[str, Any], state: str = "running", **values: Any) -> str:
         """Send the state of a run; return the status of its lease."""

@@ -2701,6 +2701,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/runs/recorded": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Record Run
+         * @description Record a run that was executed elsewhere, with its results; recording the same again changes nothing.
+         */
+        post: operations["record_run"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/search": {
         parameters: {
             query?: never;
@@ -3925,14 +3945,22 @@ export interface components {
         };
         /**
          * ClaimReply
-         * @description The answer to a claim; `run` is null where no run fits.
+         * @description The answer to a claim; `run` is null where no run fits. `more` are those beyond the first.
          */
         ClaimReply: {
+            /**
+             * More
+             * @default []
+             */
+            more: components["schemas"]["RunAssignment"][];
             run: components["schemas"]["RunAssignment"] | null;
         };
         /**
          * ClaimRequest
          * @description A runner's free resources, and how long to wait for a run. `active_run_ids`: the runs that it already has.
+         *
+         *     At most `max_runs` are assigned at once; each of them may need all of the free resources, so that a runner with room
+         *     for one at a time asks for one.
          */
         ClaimRequest: {
             /**
@@ -3941,6 +3969,11 @@ export interface components {
              */
             active_run_ids: string[];
             free: components["schemas"]["Capacity"];
+            /**
+             * Max Runs
+             * @default 1
+             */
+            max_runs: number;
             /**
              * Wait S
              * @default 0
@@ -7219,6 +7252,11 @@ export interface components {
             input_bytes: number;
             /** Input Count */
             input_count: number;
+            /**
+             * Is Recorded
+             * @default false
+             */
+            is_recorded: boolean;
             isolation?: components["schemas"]["Isolation"] | null;
             /** May Cancel */
             may_cancel: boolean;
@@ -7455,7 +7493,9 @@ export interface components {
         };
         /**
          * RunPriority
-         * @description Which queued runs start first; among those of one priority, people and projects take turns.
+         * @description Which queued runs start first; among those of one priority, projects take turns, and people within a project.
+         *
+         *     `high` requires DELETE on the mission. A run of priority `low` that waited for an hour counts as `normal`.
          * @enum {string}
          */
         RunPriority: "low" | "normal" | "high";
@@ -7468,8 +7508,8 @@ export interface components {
          *     `verdict` is the worst of what its report says: its verdict, checks and findings. Null where it is not `done`, and
          *     where it judged nothing. `metrics` are the first reported ones, those of the run before those of single files; empty
          *     in a lineage. `isolation` is the class that its runner gave it; null before a runner has it, and where that was not
-         *     recorded yet. `placement` is null before its runner reports one. `may_cancel`: the caller may cancel it, and it has
-         *     not ended.
+         *     recorded yet. `placement` is null before its runner reports one. `is_recorded`: it was executed elsewhere, and
+         *     recorded with its results. `may_cancel`: the caller may cancel it, and it has not ended.
          */
         RunRead: {
             action: components["schemas"]["ActionRef"];
@@ -7513,6 +7553,11 @@ export interface components {
             input_bytes: number;
             /** Input Count */
             input_count: number;
+            /**
+             * Is Recorded
+             * @default false
+             */
+            is_recorded: boolean;
             isolation?: components["schemas"]["Isolation"] | null;
             /** May Cancel */
             may_cancel: boolean;
@@ -7553,6 +7598,52 @@ export interface components {
             version_id: string;
             /** Waits For */
             waits_for: string | null;
+        };
+        /**
+         * RunRecord
+         * @description A run that was executed elsewhere, such as by Snakemake or a job of a cluster, with its results.
+         *
+         *     `script` is the text that was executed, for people to read. `inputs` and `outputs` are paths of files of the
+         *     mission; the caller has uploaded the outputs, which become files that the run made. Recording the same again, with
+         *     the same bytes, returns the same run.
+         */
+        RunRecord: {
+            /** Duration S */
+            duration_s?: number | null;
+            /** Inputs */
+            inputs: string[];
+            /**
+             * Mission Id
+             * Format: uuid
+             */
+            mission_id: string;
+            /** Name */
+            name: string;
+            /**
+             * Outputs
+             * @default []
+             */
+            outputs: string[];
+            /**
+             * Parameters
+             * @default {}
+             */
+            parameters: {
+                [key: string]: boolean | number | string;
+            };
+            /**
+             * @default {
+             *       "checks": [],
+             *       "findings": [],
+             *       "metadata": {},
+             *       "metrics": [],
+             *       "mission_files": [],
+             *       "previews": []
+             *     }
+             */
+            report: components["schemas"]["Report"];
+            /** Script */
+            script: string;
         };
         /**
          * RunRefused
@@ -7596,6 +7687,8 @@ export interface components {
             parameters: {
                 [key: string]: boolean | number | string;
             };
+            /** @default normal */
+            priority: components["schemas"]["RunPriority"];
             /** Version */
             version?: number | null;
         };
@@ -13819,6 +13912,39 @@ export interface operations {
             cookie?: never;
         };
         requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RunRead"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    record_run: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["RunRecord"];
+            };
+        };
         responses: {
             /** @description Successful Response */
             201: {

@@ -66,6 +66,7 @@ export const texts = {
     action: "Action", chooseAction: "Choose an action",
     noMission: "No missions selected.",
     parameters: "Parameters", noParameters: "This action has no parameters.", force: "Run even if an identical run exists",
+    priority: "Priority", priorityHint: "Of the runs that wait. High requires DELETE on the missions.",
     forceHint: "Otherwise, results of a successful run with the same version, parameters, and inputs are reused.",
     go: (missions: number) => (missions > 1 ? `Run on ${missions} missions` : "Run"),
     made: (count: number) => `${counted(count, "run")} started`,

@@ -4,6 +4,7 @@ import type { RunState } from "@/api/types";
 import { counted, formatSize } from "@/components/format";
 
 type EndReason = components["schemas"]["EndReason"];
+type RunPriority = components["schemas"]["RunPriority"];
 type Severity = components["schemas"]["Severity"];
 
 interface Named {
@@ -37,6 +38,8 @@ export const reasonTexts: Readonly<Record<EndReason, string>> = {
   results_not_stored: "The runner could not upload the results.",
   lost: "Contact with the runner was lost.",
 };
+
+export const priorityTexts: Readonly<Record<RunPriority, string>> = { low: "Low", normal: "Normal", high: "High" };
 
 export const severityTexts: Readonly<Record<Severity, string>> = { info: "Info", warning: "Warning", error: "Error" };
 
@@ -87,7 +90,7 @@ export const texts = {
   tabs: { label: "Parts of this run", log: "Log", findings: "Findings", checks: "Checks", metrics: "Metrics", artifacts: "Artifacts", inputs: "Inputs", definition: "Action" },
   previews: "Previews",
   about: "About",
-  facts: { mission: "Mission", project: "Project", by: "Started by", at: "Created", runner: "Runner", took: "Duration", inputs: "Inputs", image: "Image", isolation: "Isolation", node: "Node", job: "Job", queued: "Queued there", requeues: "Requeued there", gpus: "GPUs", accounted: "Accounted", network: "Network", attempt: "Attempt" },
+  facts: { mission: "Mission", project: "Project", by: "Started by", at: "Created", priority: "Priority", runner: "Runner", took: "Duration", inputs: "Inputs", image: "Image", isolation: "Isolation", node: "Node", job: "Job", queued: "Queued there", requeues: "Requeued there", gpus: "GPUs", accounted: "Accounted", network: "Network", attempt: "Attempt" },
   job: (id: string) => `job ${id}`,
   sameNode: "Show the runs on this node",
   times: (count: number) => counted(count, "time"),

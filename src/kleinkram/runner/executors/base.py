@@ -131,6 +131,13 @@ class Executor(ABC):
         has_room = free.cores >= _MIN_CORES and min(free.memory_bytes, free.disk_bytes) >= _MIN_BYTES
         return free if has_room else None
 
+    def max_claimed(self, job_count: int) -> int:
+        """Return how many jobs may be claimed at once beside `job_count`, each with all that `free` returns.
+
+        One on a machine; on a cluster, which queues jobs, as many as may be submitted.
+        """
+        return 1
+
     @abstractmethod
     def prepare_image(self, image: str) -> PinnedImage:
         """Make an image available, which may take minutes.

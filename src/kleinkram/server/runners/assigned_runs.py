@@ -1,26 +1,21 @@
-"""Requests of a runner about the runs assigned to it: heartbeats, inputs, log chunks, artifacts, and the end."""
+"""Requests of a runner about a run assigned to it: inputs, log chunks, artifacts, and the end."""
 
 import datetime
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from sqlalchemy import ColumnElement, func, insert, null, select, update
+from sqlalchemy import ColumnElement, func, insert, select, update
 
-from kleinkram.contract.actions import ActionDefinition, Network, ParameterValues
+from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.errors import Forbidden, NotFound, RunGone
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.reports import verdict_of_report
 from kleinkram.contract.runners import (
     ArtifactUploadsCreate,
-    Heartbeat,
-    HeartbeatReplies,
-    HeartbeatReply,
-    Heartbeats,
     InputsRequest,
     InputUrls,
-    LeaseStatus,
     LogChunkConfirm,
     LogChunkCreate,
     LogChunkUpload,
@@ -62,18 +57,14 @@ from kleinkram.server.tables import (
     run_artifact,
     run_input,
     runner,
-    token,
 )
 from kleinkram.server.tables.runs import ASSIGNED
 from kleinkram.server.uploads.artifacts import ArtifactOwner, begin_artifacts
 from kleinkram.server.uploads.completion import finish_interrupted_artifacts
 
 _BATCH = 1000
-_ORDER = {RunState.preparing: 0, RunState.running: 1, RunState.collecting: 2}
-# Results are being uploaded: an outage of minutes must not discard hours of work.
-_COLLECTING_LEASE = datetime.timedelta(minutes=15)
 # A token ends with its run, and at the latest this long after the time limit of the run.
-_TOKEN_MARGIN = datetime.timedelta(hours=1)
+TOKEN_MARGIN = datetime.timedelta(hours=1)
 OWN_TOKEN = "a token of its own: `klein token create NAME --kind runner`; to replace one, revoke it first"  # noqa: S105
 
 
@@ -98,7 +89,7 @@ class AssignedRun(NamedTuple):
     started_at: datetime.datetime | None
     cancel_requested_at: datetime.datetime | None
     traceparent: str | None
-    definition: ActionDefinition
+    action_name: str
     pinned_digest: str | None
     version_number: int | None
     action_id: uuid.UUID | None
@@ -106,14 +97,11 @@ class AssignedRun(NamedTuple):
     is_deleted: bool
 
 
-async def lock_run(db: Connection, condition: ColumnElement[bool], *, is_queued: bool = False) -> AssignedRun | None:
-    """Return a run that meets a condition, locked until this transaction ends.
-
-    With `is_queued`, the oldest queued run that no other transaction has locked.
-    """
+async def lock_runs(db: Connection, condition: ColumnElement[bool], *, limit: int) -> list[AssignedRun]:
+    """Return runs that meet a condition, in the order of their ids, locked until this transaction ends."""
     columns = (
         *(run.c[name] for name in AssignedRun._fields[:18]),
-        action_version.c.definition,
+        action_version.c.definition["name"].astext.label("action_name"),
         action_version.c.image_digest.label("pinned_digest"),
         action_version.c.number,
         action.c.id.label("action_id"),
@@ -127,16 +115,18 @@ async def lock_run(db: Connection, condition: ColumnElement[bool], *, is_queued:
         .join(action_version, action_version.c.id == run.c.version_id)
         .outerjoin(action, action.c.id == action_version.c.action_id)
         .where(condition)
-        .limit(1)
+        .order_by(run.c.id)
+        .limit(limit)
+        .with_for_update(of=run, key_share=True)
     )
-    if is_queued:
-        stmt = stmt.order_by(run.c.created_at, run.c.id).with_for_update(of=run, skip_locked=True)
-    else:
-        stmt = stmt.with_for_update(of=run, key_share=True)
-    row = (await db.execute(stmt)).one_or_none()
-    if row is None:
-        return None
-    return AssignedRun._make(row)._replace(definition=ActionDefinition.model_validate(row.definition))
+    return [AssignedRun._make(row) for row in await db.execute(stmt)]
+
+
+async def find_definitions(db: Connection, rows: Sequence[AssignedRun]) -> dict[uuid.UUID, ActionDefinition]:
+    """Return the definitions of runs by the ids of their versions: each once, since one with its lock is large."""
+    stmt = select(action_version.c.id, action_version.c.definition)
+    stmt = stmt.where(among(action_version.c.id, {row.version_id for row in rows}))
+    return {one.id: ActionDefinition.model_validate(one.definition) for one in await db.execute(stmt)}
 
 
 def _is_of(actor: Actor, run_id: uuid.UUID, attempt: int) -> ColumnElement[bool]:
@@ -151,10 +141,10 @@ async def lock_assigned_run(db: Connection, actor: Actor, run_id: uuid.UUID, att
     Raises:
         RunGone: it does not have the run, or this attempt is outdated.
     """
-    row = await lock_run(db, _is_of(actor, run_id, attempt) & run.c.state.in_(ASSIGNED))
-    if row is None:
+    rows = await lock_runs(db, _is_of(actor, run_id, attempt) & run.c.state.in_(ASSIGNED), limit=1)
+    if not rows:
         raise RunGone(run_id=str(run_id))
-    return row
+    return rows[0]
 
 
 async def record_seen(db: Connection, actor: Actor, runner_id: uuid.UUID) -> int:
@@ -174,79 +164,20 @@ async def record_seen(db: Connection, actor: Actor, runner_id: uuid.UUID) -> int
     return lease_s
 
 
-async def record_heartbeats(
-    db: Connection, actor: Actor, *, runner_id: uuid.UUID, heartbeats: Heartbeats
-) -> HeartbeatReplies:
-    """Record that a runner was seen, and the states of its runs; renew their leases, and return their status.
-
-    Raises:
-        NotFound: this person has no such runner.
-        Forbidden: the token is another runner's.
-    """
-    lease_s = await record_seen(db, actor, runner_id)
-    ordered = sorted(heartbeats.runs, key=lambda heartbeat: heartbeat.run_id)
-    replies = [await _record_heartbeat(db, actor, entry, lease_s) for entry in ordered]
-    return HeartbeatReplies(runs=replies, lease_s=lease_s)
-
-
-async def _record_heartbeat(db: Connection, actor: Actor, heartbeat: Heartbeat, lease_s: int) -> HeartbeatReply:
-    run_id, attempt = heartbeat.run_id, heartbeat.attempt
-    try:
-        row = await lock_assigned_run(db, actor, run_id, attempt)
-    except RunGone:
-        return HeartbeatReply(run_id=run_id, attempt=attempt, status=LeaseStatus.lost)
-    values: dict[str, Any] = {}
-    # The state never goes back.
-    if heartbeat.state in _ORDER and _ORDER[heartbeat.state] > _ORDER[RunState(row.state)]:
-        values["state"] = heartbeat.state.value
-    if heartbeat.state is not RunState.preparing and row.started_at is None:
-        values["started_at"] = func.now()
-    if heartbeat.image_digest is not None and row.image_digest is None:
-        values["image_digest"] = heartbeat.image_digest
-    for name in ("progress", "placement", "usage"):
-        reported = getattr(heartbeat, name)
-        if reported is not None and reported.model_dump(mode="json") != getattr(row, name):
-            values[name] = reported.model_dump(mode="json")
-    if values.get("state") == RunState.running.value and heartbeat.progress is None:
-        # That of its preparation.
-        values["progress"] = null()
-    if heartbeat.samples:
-        values["samples"] = _thinned(row.samples, heartbeat.samples)
-    lease = datetime.timedelta(seconds=lease_s)
-    if heartbeat.state is RunState.collecting:
-        lease = max(lease, _COLLECTING_LEASE)
-    await db.execute(update(run).where(run.c.id == row.id).values(lease_ends_at=func.now() + lease, **values))
-    if row.state == RunState.preparing.value and row.definition.network is not Network.none:
-        await _extend_token(db, row)
-    await _pin_image(db, row, heartbeat.image_digest)
-    if values:
-        await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
-    is_over = row.cancel_requested_at is not None or row.is_deleted
-    status = LeaseStatus.cancel if is_over else LeaseStatus.active
-    return HeartbeatReply(run_id=run_id, attempt=attempt, status=status)
+async def pin_images(db: Connection, digests: Mapping[uuid.UUID, str]) -> None:
+    """Pin the images of versions of actions, unless they are pinned: the first resolution of a name is permanent."""
+    for version_id, digest in digests.items():
+        is_unpinned = action_version.c.image_digest.is_(None) & action_version.c.definition["image"].astext.is_not(None)
+        stmt = update(action_version).where(action_version.c.id == version_id, is_unpinned)
+        await db.execute(stmt.values(image_digest=digest))
 
 
 def token_lifetime(definition: ActionDefinition) -> datetime.timedelta:
     """Return how long the token of a run is valid from its claim, and from the start of its job."""
-    return datetime.timedelta(seconds=definition.resources.time_s) + _TOKEN_MARGIN
+    return datetime.timedelta(seconds=definition.resources.time_s) + TOKEN_MARGIN
 
 
-async def _extend_token(db: Connection, row: AssignedRun) -> None:
-    """Have the token of a run not end while its job waits in the queue of a cluster."""
-    lifetime = token_lifetime(row.definition)
-    is_ending = (token.c.run_id == row.id) & (token.c.expires_at < func.now() + lifetime - _TOKEN_MARGIN / 2)
-    await db.execute(update(token).where(is_ending).values(expires_at=func.now() + lifetime))
-
-
-async def _pin_image(db: Connection, row: AssignedRun, digest: str | None) -> None:
-    """Pin the image of a version of an action, unless it is pinned: the first resolution of its name is permanent."""
-    if digest is None or row.definition.image is None:
-        return
-    unpinned = (action_version.c.id == row.version_id) & action_version.c.image_digest.is_(None)
-    await db.execute(update(action_version).where(unpinned).values(image_digest=digest))
-
-
-def _thinned(stored: list[dict[str, Any]], new: Sequence[UsageSample]) -> list[dict[str, Any]]:
+def thinned(stored: list[dict[str, Any]], new: Sequence[UsageSample]) -> list[dict[str, Any]]:
     """Return at most `MAX_SAMPLES` samples: of more, every second one and the last."""
     samples = [*stored, *(entry.model_dump(mode="json") for entry in new)]
     while len(samples) > MAX_SAMPLES:
@@ -272,10 +203,11 @@ async def get_context(db: Connection, actor: Actor, *, run_id: uuid.UUID, attemp
     seen = visible_files(starter).where(file.c.id.in_(input_ids)).order_by(file.c.path)
     topics = await db.execute(files.topic_rows(visible_files(starter).where(file.c.id.in_(input_ids))))
     named = recordings.recordings_of(starter, row.mission_id)
-    declared = row.definition.inputs
+    definition = (await find_definitions(db, [row]))[row.version_id]
+    declared = definition.inputs
     return RunContext(
         run_id=run_id,
-        action=ActionRef(id=row.action_id, name=row.definition.name, version=row.version_number),
+        action=ActionRef(id=row.action_id, name=row.action_name, version=row.version_number),
         parameters=row.parameters,
         cause=Cause(person=starter.ref, retry_of_id=row.retry_of_id),
         mission=mission_at_launch(declared, row.input_metadata, visible_mission),
@@ -378,19 +310,23 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
     Raises:
         RunGone: the runner does not have the run by this attempt, and did not end it.
     """
-    ended = select(run.c.state).where(_is_of(actor, run_id, finish.attempt), run.c.ended_at.is_not(None))
-    state = (await db.execute(ended)).scalar_one_or_none()
-    if state is not None:
-        return RunFinished(state=RunState(state))
-    row = await lock_assigned_run(db, actor, run_id, finish.attempt)
+    try:
+        row = await lock_assigned_run(db, actor, run_id, finish.attempt)
+    except RunGone:
+        ended = select(run.c.state).where(_is_of(actor, run_id, finish.attempt), run.c.ended_at.is_not(None))
+        if (earlier := (await db.execute(ended)).scalar_one_or_none()) is None:
+            raise
+        return RunFinished(state=RunState(earlier))
     problems = list(finish.problems)
     columns = (run_artifact.c.id, run_artifact.c.path, run_artifact.c.blob_id, blob.c.size_bytes)
     stmt = select(*columns).join_from(run_artifact, blob).where(run_artifact.c.run_id == run_id)
     artifacts = {entry.path: RunArtifact._make(entry) for entry in await db.execute(stmt)}
-    if finish.reason is EndReason.done:
-        ended_run = EndedRun(row.id, row.mission_id, row.project_id, row.started_by_id, row.definition)
+    if finish.reason is EndReason.done and finish.report.mission_files:
+        definition = (await find_definitions(db, [row]))[row.version_id]
+        ended_run = EndedRun(row.id, row.mission_id, row.project_id, row.started_by_id, definition)
         problems += await create_mission_files(db, ended_run, finish.report.mission_files, artifacts)
-    await _pin_image(db, row, finish.image_digest)
+    if finish.image_digest is not None and row.image_digest is None:
+        await pin_images(db, {row.version_id: finish.image_digest})
     verdict = verdict_of_report(finish.report) if finish.reason is EndReason.done else None
     values = await store_report(db, run_id, finish.report) | {
         "problems": problems[:200],
@@ -399,15 +335,14 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
         "artifact_count": len(artifacts),
         "verdict": verdict and verdict.value,
         "image_digest": row.image_digest or finish.image_digest,
-        "samples": _thinned(row.samples, finish.samples),
+        "samples": thinned(row.samples, finish.samples),
         "placement": row.placement if finish.placement is None else finish.placement.model_dump(mode="json"),
         "usage": row.usage if finish.usage is None else finish.usage.model_dump(mode="json"),
     }
-    await end_run(db, run_id, finish.reason, finish.message, **values)
-    state = (await db.execute(select(run.c.state).where(run.c.id == run_id))).scalar_one()
+    state = await end_run(db, run_id, finish.reason, finish.message, **values)
     after: Metadata = {"reason": finish.reason.value, "artifacts": len(artifacts)}
     if verdict is not None:
         after["verdict"] = verdict.value
-    event = Event("run.end", "run", run_id, row.definition.name, row.project_id, after=after, mission_id=row.mission_id)
+    event = Event("run.end", "run", run_id, row.action_name, row.project_id, after=after, mission_id=row.mission_id)
     await audit(db, actor, event)
-    return RunFinished(state=RunState(state))
+    return RunFinished(state=state)

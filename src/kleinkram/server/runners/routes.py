@@ -13,6 +13,8 @@ from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Tra
 from kleinkram.server.http.middleware import mark_as_stream
 from kleinkram.server.pagination import PageQuery
 from kleinkram.server.runners import assigned_runs, service
+from kleinkram.server.runners.claims import claim
+from kleinkram.server.runners.heartbeats import record_heartbeats
 
 router = APIRouter(prefix="/api/v1", tags=["runners"])
 AttemptQuery = Annotated[runners.Attempt, Query()]
@@ -44,7 +46,7 @@ async def claim_run(
 ) -> runners.ClaimReply:
     """Claim a run that fits the free resources; wait for one."""
     mark_as_stream(request.scope)
-    return await service.claim(context, request.app.state.hub, actor, runner_id=runner_id, requested=requested)
+    return await claim(context, request.app.state.hub, actor, runner_id=runner_id, requested=requested)
 
 
 @router.post("/runners/{runner_id}/heartbeats", operation_id="send_heartbeats")
@@ -52,7 +54,7 @@ async def send_heartbeats(
     runner_id: uuid.UUID, heartbeats: runners.Heartbeats, db: Transaction, actor: CurrentActor
 ) -> runners.HeartbeatReplies:
     """Report the states of all runs, and renew their leases."""
-    return await assigned_runs.record_heartbeats(db, actor, runner_id=runner_id, heartbeats=heartbeats)
+    return await record_heartbeats(db, actor, runner_id=runner_id, heartbeats=heartbeats)
 
 
 @router.get("/runner/runs/{run_id}/context", operation_id="get_run_context")

@@ -1,67 +1,35 @@
-"""Registration of runners, and claims of runs."""
+"""Registration of runners, and the list of them."""
 
-import datetime
-import time
 import uuid
 from collections.abc import Collection
 
-from sqlalchemy import ARRAY, ColumnElement, Text, exists, func, insert, literal, or_, select, update
+from sqlalchemy import exists, func, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.access import Right, Scope, TokenKind
-from kleinkram.contract.actions import Network
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.base import Page
 from kleinkram.contract.errors import Forbidden
-from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.runners import (
-    AssignedInput,
-    Capacity,
-    ClaimReply,
-    ClaimRequest,
-    RunAssignment,
     RunnerRead,
     RunnerRegistration,
     RunnerToken,
 )
-from kleinkram.contract.runs import ActionRef, EndReason, RunState
-from kleinkram.contract.tokens import SecretKind
-from kleinkram.server import metrics
-from kleinkram.server.access.actor import Actor, find_person, new_secret, unexpired
-from kleinkram.server.access.visible import level_on_mission, visible_missions
+from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.change_events import ChangeEvent, publish
-from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
-from kleinkram.server.events.hub import EventFilter, Hub
 from kleinkram.server.pagination import Order, PageRequest, fetch_page
-from kleinkram.server.runners.assigned_runs import OWN_TOKEN, AssignedRun, lock_run, record_seen, token_lifetime
+from kleinkram.server.runners.assigned_runs import OWN_TOKEN
 from kleinkram.server.runs.eligibility import (
-    IsolationRule,
-    KnownRunner,
-    find_runner,
     is_alive,
-    isolation_rule,
     with_token_limits,
 )
-from kleinkram.server.runs.lifecycle import end_run, requeue_lost_runs
-from kleinkram.server.tables import mission, project, run, run_input, runner, token, token_limit
+from kleinkram.server.tables import project, run, runner, token, token_limit
 from kleinkram.server.tables.runs import ASSIGNED
 
 _RUNNER_ORDER = Order([runner.c.name, runner.c.id])
-_SCOPES = {
-    Right.read: [Scope.read],
-    Right.create: [Scope.read, Scope.upload],
-    Right.write: [Scope.write],
-    Right.delete: [Scope.write],
-}
-# The end of a lease publishes no event.
-_CHECK_EVERY_S = 5.0
-_QUEUE = EventFilter(frozenset({"run"}))
-# Fractions of cores are summed as floats.
-_ROUNDING = 1e-6
 
 
 async def register_runner(db: Connection, actor: Actor, *, registration: RunnerRegistration) -> RunnerRead:
@@ -153,148 +121,3 @@ async def _read_runners(db: Connection, runner_ids: Collection[uuid.UUID]) -> li
         values = {name: row._mapping[name] for name in RunnerRead.model_fields if name != "token"}
         items.append(RunnerRead(**values, token=bound))
     return items
-
-
-async def claim(
-    context: AppContext, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, requested: ClaimRequest
-) -> ClaimReply:
-    """Assign the oldest run that fits the free resources of a runner; wait for one where there is none.
-
-    Raises:
-        NotFound: this person has no such runner.
-        Forbidden: the token is another runner's.
-        TooManyStreams: too many requests of this runner wait already.
-    """
-    until = time.monotonic() + requested.wait_s
-    with hub.long_poll(runner_id, _QUEUE) as listener:
-        while True:
-            async with context.database.begin() as db:
-                weakest = context.settings.weakest_isolation
-                candidate = await _claim_now(db, actor, runner_id, requested, weakest)
-            left_s = until - time.monotonic()
-            if candidate is not None or left_s <= 0 or hub.is_closed:
-                return ClaimReply(run=candidate)
-            await hub.next_event(listener, timeout_s=min(left_s, _CHECK_EVERY_S))
-
-
-async def _claim_now(
-    db: Connection, actor: Actor, runner_id: uuid.UUID, requested: ClaimRequest, weakest: Isolation
-) -> RunAssignment | None:
-    lease_s = await record_seen(db, actor, runner_id)
-    await requeue_lost_runs(db)
-    # Assigned without the runner's knowledge: the answer to an earlier claim was lost.
-    is_assigned = (run.c.runner_id == runner_id) & run.c.state.in_(ASSIGNED)
-    unanswered = await lock_run(db, is_assigned & run.c.id.not_in(requested.active_run_ids))
-    if unanswered is not None:
-        return await _assign(db, unanswered, runner_id, unanswered.attempt, lease_s)
-    claiming = await find_runner(db, runner_id)
-    fits = _fits(claiming, requested.free, await isolation_rule(db, weakest))
-    while (candidate := await lock_run(db, fits, is_queued=True)) is not None:
-        if await _may_still_run(db, candidate):
-            return await _assign(db, candidate, runner_id, candidate.attempt + 1, lease_s)
-        message = "The person who launched it may not run it on this mission any more."
-        await end_run(db, candidate.id, EndReason.cancelled, message)
-    return None
-
-
-def _fits(claiming: KnownRunner, free: Capacity, rule: IsolationRule) -> ColumnElement[bool]:
-    """Whether a queued run fits the free resources of a runner, and the runner may execute it."""
-    abilities = claiming.abilities
-    fits = (
-        (run.c.state == RunState.queued.value)
-        & mission.c.deleted_at.is_(None)
-        & project.c.deleted_at.is_(None)
-        & (run.c.cores <= free.cores + _ROUNDING)
-        & (run.c.memory_bytes <= free.memory_bytes)
-        & (run.c.disk_bytes <= free.disk_bytes)
-        & (run.c.gpus <= (free.gpus if abilities.gpus else 0))
-        & run.c.labels.op("<@", is_comparison=True)(literal(claiming.offered_labels, ARRAY(Text)))
-        & project.c.isolation.in_(rule.projects_of(abilities.isolation))
-        & run.c.network.in_([network.value for network in abilities.networks])
-        & or_(~run.c.needs_images, literal(abilities.images))
-        & or_(run.c.needs_images, literal(claiming.runs_scripts))
-    )
-    if claiming.only_project_ids is not None:
-        fits &= mission.c.project_id.in_(claiming.only_project_ids)
-    if claiming.only_labels is not None:
-        fits &= run.c.labels.op("&&", is_comparison=True)(literal(claiming.only_labels, ARRAY(Text)))
-    return fits
-
-
-async def _may_still_run(db: Connection, candidate: AssignedRun) -> bool:
-    """Whether the person who launched a run still has the right that its action requires."""
-    starter = await find_person(db, candidate.started_by_id)
-    if starter is None:
-        return False
-    needed = max(Right.create, candidate.definition.right, key=lambda right: right.level)
-    levels = visible_missions(starter).with_only_columns(level_on_mission(starter), maintain_column_froms=True)
-    level: int | None = (await db.execute(levels.where(mission.c.id == candidate.mission_id))).scalar_one_or_none()
-    return level is not None and level >= needed.level
-
-
-async def _assign(db: Connection, row: AssignedRun, runner_id: uuid.UUID, attempt: int, lease_s: int) -> RunAssignment:
-    state = RunState.preparing.value if attempt != row.attempt else row.state
-    ends_at = func.now() + datetime.timedelta(seconds=lease_s)
-    lease = {"state": state, "runner_id": runner_id, "attempt": attempt, "lease_ends_at": ends_at}
-    if attempt != row.attempt:
-        of_runner = select(runner.c.abilities["isolation"].astext).where(runner.c.id == runner_id)
-        lease["isolation"] = of_runner.scalar_subquery()
-    claimed_at = func.coalesce(run.c.claimed_at, func.now())
-    waited_s = func.extract("epoch", func.now() - run.c.created_at)
-    stmt = update(run).where(run.c.id == row.id).values(claimed_at=claimed_at, **lease).returning(waited_s)
-    seconds = (await db.execute(stmt)).scalar_one()
-    if row.attempt == 0:
-        metrics.RUN_WAIT_SECONDS.observe(float(seconds))
-    await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
-    definition = row.definition
-    inputs = select(run_input).where(run_input.c.run_id == row.id).order_by(run_input.c.path)
-    return RunAssignment(
-        run_id=row.id,
-        attempt=attempt,
-        project_id=row.project_id,
-        mission_id=row.mission_id,
-        action=ActionRef(id=row.action_id, name=definition.name, version=row.version_number),
-        image=definition.image,
-        image_digest=row.pinned_digest,
-        command=definition.command,
-        script=definition.script,
-        dependencies=definition.dependencies,
-        requires_python=definition.requires_python,
-        lock=definition.lock,
-        parameters=row.parameters,
-        resources=definition.resources,
-        cluster=definition.cluster,
-        network=definition.network,
-        inputs=[
-            AssignedInput(path=entry.path, size_bytes=entry.size_bytes, sha256=entry.sha256.hex())
-            for entry in await db.execute(inputs)
-        ],
-        token=None if definition.network is Network.none else await _create_token(db, row),
-        lease_s=lease_s,
-        traceparent=row.traceparent,
-    )
-
-
-async def _create_token(db: Connection, row: AssignedRun) -> str:
-    """Create the token of a run, limited to its mission and to the right that its action declares.
-
-    Earlier tokens of the same attempt stay valid: a claim that its runner has given up may be answered with the run
-    again, and the running job must not lose its token.
-    """
-    definition = row.definition
-    secret, token_id = new_secret(SecretKind.run), uuid.uuid4()
-    values = {
-        "person_id": row.started_by_id,
-        "kind": TokenKind.run.value,
-        "name": definition.name,
-        "prefix": secret.prefix,
-        "secret_sha256": secret.sha256,
-        "scopes": [scope.value for scope in _SCOPES[definition.right]],
-        "run_id": row.id,
-        "max_right": definition.right.value,
-    }
-    await db.execute(
-        insert(token).values(id=token_id, is_limited=True, expires_at=func.now() + token_lifetime(definition), **values)
-    )
-    await db.execute(insert(token_limit).values(id=uuid.uuid4(), token_id=token_id, mission_id=row.mission_id))
-    return secret.text

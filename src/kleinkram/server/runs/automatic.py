@@ -20,6 +20,7 @@ from kleinkram.contract.actions import ActionDefinition, Network, ParametersWron
 from kleinkram.contract.errors import Forbidden, KleinkramError, NoInputs, NotFound
 from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.project_actions import RunTrigger
+from kleinkram.contract.runs import RunPriority
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.actions import service as actions
 from kleinkram.server.db import Connection, among
@@ -121,8 +122,10 @@ async def _start_once(db: Connection, actor: Actor, row: Row[Any], weakest: Isol
     parameters = version.definition.fill_in(row.parameters)
     of_project = select(action.c.project_id).where(action.c.id == row.action_id)
     project_id: uuid.UUID | None = (await db.execute(of_project)).scalar_one()
+    # Nobody waits for it at a screen.
+    priority, runners = RunPriority.low, await known_runners(db, weakest)
     task = launch.PreparedAction(
-        version.id, version.definition, version.image_digest, project_id, parameters, await known_runners(db, weakest)
+        version.id, version.definition, version.image_digest, project_id, parameters, priority, runners
     )
     planned = await launch.plan_run(db, actor, task, row.mission_id)
     made = await _of_actions_that_read_none(db, [entry.id for entry in planned.inputs if entry.is_derived])

@@ -96,6 +96,7 @@ class Refusal(NamedTuple):
 class KnownRunner(NamedTuple):
     """A runner, with the limits of its token; None: unlimited."""
 
+    id: uuid.UUID
     name: str
     labels: Sequence[str]
     capacity: Capacity
@@ -280,7 +281,7 @@ async def isolation_rule(db: Connection, weakest: Isolation) -> IsolationRule:
 
 
 async def _runners(db: Connection, condition: ColumnElement[bool]) -> list[KnownRunner]:
-    names = ("name", "labels", "capacity", "abilities", "default_image")
+    names = ("id", "name", "labels", "capacity", "abilities", "default_image")
     stmt = select(*(runner.c[name] for name in names), is_alive().label("is_alive")).select_from(runner)
     return [
         KnownRunner(*row)._replace(

@@ -29,6 +29,7 @@ from kleinkram.contract.runs import (
     CONTEXT_FILE,
     EndReason,
     RunCreated,
+    RunPriority,
     RunRead,
     RunRefused,
     RunsCreate,
@@ -59,13 +60,14 @@ _RESERVED = {CONTEXT_FILE, ".kleinkram"}
 
 
 class PreparedAction(NamedTuple):
-    """An action with parameters, not yet bound to a mission. `project_id` None: an action of the whole lab."""
+    """An action to run, not yet bound to a mission. `project_id` None: an action of the whole lab."""
 
     version_id: uuid.UUID
     definition: ActionDefinition
     image_digest: str | None
     project_id: uuid.UUID | None
     parameters: ParameterValues
+    priority: RunPriority
     runners: KnownRunners
 
 
@@ -157,7 +159,7 @@ async def create_run(
 
     Raises:
         NotFound: the mission is not there, or not for this actor.
-        Forbidden: their right on it is lower than the action requires.
+        Forbidden: their right on it is lower than the action, or its priority, requires.
         InvalidRequest: the action is of another project.
         NoInputs: no file of it is an input.
         FileUnavailable: an input is lost or corrupt.
@@ -200,12 +202,14 @@ async def start_run(
     values = {name: value for name, value in needs._asdict().items() if name in run.c} | {
         "version_id": task.version_id,
         "parameters": task.parameters,
+        "priority": task.priority.value,
         "input_count": len(inputs),
         "input_bytes": sum(entry.size_bytes for entry in inputs),
         "inputs_fingerprint": fingerprint,
         "input_metadata": declared.metadata,
         "checks_sha256": declared.checks_sha256,
         "mission_id": mission_id,
+        "launch_project_id": target.project_id,
         "started_by_id": actor.person_id,
         "retry_of_id": retry_of_id,
         "traceparent": traces.traceparent(),
@@ -225,6 +229,8 @@ async def start_run(
     await db.execute(insert(run_input), rows)
     await judge_again_for_run(db, run_id)
     after: Metadata = {"version_id": str(task.version_id), "parameters": dict(task.parameters), "files": len(inputs)}
+    if task.priority is not RunPriority.normal:
+        after["priority"] = task.priority.value
     if reused is not None:
         after["reuses_id"] = str(reused["reuses_id"])
     name = task.definition.name
@@ -236,7 +242,7 @@ async def start_run(
 async def retry_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, force: bool, weakest: Isolation) -> RunRead:
     """Launch the same action again, on the current files, and return the new run.
 
-    `weakest` is the setting `weakest_isolation`.
+    It has the same priority, if the actor may use it. `weakest` is the setting `weakest_isolation`.
 
     Raises:
         NotFound: it is not there, or not for this actor.
@@ -246,15 +252,20 @@ async def retry_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, force: b
         FileUnavailable: an input is lost or corrupt.
         NoRunner: no runner can ever execute it.
     """
-    earlier = (await service.find_run(db, actor, run_id)).run
+    visible = await service.find_run(db, actor, run_id)
+    earlier, priority = visible.run, visible.run.priority
     if earlier.is_recorded:
         message = "it was executed elsewhere, and only recorded here; run it there again"
         raise InvalidRequest(problems=[FieldProblem(field="run_id", message=message)])
+    if priority is RunPriority.high and visible.level < Right.delete.level:
+        priority = RunPriority.normal
     stmt = select(action_version.c.definition, action_version.c.image_digest, action.c.project_id)
     joined = stmt.outerjoin(action, action.c.id == action_version.c.action_id)
     row = (await db.execute(joined.where(action_version.c.id == earlier.version_id))).one()
     definition, runners = ActionDefinition.model_validate(row.definition), await known_runners(db, weakest)
-    task = PreparedAction(earlier.version_id, definition, row.image_digest, row.project_id, earlier.parameters, runners)
+    task = PreparedAction(
+        earlier.version_id, definition, row.image_digest, row.project_id, earlier.parameters, priority, runners
+    )
     return await create_run(db, actor, task, earlier.mission.id, force=force, retry_of_id=run_id)
 
 
@@ -273,7 +284,7 @@ async def _task(
     else:
         raise AssertionError("a request names an action or holds one")
     parameters = _fill_in(definition, requested.parameters)
-    return PreparedAction(version_id, definition, digest, project_id, parameters, runners)
+    return PreparedAction(version_id, definition, digest, project_id, parameters, requested.priority, runners)
 
 
 def _fill_in(definition: ActionDefinition, parameters: ParameterValues) -> ParameterValues:
@@ -312,6 +323,8 @@ async def _find_target(db: Connection, actor: Actor, task: PreparedAction, missi
     needed = max(Right.create, task.definition.right, key=lambda right: right.level)
     if target.level < needed.level:
         raise Forbidden(resource_type="mission", operation=f"run {task.definition.name} on it", needs=needed.value)
+    if task.priority is RunPriority.high and target.level < Right.delete.level:
+        raise Forbidden(resource_type="mission", operation="run with high priority on it", needs=Right.delete.value)
     if task.project_id not in {None, target.project_id}:
         message = (
             f"{task.definition.name} is an action of another project; publish it in this one, or for the whole lab"

@@ -84,8 +84,8 @@ async def cancel_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, weakest
     return await service.get_run(db, actor, run_id, weakest=weakest)
 
 
-async def end_run(db: Connection, run_id: uuid.UUID, reason: EndReason, message: str, **values: object) -> None:
-    """Record the end of a run, and revoke its token and open uploads; the caller has locked it."""
+async def end_run(db: Connection, run_id: uuid.UUID, reason: EndReason, message: str, **values: object) -> RunState:
+    """Record the end of a run, and revoke its token and open uploads; the caller has locked it. Return its state."""
     state = {EndReason.done: RunState.done, EndReason.cancelled: RunState.cancelled}.get(reason, RunState.failed)
     values |= {"state": state.value, "reason": reason.value, "message": message, "lease_ends_at": None}
     await _discard_attempt(db, run_id, keep_results=reason is not EndReason.lost)
@@ -93,6 +93,7 @@ async def end_run(db: Connection, run_id: uuid.UUID, reason: EndReason, message:
     metrics.RUNS_ENDED.labels(state.value, reason.value).inc()
     if claimed_s is not None:
         metrics.RUN_SECONDS.labels(state.value).observe(float(claimed_s))
+    return state
 
 
 async def _update(db: Connection, run_id: uuid.UUID, **values: object) -> Decimal | None:

@@ -57,12 +57,13 @@ async def record_run(db: Connection, actor: Actor, *, requested: RunRecord, weak
     if known_id is not None:
         return await service.get_run(db, actor, known_id, weakest=weakest)
     await _check_outputs(db, actor, outputs)
-    run_id = uuid.uuid4()
+    run_id, project_id = uuid.uuid4(), await project_of(db, mission_id)
     needed = definition.resources
     started = None if requested.duration_s is None else func.now() - datetime.timedelta(seconds=requested.duration_s)
     verdict = verdict_of_report(requested.report)
     values = {
         "mission_id": mission_id,
+        "launch_project_id": project_id,
         "version_id": version_id,
         "parameters": requested.parameters,
         "network": definition.network.value,
@@ -92,7 +93,6 @@ async def record_run(db: Connection, actor: Actor, *, requested: RunRecord, weak
     await judge_again_for_run(db, run_id)
     await publish(db, [ChangeEvent("run", ChangeKind.created, run_id, mission_id=mission_id)])
     after: Metadata = {"version_id": str(version_id), "files": len(inputs), "artifacts": len(outputs)}
-    project_id = await project_of(db, mission_id)
     event = Event("run.record", "run", run_id, requested.name, project_id, after=after, mission_id=mission_id)
     await audit(db, actor, event)
     return await service.get_run(db, actor, run_id, weakest=weakest)

@@ -4,6 +4,8 @@ A version never changes, except that the digest of its image is added when it is
 identify the runner that executes a run.
 """
 
+import uuid
+
 import sqlalchemy as sa
 from sqlalchemy.dialects.postgresql import JSONB
 
@@ -99,6 +101,8 @@ run = sa.Table(
     sa.Column("labels", sa.ARRAY(sa.Text), nullable=False, server_default="{}"),
     sa.Column("needs_images", sa.Boolean, nullable=False),
     sa.Column("priority", sa.Text, nullable=False, server_default=RunPriority.normal.value),
+    # The project of its mission at the launch, whose turn it takes in the queue; zero for runs of earlier versions.
+    sa.Column("launch_project_id", sa.Uuid, nullable=False, server_default=str(uuid.UUID(int=0))),
     sa.Column("state", sa.Text, nullable=False, server_default=RunState.queued.value),
     sa.Column("reason", sa.Text),
     sa.Column("message", sa.Text, nullable=False, server_default=""),
@@ -114,11 +118,11 @@ run = sa.Table(
     # It was executed elsewhere, and recorded with its results.
     sa.Column("is_recorded", sa.Boolean, nullable=False, server_default=sa.text("false")),
     sa.Column("retry_of_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
-    sa.Column("started_by_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False, index=True),
+    sa.Column("started_by_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False),
     sa.Column("attempt", sa.Integer, nullable=False, server_default="0"),
     # How many times its runner was lost.
     sa.Column("lost_count", sa.Integer, nullable=False, server_default="0"),
-    sa.Column("runner_id", sa.Uuid, sa.ForeignKey("runner.id"), index=True),
+    sa.Column("runner_id", sa.Uuid, sa.ForeignKey("runner.id")),
     sa.Column("lease_ends_at", sa.DateTime(timezone=True)),
     # What its runner gave it; null before a runner has it.
     sa.Column("isolation", sa.Text),
@@ -161,12 +165,20 @@ run = sa.Table(
         " AND (state NOT IN ('preparing', 'running', 'collecting') OR runner_id IS NOT NULL)",
         name="assigned",
     ),
-    sa.Index("ix_run_queue", "created_at", "id", postgresql_where=sa.text("state = 'queued'")),
     sa.Index(
-        "ix_run_lease_ends_at",
-        "lease_ends_at",
+        "ix_run_queue",
+        *("priority", "launch_project_id", "started_by_id", "created_at", "id"),
+        postgresql_where=sa.text("state = 'queued'"),
+    ),
+    # Not of `lease_ends_at`: then heartbeats, which change little else, do not write to the indexes.
+    sa.Index(
+        "ix_run_assigned",
+        "runner_id",
         postgresql_where=sa.text("state IN ('preparing', 'running', 'collecting')"),
     ),
+    # The last starts of a project and of a person.
+    sa.Index("ix_run_launch_project_id", "launch_project_id", "claimed_at"),
+    sa.Index("ix_run_started_by_id", "started_by_id", "claimed_at"),
     sa.Index("ix_run_created_at", "created_at", "id"),
     sa.Index("ix_run_mission_id", "mission_id", "created_at"),
     sa.Index("ix_run_job_id", sa.text("(placement ->> 'job_id')"), postgresql_where=sa.text("placement IS NOT NULL")),

@@ -1,0 +1,214 @@
+"""A runner whose jobs are simulated: it speaks the protocol as the runner of a login node does, and executes nothing.
+
+Its jobs wait in a queue and run for as long as those of a cluster could; then they leave a log and one small file.
+"""
+
+import hashlib
+import heapq
+import itertools
+import random
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+from kleinkram.client._http import Api
+from kleinkram.client.config import Endpoint, EndpointSource
+from kleinkram.client.files import Uploads
+from kleinkram.client.runs import Runners
+from kleinkram.client.transfer.store import StoreClient
+from kleinkram.contract.actions import Network
+from kleinkram.contract.runners import (
+    HEARTBEAT_S,
+    LOG_PATH,
+    MAX_CLAIMED,
+    Capacity,
+    ClaimRequest,
+    ExecutorAbilities,
+    Heartbeat,
+    Heartbeats,
+    InputsRequest,
+    
+    LogChunkConfirm,
+    LogChunkCreate,
+    RunAssignment,
+    RunFinish,
+    RunnerRegistration,
+)
+from kleinkram.contract.runs import EndReason, RunPlacement, RunState
+from kleinkram.contract.uploads import PartToSign, UploadFile, UploadFinish, UploadRequired, crc64nvme
+
+# How long the cluster takes to start a job, and to run it, in seconds.
+_PENDING_S, _RUNNING_S = (0.5, 5.0), (10.0, 30.0)
+_THREADS = 16
+_ROOM = Capacity(cores=64, memory_bytes=2**40, disk_bytes=2**42, gpus=0)
+_ABILITIES = ExecutorAbilities(
+    executor="slurm",
+    isolation=Isolation.container,
+    images=True,
+    networks=frozenset({Network.none}),
+    gpus=False,
+    bounds_memory=True,
+    bounds_disk=True,
+)
+_LOG, _ARTIFACT = b"reading\nwriting\n" * 100, b"metric,value\nate_rmse,0.12\n" * 50
+
+
+@dataclass
+class _Job:
+    assignment: RunAssignment
+    number: int
+    state: RunState = RunState.preparing
+
+    def heartbeat(self) -> Heartbeat:
+        placement = RunPlacement(job_id=f"4711_{self.number}", node="node7") if self.state is RunState.running else None
+        attempt = self.assignment.attempt
+        return Heartbeat(run_id=self.assignment.run_id, attempt=attempt, state=self.state, placement=placement)
+
+
+class SimulatedCluster:
+    """Executes runs, so many at once; `requests` counts those to the API."""
+
+    def __init__(self, url: str, token: str, *, at_once: int) -> None:
+        self._api = Api(Endpoint("cluster", url, token, EndpointSource.argument))
+        self._runners, self._store = Runners(self._api), StoreClient(_THREADS)
+        self._at_once = at_once
+        self._id = uuid.uuid4()
+        self._active: dict[uuid.UUID, _Job] = {}
+        self._lock = threading.Lock()
+        self._due: list[tuple[float, int, Callable[[_Job], None], _Job]] = []
+        self._order = itertools.count()
+        self._random = random.Random(28)
+        self._has_inputs = False
+        self._is_over = threading.Event()
+        self._errors: list[BaseException] = []
+        self.requests = 0
+
+    def register(self) -> None:
+        """Make the runner known."""
+        self._runners.register(
+            RunnerRegistration(
+                id=self._id,
+                name="cluster",
+                labels=["cluster"],
+                capacity=_ROOM,
+                abilities=_ABILITIES,
+                default_image=f"sha256:{'0' * 64}",
+                version="0",
+            )
+        )
+
+    def run(self, runs: int) -> None:
+        """Claim so many runs, and take them to their ends."""
+        heartbeats = threading.Thread(target=self._send_heartbeats)
+        heartbeats.start()
+        claimed = 0
+        try:
+            with ThreadPoolExecutor(_THREADS) as pool:
+                while (claimed < runs or self._active) and not self._errors:
+                    if claimed < runs and len(self._active) < self._at_once:
+                        claimed += self._claim(min(self._at_once - len(self._active), runs - claimed))
+                    self._go_on(pool)
+                    time.sleep(0.02)
+        finally:
+            self._is_over.set()
+            heartbeats.join()
+        if self._errors:
+            raise self._errors[0]
+
+    def _claim(self, count: int) -> int:
+        request = ClaimRequest(free=_ROOM, max_runs=min(count, MAX_CLAIMED), active_run_ids=[*self._active])
+        self._count()
+        assignments = self._runners.claim(self._id, request)
+        for assignment in assignments:
+            job = _Job(assignment, next(self._order))
+            with self._lock:
+                self._active[assignment.run_id] = job
+            self._later(0, self._prepare, job)
+        return len(assignments)
+
+    def _go_on(self, pool: ThreadPoolExecutor) -> None:
+        """Have jobs whose time has come do their next step."""
+        while True:
+            with self._lock:
+                if not self._due or self._due[0][0] > time.monotonic():
+                    return
+                _, _, step, job = heapq.heappop(self._due)
+            pool.submit(step, job).add_done_callback(self._note_error)
+
+    def _note_error(self, future: "Future[None]") -> None:
+        if (error := future.exception()) is not None:
+            self._errors.append(error)
+
+    def _later(self, seconds: float, step: Callable[[_Job], None], job: _Job) -> None:
+        with self._lock:
+            heapq.heappush(self._due, (time.monotonic() + seconds, next(self._order), step, job))
+
+    def _count(self, requests: int = 1) -> None:
+        with self._lock:
+            self.requests += requests
+
+    def _prepare(self, job: _Job) -> None:
+        run_id, attempt = job.assignment.run_id, job.assignment.attempt
+        self._count()
+        self._runners.get_context(run_id, attempt)
+        if not self._has_inputs:
+            # Afterwards all are in the cache that nodes share.
+            self._has_inputs = True
+            self._count()
+            paths = [entry.path for entry in job.assignment.inputs]
+            self._runners.sign_inputs(run_id, InputsRequest(attempt=attempt, paths=paths))
+        self._later(self._random.uniform(*_PENDING_S), self._start, job)
+
+    def _start(self, job: _Job) -> None:
+        job.state = RunState.running
+        self._later(self._random.uniform(*_RUNNING_S), self._end, job)
+
+    def _end(self, job: _Job) -> None:
+        job.state = RunState.collecting
+        run_id, attempt = job.assignment.run_id, job.assignment.attempt
+        chunk = LogChunkCreate(
+            attempt=attempt,
+            offset=0,
+            size_bytes=len(_LOG),
+            sha256=hashlib.sha256(_LOG).hexdigest(),
+            crc64nvme=f"{crc64nvme(_LOG):016x}",
+            md5=hashlib.md5(_LOG, usedforsecurity=False).hexdigest(),
+        )
+        upload = self._runners.create_log_chunk(run_id, chunk)
+        self._store.put(upload.url, upload.headers, len(_LOG), [_LOG])
+        self._runners.confirm_log_chunk(run_id, LogChunkConfirm(attempt=attempt, offset=0, size_bytes=len(_LOG)))
+        self._upload(run_id, self._runners.uploads(attempt), {LOG_PATH: _LOG, "metrics.csv": _ARTIFACT})
+        finish = RunFinish(attempt=attempt, reason=EndReason.done, message="The command returned 0.", exit_code=0)
+        self._runners.finish(run_id, finish)
+        self._count(6)
+        with self._lock:
+            del self._active[run_id]
+
+    def _upload(self, run_id: uuid.UUID, uploads: Uploads, files: dict[str, bytes]) -> None:
+        announced = [
+            UploadFile(path=path, size_bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
+            for path, data in files.items()
+        ]
+        finishes, parts = [], []
+        for decision, data in zip(uploads.begin(run_id, announced).items, files.values(), strict=True):
+            if not isinstance(decision, UploadRequired):
+                raise SystemExit(f"an artifact was refused: {decision}")
+            crc64, sha256 = f"{crc64nvme(data):016x}", hashlib.sha256(data).hexdigest()
+            finishes.append(UploadFinish(upload_id=decision.upload.id, sha256=sha256, crc64nvme=crc64))
+            checksums = {"crc64nvme": crc64, "sha256": sha256}
+            checksum = checksums[decision.upload.checksum.value]
+            parts.append(PartToSign(upload_id=decision.upload.id, number=1, checksum=checksum))
+        for signed, data in zip(uploads.sign(parts).items, files.values(), strict=True):
+            self._store.put(signed.url, signed.headers, len(data), [data])
+        uploads.complete(finishes)
+
+    def _send_heartbeats(self) -> None:
+        while not self._is_over.wait(HEARTBEAT_S):
+            with self._lock:
+                heartbeats = [job.heartbeat() for job in self._active.values()]
+            if heartbeats:
+                self._count()
+                self._runners.send_heartbeats(self._id, Heartbeats(runs=heartbeats))

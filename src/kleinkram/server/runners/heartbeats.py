@@ -1,0 +1,169 @@
+"""Heartbeats: a runner reports the states of its runs, which renews their leases.
+
+Two statements for any number of runs: a cluster sends 500 every two seconds.
+"""
+
+import uuid
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from pydantic_core import to_json
+from sqlalchemy import case, func, select, text
+from sqlalchemy.dialects.postgresql import JSONB
+
+from kleinkram.contract.audit import ChangeKind
+from kleinkram.contract.runners import Heartbeat, HeartbeatReplies, HeartbeatReply, Heartbeats, LeaseStatus
+from kleinkram.contract.runs import MAX_SAMPLES, RunState
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.change_events import ChangeEvent, publish
+from kleinkram.server.db import Connection, among
+from kleinkram.server.runners.assigned_runs import TOKEN_MARGIN, pin_images, record_seen, thinned
+from kleinkram.server.tables import mission, project, run
+from kleinkram.server.tables.runs import ASSIGNED
+
+_ORDER = {RunState.preparing: 0, RunState.running: 1, RunState.collecting: 2}
+# Results are being uploaded: an outage of minutes must not discard hours of work.
+_COLLECTING_LEASE_S = 15 * 60
+# `publish` replaces more events at once by one that has all pages reload everything.
+_EVENTS = 100
+_RECORD = text("""
+UPDATE run SET
+  lease_ends_at = now() + make_interval(secs => news.lease_s),
+  state = coalesce(news.state, run.state),
+  started_at = CASE WHEN news.has_started THEN coalesce(run.started_at, now()) ELSE run.started_at END,
+  image_digest = coalesce(run.image_digest, news.image_digest),
+  progress = CASE WHEN news.has_progress THEN news.progress ELSE run.progress END,
+  placement = coalesce(news.placement, run.placement),
+  usage = coalesce(news.usage, run.usage),
+  samples = coalesce(news.all_samples, run.samples || news.samples, run.samples)
+FROM jsonb_to_recordset(CAST(:news AS jsonb)) AS news(
+  id uuid, lease_s double precision, state text, has_started boolean, image_digest text, has_progress boolean,
+  progress jsonb, placement jsonb, usage jsonb, samples jsonb, all_samples jsonb
+)
+WHERE run.id = news.id
+""")
+
+
+# The token of a run does not end while its job waits in the queue of a cluster.
+_EXTEND_TOKENS = text("""
+UPDATE token SET expires_at = now() + waiting.lasts
+FROM (
+  SELECT run.id, make_interval(secs => (definition #>> '{resources,time_s}')::integer + :margin_s) AS lasts
+  FROM run JOIN action_version ON action_version.id = run.version_id WHERE run.id = ANY (CAST(:run_ids AS uuid[]))
+) AS waiting
+WHERE token.run_id = waiting.id AND token.revoked_at IS NULL
+  AND token.expires_at < now() + waiting.lasts - make_interval(secs => CAST(:margin_s AS double precision) / 2)
+""")
+
+
+class _Reported(NamedTuple):
+    """What is known of a run; `samples` only if there will be too many."""
+
+    id: uuid.UUID
+    mission_id: uuid.UUID
+    version_id: uuid.UUID
+    attempt: int
+    state: str
+    has_started: bool
+    image_digest: str | None
+    progress: dict[str, Any] | None
+    placement: dict[str, Any] | None
+    usage: dict[str, Any] | None
+    samples: list[dict[str, Any]] | None
+    is_over: bool
+
+
+async def record_heartbeats(
+    db: Connection, actor: Actor, *, runner_id: uuid.UUID, heartbeats: Heartbeats
+) -> HeartbeatReplies:
+    """Record that a runner was seen, and the states of its runs; renew their leases, and return their status.
+
+    Raises:
+        NotFound: this person has no such runner.
+        Forbidden: the token is another runner's.
+    """
+    lease_s = await record_seen(db, actor, runner_id)
+    rows = {(row.id, row.attempt): row for row in await _lock_reported(db, runner_id, heartbeats.runs)}
+    latest: dict[uuid.UUID, tuple[_Reported, Heartbeat]] = {}
+    replies = []
+    for heartbeat in heartbeats.runs:
+        row = rows.get((heartbeat.run_id, heartbeat.attempt))
+        status = LeaseStatus.lost
+        if row is not None:
+            status = LeaseStatus.cancel if row.is_over else LeaseStatus.active
+            latest[row.id] = (row, heartbeat)
+        replies.append(HeartbeatReply(run_id=heartbeat.run_id, attempt=heartbeat.attempt, status=status))
+    await _record(db, [*latest.values()], lease_s)
+    return HeartbeatReplies(runs=replies, lease_s=lease_s)
+
+
+async def _lock_reported(db: Connection, runner_id: uuid.UUID, reported: Sequence[Heartbeat]) -> list[_Reported]:
+    """Return the runs that a runner has, locked in the order of their ids."""
+    names = ("id", "mission_id", "version_id", "attempt", "state")
+    with_samples = {heartbeat.run_id for heartbeat in reported if heartbeat.samples}
+    most = MAX_SAMPLES - max((len(heartbeat.samples) for heartbeat in reported), default=0)
+    has_many = among(run.c.id, with_samples) & (func.jsonb_array_length(run.c.samples) > most)
+    is_over = func.coalesce(run.c.cancel_requested_at, mission.c.deleted_at, project.c.deleted_at).is_not(None)
+    stmt = (
+        select(
+            *(run.c[name] for name in names),
+            run.c.started_at.is_not(None).label("has_started"),
+            *(run.c[name] for name in ("image_digest", "progress", "placement", "usage")),
+            case((has_many, run.c.samples), else_=None).cast(JSONB).label("samples"),
+            is_over.label("is_over"),
+        )
+        .join_from(run, mission, mission.c.id == run.c.mission_id)
+        .join(project, project.c.id == mission.c.project_id)
+        .where(among(run.c.id, {heartbeat.run_id for heartbeat in reported}))
+        .where(run.c.runner_id == runner_id, run.c.state.in_(ASSIGNED))
+        .order_by(run.c.id)
+        .with_for_update(of=run, key_share=True)
+    )
+    return [_Reported._make(row) for row in await db.execute(stmt)]
+
+
+def _news(row: _Reported, heartbeat: Heartbeat) -> dict[str, Any]:
+    """Return what a heartbeat changes of a run, beside its lease."""
+    news: dict[str, Any] = {}
+    # The state never goes back.
+    if heartbeat.state in _ORDER and _ORDER[heartbeat.state] > _ORDER[RunState(row.state)]:
+        news["state"] = heartbeat.state.value
+    if heartbeat.state is not RunState.preparing and not row.has_started:
+        news["has_started"] = True
+    if heartbeat.image_digest is not None and row.image_digest is None:
+        news["image_digest"] = heartbeat.image_digest
+    for name in ("progress", "placement", "usage"):
+        reported = getattr(heartbeat, name)
+        value = None if reported is None else reported.model_dump(mode="json")
+        if value is not None and value != getattr(row, name):
+            news[name] = value
+    if "progress" in news or (news.get("state") == RunState.running.value and heartbeat.progress is None):
+        # That of its preparation ends with it.
+        news["has_progress"] = True
+    if row.samples is not None and heartbeat.samples:
+        news["all_samples"] = thinned(row.samples, heartbeat.samples)
+    elif heartbeat.samples:
+        news["samples"] = [sample.model_dump(mode="json") for sample in heartbeat.samples]
+    return news
+
+
+async def _record(db: Connection, reported: Sequence[tuple[_Reported, Heartbeat]], lease_s: int) -> None:
+    if not reported:
+        return
+    changes: list[dict[str, Any]] = []
+    events: list[ChangeEvent] = []
+    digests: dict[uuid.UUID, str] = {}
+    for row, heartbeat in reported:
+        news = _news(row, heartbeat)
+        lasts_s = max(lease_s, _COLLECTING_LEASE_S) if heartbeat.state is RunState.collecting else lease_s
+        changes.append({"id": row.id, "lease_s": lasts_s, **news})
+        if news:
+            events.append(ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id))
+        if "image_digest" in news:
+            digests[row.version_id] = news["image_digest"]
+    await db.execute(_RECORD, {"news": to_json(changes).decode()})
+    await pin_images(db, digests)
+    if waiting := [row.id for row, _ in reported if row.state == RunState.preparing.value]:
+        await db.execute(_EXTEND_TOKENS, {"run_ids": waiting, "margin_s": TOKEN_MARGIN.total_seconds()})
+    for start in range(0, len(events), _EVENTS):
+        await publish(db, events[start : start + _EVENTS])
