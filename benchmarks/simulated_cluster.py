@@ -20,6 +20,7 @@ from kleinkram.client.files import Uploads
 from kleinkram.client.runs import Runners
 from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.actions import Network
+from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.runners import (
     HEARTBEAT_S,
     LOG_PATH,
@@ -30,7 +31,6 @@ from kleinkram.contract.runners import (
     Heartbeat,
     Heartbeats,
     InputsRequest,
-    
     LogChunkConfirm,
     LogChunkCreate,
     RunAssignment,

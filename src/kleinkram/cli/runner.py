@@ -106,6 +106,7 @@ _CacheAge = Annotated[
     int | None,
     option("--cache-age", "DAYS", "Remove cached inputs that no run used for so long. Default: never.", min=1),
 ]
+_ImageCache = Annotated[Text, _limit("--image-cache", "these images", "20 % of the free space")]
 _Environments = Annotated[Text, _limit("--environments", "the packages of scripts", "10 % of the free space")]
 _DataDir = Annotated[Path | None, option("--data-dir", "D", "Set the folder of its runs and inputs.")]
 _Once = Annotated[bool, flag("--once", "End after one run.")]
@@ -130,7 +131,7 @@ def start(
     gpu_sharing: Annotated[int, option("--gpu-sharing", "N", "Set how many runs may have the same GPU.", min=1)] = 1,
     executor: _Executor = ExecutorOption.auto,
     images: _Images = ImagesOption.off,
-    image_cache: Annotated[Text, _limit("--image-cache", "these images", "20 % of the free space")] = None,
+    image_cache: _ImageCache = None,
     default_image: _DefaultImage = None,
     registry: _Registries = None,
     data_dir: _DataDir = None,
@@ -187,6 +188,10 @@ def slurm(
     ] = None,
     python: Annotated[Text, option("--python", "PATH", "Run this Python on the nodes. Default: this one.")] = None,
     transfers: _Transfers = TransfersOption.login,
+    images: _Images = ImagesOption.off,
+    image_cache: _ImageCache = None,
+    default_image: _DefaultImage = None,
+    registry: _Registries = None,
     name: _Name = None,
     url: _Url = None,
     token_file: _TokenFile = None,
@@ -204,7 +209,7 @@ def slurm(
 ) -> None:
     """Run actions as jobs of Slurm, from a login node. Its folder must be on a file system that all nodes see."""
     from kleinkram.client.config import find_endpoint
-    from kleinkram.runner.arguments import Arguments
+    from kleinkram.runner.arguments import DEFAULT_IMAGE, Arguments, ImageChoice
     from kleinkram.runner.executors.slurm.options import SlurmOptions
 
     arguments = Arguments(
@@ -218,6 +223,10 @@ def slurm(
         cache_age_days=cache_age,
         environments_bytes=_size_of(environments),
         package_index=package_index,
+        images=ImageChoice(images.value),
+        images_bytes=_size_of(image_cache),
+        default_image=default_image or DEFAULT_IMAGE,
+        registries=registry or None,
         slurm=SlurmOptions(
             max_jobs=max_jobs,
             partition=partition,

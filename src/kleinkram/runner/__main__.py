@@ -89,12 +89,18 @@ def _machine_of(arguments: Arguments, state: StateDirectory) -> Machine:
 
 def _executor_of(arguments: Arguments, state: StateDirectory, machine: Machine, token: str) -> Executor:
     runner = str(state.runner_id)
-    if arguments.slurm is not None:
-        return slurm_executor(arguments.slurm, state.path, runner=runner, machine=machine)
     if arguments.kubernetes is not None:
         return kubernetes_executor(arguments.kubernetes, runner=runner, url=arguments.url, token=token)
-    policy = ImagePolicy(arguments.pull, arguments.registries)
-    return choose_executor(arguments.executor, policy, arguments.default_image, runner=runner, machine=machine)
+    policy, default_image, images = (
+        ImagePolicy(arguments.pull, arguments.registries),
+        arguments.default_image,
+        arguments.images,
+    )
+    if arguments.slurm is not None:
+        return slurm_executor(
+            arguments.slurm, state.path, policy, default_image, images=images, runner=runner, machine=machine
+        )
+    return choose_executor(arguments.executor, policy, default_image, images=images, runner=runner, machine=machine)
 
 
 def _warn_if_shared_out(capacities: Sequence[Capacity]) -> None:

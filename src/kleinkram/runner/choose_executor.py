@@ -94,23 +94,35 @@ def choose_executor(
             )
     elif choice is ExecutorChoice.auto:
         _log.info("no socket of a container engine was found: scripts run as processes")
-    executor = ProcessExecutor(machine, environments, _image_store(images, policy, default_image, machine))
+    has_namespaces = process_sandbox.is_available()
+    store = _image_store(images, policy, default_image, machine, has_namespaces=has_namespaces)
+    executor = ProcessExecutor(machine, environments, store)
     executor.check_gpus()
     if executor.abilities.isolation is Isolation.none:
         _log.warning("this kernel allows this user no namespaces: runs can read and change whatever the runner can")
     return executor
 
 
-def slurm_executor(options: SlurmOptions, directory: Path, *, runner: str, machine: Machine) -> Executor:
+def slurm_executor(
+    options: SlurmOptions,
+    directory: Path,
+    policy: ImagePolicy,
+    default_image: str,
+    *,
+    images: ImageChoice,
+    runner: str,
+    machine: Machine,
+) -> Executor:
     """Return the executor of a runner on a login node of Slurm, whose folder all nodes see.
 
     Raises:
-        InvalidInput: Slurm does not answer, or its nodes cannot run jobs of this folder.
+        InvalidInput: Slurm does not answer, its nodes cannot run jobs of this folder, or `images` is not possible.
     """
     site = find_site(SlurmCommands(), options, directory, runner=runner)
     if not site.node.is_isolated:
         _log.warning("the nodes allow this user no namespaces: runs can read and change whatever this user can")
-    return SlurmExecutor(site, runner=runner, machine=machine)
+    store = _image_store(images, policy, default_image, machine, has_namespaces=site.node.is_isolated)
+    return SlurmExecutor(site, runner=runner, machine=machine, images=store)
 
 
 def kubernetes_executor(options: KubernetesOptions, *, runner: str, url: str, token: str) -> Executor:
@@ -125,11 +137,11 @@ def kubernetes_executor(options: KubernetesOptions, *, runner: str, url: str, to
 
 
 def _image_store(
-    choice: ImageChoice, policy: ImagePolicy, default_image: str, machine: Machine | None
+    choice: ImageChoice, policy: ImagePolicy, default_image: str, machine: Machine | None, *, has_namespaces: bool
 ) -> ImageStore | None:
     if choice is ImageChoice.off or machine is None:
         return None
-    has_namespaces, apptainer = process_sandbox.is_available(), find_apptainer()
+    apptainer = find_apptainer()
     if choice is ImageChoice.namespaces and not has_namespaces:
         raise InvalidInput(what="--images namespaces", reason="this kernel allows this user no namespaces")
     if choice is ImageChoice.apptainer and apptainer is None:

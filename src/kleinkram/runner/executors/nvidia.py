@@ -10,6 +10,8 @@ import subprocess
 from pathlib import Path
 
 VISIBLE = "CUDA_VISIBLE_DEVICES"
+# What Slurm sets for jobs without GPUs.
+NONE_VISIBLE = "NoDevFiles"
 # Where a job sees them.
 LIBRARIES = "/.nvidia/lib"
 PROGRAMS = "/.nvidia/bin"

@@ -136,7 +136,7 @@ class JobSupervisor:
         """Return the devices of the GPUs of the job: the runner's choice, or that of a cluster, which is made here."""
         job = self._job
         visible = os.environ.get(nvidia.VISIBLE, "") if job["gpus"] and not job["devices"] else ""
-        if not visible:
+        if visible in ("", nvidia.NONE_VISIBLE):
             return [Path(node) for node in job["devices"]]
         job["environment"][f"{job['variable_prefix']}{nvidia.VISIBLE}"] = visible
         return nvidia.devices(visible)

@@ -20,6 +20,7 @@ from kleinkram.contract.runs import EndReason, RunPlacement
 from kleinkram.environments.cache import EnvironmentCache
 from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors.base import Ending, RunJob, StoredResults, read_finish
+from kleinkram.runner.executors.gpus import Gpu
 from kleinkram.runner.executors.local import Machine, cannot_start
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.executors.slurm import node_job
@@ -48,6 +49,7 @@ from kleinkram.runner.executors.slurm.states import (
 )
 from kleinkram.runner.executors.supervision import CANCELLED, ENDING, GRACE_S, boot_time_s
 from kleinkram.runner.executors.transfer_steps import FINISH
+from kleinkram.runner.images.store import ImageStore
 from kleinkram.runner.input_cache import InputCache
 
 _LEASE_S = min(900, MAX_LEASE_S)
@@ -107,12 +109,13 @@ class SlurmExecutor(ProcessExecutor):
         runner: str = "local",
         machine: Machine | None = None,
         environments: EnvironmentCache | None = None,
+        images: ImageStore | None = None,
     ) -> None:
-        super().__init__(machine, environments)
+        super().__init__(machine, environments, images)
         self._site = site
         self._commands = site.commands
         self._options = site.options
-        self._is_isolated = site.node.is_isolated
+        self._is_isolated = self._apptainer is None and site.node.is_isolated
         self._python = site.options.python or sys.executable
         self._prefix = f"klein-{runner.replace('-', '')[:12]}-"
         self._queue = QueueMonitor(site.commands, self._prefix)
@@ -144,6 +147,14 @@ class SlurmExecutor(ProcessExecutor):
         """Return what a job may have: Slurm has the queue, whose length is bounded."""
         return self.capacity if job_count < self._options.max_jobs else None
 
+    def max_claimed(self, job_count: int) -> int:
+        """Return how many jobs may still be submitted."""
+        return max(1, self._options.max_jobs - job_count)
+
+    def _assign_gpus(self, job: RunJob, in_use: Collection[str] = ()) -> tuple[Gpu, ...]:
+        """Return none: Slurm gives GPUs to jobs, on their nodes."""
+        return ()
+
     def set_lease(self, job: RunJob, until_s: float, *, create: bool = False) -> None:
         """Write how long the job may go on from now; not each time, since hundreds of jobs share a file system."""
         remaining_s = until_s - boot_time_s()
@@ -170,6 +181,8 @@ class SlurmExecutor(ProcessExecutor):
             return None
         if submitted is None:
             return _LOST
+        # Of a job that an earlier runner process submitted.
+        self._use_image(job)
         if submitted.ending is None:
             self._update(job, submitted)
             submitted.ending = self._own_ending(job, submitted) or self._judge(job, submitted)

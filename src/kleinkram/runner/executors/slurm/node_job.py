@@ -18,7 +18,7 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-from kleinkram.runner.executors import process_sandbox, transfer_steps
+from kleinkram.runner.executors import nvidia, process_sandbox, transfer_steps
 from kleinkram.runner.executors.process_supervisor import JOB, JobSupervisor
 from kleinkram.runner.executors.slurm.shared_files import (
     NodeStart,
@@ -46,7 +46,6 @@ SUPERSEDED = ("superseded", "The directory belongs to a later start.")
 _READ_EVERY_S = 1.0
 _WAIT_EVERY_S = 0.1
 _GPU_VARIABLES = ("CUDA_VISIBLE_DEVICES", "ROCR_VISIBLE_DEVICES", "ZE_AFFINITY_MASK")
-_NO_DEVICES = "NoDevFiles"
 
 
 class SharedLease:
@@ -133,7 +132,7 @@ def _take_directory(directory: Path) -> str:
         token=uuid.uuid4().hex,
         node=os.environ.get("SLURMD_NODENAME") or socket.gethostname(),
         restarts=int(os.environ.get("SLURM_RESTART_COUNT", "0")),
-        gpus=[gpu for gpu in gpus.split(",") if gpu and gpu != _NO_DEVICES],
+        gpus=[gpu for gpu in gpus.split(",") if gpu and gpu != nvidia.NONE_VISIBLE],
     )
     is_restart = read_start(directory) is not None
     write_start(directory, start)
@@ -205,7 +204,11 @@ def run_job(directory: Path) -> None:
         return
     token = _take_directory(directory)
     job = json.loads((directory / JOB).read_text())
-    visible = {name: os.environ[name] for name in _GPU_VARIABLES if os.environ.get(name, _NO_DEVICES) != _NO_DEVICES}
+    visible = {
+        name: os.environ[name]
+        for name in _GPU_VARIABLES
+        if os.environ.get(name, nvidia.NONE_VISIBLE) != nvidia.NONE_VISIBLE
+    }
     job["environment"] |= visible
     lease = SharedLease(directory)
     reason = _wait_for_lease(directory, token, lease)
