@@ -1,6 +1,6 @@
 """Benchmark of the shared cache: 50 jobs need the same 1 GB, each with a process of its own, like on 50 compute nodes.
 
-What the store sends is counted at its process.
+What the store sends is counted at its process, in plain downloads of the same file: some stores pass bytes on inside.
 """
 
 import json
@@ -16,6 +16,7 @@ from typing import Any
 import psutil
 import urllib3
 
+from benchmarks.instance import klein
 from kleinkram.contract.runners import ClaimReply
 from kleinkram.runner.input_cache import InputCache
 from kleinkram.runner.node_transfers import order_transfers, read_status
@@ -47,6 +48,9 @@ def shared_inputs_row(
     os.utime(source, (time.time() - 3600, time.time() - 3600))
     mission_id = upload("shared", source)
     source.unlink()
+    sent_before = _sent_bytes(store)
+    klein("download", "-p", "bench", "-m", "shared", "--dest", str(folder / "plain"))
+    plain = _sent_bytes(store) - sent_before
     directories = _claim_runs(url, owner_token, mission_id, folder)
     sent_before, started = _sent_bytes(store), time.perf_counter()
     steps = [
@@ -60,9 +64,9 @@ def shared_inputs_row(
     fetched = sum(status.store_bytes for status in statuses if status is not None)
     return {
         "what": f"an input of {_BYTES / 1e9:g} GB for {_JOBS} jobs at once, by a shared cache",
-        "measured": f"{sent / 1e9:.3f} GB sent by the store, {fetched / 1e9:.3f} GB received by jobs",
+        "measured": f"sent {sent / plain:.3f} times by the store, {fetched / 1e9:.3f} GB received by all jobs together",
         "bar": "once",
-        "met": codes == [0] * _JOBS and sent < 1.05 * _BYTES and fetched == _BYTES and len(inodes) == 1,
+        "met": codes == [0] * _JOBS and sent < 1.05 * plain and fetched == _BYTES and len(inodes) == 1,
         "also": f"{took_s:.1f} s until all {_JOBS} had it",
     }
 
