@@ -52,7 +52,6 @@ from kleinkram.server.tables import (
     file,
     log_chunk,
     mission,
-    project,
     run,
     run_artifact,
     run_input,
@@ -82,36 +81,27 @@ class AssignedRun(NamedTuple):
     image_digest: str | None
     input_metadata: Metadata | None
     checks_sha256: bytes | None
-    progress: dict[str, Any] | None
-    placement: dict[str, Any] | None
-    usage: dict[str, Any] | None
-    samples: list[dict[str, Any]]
-    started_at: datetime.datetime | None
-    cancel_requested_at: datetime.datetime | None
     traceparent: str | None
     action_name: str
     pinned_digest: str | None
     version_number: int | None
     action_id: uuid.UUID | None
     project_id: uuid.UUID
-    is_deleted: bool
 
 
 async def lock_runs(db: Connection, condition: ColumnElement[bool], *, limit: int) -> list[AssignedRun]:
     """Return runs that meet a condition, in the order of their ids, locked until this transaction ends."""
     columns = (
-        *(run.c[name] for name in AssignedRun._fields[:18]),
+        *(run.c[name] for name in AssignedRun._fields[:12]),
         action_version.c.definition["name"].astext.label("action_name"),
         action_version.c.image_digest.label("pinned_digest"),
         action_version.c.number,
         action.c.id.label("action_id"),
         mission.c.project_id,
-        func.coalesce(mission.c.deleted_at, project.c.deleted_at).is_not(None).label("is_deleted"),
     )
     stmt = (
         select(*columns)
         .join_from(run, mission, mission.c.id == run.c.mission_id)
-        .join(project, project.c.id == mission.c.project_id)
         .join(action_version, action_version.c.id == run.c.version_id)
         .outerjoin(action, action.c.id == action_version.c.action_id)
         .where(condition)
@@ -328,17 +318,20 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
     if finish.image_digest is not None and row.image_digest is None:
         await pin_images(db, {row.version_id: finish.image_digest})
     verdict = verdict_of_report(finish.report) if finish.reason is EndReason.done else None
-    values = await store_report(db, run_id, finish.report) | {
+    values: dict[str, object] = await store_report(db, run_id, finish.report) | {
         "problems": problems[:200],
         "exit_code": finish.exit_code,
         "previews": [entry.model_dump(mode="json") for entry in finish.report.previews if entry.path in artifacts],
         "artifact_count": len(artifacts),
         "verdict": verdict and verdict.value,
         "image_digest": row.image_digest or finish.image_digest,
-        "samples": thinned(row.samples, finish.samples),
-        "placement": row.placement if finish.placement is None else finish.placement.model_dump(mode="json"),
-        "usage": row.usage if finish.usage is None else finish.usage.model_dump(mode="json"),
     }
+    for name, reported in (("placement", finish.placement), ("usage", finish.usage)):
+        if reported is not None:
+            values[name] = reported.model_dump(mode="json")
+    if finish.samples:
+        stored = (await db.execute(select(run.c.samples).where(run.c.id == run_id))).scalar_one()
+        values["samples"] = thinned(stored, finish.samples)
     state = await end_run(db, run_id, finish.reason, finish.message, **values)
     after: Metadata = {"reason": finish.reason.value, "artifacts": len(artifacts)}
     if verdict is not None:
