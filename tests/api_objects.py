@@ -112,6 +112,7 @@ def run_detail(state: RunState, **more: object) -> RunDetail:
         "input_bytes": 10,
         "artifact_count": 0,
         "priority": "normal",
+        "is_recorded": False,
         "check_counts": {},
         "finding_counts": {},
         "metric_count": 0,
