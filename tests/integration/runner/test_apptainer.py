@@ -143,6 +143,7 @@ def test_gpus_are_those_of_the_cluster(
 ) -> None:
     job = job_of(tmp_path, "true", network=Network.open, gpus=1)
     monkeypatch.setattr(executor, "_start_supervisor", lambda _: None)
+    monkeypatch.setattr(executor, "_assign_gpus", lambda _: ())
     executor.submit(job)
     # As a cluster starts it on a node.
     command = [sys.executable, "-I", "-m", process_supervisor.__name__, str(job.directory), "1"]
