@@ -179,6 +179,7 @@ class Runner:
         for thread in self._threads:
             if thread.ident is not None:
                 thread.join(_ENFORCE_EVERY_S)
+        self._executor.close()
         for connections in (self._api, self._heartbeat_api, self._store):
             connections.close()
 

@@ -203,7 +203,7 @@ def kubernetes_bench(request: pytest.FixtureRequest, folder: Path) -> Bench:
     options = KubernetesOptions(namespace=NAMESPACE, kubeconfig=cluster.kubeconfig())
 
     def again() -> KubernetesExecutor:
-        return KubernetesExecutor(
+        executor = KubernetesExecutor(
             connect(NAMESPACE, options.kubeconfig),
             options,
             runner="a-runner",
@@ -211,6 +211,8 @@ def kubernetes_bench(request: pytest.FixtureRequest, folder: Path) -> Bench:
             token="a-token",
             networks={Network.none, Network.open},
         )
+        request.addfinalizer(executor.close)
+        return executor
 
     return Bench(again(), folder, again, f"lab/python@sha256:{'0' * 64}", made=made)
 
@@ -221,6 +223,7 @@ def lent(executor: str, request: pytest.FixtureRequest, folder: Path) -> Iterato
     yield made
     for job in made.made:
         made.executor.remove(job)
+    made.executor.close()
 
 
 # Of this machine: they measure what a job uses, and give it the network `api` by port forwards.

@@ -240,6 +240,9 @@ class Executor(ABC):
     def remove_others(self, known_keys: Collection[str]) -> None:
         """Remove the jobs of this runner whose keys are not known."""
 
+    def close(self) -> None:  # noqa: B027  most have no threads
+        """End its threads; jobs go on."""
+
 
 def read_finish(directory: Path, attempt: int) -> RunFinish | None:
     """Return what the node of an attempt leaves to report; None where it has not uploaded all results."""

@@ -16,6 +16,7 @@ from kleinkram.contract.actions import (
     ActionFilter,
     ActionRead,
     ActionVersionRead,
+    ClusterRequest,
 )
 from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FieldProblem, Forbidden, InvalidRequest, NameTaken, NotFound
@@ -412,6 +413,8 @@ def definition_sha256(definition: ActionDefinition, *, is_to_lock: bool) -> byte
         document["lock"] = "the server's"
     # A definition that does not use them has the hash that it had before these fields existed.
     document["inputs"] = {name: value for name, value in document["inputs"].items() if value or name not in _ADDED}
+    if definition.cluster == ClusterRequest():
+        del document["cluster"]
     written = json.dumps(document, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(written.encode()).digest()
 

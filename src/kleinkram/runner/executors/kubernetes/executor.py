@@ -278,6 +278,14 @@ class KubernetesExecutor(Executor):
         (job.directory / _STOP_REASON).unlink(missing_ok=True)
         self._try_to_delete(job.key)
 
+    def close(self) -> None:
+        """End the watch and the copies of logs."""
+        self._watch.close()
+        with self._lock:
+            monitors = [*self._monitors.values()]
+        for monitor in monitors:
+            monitor.close()
+
     def remove_others(self, known_keys: Collection[str]) -> None:
         """Delete the Jobs, volumes and Secrets of this runner with other keys."""
         kinds: tuple[Kind, ...] = ("jobs", "persistentvolumeclaims")

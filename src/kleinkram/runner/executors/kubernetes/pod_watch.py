@@ -23,6 +23,7 @@ class PodWatch:
         self._changed = threading.Condition()
         self._is_current = False
         self._thread: threading.Thread | None = None
+        self._is_closed = False
 
     def start(self) -> None:
         """Begin to watch."""
@@ -52,9 +53,15 @@ class PodWatch:
         with self._changed:
             return self._changed.wait_for(condition, timeout_s)
 
+    def close(self) -> None:
+        """End the thread, once its request has ended."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify_all()
+
     def _run(self) -> None:
         pause_s = _RETRY_S
-        while True:
+        while not self._is_closed:
             try:
                 pods, version = self._cluster.list_pods(self._selector)
                 with self._changed:
@@ -62,19 +69,21 @@ class PodWatch:
                     self._is_current = True
                     self._changed.notify_all()
                 pause_s = _RETRY_S
-                while True:
+                while not self._is_closed:
                     version = self._follow(version)
             except ClusterError as error:  # noqa: PERF203  each round is a watch of a minute
                 if self._is_current and error.status != HTTPStatus.GONE:
                     _log.warning("the pods of runs are not watched; trying again: %s", error)
                 with self._changed:
                     self._is_current = False
-                    self._changed.wait(pause_s)
+                    self._changed.wait_for(lambda: self._is_closed, pause_s)
                 pause_s = min(2 * pause_s, _MAX_RETRY_S)
 
     def _follow(self, version: str) -> str:
         """Apply changes after a version until the watch ends, and return the last one."""
         for event in self._cluster.watch_pods(self._selector, version):
+            if self._is_closed:
+                break
             version, pod = event.version or version, event.pod
             if pod is None:
                 continue

@@ -283,6 +283,10 @@ class SlurmExecutor(ProcessExecutor):
         self._queue.forget(name)
         self._jobs.pop(job.key, None)
 
+    def close(self) -> None:
+        """End the thread that asks for the queue."""
+        self._queue.close()
+
     def remove_others(self, known_keys: Collection[str]) -> None:
         """Kill the jobs of this runner that are not known, once Slurm answers."""
         self._queue.kill_others(known_keys)

@@ -44,6 +44,7 @@ class QueueMonitor:
         self._has_work = threading.Event()
         self._has_answer = threading.Condition()
         self._thread: threading.Thread | None = None
+        self._is_closed = False
 
     def watch(self, name: str) -> None:
         """Watch a job."""
@@ -106,10 +107,17 @@ class QueueMonitor:
                 self._thread = threading.Thread(target=self._run, name="slurm", daemon=True)
                 self._thread.start()
 
+    def close(self) -> None:
+        """End the thread."""
+        self._is_closed = True
+        self._has_work.set()
+
     def _run(self) -> None:
         while True:
             self._has_work.wait()
             self._has_work.clear()
+            if self._is_closed:
+                return
             queried_s = time.monotonic()
             self._ask()
             took_s = time.monotonic() - queried_s
