@@ -80,7 +80,7 @@ def test_a_removed_container_is_reported_lost_and_may_be_started_again(bench: Be
     until_logged_by(bench, LASTING, "ready\n")
     bench.executor.remove(job)
     next_one = bench.again()
-    ending = wait_for_end(next_one, job, timeout_s=0)
+    ending = wait_for_end(next_one, job, timeout_s=20)
     assert ending is not None
     assert ending.reason is EndReason.lost
     for path in job.directory.iterdir():

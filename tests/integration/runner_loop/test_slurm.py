@@ -88,6 +88,17 @@ def test_a_run_reads_inputs_and_leaves_artifacts(server: FakeServer, runners: Ru
     assert server.hellos[0].lease_s == 900
 
 
+# The packages that a runner imports.
+_IMPORTED = """
+import pathlib, sys
+import kleinkram.action, kleinkram.runner.__main__
+for module in [*sys.modules.values()]:
+    folder, found, name = (getattr(module, "__file__", None) or "").rpartition("site-packages/")
+    if found and not name.startswith(("kleinkram/", "_")):
+        print(pathlib.Path(folder + found, name.split("/")[0]))
+"""
+
+
 def python_of_everybody(folder: Path) -> str:
     """Return a Python with the packages of the tests that another user can run, or skip."""
     system = Path("/usr/bin/python3")
@@ -95,10 +106,14 @@ def python_of_everybody(folder: Path) -> str:
     if not system.exists() or system.resolve().name != version:
         missing("no Python that every user can run has the version of that of the tests")
     subprocess.run([system, "-m", "venv", "--without-pip", folder], check=True)
-    packages = [path for path in sys.path if path.endswith("site-packages")] + [
-        str(Path(kleinkram.__file__).parents[1])
-    ]
-    (folder / "lib" / version / "site-packages" / "tests.pth").write_text("\n".join(packages))
+    # Copied: those of the tests may be where only their user can read.
+    packages = folder / "lib" / version / "site-packages"
+    own = shutil.ignore_patterns("__pycache__", "built")
+    shutil.copytree(Path(kleinkram.__file__).parent, packages / "kleinkram", ignore=own)
+    listing = subprocess.run([sys.executable, "-c", _IMPORTED], check=True, capture_output=True, text=True).stdout
+    for path in {Path(line) for line in listing.splitlines()}:
+        copy = shutil.copytree if path.is_dir() else shutil.copyfile
+        copy(path, packages / path.name)
     return str(folder / "bin" / "python3")
 
 
