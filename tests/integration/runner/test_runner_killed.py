@@ -14,7 +14,7 @@ from kleinkram.runner import state_directory
 from kleinkram.runner.executors import process_supervisor
 from kleinkram.runner.executors.base import wait_for_end
 from kleinkram.runner.executors.docker.executor import DockerExecutor
-from tests.integration.runner.conftest import EVERYWHERE, Bench, log_of
+from tests.integration.runner.conftest import EVERYWHERE, LOCALLY_EVERYWHERE, Bench, log_of
 from tests.integration.runner.test_executors import LASTING, until_logged_by
 
 
@@ -72,7 +72,7 @@ def test_a_runner_killed_right_after_it_submitted_a_job_finds_it_again(
     assert (ending.reason, log_of(job)) == (EndReason.done, "once\n")
 
 
-@EVERYWHERE
+@LOCALLY_EVERYWHERE
 def test_a_removed_container_is_reported_lost_and_may_be_started_again(bench: Bench) -> None:
     """As by Ctrl-C: the next runner starts the run again and keeps its log, which is already in the store."""
     job = bench.job(LASTING)
@@ -80,7 +80,7 @@ def test_a_removed_container_is_reported_lost_and_may_be_started_again(bench: Be
     until_logged_by(bench, LASTING, "ready\n")
     bench.executor.remove(job)
     next_one = bench.again()
-    ending = wait_for_end(next_one, job, timeout_s=20)
+    ending = wait_for_end(next_one, job, timeout_s=0)
     assert ending is not None
     assert ending.reason is EndReason.lost
     for path in job.directory.iterdir():

@@ -79,6 +79,8 @@ class Runners:
         token_file = self.folder.with_name("token")
         token_file.touch(0o600)
         token_file.write_text(RUNNER_TOKEN)
+        if self.user is not None:
+            os.chown(token_file, self.user, self.user)
         arguments = Arguments(
             url=self.server.url,
             data_dir=self.folder,
