@@ -215,6 +215,21 @@ async def start_run(
         "traceparent": traces.traceparent(),
     }
     await db.execute(insert(run).values(id=run_id, **values, **(reused or {})))
+    await store_inputs(db, run_id, inputs)
+    await judge_again_for_run(db, run_id)
+    after: Metadata = {"version_id": str(task.version_id), "parameters": dict(task.parameters), "files": len(inputs)}
+    if task.priority is not RunPriority.normal:
+        after["priority"] = task.priority.value
+    if reused is not None:
+        after["reuses_id"] = str(reused["reuses_id"])
+    name = task.definition.name
+    event = Event("run.create", "run", run_id, name, target.project_id, after=after, mission_id=mission_id)
+    await audit(db, actor, event)
+    return await service.get_run(db, actor, run_id, weakest=task.runners.rule.weakest)
+
+
+async def store_inputs(db: Connection, run_id: uuid.UUID, inputs: Sequence[Input]) -> None:
+    """Store the inputs of a run as they are now; there is at least one."""
     rows = [
         {
             "run_id": run_id,
@@ -227,16 +242,6 @@ async def start_run(
         for entry in inputs
     ]
     await db.execute(insert(run_input), rows)
-    await judge_again_for_run(db, run_id)
-    after: Metadata = {"version_id": str(task.version_id), "parameters": dict(task.parameters), "files": len(inputs)}
-    if task.priority is not RunPriority.normal:
-        after["priority"] = task.priority.value
-    if reused is not None:
-        after["reuses_id"] = str(reused["reuses_id"])
-    name = task.definition.name
-    event = Event("run.create", "run", run_id, name, target.project_id, after=after, mission_id=mission_id)
-    await audit(db, actor, event)
-    return await service.get_run(db, actor, run_id, weakest=task.runners.rule.weakest)
 
 
 async def retry_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, force: bool, weakest: Isolation) -> RunRead:

@@ -22,16 +22,16 @@ from kleinkram.server.access.visible import visible_files
 from kleinkram.server.actions import service as actions
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.change_events import ChangeEvent, publish
-from kleinkram.server.db import Connection, among, insert_rows
+from kleinkram.server.db import Connection, among
 from kleinkram.server.jobs.rejudge import judge_again_for_run
 from kleinkram.server.missions import service as missions
 from kleinkram.server.quotas import project_of
 from kleinkram.server.recordings.derive import derive_again
 from kleinkram.server.runs import service
 from kleinkram.server.runs.declared_inputs import DeclaredInputs
-from kleinkram.server.runs.launch import Input, inputs_fingerprint
+from kleinkram.server.runs.launch import Input, inputs_fingerprint, store_inputs
 from kleinkram.server.runs.lifecycle import store_report
-from kleinkram.server.tables import DERIVED_ORIGIN, blob, file, run, run_artifact, run_input
+from kleinkram.server.tables import DERIVED_ORIGIN, blob, file, run, run_artifact
 
 
 async def record_run(db: Connection, actor: Actor, *, requested: RunRecord, weakest: Isolation) -> RunRead:
@@ -122,18 +122,7 @@ async def _check_outputs(db: Connection, actor: Actor, outputs: Sequence[Input])
 
 
 async def _store_files(db: Connection, run_id: uuid.UUID, inputs: Sequence[Input], outputs: Sequence[Input]) -> None:
-    rows = [
-        {
-            "run_id": run_id,
-            "path": entry.path,
-            "size_bytes": entry.size_bytes,
-            "sha256": entry.sha256,
-            "blob_id": entry.blob_id,
-            "file_id": entry.id,
-        }
-        for entry in inputs
-    ]
-    await db.execute(insert_rows(run_input, rows))
+    await store_inputs(db, run_id, inputs)
     if outputs:
         made = [
             {
