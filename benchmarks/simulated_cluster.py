@@ -1,6 +1,7 @@
 """A runner whose jobs are simulated: it speaks the protocol as the runner of a login node does, and executes nothing.
 
-Its jobs wait in a queue and run for as long as those of a cluster could; then they leave a log and one small file.
+Its jobs wait in a queue and run for as long as those of a cluster could; then they leave a log,
+and perhaps a small file.
 """
 
 import hashlib
@@ -10,7 +11,7 @@ import random
 import threading
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -23,23 +24,25 @@ from kleinkram.contract.actions import Network
 from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.runners import (
     HEARTBEAT_S,
-    LOG_PATH,
     MAX_CLAIMED,
+    MAX_RUNS,
     Capacity,
     ClaimRequest,
     ExecutorAbilities,
     Heartbeat,
     Heartbeats,
     InputsRequest,
-    LogChunkConfirm,
-    LogChunkCreate,
     RunAssignment,
+    RunAttempt,
+    RunEnd,
     RunFinish,
     RunnerRegistration,
 )
 from kleinkram.contract.runs import EndReason, RunPlacement, RunState
 from kleinkram.contract.uploads import PartToSign, UploadFile, UploadFinish, UploadRequired, crc64nvme
 
+# How long a runner with many runs collects their ends.
+_REPORT_EVERY_S = 0.5
 # How long the cluster takes to start a job, and to run it, in seconds.
 _PENDING_S, _RUNNING_S = (0.5, 5.0), (10.0, 30.0)
 _THREADS = 16
@@ -81,7 +84,8 @@ class SimulatedCluster:
         self._due: list[tuple[float, int, Callable[[_Job], None], _Job]] = []
         self._order = itertools.count()
         self._random = random.Random(28)
-        self._has_inputs = False
+        self._ended: list[_Job] = []
+        self._has_inputs = self._with_files = False
         self._is_over = threading.Event()
         self._errors: list[BaseException] = []
         self.requests = 0
@@ -100,17 +104,22 @@ class SimulatedCluster:
             )
         )
 
-    def run(self, runs: int) -> None:
-        """Claim so many runs, and take them to their ends."""
+    def run(self, runs: int, *, with_files: bool = False) -> None:
+        """Claim so many runs, and take them to their ends; `with_files`, each leaves a small file."""
+        self._with_files = with_files
+        self._is_over.clear()
         heartbeats = threading.Thread(target=self._send_heartbeats)
         heartbeats.start()
-        claimed = 0
+        claimed, report_at_s = 0, 0.0
         try:
             with ThreadPoolExecutor(_THREADS) as pool:
                 while (claimed < runs or self._active) and not self._errors:
                     if claimed < runs and len(self._active) < self._at_once:
                         claimed += self._claim(min(self._at_once - len(self._active), runs - claimed))
                     self._go_on(pool)
+                    if time.monotonic() >= report_at_s:
+                        self._report_ends()
+                        report_at_s = time.monotonic() + _REPORT_EVERY_S
                     time.sleep(0.02)
         finally:
             self._is_over.set()
@@ -121,13 +130,12 @@ class SimulatedCluster:
     def _claim(self, count: int) -> int:
         request = ClaimRequest(free=_ROOM, max_runs=min(count, MAX_CLAIMED), active_run_ids=[*self._active])
         self._count()
-        assignments = self._runners.claim(self._id, request)
-        for assignment in assignments:
-            job = _Job(assignment, next(self._order))
-            with self._lock:
-                self._active[assignment.run_id] = job
-            self._later(0, self._prepare, job)
-        return len(assignments)
+        jobs = [_Job(assignment, next(self._order)) for assignment in self._runners.claim(self._id, request)]
+        with self._lock:
+            self._active |= {job.assignment.run_id: job for job in jobs}
+        if jobs:
+            self._prepare(jobs)
+        return len(jobs)
 
     def _go_on(self, pool: ThreadPoolExecutor) -> None:
         """Have jobs whose time has come do their next step."""
@@ -150,42 +158,58 @@ class SimulatedCluster:
         with self._lock:
             self.requests += requests
 
-    def _prepare(self, job: _Job) -> None:
-        run_id, attempt = job.assignment.run_id, job.assignment.attempt
+    def _prepare(self, jobs: Sequence[_Job]) -> None:
         self._count()
-        self._runners.get_context(run_id, attempt)
+        attempts = [RunAttempt(run_id=job.assignment.run_id, attempt=job.assignment.attempt) for job in jobs]
+        self._runners.get_contexts(self._id, attempts)
         if not self._has_inputs:
             # Afterwards all are in the cache that nodes share.
             self._has_inputs = True
             self._count()
-            paths = [entry.path for entry in job.assignment.inputs]
-            self._runners.sign_inputs(run_id, InputsRequest(attempt=attempt, paths=paths))
-        self._later(self._random.uniform(*_PENDING_S), self._start, job)
+            first = jobs[0].assignment
+            paths = [entry.path for entry in first.inputs]
+            self._runners.sign_inputs(first.run_id, InputsRequest(attempt=first.attempt, paths=paths))
+        for job in jobs:
+            self._later(self._random.uniform(*_PENDING_S), self._start, job)
 
     def _start(self, job: _Job) -> None:
         job.state = RunState.running
-        self._later(self._random.uniform(*_RUNNING_S), self._end, job)
+        self._later(self._random.uniform(*_RUNNING_S), self._collect, job)
 
-    def _end(self, job: _Job) -> None:
+    def _collect(self, job: _Job) -> None:
         job.state = RunState.collecting
-        run_id, attempt = job.assignment.run_id, job.assignment.attempt
-        chunk = LogChunkCreate(
-            attempt=attempt,
-            offset=0,
-            size_bytes=len(_LOG),
-            sha256=hashlib.sha256(_LOG).hexdigest(),
-            crc64nvme=f"{crc64nvme(_LOG):016x}",
-            md5=hashlib.md5(_LOG, usedforsecurity=False).hexdigest(),
-        )
-        upload = self._runners.create_log_chunk(run_id, chunk)
-        self._store.put(upload.url, upload.headers, len(_LOG), [_LOG])
-        self._runners.confirm_log_chunk(run_id, LogChunkConfirm(attempt=attempt, offset=0, size_bytes=len(_LOG)))
-        self._upload(run_id, self._runners.uploads(attempt), {LOG_PATH: _LOG, "metrics.csv": _ARTIFACT})
-        finish = RunFinish(attempt=attempt, reason=EndReason.done, message="The command returned 0.", exit_code=0)
-        self._runners.finish(run_id, finish)
-        self._count(6)
+        if self._with_files:
+            uploads = self._runners.uploads(job.assignment.attempt)
+            self._upload(job.assignment.run_id, uploads, {"metrics.csv": _ARTIFACT})
+            self._count(3)
         with self._lock:
-            del self._active[run_id]
+            self._ended.append(job)
+
+    def _report_ends(self) -> None:
+        """Report what ended, as a runner with many runs does."""
+        with self._lock:
+            jobs, self._ended = self._ended[:MAX_RUNS], self._ended[MAX_RUNS:]
+        if not jobs:
+            return
+        ends = [
+            RunEnd(
+                run_id=job.assignment.run_id,
+                finish=RunFinish(
+                    attempt=job.assignment.attempt,
+                    reason=EndReason.done,
+                    message="The command returned 0.",
+                    exit_code=0,
+                    log=_LOG,
+                ),
+            )
+            for job in jobs
+        ]
+        self._count()
+        if None in self._runners.finish_all(self._id, ends):
+            raise SystemExit("the end of a run was not recorded")
+        with self._lock:
+            for job in jobs:
+                del self._active[job.assignment.run_id]
 
     def _upload(self, run_id: uuid.UUID, uploads: Uploads, files: dict[str, bytes]) -> None:
         announced = [

@@ -390,6 +390,13 @@ class Runners(ApiResource):
         """Return the content of `/in/mission.json`."""
         return self._api.get(f"/runner/runs/{run_id}/context", runs.RunContext, [("attempt", str(attempt))])
 
+    def get_contexts(
+        self, runner_id: uuid.UUID, requested: Sequence[runners.RunAttempt]
+    ) -> Sequence[runs.RunContext | None]:
+        """Return the contents of `/in/mission.json` of at most `MAX_RUNS` runs; None for runs that are not its own."""
+        body = runners.ContextsRequest(runs=[*requested])
+        return self._api.repeat(f"/runners/{runner_id}/contexts", runners.RunContexts, body).contexts
+
     def sign_inputs(self, run_id: uuid.UUID, request: runners.InputsRequest) -> runners.InputUrls:
         """Return URLs of inputs."""
         return self._api.repeat(f"/runner/runs/{run_id}/inputs", runners.InputUrls, request)
@@ -409,6 +416,11 @@ class Runners(ApiResource):
     def finish(self, run_id: uuid.UUID, finish: runners.RunFinish) -> runners.RunFinished:
         """Report the end of a run."""
         return self._api.repeat(f"/runner/runs/{run_id}/finish", runners.RunFinished, finish)
+
+    def finish_all(self, runner_id: uuid.UUID, ends: Sequence[runners.RunEnd]) -> Sequence[runs.RunState | None]:
+        """Report the ends of at most `MAX_RUNS` runs; return their states, None for runs that are not its own."""
+        body = runners.RunEnds(ends=[*ends])
+        return self._api.repeat(f"/runners/{runner_id}/ends", runners.RunEndsRecorded, body).states
 
 
 class ArtifactUploads(Uploads):

@@ -3,12 +3,13 @@
 Every request about a run carries the attempt number of the runner's lease and is refused once that is outdated.
 """
 
+import base64
 import datetime
 import enum
 import uuid
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema
 
 from kleinkram.contract.actions import ClusterRequest, Network, ParameterValues, Resources
 from kleinkram.contract.base import Request, Response
@@ -16,7 +17,7 @@ from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.names import Label
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.reports import Progress, Report
-from kleinkram.contract.runs import ActionRef, EndReason, RunPlacement, RunState, Usage, UsageSample
+from kleinkram.contract.runs import ActionRef, EndReason, RunContext, RunPlacement, RunState, Usage, UsageSample
 from kleinkram.contract.uploads import Crc64, Sha256, UploadFile
 
 # The usual length of a lease, by the database's clock; every heartbeat renews it.
@@ -28,10 +29,27 @@ HEARTBEAT_S = 2.0
 MAX_WAIT_S = 25
 # The most runs that one claim assigns.
 MAX_CLAIMED = 100
-# The path under which a runner uploads the complete log of a run; no artifact can have it.
+# The most runs whose contexts are requested, or whose ends are reported, at once.
+MAX_RUNS = 100
+# A log of at most this size is part of the report of the end of its run.
+SMALL_LOG_BYTES = 32 * 1024
+# The path under which a runner uploads the complete log of a run, unless it is small; no artifact can have it.
 LOG_PATH = ".kleinkram/log"
 
 Attempt = Annotated[int, Field(ge=1, lt=2**31)]
+
+
+def _from_base64(value: object) -> object:
+    return base64.b64decode(value, validate=True) if isinstance(value, str) else value
+
+
+SmallLog = Annotated[
+    bytes,
+    Field(max_length=SMALL_LOG_BYTES),
+    BeforeValidator(_from_base64),
+    PlainSerializer(lambda value: base64.b64encode(value).decode(), when_used="json"),
+    WithJsonSchema({"type": "string", "contentEncoding": "base64", "maxLength": 4 * (SMALL_LOG_BYTES // 3 + 1)}),
+]
 
 
 class ExecutorAbilities(Response):
@@ -254,7 +272,10 @@ class ArtifactUploadsCreate(Request):
 
 
 class RunFinish(Request):
-    """How a run ended, sent once its artifacts are uploaded. Idempotent."""
+    """How a run ended, sent once its artifacts are uploaded. Idempotent.
+
+    `log`: the complete log, if it is small and was not uploaded.
+    """
 
     attempt: Attempt
     reason: EndReason
@@ -266,9 +287,48 @@ class RunFinish(Request):
     placement: RunPlacement | None = None
     usage: Usage | None = None
     samples: Annotated[list[UsageSample], Field(max_length=100)] = []
+    log: SmallLog | None = None
 
 
 class RunFinished(Response):
     """The final state of a run."""
 
     state: RunState
+
+
+class RunEnd(Request):
+    """The end of one of several runs."""
+
+    run_id: uuid.UUID
+    finish: RunFinish
+
+
+class RunEnds(Request):
+    """The ends of several runs of a runner."""
+
+    ends: Annotated[list[RunEnd], Field(min_length=1, max_length=MAX_RUNS)]
+
+
+class RunEndsRecorded(Response):
+    """The final states of runs, in the order sent; null for a run that the runner does not have by this attempt."""
+
+    states: list[RunState | None]
+
+
+class RunAttempt(Request):
+    """A run, and the attempt of the runner's lease."""
+
+    run_id: uuid.UUID
+    attempt: Attempt
+
+
+class ContextsRequest(Request):
+    """Runs whose contexts are requested."""
+
+    runs: Annotated[list[RunAttempt], Field(min_length=1, max_length=MAX_RUNS)]
+
+
+class RunContexts(Response):
+    """The contents of `/in/mission.json`, in the order requested; null for a run that the runner does not have."""
+
+    contexts: list[RunContext | None]

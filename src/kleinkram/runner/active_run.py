@@ -410,7 +410,7 @@ class ActiveRun:
             "samples": self._samples[:_MAX_SAMPLES],
             "image_digest": digest,
         }
-        upload.report(finish.model_copy(update=changes))
+        upload.report(finish.model_copy(update=changes), self._context.requests)
         self._context.statistics.count_end(finish.reason)
 
     def _set_state(self, state: RunState) -> None:

@@ -103,7 +103,7 @@ def place_run_inputs(context: RunnerContext, source: "InputDownload", directory:
             placed_bytes = sum(file.size_bytes for file in {*files.values()})
             context.statistics.count_inputs("store", source.fetched_bytes)
             context.statistics.count_inputs("cache", placed_bytes - source.fetched_bytes)
-        run_context = context.runners.get_context(assignment.run_id, assignment.attempt)
+        run_context = context.requests.get_context(assignment.run_id, assignment.attempt)
         trusted = os.environ.get("SSL_CERT_FILE") if assignment.network is Network.api else None
         write_context(directory, run_context, assignment.script, Path(trusted).read_text() if trusted else None)
         return context.service.get().store_url if assignment.network is Network.api else ""

@@ -31,6 +31,7 @@ from kleinkram.runner.input_cache import InputCache, InputFile, InputSource, pla
 from kleinkram.runner.inputs import InputDownload, place_run_inputs
 from kleinkram.runner.logs import Redactor
 from kleinkram.runner.results import JobOutput, ResultUpload
+from kleinkram.runner.run_requests import RunRequests
 from kleinkram.runner.state_directory import RunnerContext, StopSignal, remove_tree
 
 _TERMINATION_LOG = Path("/dev/termination-log")
@@ -109,11 +110,12 @@ def _is_reachable(host: str, port: str) -> bool:
 @contextlib.contextmanager
 def _context(order: PodOrder, executor: VolumeExecutor) -> Iterator[RunnerContext]:
     api = Api(Endpoint("runner", order.url, order.token, EndpointSource.argument))
-    storage = StoreClient(_CONNECTIONS)
+    runners, storage = Runners(api), StoreClient(_CONNECTIONS)
     try:
         yield RunnerContext(
             executor=executor,
-            runners=Runners(api),
+            runners=runners,
+            requests=RunRequests(runners),
             store=storage,
             url=order.url,
             token=order.token,

@@ -91,6 +91,7 @@ class LogUpload:
         self._executor = context.executor
         self._runners = context.runners.with_retry(_RETRY_S, self._wait)
         self._store = context.store
+        self._every_s = context.log_every_s
         self._assignment = attempt.state.assignment
         self._path = attempt.directory / LOG_UPLOAD
         self._redactor = redactor
@@ -121,6 +122,7 @@ class LogUpload:
 
     def _upload(self, job: RunJob) -> None:
         try:
+            self._is_complete.wait(self._first_s())
             while True:
                 self._wait(0)
                 is_complete = self._is_complete.is_set()
@@ -129,7 +131,7 @@ class LogUpload:
                     self._wait(_EVERY_S)
                 size_bytes = self._upload_chunk(job, is_complete=is_complete)
                 if not is_complete and size_bytes < _CHUNK_BYTES // 2:
-                    self._is_complete.wait(_EVERY_S if size_bytes else _CHECK_EVERY_S)
+                    self._is_complete.wait(max(_EVERY_S, self._every_s()) if size_bytes else _CHECK_EVERY_S)
                 if is_complete and size_bytes == 0:
                     return
         except (_Closed, RunGone):
@@ -137,6 +139,10 @@ class LogUpload:
         except OSError as error:
             # The log then appears once the run has ended.
             _log.error("the log of the run %s is not uploaded any more: %s", self._assignment.run_id, error)
+
+    def _first_s(self) -> float:
+        """Return when to look for the first output, in seconds: at once, unless the runner has many runs."""
+        return self._every_s() if self._every_s() > _EVERY_S else 0
 
     def _upload_chunk(self, job: RunJob, *, is_complete: bool) -> int:
         """Upload the next chunk, and return its size; 0 where there is none yet."""

@@ -37,6 +37,7 @@ from kleinkram.runner import state_directory as runner_state
 from kleinkram.runner.active_run import ActiveRun
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.supervision import boot_time_s
+from kleinkram.runner.run_requests import RunRequests
 from kleinkram.runner.state_directory import LEASE_MARGIN_S, Attempt, Lease, RunnerContext, StateDirectory, StopRequest
 from kleinkram.runner.statistics import RunnerStatistics
 from kleinkram.systemd import Watchdog, notify_ready, notify_status, notify_stopping
@@ -50,6 +51,9 @@ _REFUSED_RETRY_S = 15.0
 # How long the runs of an earlier process continue without a confirmation of their leases by the server.
 _CONFIRMATION_S = 5.0
 _DETACH_S = 3.0
+# With more runs, requests about them are combined, and each uploads its log less often.
+_MANY_RUNS = 10
+_LOG_PARTS_PER_S = 10.0
 _STORE_CONNECTIONS = 8
 _DEFAULT_IMAGE_RETRY_S = 300.0
 # A thread without progress for this long hangs: longer than any request with its retries.
@@ -103,6 +107,7 @@ class Runner:
         self._context = RunnerContext(
             executor=executor,
             runners=self._runners,
+            requests=RunRequests(self._runners, state.runner_id, lambda: self.active_count > _MANY_RUNS),
             store=self._store,
             url=options.url,
             token=options.token,
@@ -111,6 +116,7 @@ class Runner:
             default_image=options.default_image,
             on_change=self._has_changes.set,
             statistics=self.statistics,
+            log_every_s=lambda: self.active_count / _LOG_PARTS_PER_S,
         )
 
     def run(self, *, once: bool = False) -> None:

@@ -7,7 +7,6 @@ import contextlib
 import datetime
 import json
 import logging
-import math
 import os
 import stat
 from collections import deque
@@ -31,11 +30,12 @@ from kleinkram.contract.checks import MAX_CHECKS, WORST_FIRST, Check, CheckStatu
 from kleinkram.contract.metadata import check_values
 from kleinkram.contract.names import check_file_path
 from kleinkram.contract.problems import first_message
-from kleinkram.contract.runners import LOG_PATH, RunAssignment, RunFinish
+from kleinkram.contract.runners import LOG_PATH, SMALL_LOG_BYTES, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import Ending
 from kleinkram.runner.executors.supervision import DISK_FULL
 from kleinkram.runner.logs import ReadLog, Redactor, write_redacted_log
+from kleinkram.runner.run_requests import RunRequests
 from kleinkram.runner.state_directory import StopSignal
 
 MAX_ARTIFACTS = 100_000
@@ -423,7 +423,7 @@ class ResultUpload:
         if ending.reason is EndReason.cancelled and results.artifacts:
             problems.append(f"It was cancelled: its {len(results.artifacts)} files were not stored.")
             results.artifacts.clear()
-        files = self._log_file()
+        small_log, files = self._log()
         rejected: list[RejectedFile] = []
         for artifact in results.artifacts:
             source = out / artifact.path
@@ -435,22 +435,26 @@ class ResultUpload:
         problems += map(_problem, rejected)
         if ending.reason is EndReason.done and any(file.path != LOG_PATH for file in rejected):
             ending = Ending(EndReason.results_not_stored, problems[-1], ending.exit_code)
-        return self._finish_of(ending, results.final_report(ending.reason), problems)
+        finish = self._finish_of(ending, results.final_report(ending.reason), problems)
+        return finish.model_copy(update={"log": small_log})
 
     def with_log(self, finish: RunFinish) -> RunFinish:
-        """Upload the log alone, of a run whose results are stored, and return what to report. Raises as `upload`."""
-        log = self._log_file()
-        problems = [*finish.problems, *map(_problem, self._upload(log) if log else [])]
-        return finish.model_copy(update={"problems": problems[:_MAX_REPORTED_PROBLEMS]})
+        """Store the log alone, of a run whose results are stored, and return what to report. Raises as `upload`."""
+        small_log, files = self._log()
+        problems = [*finish.problems, *map(_problem, self._upload(files) if files else [])]
+        return finish.model_copy(update={"problems": problems[:_MAX_REPORTED_PROBLEMS], "log": small_log})
 
     def plain(self, ending: Ending) -> RunFinish:
         """Return what to report of a run without any results."""
         return self._finish_of(ending, reports.Report(), [])
 
-    def _log_file(self) -> list[LocalFile]:
+    def _log(self) -> tuple[bytes | None, list[LocalFile]]:
+        """Return the log if it is small, and otherwise the file to upload."""
         log = self._output.directory / _REDACTED_LOG
-        has_log = write_redacted_log(self._output.read_log, self._redactor, log)
-        return [LocalFile(log, LOG_PATH, identity_of(log.stat()))] if has_log else []
+        size_bytes = write_redacted_log(self._output.read_log, self._redactor, log)
+        if size_bytes <= SMALL_LOG_BYTES:
+            return log.read_bytes() or None, []
+        return None, [LocalFile(log, LOG_PATH, identity_of(log.stat()))]
 
     def without_results(self, ending: Ending) -> RunFinish:
         """Return what to report of a run that was cancelled while its results were uploaded."""
@@ -462,7 +466,7 @@ class ResultUpload:
         problem = "Its results were not stored, or not all of them: the disk of its runner is full."
         return self._finish_of(Ending.of(DISK_FULL), reports.Report(), [problem])
 
-    def report(self, finish: RunFinish) -> None:
+    def report(self, finish: RunFinish, requests: RunRequests) -> None:
         """Report the end to the server, for as long as that takes. A run whose report is refused fails.
 
         Raises:
@@ -474,7 +478,7 @@ class ResultUpload:
         run_id = self._assignment.run_id
         while True:
             try:
-                self._runners.with_retry(math.inf, self._stop.wait).finish(run_id, finish)
+                requests.finish(run_id, finish, self._stop.wait)
                 return
             except errors.RunGone:  # noqa: PERF203  (each round is a request)
                 raise

@@ -34,6 +34,7 @@ from kleinkram.contract.runners import RunAssignment
 from kleinkram.contract.runs import RunPlacement, RunState, Usage
 from kleinkram.runner.executors.base import Ending, Executor
 from kleinkram.runner.executors.supervision import LOG, boot_time_s, write_atomically, write_in_place
+from kleinkram.runner.run_requests import RunRequests
 from kleinkram.runner.statistics import RunnerStatistics
 
 LOG_UPLOAD = "log-upload.json"
@@ -202,10 +203,14 @@ def remove_tree(directory: Path) -> None:
 
 @dataclass(frozen=True)
 class RunnerContext:
-    """Context shared by all runs of a runner. `on_change` is called when the state of a run changes."""
+    """Context shared by all runs of a runner. `on_change` is called when the state of a run changes.
+
+    `log_every_s`: how often each run may upload a part of its log.
+    """
 
     executor: Executor
     runners: Runners
+    requests: RunRequests
     store: StoreClient
     url: str
     token: str
@@ -214,6 +219,7 @@ class RunnerContext:
     default_image: str | None
     on_change: Callable[[], None]
     statistics: RunnerStatistics = field(default_factory=RunnerStatistics)
+    log_every_s: Callable[[], float] = lambda: 0
 
 
 class StopRequest(str, enum.Enum):

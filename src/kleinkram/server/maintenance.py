@@ -14,7 +14,7 @@ from kleinkram.server.jobs.queue import Job, delete_failed_jobs, queue, requeue_
 from kleinkram.server.recordings.derive import derive_forgotten
 from kleinkram.server.runs.automatic import enqueue_automatic_runs
 from kleinkram.server.runs.lifecycle import cancel_orphans, requeue_lost_runs
-from kleinkram.server.tables import log_chunk, run
+from kleinkram.server.tables import log_chunk, run, run_log
 from kleinkram.server.tables.runs import ACTIVE
 from kleinkram.server.trash.service import empty_trash
 from kleinkram.server.uploads.jobs import delete_cleaned_uploads
@@ -38,18 +38,19 @@ async def maintain_runs(context: AppContext) -> None:
         await cancel_orphans(db)
     async with context.database.begin() as db:
         await enqueue_automatic_runs(db)
-    # Of logs that are stored as one blob, of earlier attempts or deleted runs, or never uploaded.
+    # Of logs that are stored as a whole, of earlier attempts or deleted runs, or never uploaded.
     has_ended = run.c.state.not_in(ACTIVE)
     never_uploaded = log_chunk.c.confirmed_at.is_(None) & (
         log_chunk.c.created_at < func.now() - text("interval '1 day'")
     )
     obsolete = or_(
         log_chunk.c.run_id.is_(None),
-        run.c.log_blob_id.is_not(None) & has_ended,
+        or_(run.c.log_blob_id.is_not(None), run_log.c.run_id.is_not(None)) & has_ended,
         has_ended & (log_chunk.c.attempt < run.c.attempt),
         never_uploaded,
     )
     stmt = select(log_chunk.c.key).outerjoin(run, run.c.id == log_chunk.c.run_id)
+    stmt = stmt.outerjoin(run_log, run_log.c.run_id == run.c.id)
     due = stmt.where(log_chunk.c.store_id == context.settings.store_id, obsolete).limit(_LOG_CHUNKS)
     async with context.database.begin() as db:
         if await garbage_collection.is_deletion_paused(db):

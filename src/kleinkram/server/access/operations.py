@@ -160,11 +160,13 @@ OPERATIONS: dict[str, Permission] = {
     "claim_run": _runner(),
     "send_heartbeats": _runner(),
     "get_run_context": _runner(),
+    "get_run_contexts": _runner(),
     "sign_inputs": _runner(),
     "create_log_chunk": _runner(),
     "confirm_log_chunk": _runner(),
     "create_artifact_uploads": _runner(),
     "finish_run": _runner(),
+    "finish_runs": _runner(),
     # Rights. Those who may change them see all; others see only their own.
     "list_project_grants": Permission(ResourceKind.project, Right.write, _READ),
     "list_mission_grants": Permission(ResourceKind.mission, Right.write, _READ),

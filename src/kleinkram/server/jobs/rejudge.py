@@ -75,10 +75,10 @@ def _lock_keys(project_ids: Collection[uuid.UUID]) -> list[int]:
     return sorted({int.from_bytes(project_id.bytes[:4], "big", signed=True) for project_id in project_ids})
 
 
-async def judge_again_for_run(db: Connection, run_id: uuid.UUID) -> None:
-    """Have the mission of a run judged if its project names the action of the run.
+async def judge_again_for_runs(db: Connection, run_ids: Collection[uuid.UUID]) -> None:
+    """Have the missions of runs judged whose project names the action of the run.
 
-    It locks the mission: see `judge_again`.
+    It locks the missions: see `judge_again`.
     """
     named = (
         select(mission.c.id)
@@ -89,8 +89,9 @@ async def judge_again_for_run(db: Connection, run_id: uuid.UUID) -> None:
             (project_action.c.action_id == action_version.c.action_id)
             & (project_action.c.project_id == mission.c.project_id),
         )
-        .where(run.c.id == run_id)
+        .where(among(run.c.id, run_ids))
+        .order_by(mission.c.id)
     )
-    mission_id = (await db.execute(named.with_for_update(of=mission, key_share=True))).scalar_one_or_none()
-    if mission_id is not None:
-        await judge_again(db, [mission_id])
+    mission_ids = (await db.execute(named.with_for_update(of=mission, key_share=True))).scalars().all()
+    if mission_ids:
+        await judge_again(db, {*mission_ids})

@@ -194,9 +194,9 @@ def mission_ref_row(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
     )
 
 
-def complete_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
-    """Return a visible mission as `to_missions` reads it."""
-    return mission_rows(actor, visible_missions(actor).where(mission.c.id == mission_id))
+def complete_missions(actor: Actor, mission_ids: Collection[uuid.UUID]) -> Select[Any]:
+    """Return those of some missions that are visible, as `to_missions` reads them."""
+    return mission_rows(actor, visible_missions(actor).where(among(mission.c.id, mission_ids)))
 
 
 def lock_projects_of(mission_ids: Collection[uuid.UUID]) -> Select[Any]:

@@ -85,10 +85,18 @@ async def get_mission_ref(db: Connection, actor: Actor, mission_id: uuid.UUID) -
 
 async def get_mission(db: Connection, actor: Actor, mission_id: uuid.UUID) -> MissionRead:
     """Return one mission with its totals. Raises NotFound."""
-    rows = (await db.execute(queries.complete_mission(actor, mission_id))).all()
-    if not rows:
+    visible = (await get_missions(db, actor, [mission_id])).get(mission_id)
+    if visible is None:
         raise NotFound(resource_type="mission", ref=str(mission_id))
-    return queries.to_missions(rows)[0]
+    return visible
+
+
+async def get_missions(
+    db: Connection, actor: Actor, mission_ids: Collection[uuid.UUID]
+) -> dict[uuid.UUID, MissionRead]:
+    """Return those of some missions that are visible by their ids, with their totals."""
+    rows = (await db.execute(queries.complete_missions(actor, mission_ids))).all()
+    return {one.id: one for one in queries.to_missions(rows)}
 
 
 async def list_missions(

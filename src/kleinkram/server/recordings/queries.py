@@ -1,7 +1,7 @@
 """Selects of recordings, and what their rows become; they touch no connection."""
 
 import uuid
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from sqlalchemy import ColumnElement, Row, Select, func, select
@@ -11,6 +11,7 @@ from kleinkram.contract.files import FileProblem, RecordingRead
 from kleinkram.recordings import group
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import shown_recordings, visible_missions
+from kleinkram.server.db import among
 from kleinkram.server.missions.queries import mission_ref
 from kleinkram.server.pagination import Order
 from kleinkram.server.tables import blob, file, mission, project, recording
@@ -38,9 +39,9 @@ def visible_recordings(actor: Actor) -> Select[Any]:
     return stmt.join(recording, recording.c.mission_id == mission.c.id).where(shown_recordings(actor))
 
 
-def recordings_of(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
-    """Return the recordings of one visible mission."""
-    return visible_recordings(actor).where(mission.c.id == mission_id)
+def recordings_of(actor: Actor, mission_ids: Collection[uuid.UUID]) -> Select[Any]:
+    """Return the recordings of visible missions."""
+    return visible_recordings(actor).where(among(mission.c.id, mission_ids))
 
 
 def recording_by_id(actor: Actor, recording_id: uuid.UUID) -> Select[Any]:

@@ -34,5 +34,5 @@ async def list_recordings(
         InvalidCursor: the cursor is not of this list.
     """
     await missions.get_mission_ref(db, actor, mission_id)
-    statement = queries.recordings_of(actor, mission_id)
+    statement = queries.recordings_of(actor, [mission_id])
     return await read_page(db, statement, queries.RECORDING_ORDER, page, queries.to_recording)

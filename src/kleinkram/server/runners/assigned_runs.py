@@ -11,7 +11,6 @@ from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.errors import Forbidden, NotFound, RunGone
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.reports import verdict_of_report
 from kleinkram.contract.runners import (
     ArtifactUploadsCreate,
     InputsRequest,
@@ -19,41 +18,25 @@ from kleinkram.contract.runners import (
     LogChunkConfirm,
     LogChunkCreate,
     LogChunkUpload,
-    RunFinish,
-    RunFinished,
 )
 from kleinkram.contract.runs import (
     LOG_BYTES,
     MAX_SAMPLES,
-    ActionRef,
-    Cause,
-    EndReason,
-    RunContext,
-    RunState,
     UsageSample,
 )
 from kleinkram.contract.uploads import ChecksumKind, UploadDecisions
-from kleinkram.server.access.actor import Actor, find_person
-from kleinkram.server.access.visible import visible_files
-from kleinkram.server.audit.log import Event, audit
+from kleinkram.server.access.actor import Actor
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
-from kleinkram.server.files import queries as files
-from kleinkram.server.missions import service as missions
-from kleinkram.server.recordings import queries as recordings
-from kleinkram.server.runs.declared_inputs import checks_at_launch, mission_at_launch, reference_at_launch
-from kleinkram.server.runs.lifecycle import EndedRun, RunArtifact, create_mission_files, end_run, store_report
 from kleinkram.server.s3.storage import PartTarget
 from kleinkram.server.tables import (
     action,
     action_version,
     blob,
-    file,
     log_chunk,
     mission,
     run,
-    run_artifact,
     run_input,
     runner,
 )
@@ -119,10 +102,16 @@ async def find_definitions(db: Connection, rows: Sequence[AssignedRun]) -> dict[
     return {one.id: ActionDefinition.model_validate(one.definition) for one in await db.execute(stmt)}
 
 
-def _is_of(actor: Actor, run_id: uuid.UUID, attempt: int) -> ColumnElement[bool]:
+async def lock_assigned_runs(db: Connection, actor: Actor, attempts: Mapping[uuid.UUID, int]) -> list[AssignedRun]:
+    """Return those runs of a runner that it has by these attempts, locked until this transaction ends."""
+    is_assigned = is_of_runner(actor) & run.c.state.in_(ASSIGNED)
+    rows = await lock_runs(db, among(run.c.id, attempts) & is_assigned, limit=len(attempts))
+    return [row for row in rows if row.attempt == attempts[row.id]]
+
+
+def is_of_runner(actor: Actor) -> ColumnElement[bool]:
     """Whether the last attempt at a run belongs to the runner of this token."""
-    is_own = run.c.runner_id.is_not(None) & (run.c.runner_id == actor.runner_id)
-    return (run.c.id == run_id) & (run.c.attempt == attempt) & is_own
+    return run.c.runner_id.is_not(None) & (run.c.runner_id == actor.runner_id)
 
 
 async def lock_assigned_run(db: Connection, actor: Actor, run_id: uuid.UUID, attempt: int) -> AssignedRun:
@@ -131,7 +120,7 @@ async def lock_assigned_run(db: Connection, actor: Actor, run_id: uuid.UUID, att
     Raises:
         RunGone: it does not have the run, or this attempt is outdated.
     """
-    rows = await lock_runs(db, _is_of(actor, run_id, attempt) & run.c.state.in_(ASSIGNED), limit=1)
+    rows = await lock_assigned_runs(db, actor, {run_id: attempt})
     if not rows:
         raise RunGone(run_id=str(run_id))
     return rows[0]
@@ -173,40 +162,6 @@ def thinned(stored: list[dict[str, Any]], new: Sequence[UsageSample]) -> list[di
     while len(samples) > MAX_SAMPLES:
         samples = [*samples[:-1:2], samples[-1]]
     return samples
-
-
-async def get_context(db: Connection, actor: Actor, *, run_id: uuid.UUID, attempt: int) -> RunContext:
-    """Return the content of `/in/mission.json`, with the files that still exist.
-
-    Raises:
-        RunGone: the runner does not have the run by this attempt.
-    """
-    row = await lock_assigned_run(db, actor, run_id, attempt)
-    starter = await find_person(db, row.started_by_id)
-    if starter is None:
-        raise RunGone(run_id=str(run_id))
-    try:
-        visible_mission = await missions.get_mission(db, starter, row.mission_id)
-    except NotFound:
-        raise RunGone(run_id=str(run_id)) from None
-    input_ids = select(run_input.c.file_id).where(run_input.c.run_id == run_id, run_input.c.file_id.is_not(None))
-    seen = visible_files(starter).where(file.c.id.in_(input_ids)).order_by(file.c.path)
-    topics = await db.execute(files.topic_rows(visible_files(starter).where(file.c.id.in_(input_ids))))
-    named = recordings.recordings_of(starter, row.mission_id)
-    definition = (await find_definitions(db, [row]))[row.version_id]
-    declared = definition.inputs
-    return RunContext(
-        run_id=run_id,
-        action=ActionRef(id=row.action_id, name=row.action_name, version=row.version_number),
-        parameters=row.parameters,
-        cause=Cause(person=starter.ref, retry_of_id=row.retry_of_id),
-        mission=mission_at_launch(declared, row.input_metadata, visible_mission),
-        files=files.to_files((await db.execute(files.file_rows(seen))).all()),
-        topics=files.to_topics(topics.all()),
-        recordings=[recordings.to_recording(entry) for entry in await db.execute(named)],
-        checks=await checks_at_launch(db, declared, row.project_id, row.checks_sha256),
-        reference=await reference_at_launch(db, declared, row.input_metadata, row.checks_sha256),
-    )
 
 
 async def sign_inputs(context: AppContext, actor: Actor, *, run_id: uuid.UUID, requested: InputsRequest) -> InputUrls:
@@ -292,50 +247,3 @@ async def create_artifact_uploads(
     owner = ArtifactOwner(run_id, row.mission_id, row.started_by_id)
     await finish_interrupted_artifacts(context, actor, run_id=run_id, paths=[entry.path for entry in requested.files])
     return UploadDecisions(items=await begin_artifacts(context, actor, owner=owner, requested=requested.files))
-
-
-async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish: RunFinish) -> RunFinished:
-    """Record the end of a run, with its report. Idempotent.
-
-    Raises:
-        RunGone: the runner does not have the run by this attempt, and did not end it.
-    """
-    try:
-        row = await lock_assigned_run(db, actor, run_id, finish.attempt)
-    except RunGone:
-        ended = select(run.c.state).where(_is_of(actor, run_id, finish.attempt), run.c.ended_at.is_not(None))
-        if (earlier := (await db.execute(ended)).scalar_one_or_none()) is None:
-            raise
-        return RunFinished(state=RunState(earlier))
-    problems = list(finish.problems)
-    columns = (run_artifact.c.id, run_artifact.c.path, run_artifact.c.blob_id, blob.c.size_bytes)
-    stmt = select(*columns).join_from(run_artifact, blob).where(run_artifact.c.run_id == run_id)
-    artifacts = {entry.path: RunArtifact._make(entry) for entry in await db.execute(stmt)}
-    if finish.reason is EndReason.done and finish.report.mission_files:
-        definition = (await find_definitions(db, [row]))[row.version_id]
-        ended_run = EndedRun(row.id, row.mission_id, row.project_id, row.started_by_id, definition)
-        problems += await create_mission_files(db, ended_run, finish.report.mission_files, artifacts)
-    if finish.image_digest is not None and row.image_digest is None:
-        await pin_images(db, {row.version_id: finish.image_digest})
-    verdict = verdict_of_report(finish.report) if finish.reason is EndReason.done else None
-    values: dict[str, object] = await store_report(db, run_id, finish.report) | {
-        "problems": problems[:200],
-        "exit_code": finish.exit_code,
-        "previews": [entry.model_dump(mode="json") for entry in finish.report.previews if entry.path in artifacts],
-        "artifact_count": len(artifacts),
-        "verdict": verdict and verdict.value,
-        "image_digest": row.image_digest or finish.image_digest,
-    }
-    for name, reported in (("placement", finish.placement), ("usage", finish.usage)):
-        if reported is not None:
-            values[name] = reported.model_dump(mode="json")
-    if finish.samples:
-        stored = (await db.execute(select(run.c.samples).where(run.c.id == run_id))).scalar_one()
-        values["samples"] = thinned(stored, finish.samples)
-    state = await end_run(db, run_id, finish.reason, finish.message, **values)
-    after: Metadata = {"reason": finish.reason.value, "artifacts": len(artifacts)}
-    if verdict is not None:
-        after["verdict"] = verdict.value
-    event = Event("run.end", "run", run_id, row.action_name, row.project_id, after=after, mission_id=row.mission_id)
-    await audit(db, actor, event)
-    return RunFinished(state=state)

@@ -12,8 +12,9 @@ from kleinkram.contract.uploads import UploadDecisions
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Transaction
 from kleinkram.server.http.middleware import mark_as_stream
 from kleinkram.server.pagination import PageQuery
-from kleinkram.server.runners import assigned_runs, service
+from kleinkram.server.runners import assigned_runs, ends, service
 from kleinkram.server.runners.claims import claim
+from kleinkram.server.runners.contexts import get_context, get_contexts
 from kleinkram.server.runners.heartbeats import record_heartbeats
 
 router = APIRouter(prefix="/api/v1", tags=["runners"])
@@ -57,10 +58,18 @@ async def send_heartbeats(
     return await record_heartbeats(db, actor, runner_id=runner_id, heartbeats=heartbeats)
 
 
+@router.post("/runners/{runner_id}/contexts", operation_id="get_run_contexts")
+async def get_run_contexts(
+    runner_id: uuid.UUID, requested: runners.ContextsRequest, db: Transaction, actor: CurrentActor
+) -> runners.RunContexts:
+    """Get the contents of `/in/mission.json` of several runs."""
+    return await get_contexts(db, actor, runner_id=runner_id, requested=requested.runs)
+
+
 @router.get("/runner/runs/{run_id}/context", operation_id="get_run_context")
 async def get_run_context(run_id: uuid.UUID, attempt: AttemptQuery, db: Transaction, actor: CurrentActor) -> RunContext:
     """Get the content of `/in/mission.json`."""
-    return await assigned_runs.get_context(db, actor, run_id=run_id, attempt=attempt)
+    return await get_context(db, actor, run_id=run_id, attempt=attempt)
 
 
 @router.post("/runner/runs/{run_id}/inputs", operation_id="sign_inputs")
@@ -97,7 +106,15 @@ async def create_artifact_uploads(
 
 @router.post("/runner/runs/{run_id}/finish", operation_id="finish_run")
 async def finish_run(
-    run_id: uuid.UUID, finish: runners.RunFinish, db: Transaction, actor: CurrentActor
+    run_id: uuid.UUID, finish: runners.RunFinish, context: CurrentContext, actor: CurrentActor
 ) -> runners.RunFinished:
     """Report the end of a run, once its artifacts are uploaded."""
-    return await assigned_runs.finish_run(db, actor, run_id=run_id, finish=finish)
+    return await ends.finish_run(context, actor, run_id=run_id, finish=finish)
+
+
+@router.post("/runners/{runner_id}/ends", operation_id="finish_runs")
+async def finish_runs(
+    runner_id: uuid.UUID, reported: runners.RunEnds, context: CurrentContext, actor: CurrentActor
+) -> runners.RunEndsRecorded:
+    """Report the ends of several runs, once their artifacts are uploaded."""
+    return await ends.finish_runs(context, actor, runner_id=runner_id, reported=reported.ends)

@@ -44,7 +44,7 @@ from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.filters.files import filter_files
-from kleinkram.server.jobs.rejudge import judge_again_for_run
+from kleinkram.server.jobs.rejudge import judge_again_for_runs
 from kleinkram.server.runs import service
 from kleinkram.server.runs.declared_inputs import DeclaredInputs, read_declared_inputs
 from kleinkram.server.runs.eligibility import ENVIRONMENTS_LABEL, KnownRunners, Needs, known_runners
@@ -216,7 +216,7 @@ async def start_run(
     }
     await db.execute(insert(run).values(id=run_id, **values, **(reused or {})))
     await store_inputs(db, run_id, inputs)
-    await judge_again_for_run(db, run_id)
+    await judge_again_for_runs(db, [run_id])
     after: Metadata = {"version_id": str(task.version_id), "parameters": dict(task.parameters), "files": len(inputs)}
     if task.priority is not RunPriority.normal:
         after["priority"] = task.priority.value

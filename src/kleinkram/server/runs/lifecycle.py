@@ -2,12 +2,12 @@
 
 import uuid
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from decimal import Decimal
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from sqlalchemy import delete, func, insert, or_, select, update
+from pydantic_core import to_json
+from sqlalchemy import delete, func, insert, or_, select, text, update
 
 from kleinkram.contract.access import Right
 from kleinkram.contract.actions import ActionDefinition
@@ -27,9 +27,9 @@ from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.blobs.service import enqueue_reading
 from kleinkram.server.change_events import ChangeEvent, publish
-from kleinkram.server.db import Connection
+from kleinkram.server.db import Connection, among
 from kleinkram.server.files.paths import check_path_free
-from kleinkram.server.jobs.rejudge import judge_again_for_run
+from kleinkram.server.jobs.rejudge import judge_again_for_runs
 from kleinkram.server.missions import service as missions
 from kleinkram.server.quotas import Amount, require_room
 from kleinkram.server.recordings.derive import derive_again
@@ -56,6 +56,30 @@ from kleinkram.server.tables.runs import ASSIGNED
 _MAX_REQUEUES = 2
 _BATCH = 500
 _REPORT_BATCH = 1000
+_END = text("""
+UPDATE run SET
+  state = ended.state, reason = ended.reason, message = ended.message, lease_ends_at = NULL, ended_at = now(),
+  exit_code = coalesce(ended.exit_code, run.exit_code),
+  image_digest = coalesce(run.image_digest, ended.image_digest),
+  verdict = coalesce(ended.verdict, run.verdict),
+  artifact_count = coalesce(ended.artifact_count, run.artifact_count),
+  metric_count = coalesce(ended.metric_count, run.metric_count),
+  check_counts = coalesce(ended.check_counts, run.check_counts),
+  finding_counts = coalesce(ended.finding_counts, run.finding_counts),
+  problems = coalesce(ended.problems, run.problems),
+  proposed = coalesce(ended.proposed, run.proposed),
+  previews = coalesce(ended.previews, run.previews),
+  placement = coalesce(ended.placement, run.placement),
+  usage = coalesce(ended.usage, run.usage),
+  samples = coalesce(ended.samples, run.samples)
+FROM jsonb_to_recordset(CAST(:ended AS jsonb)) AS ended(
+  id uuid, state text, reason text, message text, exit_code integer, image_digest text, verdict text,
+  artifact_count integer, metric_count integer, check_counts jsonb, finding_counts jsonb, problems jsonb,
+  proposed jsonb, previews jsonb, placement jsonb, usage jsonb, samples jsonb
+)
+WHERE run.id = ended.id
+RETURNING run.id, run.mission_id, run.state, run.reason, extract(epoch FROM now() - run.claimed_at) AS claimed_s
+""")
 
 
 async def cancel_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, weakest: Isolation) -> RunRead:
@@ -84,37 +108,61 @@ async def cancel_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, weakest
     return await service.get_run(db, actor, run_id, weakest=weakest)
 
 
-async def end_run(db: Connection, run_id: uuid.UUID, reason: EndReason, message: str, **values: object) -> RunState:
-    """Record the end of a run, and revoke its token and open uploads; the caller has locked it. Return its state."""
-    state = {EndReason.done: RunState.done, EndReason.cancelled: RunState.cancelled}.get(reason, RunState.failed)
-    values |= {"state": state.value, "reason": reason.value, "message": message, "lease_ends_at": None}
-    await _discard_attempt(db, run_id, keep_results=reason is not EndReason.lost)
-    claimed_s = await _update(db, run_id, ended_at=func.now(), **values)
-    metrics.RUNS_ENDED.labels(state.value, reason.value).inc()
-    if claimed_s is not None:
-        metrics.RUN_SECONDS.labels(state.value).observe(float(claimed_s))
-    return state
+@dataclass(frozen=True)
+class RunEnding:
+    """How a run ended. `values`: further columns of `_END`, as JSON has them."""
+
+    run_id: uuid.UUID
+    reason: EndReason
+    message: str
+    values: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def state(self) -> RunState:
+        """The final state of the run."""
+        return {EndReason.done: RunState.done, EndReason.cancelled: RunState.cancelled}.get(
+            self.reason, RunState.failed
+        )
 
 
-async def _update(db: Connection, run_id: uuid.UUID, **values: object) -> Decimal | None:
-    """Change a run; return the seconds since a runner claimed it, if one did."""
-    claimed_s = func.extract("epoch", func.now() - run.c.claimed_at)
-    stmt = update(run).where(run.c.id == run_id).values(**values).returning(run.c.mission_id, claimed_s)
-    mission_id: uuid.UUID
-    seconds: Decimal | None
-    mission_id, seconds = (await db.execute(stmt)).one()
-    await publish(db, [ChangeEvent("run", ChangeKind.changed, run_id, mission_id=mission_id)])
-    await judge_again_for_run(db, run_id)
-    return seconds
+async def end_runs(db: Connection, endings: Sequence[RunEnding]) -> None:
+    """Record the ends of runs, and revoke their tokens and open uploads; the caller has locked them."""
+    lost = {ending.run_id for ending in endings if ending.reason is EndReason.lost}
+    await _discard_attempts(db, [ending.run_id for ending in endings], without_results=lost)
+    ended = [
+        {
+            **ending.values,
+            "id": ending.run_id,
+            "state": ending.state.value,
+            "reason": ending.reason.value,
+            "message": ending.message,
+        }
+        for ending in endings
+    ]
+    rows = (await db.execute(_END, {"ended": to_json(ended).decode()})).all()
+    for row in rows:
+        metrics.RUNS_ENDED.labels(row.state, row.reason).inc()
+        if row.claimed_s is not None:
+            metrics.RUN_SECONDS.labels(row.state).observe(float(row.claimed_s))
+    await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id) for row in rows])
+    await judge_again_for_runs(db, [row.id for row in rows])
 
 
-async def _discard_attempt(db: Connection, run_id: uuid.UUID, *, keep_results: bool) -> None:
-    """Revoke the token of an attempt, abort its uploads, and delete its artifacts unless `keep_results`."""
-    await db.execute(update(token).where(token.c.run_id == run_id).values(revoked_at=func.now()))
-    open_uploads = (upload.c.run_id == run_id) & upload.c.state.in_(UNDER_WAY)
+async def end_run(db: Connection, run_id: uuid.UUID, reason: EndReason, message: str) -> None:
+    """Record the end of one run, as `end_runs` does."""
+    await end_runs(db, [RunEnding(run_id, reason, message)])
+
+
+async def _discard_attempts(
+    db: Connection, run_ids: Collection[uuid.UUID], *, without_results: Collection[uuid.UUID]
+) -> None:
+    """Revoke the tokens of attempts, abort their uploads, and delete their artifacts if they are `without_results`."""
+    tokens = among(token.c.run_id, run_ids) & token.c.revoked_at.is_(None)
+    await db.execute(update(token).where(tokens).values(revoked_at=func.now()))
+    open_uploads = among(upload.c.run_id, run_ids) & upload.c.state.in_(UNDER_WAY)
     await db.execute(update(upload).where(open_uploads).values(state=UploadState.aborted.value))
-    if not keep_results:
-        await db.execute(delete(run_artifact).where(run_artifact.c.run_id == run_id))
+    if without_results:
+        await db.execute(delete(run_artifact).where(among(run_artifact.c.run_id, without_results)))
 
 
 async def requeue_lost_runs(db: Connection) -> int:
@@ -125,7 +173,7 @@ async def requeue_lost_runs(db: Connection) -> int:
     alive = select(runner.c.id).where(runner.c.id == run.c.runner_id, is_alive()).exists()
     is_due = (run.c.lease_ends_at < func.now()) | (run.c.cancel_requested_at.is_not(None) & ~alive)
     expired = run.c.state.in_(ASSIGNED) & is_due
-    stmt = select(run.c.id, run.c.cancel_requested_at, run.c.lost_count).where(expired)
+    stmt = select(run.c.id, run.c.mission_id, run.c.cancel_requested_at, run.c.lost_count).where(expired)
     rows = (await db.execute(stmt.order_by(run.c.id).limit(_BATCH).with_for_update(skip_locked=True))).all()
     unassigned = dict.fromkeys(
         ("lease_ends_at", "runner_id", "isolation", "progress", "placement", "usage", "claimed_at", "started_at")
@@ -138,9 +186,11 @@ async def requeue_lost_runs(db: Connection) -> int:
             message = f"The runner that had it was lost, {times}. Check the logs of the runners, then retry it."
             await end_run(db, row.id, EndReason.lost, message)
         else:
-            await _discard_attempt(db, row.id, keep_results=False)
+            await _discard_attempts(db, [row.id], without_results=[row.id])
             queued = {"state": RunState.queued.value, "samples": [], "lost_count": row.lost_count + 1}
-            await _update(db, row.id, **queued, **unassigned)
+            await db.execute(update(run).where(run.c.id == row.id).values(**queued, **unassigned))
+            await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
+            await judge_again_for_runs(db, [row.id])
     return len(rows)
 
 
@@ -153,12 +203,20 @@ async def cancel_orphans(db: Connection) -> None:
         await end_run(db, run_id, EndReason.cancelled, "Its mission was deleted before it started.")
 
 
-async def store_report(db: Connection, run_id: uuid.UUID, report: Report) -> dict[str, object]:
-    """Store the checks, findings and metrics of a run; return the columns of the run that follow from its report."""
-    for table, entries in ((run_check, report.checks), (run_finding, report.findings), (run_metric, report.metrics)):
-        rows = [{"run_id": run_id, **entry.model_dump(mode="json")} for entry in entries]
+async def store_reports(db: Connection, reports: Mapping[uuid.UUID, Report]) -> None:
+    """Store the checks, findings and metrics of runs."""
+    for table, name in ((run_check, "checks"), (run_finding, "findings"), (run_metric, "metrics")):
+        rows = [
+            {"run_id": run_id, **entry.model_dump(mode="json")}
+            for run_id, report in reports.items()
+            for entry in getattr(report, name)
+        ]
         for first in range(0, len(rows), _REPORT_BATCH):
             await db.execute(insert(table), rows[first : first + _REPORT_BATCH])
+
+
+def report_columns(report: Report) -> dict[str, object]:
+    """Return the columns of a run that follow from its report."""
     statuses = Counter(entry.status.value for entry in report.checks)
     severities = Counter(entry.severity.value for entry in report.findings)
     return {

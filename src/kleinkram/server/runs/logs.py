@@ -13,7 +13,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.events.hub import EventFilter, Hub
 from kleinkram.server.runs import service
-from kleinkram.server.tables import blob, log_chunk, run
+from kleinkram.server.tables import blob, log_chunk, run, run_log
 from kleinkram.server.tables.runs import ACTIVE
 
 _CHUNK_BYTES = 2**20
@@ -23,7 +23,7 @@ _LOG_RESOURCE_TYPES = frozenset({"run", "run_log"})
 
 @dataclass(frozen=True)
 class _StoredChunk:
-    """The object with the bytes of a log at some offset."""
+    """Where the bytes of a log are at some offset: in an object, or, of a small log, here."""
 
     attempt: int
     is_over: bool
@@ -31,6 +31,7 @@ class _StoredChunk:
     key: str | None = None
     begin: int = 0
     length: int = 0
+    content: bytes | None = None
 
 
 async def read_log(
@@ -71,10 +72,12 @@ async def _read_now(context: AppContext, actor: Actor, run_id: uuid.UUID, offset
 
 async def _find(db: Connection, actor: Actor, run_id: uuid.UUID, offset: int) -> _StoredChunk:
     run_id = (await service.find_run(db, actor, run_id)).results_id
-    stmt = select(run.c.attempt, run.c.state, blob.c.key, blob.c.size_bytes)
-    joined = stmt.outerjoin(blob, blob.c.id == run.c.log_blob_id).where(run.c.id == run_id)
-    row = (await db.execute(joined)).one()
+    stmt = select(run.c.attempt, run.c.state, blob.c.key, blob.c.size_bytes, run_log.c.content)
+    joined = stmt.outerjoin(blob, blob.c.id == run.c.log_blob_id).outerjoin(run_log, run_log.c.run_id == run.c.id)
+    row = (await db.execute(joined.where(run.c.id == run_id))).one()
     is_over = row.state not in ACTIVE
+    if row.content is not None:
+        return _StoredChunk(row.attempt, is_over, len(row.content), content=row.content[offset:])
     if row.key is not None:
         left = max(0, row.size_bytes - offset)
         return _StoredChunk(row.attempt, is_over, row.size_bytes, row.key, offset, min(left, _CHUNK_BYTES))
@@ -94,7 +97,7 @@ async def _find(db: Connection, actor: Actor, run_id: uuid.UUID, offset: int) ->
 
 async def _read_chunk(context: AppContext, stored: _StoredChunk, offset: int) -> LogChunkRead | None:
     """Read a chunk; None where the store has no such object."""
-    data = b""
+    data = stored.content or b""
     if stored.key is not None and stored.length:
         try:
             data = await context.storage.read_range(stored.key, offset=stored.begin, size_bytes=stored.length)

@@ -23,14 +23,14 @@ from kleinkram.server.actions import service as actions
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection, among
-from kleinkram.server.jobs.rejudge import judge_again_for_run
+from kleinkram.server.jobs.rejudge import judge_again_for_runs
 from kleinkram.server.missions import service as missions
 from kleinkram.server.quotas import project_of
 from kleinkram.server.recordings.derive import derive_again
 from kleinkram.server.runs import service
 from kleinkram.server.runs.declared_inputs import DeclaredInputs
 from kleinkram.server.runs.launch import Input, inputs_fingerprint, store_inputs
-from kleinkram.server.runs.lifecycle import store_report
+from kleinkram.server.runs.lifecycle import report_columns, store_reports
 from kleinkram.server.tables import DERIVED_ORIGIN, blob, file, run, run_artifact
 
 
@@ -86,11 +86,12 @@ async def record_run(db: Connection, actor: Actor, *, requested: RunRecord, weak
         "ended_at": func.now(),
     }
     await db.execute(insert(run).values(id=run_id, **values))
-    await db.execute(update(run).where(run.c.id == run_id).values(await store_report(db, run_id, requested.report)))
+    await db.execute(update(run).where(run.c.id == run_id).values(report_columns(requested.report)))
+    await store_reports(db, {run_id: requested.report})
     await _store_files(db, run_id, inputs, outputs)
     if outputs:
         await derive_again(db, mission_id)
-    await judge_again_for_run(db, run_id)
+    await judge_again_for_runs(db, [run_id])
     await publish(db, [ChangeEvent("run", ChangeKind.created, run_id, mission_id=mission_id)])
     after: Metadata = {"version_id": str(version_id), "files": len(inputs), "artifacts": len(outputs)}
     event = Event("run.record", "run", run_id, requested.name, project_id, after=after, mission_id=mission_id)

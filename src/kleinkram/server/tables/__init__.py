@@ -41,6 +41,7 @@ from kleinkram.server.tables.runs import (
     run_check,
     run_finding,
     run_input,
+    run_log,
     run_metric,
     runner,
 )

@@ -315,6 +315,14 @@ automatic_run = sa.Table(
     sa.PrimaryKeyConstraint("mission_id", "version_id", "inputs_sha256"),
 )
 
+# Complete logs of ended runs that are small: they need no object in the store.
+run_log = sa.Table(
+    "run_log",
+    metadata,
+    sa.Column("run_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="CASCADE"), primary_key=True),
+    sa.Column("content", sa.LargeBinary, nullable=False),
+)
+
 # Chunks of logs in the store. Without a run, the objects and then the rows are deleted as garbage.
 log_chunk = sa.Table(
     "log_chunk",

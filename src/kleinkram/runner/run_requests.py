@@ -1,0 +1,118 @@
+"""Requests about single runs, which a runner with many runs combines: those of one moment become one request.
+
+Hundreds of short jobs start and end at a time on a cluster; then one request for all of them costs the server little
+more than one for each.
+"""
+
+import math
+import threading
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Generic, TypeVar
+
+from pydantic import BaseModel
+
+from kleinkram.client.runs import Runners
+from kleinkram.contract.errors import KleinkramError
+from kleinkram.contract.runners import MAX_RUNS, RunAttempt, RunEnd, RunFinish
+from kleinkram.contract.runs import RunContext
+
+ItemT = TypeVar("ItemT", bound=BaseModel)
+AnswerT = TypeVar("AnswerT")
+
+# How long a request waits for others to be sent with it.
+_CONTEXT_PAUSE_S, _FINISH_PAUSE_S = 0.05, 0.5
+# A larger report is sent alone: servers limit the size of requests.
+_MAX_ITEM_BYTES = 64 * 1024
+_MAX_REQUEST_BYTES = 2**20
+
+
+class RunRequests:
+    """Requests of one runner about its runs. Thread-safe. They are combined while `has_many` says so."""
+
+    def __init__(
+        self, runners: Runners, runner_id: uuid.UUID | None = None, has_many: Callable[[], bool] = lambda: False
+    ) -> None:
+        self._runners = runners
+        self._has_many = has_many
+        once = runners.with_retry(0, time.sleep)
+
+        def get_contexts(attempts: Sequence[RunAttempt]) -> Sequence[RunContext | None]:
+            return [] if runner_id is None else once.get_contexts(runner_id, attempts)
+
+        def finish(ends: Sequence[RunEnd]) -> Sequence[object]:
+            return [] if runner_id is None else once.finish_all(runner_id, ends)
+
+        self._contexts = _CombinedRequests(get_contexts, _CONTEXT_PAUSE_S)
+        self._ends = _CombinedRequests(finish, _FINISH_PAUSE_S)
+
+    def get_context(self, run_id: uuid.UUID, attempt: int) -> RunContext:
+        """Return the content of `/in/mission.json`.
+
+        Raises:
+            RunGone: the run is not this runner's.
+        """
+        context = None
+        if self._has_many():
+            context = self._contexts.send(RunAttempt(run_id=run_id, attempt=attempt))
+        # The answer of a request about it alone says what is wrong.
+        return context or self._runners.get_context(run_id, attempt)
+
+    def finish(self, run_id: uuid.UUID, finish: RunFinish, wait: Callable[[float], object]) -> None:
+        """Report the end of a run, for as long as that takes; `wait` waits between tries (seconds).
+
+        Raises:
+            RunGone: the run is not this runner's.
+            KleinkramError: the server does not accept it.
+        """
+        if not (self._has_many() and self._ends.send(RunEnd(run_id=run_id, finish=finish))):
+            self._runners.with_retry(math.inf, wait).finish(run_id, finish)
+
+
+class _CombinedRequests(Generic[ItemT, AnswerT]):
+    """Sends the items of several threads in one request: of that whose turn it is, while the others wait."""
+
+    def __init__(self, send: Callable[[Sequence[ItemT]], Sequence[AnswerT | None]], pause_s: float) -> None:
+        self._send = send
+        self._pause_s = pause_s
+        self._waiting: deque[_WaitingItem[ItemT, AnswerT]] = deque()
+        self._turn = threading.Lock()
+
+    def send(self, item: ItemT) -> AnswerT | None:
+        """Send an item, and return its answer; None where it is too large, or there is no answer."""
+        waiting = _WaitingItem[ItemT, AnswerT](item)
+        if waiting.size_bytes > _MAX_ITEM_BYTES:
+            return None
+        self._waiting.append(waiting)
+        with self._turn:
+            while not waiting.is_sent:
+                time.sleep(self._pause_s)
+                self._send_next()
+        return waiting.answer
+
+    def _send_next(self) -> None:
+        batch: list[_WaitingItem[ItemT, AnswerT]] = []
+        left_bytes = _MAX_REQUEST_BYTES
+        while self._waiting and len(batch) < MAX_RUNS and self._waiting[0].size_bytes <= left_bytes:
+            batch.append(self._waiting.popleft())
+            left_bytes -= batch[-1].size_bytes
+        try:
+            answers = self._send([one.item for one in batch])
+        except KleinkramError:
+            answers = []
+        for one in batch:
+            one.is_sent = True
+        for one, answer in zip(batch, answers, strict=False):
+            one.answer = answer
+
+
+class _WaitingItem(Generic[ItemT, AnswerT]):
+    """An item of a request, and its answer once `is_sent`."""
+
+    def __init__(self, item: ItemT) -> None:
+        self.item = item
+        self.size_bytes = len(item.model_dump_json())
+        self.is_sent = False
+        self.answer: AnswerT | None = None
