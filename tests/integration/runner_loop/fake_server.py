@@ -19,9 +19,11 @@ from kleinkram.contract.errors import InternalError, KleinkramError, NotFound, R
 from kleinkram.contract.people import ServiceRead
 from kleinkram.contract.runners import (
     LEASE_S,
+    LOG_PATH,
     ArtifactUploadsCreate,
     ClaimReply,
     ClaimRequest,
+    ContextsRequest,
     HeartbeatReplies,
     HeartbeatReply,
     Heartbeats,
@@ -32,6 +34,9 @@ from kleinkram.contract.runners import (
     LogChunkCreate,
     LogChunkUpload,
     RunAssignment,
+    RunContexts,
+    RunEnds,
+    RunEndsRecorded,
     RunFinish,
     RunFinished,
     RunnerRead,
@@ -129,6 +134,10 @@ class FakeServer:
         if name == "/runners/*/heartbeats":
             assert resource_type is not None
             return self._heartbeat(resource_type, Heartbeats.model_validate_json(body))
+        if name == "/runners/*/contexts":
+            return self._contexts(ContextsRequest.model_validate_json(body))
+        if name == "/runners/*/ends":
+            return self._ends(RunEnds.model_validate_json(body))
         if name == "/uploads/parts":
             return self.uploads.sign(PartsSign.model_validate_json(body))
         if name == "/uploads/complete":
@@ -140,17 +149,7 @@ class FakeServer:
 
     def _of_run(self, run: FakeRun, what: str, query: str, body: bytes) -> BaseModel | None:
         if what == "context":
-            self._check(run, int(query.removeprefix("attempt=")))
-            return RunContext(
-                run_id=run.claim.run_id,
-                action=run.claim.action,
-                parameters=run.claim.parameters,
-                cause=Cause(),
-                mission=a_mission(run.claim.mission_id, run.claim.project_id),
-                files=[],
-                topics=[],
-                recordings=[],
-            )
+            return self._context(run, int(query.removeprefix("attempt=")))
         if what == "inputs":
             requested = InputsRequest.model_validate_json(body)
             self._check(run, requested.attempt)
@@ -171,6 +170,37 @@ class FakeServer:
             self._check(run, begin.attempt)
             return self.uploads.begin(run, begin)
         return self._finish(run, RunFinish.model_validate_json(body))
+
+    def _context(self, run: FakeRun, attempt: int) -> RunContext:
+        self._check(run, attempt)
+        return RunContext(
+            run_id=run.claim.run_id,
+            action=run.claim.action,
+            parameters=run.claim.parameters,
+            cause=Cause(),
+            mission=a_mission(run.claim.mission_id, run.claim.project_id),
+            files=[],
+            topics=[],
+            recordings=[],
+        )
+
+    def _contexts(self, requested: ContextsRequest) -> RunContexts:
+        contexts: list[RunContext | None] = []
+        for one in requested.runs:
+            try:
+                contexts.append(self._context(self.runs[one.run_id], one.attempt))
+            except RunGone:  # noqa: PERF203
+                contexts.append(None)
+        return RunContexts(contexts=contexts)
+
+    def _ends(self, reported: RunEnds) -> RunEndsRecorded:
+        states: list[RunState | None] = []
+        for end in reported.ends:
+            try:
+                states.append(self._finish(self.runs[end.run_id], end.finish).state)
+            except RunGone:  # noqa: PERF203
+                states.append(None)
+        return RunEndsRecorded(states=states)
 
     def _service(self) -> ServiceRead:
         return ServiceRead(
@@ -248,6 +278,8 @@ class FakeServer:
         if self.report_refusal is not None and finish.report.metrics:
             raise self.report_refusal
         run.finishes.append(finish)
+        if finish.log is not None:
+            run.artifacts[LOG_PATH] = finish.log
         run.digest = finish.image_digest or run.digest
         ends = {EndReason.done: RunState.done, EndReason.cancelled: RunState.cancelled}
         run.state = ends.get(finish.reason, RunState.failed)

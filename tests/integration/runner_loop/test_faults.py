@@ -291,9 +291,9 @@ def test_a_run_that_exceeds_the_disk_reports_it(server: FakeServer, runners: Run
 def test_requests_are_repeated_while_the_server_fails(server: FakeServer, runners: Runners) -> None:
     server.fails = {"/runner/runs/*/context": 2, "/runner/runs/*/finish": 2, "/runner/runs/*/uploads": 1}
     runners.start()
-    run = server.launch("print('done')")
+    run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')\nprint('done')")
     assert [entry.reason for entry in ended(run).finishes] == [EndReason.done]
-    assert run.artifacts == {LOG_PATH: b"done\n"}
+    assert run.artifacts == {"x": b"x", LOG_PATH: b"done\n"}
     assert set(server.fails.values()) == {0}
 
 

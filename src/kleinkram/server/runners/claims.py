@@ -51,6 +51,8 @@ _SCOPES = {
 }
 # The end of a lease publishes no event.
 _CHECK_EVERY_S = 5.0
+# Runs change all the time where many are executed; a waiting claim looks no more often than this.
+_CHECK_PAUSE_S = 0.25
 _QUEUE = EventFilter(frozenset({"run"}))
 # The fields of an assignment that are those of the definition.
 _OF_DEFINITION = (
@@ -78,6 +80,7 @@ async def claim(
             left_s = until - time.monotonic()
             if assigned or left_s <= 0 or hub.is_closed:
                 return ClaimReply(run=assigned[0] if assigned else None, more=assigned[1:])
+            await hub.sleep(min(left_s, _CHECK_PAUSE_S))
             await hub.next_event(listener, timeout_s=min(left_s, _CHECK_EVERY_S))
 
 

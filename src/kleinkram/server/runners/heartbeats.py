@@ -1,6 +1,7 @@
 """Heartbeats: a runner reports the states of its runs, which renews their leases.
 
-Two statements for any number of runs: a cluster sends 500 every two seconds.
+A few statements for any number of runs: a cluster sends 500 every two seconds. Of most, nothing is new; their rows are
+only read, and a long lease is not renewed before a part of it is over.
 """
 
 import uuid
@@ -8,11 +9,18 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from pydantic_core import to_json
-from sqlalchemy import case, func, select, text
+from sqlalchemy import Double, case, cast, func, select, text
 from sqlalchemy.dialects.postgresql import JSONB
 
 from kleinkram.contract.audit import ChangeKind
-from kleinkram.contract.runners import Heartbeat, HeartbeatReplies, HeartbeatReply, Heartbeats, LeaseStatus
+from kleinkram.contract.runners import (
+    LEASE_S,
+    Heartbeat,
+    HeartbeatReplies,
+    HeartbeatReply,
+    Heartbeats,
+    LeaseStatus,
+)
 from kleinkram.contract.runs import MAX_SAMPLES, RunState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.change_events import ChangeEvent, publish
@@ -71,6 +79,7 @@ class _Reported(NamedTuple):
     usage: dict[str, Any] | None
     samples: list[dict[str, Any]] | None
     is_over: bool
+    lease_left_s: float
 
 
 async def record_heartbeats(
@@ -82,23 +91,47 @@ async def record_heartbeats(
         NotFound: this person has no such runner.
         Forbidden: the token is another runner's.
     """
-    lease_s = await record_seen(db, actor, runner_id)
-    rows = {(row.id, row.attempt): row for row in await _lock_reported(db, runner_id, heartbeats.runs)}
-    latest: dict[uuid.UUID, tuple[_Reported, Heartbeat]] = {}
+    lease = _Lease(await record_seen(db, actor, runner_id))
+    by_attempt = {(one.run_id, one.attempt): one for one in heartbeats.runs}
+    read = await _read_reported(db, runner_id, heartbeats.runs, lock=False)
+    rows = {(row.id, row.attempt): row for row in read if (row.id, row.attempt) in by_attempt}
+    changed = {key: by_attempt[key] for key, row in rows.items() if _is_changed(row, by_attempt[key], lease)}
+    if changed:
+        locked = await _read_reported(db, runner_id, [*changed.values()], lock=True)
+        still_here = [(row, changed[row.id, row.attempt]) for row in locked if (row.id, row.attempt) in changed]
+        await _record(db, still_here, lease)
+        # Without those that were lost since they were read.
+        rows = {key: row for key, row in rows.items() if key not in changed}
+        rows |= {(row.id, row.attempt): row for row, _ in still_here}
     replies = []
     for heartbeat in heartbeats.runs:
         row = rows.get((heartbeat.run_id, heartbeat.attempt))
         status = LeaseStatus.lost
         if row is not None:
             status = LeaseStatus.cancel if row.is_over else LeaseStatus.active
-            latest[row.id] = (row, heartbeat)
         replies.append(HeartbeatReply(run_id=heartbeat.run_id, attempt=heartbeat.attempt, status=status))
-    await _record(db, [*latest.values()], lease_s)
-    return HeartbeatReplies(runs=replies, lease_s=lease_s)
+    return HeartbeatReplies(runs=replies, lease_s=lease.left_s)
 
 
-async def _lock_reported(db: Connection, runner_id: uuid.UUID, reported: Sequence[Heartbeat]) -> list[_Reported]:
-    """Return the runs that a runner has, locked in the order of their ids."""
+class _Lease(NamedTuple):
+    """The lengths of the leases of a runner's runs in seconds."""
+
+    lasts_s: int
+
+    @property
+    def left_s(self) -> float:
+        """At least so much is left of a lease after a heartbeat: a usual lease is renewed by each."""
+        return self.lasts_s - max(0, self.lasts_s - LEASE_S) / 10
+
+    def of(self, state: RunState) -> float:
+        """The length of the lease of a run in this state."""
+        return max(self.lasts_s, _COLLECTING_LEASE_S) if state is RunState.collecting else self.lasts_s
+
+
+async def _read_reported(
+    db: Connection, runner_id: uuid.UUID, reported: Sequence[Heartbeat], *, lock: bool
+) -> list[_Reported]:
+    """Return the runs that a runner has, in the order of their ids."""
     names = ("id", "mission_id", "version_id", "attempt", "state")
     with_samples = {heartbeat.run_id for heartbeat in reported if heartbeat.samples}
     most = MAX_SAMPLES - max((len(heartbeat.samples) for heartbeat in reported), default=0)
@@ -111,15 +144,22 @@ async def _lock_reported(db: Connection, runner_id: uuid.UUID, reported: Sequenc
             *(run.c[name] for name in ("image_digest", "progress", "placement", "usage")),
             case((has_many, run.c.samples), else_=None).cast(JSONB).label("samples"),
             is_over.label("is_over"),
+            cast(func.extract("epoch", run.c.lease_ends_at - func.now()), Double).label("lease_left_s"),
         )
         .join_from(run, mission, mission.c.id == run.c.mission_id)
         .join(project, project.c.id == mission.c.project_id)
         .where(among(run.c.id, {heartbeat.run_id for heartbeat in reported}))
         .where(run.c.runner_id == runner_id, run.c.state.in_(ASSIGNED))
         .order_by(run.c.id)
-        .with_for_update(of=run, key_share=True)
     )
+    stmt = stmt.with_for_update(of=run, key_share=True) if lock else stmt
     return [_Reported._make(row) for row in await db.execute(stmt)]
+
+
+def _is_changed(row: _Reported, heartbeat: Heartbeat, lease: _Lease) -> bool:
+    """Whether a heartbeat says something new, or the lease is to be renewed."""
+    is_due = row.lease_left_s < lease.of(heartbeat.state) - (lease.lasts_s - lease.left_s)
+    return is_due or bool(_news(row, heartbeat))
 
 
 def _news(row: _Reported, heartbeat: Heartbeat) -> dict[str, Any]:
@@ -147,7 +187,7 @@ def _news(row: _Reported, heartbeat: Heartbeat) -> dict[str, Any]:
     return news
 
 
-async def _record(db: Connection, reported: Sequence[tuple[_Reported, Heartbeat]], lease_s: int) -> None:
+async def _record(db: Connection, reported: Sequence[tuple[_Reported, Heartbeat]], lease: _Lease) -> None:
     if not reported:
         return
     changes: list[dict[str, Any]] = []
@@ -155,8 +195,7 @@ async def _record(db: Connection, reported: Sequence[tuple[_Reported, Heartbeat]
     digests: dict[uuid.UUID, str] = {}
     for row, heartbeat in reported:
         news = _news(row, heartbeat)
-        lasts_s = max(lease_s, _COLLECTING_LEASE_S) if heartbeat.state is RunState.collecting else lease_s
-        changes.append({"id": row.id, "lease_s": lasts_s, **news})
+        changes.append({"id": row.id, "lease_s": lease.of(heartbeat.state), **news})
         if news:
             events.append(ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id))
         if "image_digest" in news:
