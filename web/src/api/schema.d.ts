@@ -2517,6 +2517,46 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/runners/{runner_id}/contexts": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Get Run Contexts
+         * @description Get the contents of `/in/mission.json` of several runs.
+         */
+        post: operations["get_run_contexts"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runners/{runner_id}/ends": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Finish Runs
+         * @description Report the ends of several runs, once their artifacts are uploaded.
+         */
+        post: operations["finish_runs"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/runners/{runner_id}/heartbeats": {
         parameters: {
             query?: never;
@@ -4056,6 +4096,14 @@ export interface components {
          * @enum {string}
          */
         ContentState: "pending" | "indexed" | "recovered" | "broken" | "opaque" | "error";
+        /**
+         * ContextsRequest
+         * @description Runs whose contexts are requested.
+         */
+        ContextsRequest: {
+            /** Runs */
+            runs: components["schemas"]["RunAttempt"][];
+        };
         /**
          * CredentialKind
          * @description The kind of a credential.
@@ -7144,6 +7192,19 @@ export interface components {
             traceparent?: string | null;
         };
         /**
+         * RunAttempt
+         * @description A run, and the attempt of the runner's lease.
+         */
+        RunAttempt: {
+            /** Attempt */
+            attempt: number;
+            /**
+             * Run Id
+             * Format: uuid
+             */
+            run_id: string;
+        };
+        /**
          * RunChecks
          * @description The `checks.yaml` of the project as it was at the launch. `version` is its number, `sha256` that of the text.
          */
@@ -7189,6 +7250,14 @@ export interface components {
             run_id: string | null;
             /** Topics */
             topics: components["schemas"]["TopicRead"][];
+        };
+        /**
+         * RunContexts
+         * @description The contents of `/in/mission.json`, in the order requested; null for a run that the runner does not have.
+         */
+        RunContexts: {
+            /** Contexts */
+            contexts: (components["schemas"]["RunContext"] | null)[];
         };
         /**
          * RunCreated
@@ -7314,8 +7383,38 @@ export interface components {
             waits_for: string | null;
         };
         /**
+         * RunEnd
+         * @description The end of one of several runs.
+         */
+        RunEnd: {
+            finish: components["schemas"]["RunFinish"];
+            /**
+             * Run Id
+             * Format: uuid
+             */
+            run_id: string;
+        };
+        /**
+         * RunEnds
+         * @description The ends of several runs of a runner.
+         */
+        RunEnds: {
+            /** Ends */
+            ends: components["schemas"]["RunEnd"][];
+        };
+        /**
+         * RunEndsRecorded
+         * @description The final states of runs, in the order sent; null for a run that the runner does not have by this attempt.
+         */
+        RunEndsRecorded: {
+            /** States */
+            states: (components["schemas"]["RunState"] | null)[];
+        };
+        /**
          * RunFinish
          * @description How a run ended, sent once its artifacts are uploaded. Idempotent.
+         *
+         *     `log`: the complete log, if it is small and was not uploaded.
          */
         RunFinish: {
             /** Attempt */
@@ -7324,6 +7423,8 @@ export interface components {
             exit_code?: number | null;
             /** Image Digest */
             image_digest?: string | null;
+            /** Log */
+            log?: string | null;
             /** Message */
             message: string;
             placement?: components["schemas"]["RunPlacement"] | null;
@@ -13574,6 +13675,76 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["ClaimReply"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    get_run_contexts: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                runner_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ContextsRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RunContexts"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    finish_runs: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                runner_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["RunEnds"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RunEndsRecorded"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457), identified by `code`. */

@@ -1,0 +1,90 @@
+"""Requests of runners with many runs are combined."""
+
+from __future__ import annotations
+
+import threading
+import uuid
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, cast
+
+from kleinkram.client.runs import Runners
+from kleinkram.contract.errors import InternalError
+from kleinkram.contract.runners import RunEnd, RunFinish
+from kleinkram.contract.runs import EndReason, RunState
+from kleinkram.runner import run_requests
+from kleinkram.runner.run_requests import RunRequests
+
+RUNNER_ID = uuid.UUID(int=1)
+RUNS = [uuid.UUID(int=number) for number in range(100, 130)]
+
+
+class Server:
+    """The ends that arrived, each in its request; it refuses combined ones if it `fails`, and runs that are `gone`."""
+
+    def __init__(self) -> None:
+        self.combined: list[list[uuid.UUID]] = []
+        self.alone: list[uuid.UUID] = []
+        self.fails = False
+        self.gone: set[uuid.UUID] = set()
+        self._lock = threading.Lock()
+
+    def with_retry(self, timeout_s: float, wait: Callable[[float], object]) -> Server:
+        return self
+
+    def finish(self, run_id: uuid.UUID, finish: RunFinish) -> None:
+        with self._lock:
+            self.alone.append(run_id)
+
+    def finish_all(self, runner_id: uuid.UUID, ends: Sequence[RunEnd]) -> Sequence[RunState | None]:
+        assert runner_id == RUNNER_ID
+        if self.fails:
+            raise InternalError(request_id="a-request")
+        self.combined.append([end.run_id for end in ends])
+        return [None if end.run_id in self.gone else RunState.done for end in ends]
+
+
+def report(server: Server, has_many: bool = True, message: str = "") -> None:
+    requests = RunRequests(cast(Runners, server), RUNNER_ID, lambda: has_many)
+    finish = RunFinish(attempt=1, reason=EndReason.done, message=message)
+
+    def finish_one(run_id: uuid.UUID) -> Any:
+        return requests.finish(run_id, finish, lambda _: None)
+
+    with ThreadPoolExecutor(len(RUNS)) as pool:
+        [*pool.map(finish_one, RUNS)]
+
+
+def test_ends_of_one_moment_are_one_request() -> None:
+    server = Server()
+    report(server)
+    assert sorted(run_id for batch in server.combined for run_id in batch) == RUNS
+    assert len(server.combined) < len(RUNS) / 3
+    assert server.alone == []
+
+
+def test_a_runner_with_few_runs_waits_for_no_others() -> None:
+    server = Server()
+    report(server, has_many=False)
+    assert (server.combined, sorted(server.alone)) == ([], RUNS)
+
+
+def test_what_has_no_answer_is_sent_alone() -> None:
+    server = Server()
+    server.gone = {RUNS[3]}
+    report(server)
+    assert server.alone == [RUNS[3]]
+    server.fails = True
+    report(server)
+    assert sorted(server.alone[1:]) == RUNS
+
+
+def test_requests_have_a_limited_size(monkeypatch: Any) -> None:
+    monkeypatch.setattr(run_requests, "_MAX_REQUEST_BYTES", 4000)
+    server = Server()
+    report(server, message="x" * 1000)
+    assert max(map(len, server.combined)) <= 3
+    assert sorted(run_id for batch in server.combined for run_id in batch) == RUNS
+    monkeypatch.setattr(run_requests, "_MAX_ITEM_BYTES", 1000)
+    report(server, message="x" * 1000)
+    assert sorted(server.alone) == RUNS
