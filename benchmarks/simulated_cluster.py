@@ -40,9 +40,8 @@ from kleinkram.contract.runners import (
 )
 from kleinkram.contract.runs import EndReason, RunPlacement, RunState
 from kleinkram.contract.uploads import PartToSign, UploadFile, UploadFinish, UploadRequired, crc64nvme
+from kleinkram.runner.run_requests import finish_pause_s
 
-# How long a runner with many runs collects their ends.
-_REPORT_EVERY_S = 0.5
 # How long the cluster takes to start a job, and to run it, in seconds.
 _PENDING_S, _RUNNING_S = (0.5, 5.0), (10.0, 30.0)
 _THREADS = 16
@@ -119,7 +118,7 @@ class SimulatedCluster:
                     self._go_on(pool)
                     if time.monotonic() >= report_at_s:
                         self._report_ends()
-                        report_at_s = time.monotonic() + _REPORT_EVERY_S
+                        report_at_s = time.monotonic() + finish_pause_s(len(self._active))
                     time.sleep(0.02)
         finally:
             self._is_over.set()

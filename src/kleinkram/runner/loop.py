@@ -51,8 +51,7 @@ _REFUSED_RETRY_S = 15.0
 # How long the runs of an earlier process continue without a confirmation of their leases by the server.
 _CONFIRMATION_S = 5.0
 _DETACH_S = 3.0
-# With more runs, requests about them are combined, and each uploads its log less often.
-_MANY_RUNS = 10
+# With more runs, each uploads its log less often.
 _LOG_PARTS_PER_S = 10.0
 _STORE_CONNECTIONS = 8
 _DEFAULT_IMAGE_RETRY_S = 300.0
@@ -107,7 +106,7 @@ class Runner:
         self._context = RunnerContext(
             executor=executor,
             runners=self._runners,
-            requests=RunRequests(self._runners, state.runner_id, lambda: self.active_count > _MANY_RUNS),
+            requests=RunRequests(self._runners, state.runner_id, lambda: self.active_count),
             store=self._store,
             url=options.url,
             token=options.token,

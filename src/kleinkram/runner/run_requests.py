@@ -22,21 +22,28 @@ from kleinkram.contract.runs import RunContext
 ItemT = TypeVar("ItemT", bound=BaseModel)
 AnswerT = TypeVar("AnswerT")
 
-# How long a request waits for others to be sent with it.
-_CONTEXT_PAUSE_S, _FINISH_PAUSE_S = 0.05, 0.5
+# A runner with more runs combines requests.
+MANY_RUNS = 10
+# Contexts are requested by all runs of one claim at once.
+_CONTEXT_PAUSE_S = 0.05
 # A larger report is sent alone: servers limit the size of requests.
 _MAX_ITEM_BYTES = 64 * 1024
 _MAX_REQUEST_BYTES = 2**20
 
 
+def finish_pause_s(runs: int) -> float:
+    """Return how long the end of one of so many runs waits for others to be reported with it, in seconds."""
+    return min(2.0, runs / 250)
+
+
 class RunRequests:
-    """Requests of one runner about its runs. Thread-safe. They are combined while `has_many` says so."""
+    """Requests of one runner about its runs. Thread-safe. `count` returns the number of its runs."""
 
     def __init__(
-        self, runners: Runners, runner_id: uuid.UUID | None = None, has_many: Callable[[], bool] = lambda: False
+        self, runners: Runners, runner_id: uuid.UUID | None = None, count: Callable[[], int] = lambda: 1
     ) -> None:
         self._runners = runners
-        self._has_many = has_many
+        self._count = count
         once = runners.with_retry(0, time.sleep)
 
         def get_contexts(attempts: Sequence[RunAttempt]) -> Sequence[RunContext | None]:
@@ -45,8 +52,8 @@ class RunRequests:
         def finish(ends: Sequence[RunEnd]) -> Sequence[object]:
             return [] if runner_id is None else once.finish_all(runner_id, ends)
 
-        self._contexts = _CombinedRequests(get_contexts, _CONTEXT_PAUSE_S)
-        self._ends = _CombinedRequests(finish, _FINISH_PAUSE_S)
+        self._contexts = _CombinedRequests(get_contexts, lambda: _CONTEXT_PAUSE_S)
+        self._ends = _CombinedRequests(finish, lambda: finish_pause_s(count()))
 
     def get_context(self, run_id: uuid.UUID, attempt: int) -> RunContext:
         """Return the content of `/in/mission.json`.
@@ -55,7 +62,7 @@ class RunRequests:
             RunGone: the run is not this runner's.
         """
         context = None
-        if self._has_many():
+        if self._count() > MANY_RUNS:
             context = self._contexts.send(RunAttempt(run_id=run_id, attempt=attempt))
         # The answer of a request about it alone says what is wrong.
         return context or self._runners.get_context(run_id, attempt)
@@ -67,14 +74,16 @@ class RunRequests:
             RunGone: the run is not this runner's.
             KleinkramError: the server does not accept it.
         """
-        if not (self._has_many() and self._ends.send(RunEnd(run_id=run_id, finish=finish))):
+        if not (self._count() > MANY_RUNS and self._ends.send(RunEnd(run_id=run_id, finish=finish))):
             self._runners.with_retry(math.inf, wait).finish(run_id, finish)
 
 
 class _CombinedRequests(Generic[ItemT, AnswerT]):
     """Sends the items of several threads in one request: of that whose turn it is, while the others wait."""
 
-    def __init__(self, send: Callable[[Sequence[ItemT]], Sequence[AnswerT | None]], pause_s: float) -> None:
+    def __init__(
+        self, send: Callable[[Sequence[ItemT]], Sequence[AnswerT | None]], pause_s: Callable[[], float]
+    ) -> None:
         self._send = send
         self._pause_s = pause_s
         self._waiting: deque[_WaitingItem[ItemT, AnswerT]] = deque()
@@ -88,7 +97,7 @@ class _CombinedRequests(Generic[ItemT, AnswerT]):
         self._waiting.append(waiting)
         with self._turn:
             while not waiting.is_sent:
-                time.sleep(self._pause_s)
+                time.sleep(self._pause_s())
                 self._send_next()
         return waiting.answer
 

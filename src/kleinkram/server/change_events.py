@@ -9,7 +9,7 @@ import json
 import uuid
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 
 from sqlalchemy import text
 
@@ -34,10 +34,15 @@ class ChangeEvent:
     mission_id: uuid.UUID | None = None
     by_id: uuid.UUID | None = None
 
+    def payload(self) -> str:
+        """Return what `read_event` reads."""
+        ids = (self.id, self.project_id, self.mission_id, self.by_id)
+        return json.dumps([self.resource_type, self.change.value, *(value and str(value) for value in ids)])
+
 
 async def publish(db: Connection, events: Iterable[ChangeEvent]) -> None:
     """Publish events as part of the caller's transaction; those of one type and mission become one event."""
-    payloads = [json.dumps(astuple(event), default=str) for event in merge_events(events, max_alike=1)]
+    payloads = [event.payload() for event in merge_events(events, max_alike=1)]
     if payloads:
         payloads = payloads if len(payloads) <= _MAX_EVENTS else [EVERYTHING]
         await db.execute(_NOTIFY, {"channel": CHANNEL, "payloads": payloads})

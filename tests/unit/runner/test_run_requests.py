@@ -44,8 +44,8 @@ class Server:
         return [None if end.run_id in self.gone else RunState.done for end in ends]
 
 
-def report(server: Server, has_many: bool = True, message: str = "") -> None:
-    requests = RunRequests(cast(Runners, server), RUNNER_ID, lambda: has_many)
+def report(server: Server, count: int = 50, message: str = "") -> None:
+    requests = RunRequests(cast(Runners, server), RUNNER_ID, lambda: count)
     finish = RunFinish(attempt=1, reason=EndReason.done, message=message)
 
     def finish_one(run_id: uuid.UUID) -> Any:
@@ -65,7 +65,7 @@ def test_ends_of_one_moment_are_one_request() -> None:
 
 def test_a_runner_with_few_runs_waits_for_no_others() -> None:
     server = Server()
-    report(server, has_many=False)
+    report(server, count=10)
     assert (server.combined, sorted(server.alone)) == ([], RUNS)
 
 

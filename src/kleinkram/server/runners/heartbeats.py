@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from pydantic_core import to_json
-from sqlalchemy import Double, case, cast, func, select, text
-from sqlalchemy.dialects.postgresql import JSONB
+from sqlalchemy import text
 
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.runners import (
@@ -24,10 +23,8 @@ from kleinkram.contract.runners import (
 from kleinkram.contract.runs import MAX_SAMPLES, RunState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.change_events import ChangeEvent, publish
-from kleinkram.server.db import Connection, among
+from kleinkram.server.db import Connection
 from kleinkram.server.runners.assigned_runs import TOKEN_MARGIN, pin_images, record_seen, thinned
-from kleinkram.server.tables import mission, project, run
-from kleinkram.server.tables.runs import ASSIGNED
 
 _ORDER = {RunState.preparing: 0, RunState.running: 1, RunState.collecting: 2}
 # Results are being uploaded: an outage of minutes must not discard hours of work.
@@ -51,7 +48,20 @@ FROM jsonb_to_recordset(CAST(:news AS jsonb)) AS news(
 WHERE run.id = news.id
 """)
 
-
+# As text: SQLAlchemy takes longer to build it than PostgreSQL to run it.
+_READ_SQL = """
+SELECT run.id, run.mission_id, version_id, attempt, run.state, started_at IS NOT NULL, image_digest, progress,
+  placement, usage,
+  CASE WHEN run.id = ANY (CAST(:with_samples AS uuid[])) AND jsonb_array_length(samples) > :most_samples
+    THEN samples END,
+  coalesce(cancel_requested_at, mission.deleted_at, project.deleted_at) IS NOT NULL,
+  CAST(extract(epoch FROM lease_ends_at - now()) AS double precision)
+FROM run JOIN mission ON mission.id = run.mission_id JOIN project ON project.id = mission.project_id
+WHERE run.id = ANY (CAST(:run_ids AS uuid[])) AND runner_id = :runner_id
+  AND run.state IN ('preparing', 'running', 'collecting')
+ORDER BY run.id
+"""
+_READ, _LOCK = text(_READ_SQL), text(f"{_READ_SQL} FOR NO KEY UPDATE OF run")
 # The token of a run does not end while its job waits in the queue of a cluster.
 _EXTEND_TOKENS = text("""
 UPDATE token SET expires_at = now() + waiting.lasts
@@ -132,28 +142,14 @@ async def _read_reported(
     db: Connection, runner_id: uuid.UUID, reported: Sequence[Heartbeat], *, lock: bool
 ) -> list[_Reported]:
     """Return the runs that a runner has, in the order of their ids."""
-    names = ("id", "mission_id", "version_id", "attempt", "state")
     with_samples = {heartbeat.run_id for heartbeat in reported if heartbeat.samples}
-    most = MAX_SAMPLES - max((len(heartbeat.samples) for heartbeat in reported), default=0)
-    has_many = among(run.c.id, with_samples) & (func.jsonb_array_length(run.c.samples) > most)
-    is_over = func.coalesce(run.c.cancel_requested_at, mission.c.deleted_at, project.c.deleted_at).is_not(None)
-    stmt = (
-        select(
-            *(run.c[name] for name in names),
-            run.c.started_at.is_not(None).label("has_started"),
-            *(run.c[name] for name in ("image_digest", "progress", "placement", "usage")),
-            case((has_many, run.c.samples), else_=None).cast(JSONB).label("samples"),
-            is_over.label("is_over"),
-            cast(func.extract("epoch", run.c.lease_ends_at - func.now()), Double).label("lease_left_s"),
-        )
-        .join_from(run, mission, mission.c.id == run.c.mission_id)
-        .join(project, project.c.id == mission.c.project_id)
-        .where(among(run.c.id, {heartbeat.run_id for heartbeat in reported}))
-        .where(run.c.runner_id == runner_id, run.c.state.in_(ASSIGNED))
-        .order_by(run.c.id)
-    )
-    stmt = stmt.with_for_update(of=run, key_share=True) if lock else stmt
-    return [_Reported._make(row) for row in await db.execute(stmt)]
+    values = {
+        "run_ids": list({heartbeat.run_id for heartbeat in reported}),
+        "runner_id": runner_id,
+        "with_samples": list(with_samples),
+        "most_samples": MAX_SAMPLES - max((len(heartbeat.samples) for heartbeat in reported), default=0),
+    }
+    return [_Reported._make(row) for row in await db.execute(_LOCK if lock else _READ, values)]
 
 
 def _is_changed(row: _Reported, heartbeat: Heartbeat, lease: _Lease) -> bool:

@@ -126,7 +126,10 @@ class RunEnding:
 
 
 async def end_runs(db: Connection, endings: Sequence[RunEnding]) -> None:
-    """Record the ends of runs, and revoke their tokens and open uploads; the caller has locked them."""
+    """Record the ends of runs, and revoke their tokens and open uploads.
+
+    The caller has locked them, and publishes the changes, as `audit` does.
+    """
     lost = {ending.run_id for ending in endings if ending.reason is EndReason.lost}
     await _discard_attempts(db, [ending.run_id for ending in endings], without_results=lost)
     ended = [
@@ -144,13 +147,14 @@ async def end_runs(db: Connection, endings: Sequence[RunEnding]) -> None:
         metrics.RUNS_ENDED.labels(row.state, row.reason).inc()
         if row.claimed_s is not None:
             metrics.RUN_SECONDS.labels(row.state).observe(float(row.claimed_s))
-    await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id) for row in rows])
     await judge_again_for_runs(db, [row.id for row in rows])
 
 
 async def end_run(db: Connection, run_id: uuid.UUID, reason: EndReason, message: str) -> None:
-    """Record the end of one run, as `end_runs` does."""
+    """Record and publish the end of one run, as `end_runs` does."""
     await end_runs(db, [RunEnding(run_id, reason, message)])
+    mission_id = (await db.execute(select(run.c.mission_id).where(run.c.id == run_id))).scalar_one()
+    await publish(db, [ChangeEvent("run", ChangeKind.changed, run_id, mission_id=mission_id)])
 
 
 async def _discard_attempts(
