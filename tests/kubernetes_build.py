@@ -8,6 +8,7 @@ sources of the API server.
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -22,7 +23,7 @@ PROGRAMS = ("kube-apiserver", "kube-controller-manager", "kube-scheduler", "kube
 _GO = "1.19"
 _PACKAGES = (f"golang-{_GO}-go", f"golang-{_GO}-src", "etcd-server", "containernetworking-plugins")
 _KEYS = "/usr/share/keyrings/debian-archive-keyring.gpg"
-_VERSION_VARIABLES = "k8s.io/kubernetes/vendor/k8s.io/component-base/version"
+_VERSION_FILE = "staging/src/k8s.io/component-base/version/base.go"
 # Without the clouds, and without the container runtime that later versions do not have either.
 _TAGS = "providerless,dockerless"
 
@@ -92,6 +93,9 @@ class KubernetesBuild:
         partial.parent.mkdir(parents=True, exist_ok=True)
         shutil.rmtree(partial, ignore_errors=True)
         _run("dpkg-source", "--no-check", "--extract", description, partial, folder=home)
+        # Without the repository, it does not know its version.
+        version = partial / _VERSION_FILE
+        version.write_text(re.sub(r'"v0\.0\.0-master[^"]*"', f'"v{VERSION}"', version.read_text()))
         partial.rename(sources)
 
     def _generate(self, sources: Path) -> None:
@@ -120,11 +124,8 @@ class KubernetesBuild:
 
     def _build(self, sources: Path, package: str, output: Path) -> None:
         output.parent.mkdir(exist_ok=True)
-        major, minor, _ = VERSION.split(".")
-        versions = {"gitVersion": f"v{VERSION}", "gitMajor": major, "gitMinor": minor, "gitTreeState": "clean"}
-        flags = " ".join(f"-X {_VERSION_VARIABLES}.{name}={value}" for name, value in versions.items())
         partial = output.with_suffix(".partial")
-        options = ["-p", "2", "-tags", _TAGS, "-ldflags", f"-s -w {flags}", "-o", str(partial), package]
+        options = ["-p", "2", "-tags", _TAGS, "-trimpath", "-ldflags", "-s -w", "-o", str(partial), package]
         _run("nice", "go", "build", *options, folder=sources, environment=self._environment())
         partial.rename(output)
 

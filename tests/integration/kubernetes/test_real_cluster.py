@@ -168,7 +168,7 @@ def test_a_run_reads_its_inputs_and_its_results_are_stored(site: RealSite, capfd
     assert finish.placement.node == NODE
     site.wait_until_clean()
     # Its network plugin enforces no policies, which was noticed.
-    assert site.server.hellos[0].networks == {Network.open}
+    assert site.server.hellos[0].abilities.networks == {Network.open}
     assert "does not enforce NetworkPolicies" in capfd.readouterr().err
 
 
