@@ -55,8 +55,10 @@ test-all: setup
 	@$(BIN)/python -m tests.requirements
 	@$(BIN)/python -m pytest -m "slow and not soak" -q -n 4 --dist loadfile --no-loadscope-reorder --timeout=300 -o faulthandler_timeout=1000
 
+# KLEINKRAM_TEST_KUBERNETES names the folder where a Kubernetes is built, once.
 soak: setup
 	@$(BIN)/python -m tests.requirements
+	@$(BIN)/python -m tests.kubernetes_build
 	@HYPOTHESIS_PROFILE=soak $(BIN)/python -m pytest -m soak -q --timeout=0
 
 # Two at a time, from their installation on: pip, mypy and ESLint use one core each.

@@ -13,6 +13,7 @@ from kleinkram.server.migrations import alembic_config
 from tests import slurm_cluster
 from tests.integration.api_server import Api, serving
 from tests.integration.corpus import Corpus, upload_corpus
+from tests.integration.kubernetes.real_cluster import RealCluster, real_cluster
 from tests.integration.sample import Sample
 from tests.requirements import missing, need
 from tests.services import RunningPostgres, RunningStore
@@ -128,4 +129,11 @@ def slurm() -> Iterator[SlurmCluster]:
         missing("a Slurm of the tests' own needs root")
     need(*slurm_cluster.PROGRAMS)
     with slurm_cluster.slurm_cluster() as made:
+        yield made
+
+
+@pytest.fixture(scope="session")
+def kubernetes() -> Iterator[RealCluster]:
+    """A Kubernetes of one node, with a namespace for runs."""
+    with real_cluster() as made:
         yield made

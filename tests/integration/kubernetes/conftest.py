@@ -28,13 +28,13 @@ IMAGE = "registry.lab.example/actions/python@sha256:" + "a" * 64
 
 
 @dataclass
-class Site:
-    """A fake server, a fake cluster, and the consecutive runners of one test."""
+class RunnerSite:
+    """A fake server, and the consecutive runners of one test on a cluster."""
 
     server: FakeServer
-    cluster: FakeCluster
     folder: Path
     options: KubernetesOptions
+    default_image: str = IMAGE
     networks: frozenset[Network] = frozenset(Network)
     _threads: list[tuple[Runner, threading.Thread]] = field(default_factory=list)
     _processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
@@ -43,7 +43,7 @@ class Site:
         """Return the executor of a runner."""
         options = self.options
         return KubernetesExecutor(
-            connect(NAMESPACE, options.kubeconfig),
+            connect(options.namespace, options.kubeconfig),
             options,
             runner=str(state.runner_id),
             url=self.server.url,
@@ -56,7 +56,9 @@ class Site:
         self.folder.mkdir(exist_ok=True)
         state = StateDirectory(self.folder)
         executor = self.executor(state)
-        runner = Runner(RunnerOptions(self.server.url, RUNNER_TOKEN, "a-runner", default_image=IMAGE), state, executor)
+        runner = Runner(
+            RunnerOptions(self.server.url, RUNNER_TOKEN, "a-runner", default_image=self.default_image), state, executor
+        )
         thread = threading.Thread(target=runner.run)
         thread.start()
         self._threads.append((runner, thread))
@@ -69,7 +71,7 @@ class Site:
             data_dir=self.folder,
             name="a-runner",
             kubernetes=self.options,
-            default_image=IMAGE,
+            default_image=self.default_image,
         )
         process = subprocess.Popen(arguments.command(), env={**os.environ, TOKEN_VARIABLE: RUNNER_TOKEN})
         self._processes.append(process)
@@ -94,6 +96,13 @@ class Site:
                 self.kill(process, signal.SIGINT)
 
 
+@dataclass
+class Site(RunnerSite):
+    """The same with a fake cluster."""
+
+    cluster: FakeCluster = field(kw_only=True)
+
+
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[FakeCluster]:
     """A cluster without pods."""
@@ -110,7 +119,7 @@ def site(cluster: FakeCluster, tmp_path: Path) -> Iterator[Site]:
     """A server and a cluster without runs."""
     server = FakeServer()
     options = KubernetesOptions(namespace=NAMESPACE, kubeconfig=cluster.kubeconfig())
-    made = Site(server, cluster, tmp_path / "runner", options)
+    made = Site(server, tmp_path / "runner", options, cluster=cluster)
     yield made
     made.close()
     server.close()

@@ -27,6 +27,8 @@ Body = dict[str, Any]
 NODE = "node-1"
 _POLL_S = 0.02
 _EPOCH = datetime.datetime(2026, 1, 1, tzinfo=datetime.timezone.utc)
+# Where the API server is, whatever a pod asks for.
+_OF_EVERY_POD = {"KUBERNETES_SERVICE_HOST": "10.96.0.1", "KUBERNETES_SERVICE_PORT": "443"}
 # So many lines have the same time.
 _LINES_PER_TIME = 20
 
@@ -221,7 +223,7 @@ class FakeNode:
         outside.mkdir(exist_ok=True)
         (folder / "out").symlink_to(outside)
         limits = container["resources"]["limits"]
-        environment = {it["name"]: it["value"] for it in container["env"]}
+        environment = {**_OF_EVERY_POD, **{it["name"]: it["value"] for it in container["env"]}}
         for source in container.get("envFrom", []):
             files = self._cluster.secret_files(source["secretRef"]["name"]) or {}
             environment |= {key: value.decode() for key, value in files.items()}

@@ -28,6 +28,8 @@ from kleinkram.runner.executors.slurm.options import SlurmOptions
 from kleinkram.runner.executors.slurm.probe import SlurmSite, find_site
 from kleinkram.runner.images.store import FolderBuilder, ImageStore
 from tests.integration.kubernetes.fake_cluster import NAMESPACE, FakeCluster
+from tests.integration.kubernetes.real_cluster import NAMESPACE as NAMESPACE_OF_RUNS
+from tests.integration.kubernetes.real_cluster import RealCluster
 from tests.integration.runner import engines, podman_engines
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner.podman_engines import Podman
@@ -175,6 +177,8 @@ def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Ben
     if executor == "slurm":
         site: SlurmSite = request.getfixturevalue("slurm_site")
         return Bench(SlurmExecutor(site), folder, lambda: SlurmExecutor(site))
+    if executor == "fake_kubernetes":
+        return fake_kubernetes_bench(request, folder)
     if executor == "kubernetes":
         return kubernetes_bench(request, folder)
     if executor == "images":
@@ -188,7 +192,7 @@ def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Ben
     return Bench(made, folder, lambda: DockerExecutor(engine.engine), image, "python3", engine.gateway, engine)
 
 
-def kubernetes_bench(request: pytest.FixtureRequest, folder: Path) -> Bench:
+def fake_kubernetes_bench(request: pytest.FixtureRequest, folder: Path) -> Bench:
     """Return a bench for a fake cluster whose volumes are the folders of the jobs."""
 
     made: list[RunJob] = []
@@ -217,6 +221,38 @@ def kubernetes_bench(request: pytest.FixtureRequest, folder: Path) -> Bench:
     return Bench(again(), folder, again, f"lab/python@sha256:{'0' * 64}", made=made)
 
 
+class ClaimingExecutor(KubernetesExecutor):
+    """An executor on a real cluster whose jobs have a volume, though nothing was fetched for them."""
+
+    def submit(self, job: RunJob) -> None:
+        self._cluster.create("persistentvolumeclaims", self._manifests.claim(job.key, job.resources.disk_bytes))
+        for name in ("in", "out"):
+            (job.directory / name).mkdir(exist_ok=True)
+        super().submit(job)
+
+
+def kubernetes_bench(request: pytest.FixtureRequest, folder: Path) -> Bench:
+    """Return a bench for a real cluster whose volumes are the folders of the jobs."""
+    real: RealCluster = request.getfixturevalue("kubernetes")
+    made: list[RunJob] = []
+
+    def folder_of(claim: str) -> Path | None:
+        return next((job.directory for job in made if claim == f"klein-{job.key}"), None)
+
+    real.volumes.folder_of = folder_of
+    options = KubernetesOptions(namespace=NAMESPACE_OF_RUNS, kubeconfig=real.kubeconfig)
+
+    def again() -> KubernetesExecutor:
+        cluster = connect(options.namespace, options.kubeconfig)
+        executor = ClaimingExecutor(cluster, options, runner="a-runner", url="http://127.0.0.1:9", token="a-token")
+        request.addfinalizer(executor.close)
+        return executor
+
+    executor = again()
+    image = executor.prepare_image(real.python_image).reference
+    return Bench(executor, folder, again, image, "python3", real.cluster.address, made=made)
+
+
 def lent(executor: str, request: pytest.FixtureRequest, folder: Path) -> Iterator[Bench]:
     """Yield a bench for an executor, and remove its jobs afterwards."""
     made = bench_of(executor, request, folder)
@@ -233,7 +269,8 @@ _LOCAL = [
     pytest.param("images", marks=pytest.mark.slow),
     pytest.param("docker", marks=pytest.mark.slow),
 ]
-_CLUSTER = pytest.param("kubernetes", marks=pytest.mark.slow)
+_FAKE_CLUSTER = pytest.param("fake_kubernetes", marks=pytest.mark.slow)
+_CLUSTER = pytest.param("kubernetes", marks=[pytest.mark.slow, pytest.mark.soak])
 LOCALLY = pytest.mark.parametrize(
     "bench",
     [
@@ -255,6 +292,7 @@ EVERYWHERE = pytest.mark.parametrize(
         *_LOCAL,
         pytest.param("podman", marks=pytest.mark.slow),
         pytest.param("slurm", marks=pytest.mark.slow),
+        _FAKE_CLUSTER,
         _CLUSTER,
     ],
     indirect=True,
@@ -263,11 +301,13 @@ _EXECUTORS = [
     *_LOCAL,
     pytest.param("podman", marks=pytest.mark.soak),
     pytest.param("slurm", marks=[pytest.mark.slow, pytest.mark.soak]),
-    _CLUSTER,
+    _FAKE_CLUSTER,
 ]
+# What the real cluster of the tests cannot do: it enforces no network policies, and its volumes have no size.
+NOT_ON_THAT_CLUSTER = pytest.mark.parametrize("bench", _EXECUTORS, indirect=True)
 
 
-@pytest.fixture(params=_EXECUTORS)
+@pytest.fixture(params=[*_EXECUTORS, _CLUSTER])
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
     """A bench for each executor."""
     yield from lent(request.param, request, tmp_path)

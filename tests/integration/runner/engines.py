@@ -228,10 +228,11 @@ def dockerd(bridge: str = "none", gateway: str = "127.0.0.1", *options: str) -> 
 
 @dataclass
 class Registry:
-    """A registry for tests: Debian's `docker-registry`, without TLS, on the loopback interface."""
+    """A registry for tests: Debian's `docker-registry`, without TLS. It listens at `address`."""
 
     folder: Path
     port: int
+    address: str = "127.0.0.1"
     process: subprocess.Popen[bytes] | None = field(default=None, init=False)
 
     @property
@@ -247,7 +248,7 @@ class Registry:
             "version": "0.1",
             "log": {"level": "error"},
             "storage": {"filesystem": {"rootdirectory": str(self.folder / "data")}},
-            "http": {"addr": self.place},
+            "http": {"addr": f"{self.address}:{self.port}"},
         }
         (self.folder / "config.json").write_text(json.dumps(settings))
         with (self.folder / "registry.log").open("ab") as log:

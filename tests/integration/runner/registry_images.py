@@ -9,6 +9,7 @@ import io
 import json
 import platform
 import tarfile
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -52,6 +53,14 @@ def entry(name: str, kind: bytes = tarfile.REGTYPE, target: str = "", mode: int 
     return made
 
 
+def _unpacked(layer: bytes) -> bytes:
+    """Return the tar of a layer; what is damaged, as it is."""
+    try:
+        return gzip.decompress(layer) if layer[:2] == b"\x1f\x8b" else zstandard.ZstdDecompressor().decompress(layer)
+    except (OSError, EOFError, zlib.error, zstandard.ZstdError):
+        return layer
+
+
 @dataclass
 class RegistryImages:
     """Puts images into a registry."""
@@ -80,7 +89,8 @@ class RegistryImages:
             described.append(self._descriptor(self._put_blob(name, layer), layer, f"{_OCI}.layer.v1.tar{kind}"))
         manifests = []
         for architecture in architectures:
-            facts = {"architecture": architecture, "os": "linux", "config": config, "rootfs": {"type": "layers"}}
+            files = {"type": "layers", "diff_ids": [digest_of(_unpacked(layer)) for layer in layers]}
+            facts = {"architecture": architecture, "os": "linux", "config": config, "rootfs": files}
             text = json.dumps(facts).encode()
             manifest = {
                 "schemaVersion": 2,

@@ -19,9 +19,17 @@ from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors import local
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end
 from kleinkram.runner.executors.docker import container as docker_container
+from kleinkram.runner.executors.kubernetes import pod_log
 from kleinkram.runner.executors.port_forward import PortForward
 from kleinkram.runner.executors.supervision import GRACE_S, boot_time_s
-from tests.integration.runner.conftest import EVERYWHERE, LOCALLY, LOCALLY_EVERYWHERE, Bench, log_of
+from tests.integration.runner.conftest import (
+    EVERYWHERE,
+    LOCALLY,
+    LOCALLY_EVERYWHERE,
+    NOT_ON_THAT_CLUSTER,
+    Bench,
+    log_of,
+)
 from tests.requirements import missing
 
 LASTING = "import time; print('ready', flush=True); time.sleep(60)"
@@ -94,7 +102,9 @@ def test_the_sandbox_hides_the_machine(isolated: Bench) -> None:
     assert ending.reason is EndReason.done
     seen, environment, processes = log_of(job).splitlines()
     assert seen == "False False"
-    assert set(re.findall(r"\w+", environment)) <= {
+    # Every pod is told where the API server of its cluster is.
+    names = {name for name in re.findall(r"\w+", environment) if not name.startswith("KUBERNETES_")}
+    assert names <= {
         "HOME",
         "HOSTNAME",
         "LANG",
@@ -109,7 +119,7 @@ def test_the_sandbox_hides_the_machine(isolated: Bench) -> None:
     assert int(processes) < 10
 
 
-@EVERYWHERE
+@NOT_ON_THAT_CLUSTER
 def test_without_network_nothing_can_be_reached(isolated: Bench) -> None:
     with socket.create_server(("0.0.0.0", 0)) as decoy:
         port = decoy.getsockname()[1]
@@ -210,6 +220,7 @@ def test_processes_can_share_memory(isolated: Bench) -> None:
     assert ending.reason is EndReason.done, log_of(isolated.made[-1])
 
 
+@NOT_ON_THAT_CLUSTER
 @pytest.mark.parametrize("place", ["/out", "/tmp"])
 def test_too_much_disk_ends_the_run(isolated: Bench, place: str) -> None:
     _, ending = isolated.run(
@@ -220,12 +231,14 @@ def test_too_much_disk_ends_the_run(isolated: Bench, place: str) -> None:
     assert "20 MB" in ending.message
 
 
+@NOT_ON_THAT_CLUSTER
 def test_empty_files_are_counted(isolated: Bench) -> None:
     text = "import itertools\nfor n in itertools.count():\n    open(f'/out/{n}', 'w').close()"
     assert isolated.run(text, disk_bytes=2_000_000)[1].reason is EndReason.disk
 
 
 @pytest.mark.slow
+@NOT_ON_THAT_CLUSTER
 def test_many_small_files_are_counted(isolated: Bench) -> None:
     _, ending = isolated.run(
         "import itertools\nfor n in itertools.count():\n    open(f'/out/{n}', 'wb').write(b'x' * 4096)",
@@ -276,7 +289,7 @@ def test_a_cancelled_run_may_clean_up(bench: Bench) -> None:
 
 @pytest.mark.slow
 def test_endless_output_is_cut(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (local, docker_container):
+    for module in (local, docker_container, pod_log):
         monkeypatch.setattr(module, "LOG_BYTES", 1_000_000)
     job, ending = bench.run("while True: print('y' * 1000)", time_s=2)
     assert ending.reason is EndReason.time

@@ -52,9 +52,9 @@ from tests.integration.runner_loop.fake_uploads import FakeUploads
 
 
 class FakeServer:
-    """The server. Its fields may be changed by tests at any time."""
+    """The server, at an address of this machine. Its fields may be changed by tests at any time."""
 
-    def __init__(self) -> None:
+    def __init__(self, address: str = "127.0.0.1") -> None:
         self.runs: dict[uuid.UUID, FakeRun] = {}
         self.hellos: list[RunnerRegistration] = []
         self.requests: Counter[str] = Counter()
@@ -71,12 +71,13 @@ class FakeServer:
         self.has_no_store = threading.Event()
         self._objects: dict[str, bytes] = {}
         self._changed = threading.Condition()
+        self._address = address
         server = self
 
         class OfThis(Handler):
             fake = server
 
-        self._http = Server(("127.0.0.1", 0), OfThis)
+        self._http = Server((address, 0), OfThis)
         self.uploads = FakeUploads(self.url, self._objects)
         self._thread = threading.Thread(target=self._http.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
         self._thread.start()
@@ -84,7 +85,7 @@ class FakeServer:
     @property
     def url(self) -> str:
         """Where API and store answer."""
-        return f"http://127.0.0.1:{self._http.server_port}"
+        return f"http://{self._address}:{self._http.server_port}"
 
     def close(self) -> None:
         """End it."""

@@ -162,6 +162,16 @@ def test_each_line_is_copied_once_though_the_connection_breaks(tmp_path: Path) -
     assert (tmp_path / "log").read_bytes() == expected
 
 
+def test_output_that_the_node_deleted_before_it_was_copied_is_noted(tmp_path: Path) -> None:
+    lines = [f"2026-01-01T12:00:00.{n:03d}Z line {n}\n".encode() for n in range(9)]
+    copied(PodLog(Output(lines[:3], 10**6), "a-pod", tmp_path))
+    copied(PodLog(Output(lines[6:], 10**6), "a-pod", tmp_path))
+    text = (tmp_path / "log").read_text()
+    assert text.startswith("line 0\nline 1\nline 2\n")
+    assert text.endswith("line 6\nline 7\nline 8\n")
+    assert text.count("lines may be missing here") == 1
+
+
 def test_times_of_any_precision_are_compared(tmp_path: Path) -> None:
     lines = [b"2026-01-01T12:00:00Z a\n", b"2026-01-01T12:00:00.1Z b\n", b"2026-01-01T12:00:00.12Z c\n"]
     copied(PodLog(Output(lines[:2], 10**6), "a-pod", tmp_path))

@@ -138,7 +138,11 @@ class _Copy:
         text = line
         if self._is_line_start:
             self._time, text = _split(line)
-            self._is_left_out = self._is_left_out and self._is_before_cursor()
+            if self._is_left_out and not self._is_before_cursor():
+                self._is_left_out = False
+                if self._same_time < self._resumed.lines:
+                    # The node has begun a new file since, and deletes the older ones.
+                    text = _GAP + text
         self._is_line_start = line.endswith(b"\n")
         if self._is_left_out:
             return b""
