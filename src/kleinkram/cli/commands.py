@@ -4,6 +4,7 @@ Imports only Typer, because `klein --help` must stay fast.
 """
 
 import contextlib
+import dataclasses
 import difflib
 import functools
 import inspect
@@ -165,6 +166,25 @@ def _command_of(function: Callable[..., Any]) -> Callable[..., None]:
 
     parameters = [parameter for name, parameter in signature.parameters.items() if name != "client"]
     return set_parameters(run, [*parameters, _AS_JSON] if has_output else parameters)
+
+
+def with_option_groups(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command, for each parameter that is a dataclass, the options that are its fields, after its own."""
+    parameters = inspect.signature(command).parameters
+    kinds: dict[str, type[Any]] = {name: parameter.annotation for name, parameter in parameters.items()}
+    groups = {name: kind for name, kind in kinds.items() if dataclasses.is_dataclass(kind)}
+    fields = {name: inspect.signature(kind).parameters for name, kind in groups.items()}
+    own = [parameter for name, parameter in parameters.items() if name not in groups]
+
+    @functools.wraps(command)
+    def run(**values: Any) -> Any:  # Any: Typer calls with whatever the options are
+        chosen = {
+            name: kind(**{field: values.pop(field) for field in fields[name] if field in values})
+            for name, kind in groups.items()
+        }
+        return command(**values, **chosen)
+
+    return set_parameters(run, [*own, *(field for group in fields.values() for field in group.values())])
 
 
 def set_parameters(function: Callable[..., Any], parameters: Iterable[inspect.Parameter]) -> Callable[..., Any]:

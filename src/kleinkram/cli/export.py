@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import Many, argument, flag, option
+from kleinkram.cli.commands import Many, argument, flag, option, with_option_groups
 from kleinkram.cli.cut import open_readable, watch_shares
 from kleinkram.cli.errors import ExitCode
-from kleinkram.cli.filters import Choice, select_files, with_choice
+from kleinkram.cli.filters import Choice, select_files
 from kleinkram.cli.render import Output, note, table
 from kleinkram.cli.units import count, size
 from kleinkram.client import Client, connect
@@ -45,7 +45,7 @@ class _ExportRequest:
     dry_run: bool
 
 
-@with_choice
+@with_option_groups
 def export(
     choice: Choice,
     to: Annotated[ExportFormat, option("--to", None, "Write a table for each topic, or its images.")],

@@ -6,9 +6,9 @@ from typing import Annotated
 from pydantic import BaseModel
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import Many, Subcommands, Text, argument, flag, option
+from kleinkram.cli.commands import Many, Subcommands, Text, argument, flag, option, with_option_groups
 from kleinkram.cli.errors import exit_code_of
-from kleinkram.cli.filters import Choice, file_filter, select_files, with_choice
+from kleinkram.cli.filters import Choice, file_filter, select_files
 from kleinkram.cli.mission import show_files
 from kleinkram.cli.render import Output, as_list, as_total, details, line, note, table
 from kleinkram.cli.transfer import upload
@@ -26,7 +26,7 @@ app.command("create", help="Upload files. The same as `klein upload`.")(upload)
 
 
 @app.command("list")
-@with_choice
+@with_option_groups
 def list_(
     client: Client,
     choice: Choice,
@@ -84,7 +84,7 @@ def update(
 
 
 @app.command("label")
-@with_choice
+@with_option_groups
 def label(
     client: Client,
     choice: Choice,

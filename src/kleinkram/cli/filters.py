@@ -1,14 +1,12 @@
 """The options of `search`, `stats`, `file list` and `download` that select files, and the filters that they mean."""
 
-import functools
-import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
 from pydantic import BaseModel
 
-from kleinkram.cli.commands import Many, Text, option, set_parameters
+from kleinkram.cli.commands import Many, Text, option
 from kleinkram.cli.options import MissionsOption, ProjectsOption, the_only
 from kleinkram.cli.units import parse_size, parse_time
 from kleinkram.client import Client
@@ -53,21 +51,6 @@ class Choice:
     def is_empty(self) -> bool:
         """Say whether no option was given."""
         return all(value in (None, []) for value in vars(self).values())
-
-
-def with_choice(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command the options that are the fields of the class of its parameter `choice`."""
-    signature = inspect.signature(command)
-    own = [parameter for name, parameter in signature.parameters.items() if name != "choice"]
-    kind = signature.parameters["choice"].annotation
-    shared = inspect.signature(kind).parameters
-
-    @functools.wraps(command)
-    def run(**values: Any) -> Any:  # Any: Typer calls with whatever the options are
-        choice = kind(**{name: values.pop(name) for name in shared})
-        return command(choice=choice, **values)
-
-    return set_parameters(run, [*own, *shared.values()])
 
 
 def file_filter(client: Client, choice: Choice, paths: Sequence[str] = ()) -> FileFilter:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Annotated, TypeVar
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import AsJson, Text, argument, flag, option
-from kleinkram.cli.filters import filter_of, ids_of, with_choice
+from kleinkram.cli.commands import AsJson, Text, argument, flag, option, with_option_groups
+from kleinkram.cli.filters import filter_of, ids_of
 from kleinkram.cli.render import moment, show_json, table
 from kleinkram.cli.run_view import action_name, labels_text, number_text
 from kleinkram.cli.units import instant
@@ -48,7 +48,7 @@ RunFilterArgument = Annotated[Text, argument("RUN", "Id of a run.")]
 CsvOption = Annotated[bool, flag("--csv", "Print CSV on stdout, with a column for each parameter.")]
 
 
-@with_choice
+@with_option_groups
 def checks(
     client: Client,
     choice: ReportChoice,
@@ -65,7 +65,7 @@ def checks(
     show_rows(client.runs.checks(matching, limit=limit), headers, _check_cells, as_csv=as_csv, as_json=as_json)
 
 
-@with_choice
+@with_option_groups
 def findings(
     client: Client,
     choice: ReportChoice,
@@ -82,7 +82,7 @@ def findings(
     show_rows(client.runs.findings(matching, limit=limit), headers, _finding_cells, as_csv=as_csv, as_json=as_json)
 
 
-@with_choice
+@with_option_groups
 def metrics(
     client: Client,
     choice: ReportChoice,

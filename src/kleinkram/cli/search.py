@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Annotated
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import AsJson, Many, Text, argument, flag, option
-from kleinkram.cli.filters import Choice, file_filter, mission_query, with_choice
+from kleinkram.cli.commands import AsJson, Many, Text, argument, flag, option, with_option_groups
+from kleinkram.cli.filters import Choice, file_filter, mission_query
 from kleinkram.cli.mission import show_files, show_missions
 from kleinkram.cli.render import Output, as_list, as_table, as_total, details, line, note, show_json, table
 from kleinkram.cli.run_view import action_name, mission_name, status_text
@@ -36,7 +36,7 @@ class Shown(str, enum.Enum):
     facets = "facets"
 
 
-@with_choice
+@with_option_groups
 def search(
     client: Client,
     choice: Choice,
@@ -92,7 +92,7 @@ def _facets(client: Client, query: str) -> Output:
     return Output(facets, show)
 
 
-@with_choice
+@with_option_groups
 def stats(
     client: Client,
     choice: Choice,

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from kleinkram.cli import options
-from kleinkram.cli.commands import Many, argument, flag, is_json_requested, option
+from kleinkram.cli.commands import Many, argument, flag, is_json_requested, option, with_option_groups
 from kleinkram.cli.errors import EXIT_CODES, ExitCode, Interrupted, exit_code_of
-from kleinkram.cli.filters import Choice, select_files, with_choice
+from kleinkram.cli.filters import Choice, select_files
 from kleinkram.cli.render import Output, escape, moment, note, table
 from kleinkram.cli.units import count, parse_rate, size
 from kleinkram.client import Client, connect, transfer
@@ -209,7 +209,7 @@ def _wait_for_summaries(client: Client, mission_id: uuid.UUID, seconds: float) -
         time.sleep(_POLL_S)
 
 
-@with_choice
+@with_option_groups
 def download(
     choice: Choice,
     filters: Annotated[Many, argument("FILTERS", "Paths, globs or ids of files; or the address of a link.")] = None,
