@@ -150,8 +150,16 @@ class SlurmCluster:
         self.fail_starts(fails=False)
         self.command("scancel", f"--user={os.geteuid()}", check=False)
         self.command("scontrol", "update", "PartitionName=main", "State=UP")
-        self.command("scontrol", "update", "NodeName=node1", "State=RESUME", check=False)
+        self.resume_node()
         self.wait_until_idle()
+
+    def resume_node(self) -> None:
+        """Have the node accept jobs again, as an administrator does.
+
+        A controller that is killed forgets the last seconds and uses their job ids again. If a forgotten job is still
+        on the node, Slurm drains the node ("Duplicate jobid on nodes").
+        """
+        self.command("scontrol", "update", "NodeName=node1", "State=RESUME", check=False)
 
     def command(self, *command: str, check: bool = True) -> subprocess.CompletedProcess[str]:
         """Run one of Slurm's commands."""
