@@ -34,6 +34,7 @@ from tests.system.cluster import Cluster, environment
 
 _PARTS = ("api", "runner", "slurmctld", "slurmd")
 _STUCK_S = 300.0
+_MISSIONS = 10
 _SCRIPT = """
 import socket, time, uuid
 from kleinkram.action import context, out
@@ -104,9 +105,10 @@ class Lab:
         owner = (server.data_dir / "owner-token").read_text().strip()
         self.client = connect(self._url, token=owner)
         self.client.projects.create("p")
-        self._mission = self.client.missions.create("drive", project="p")
         (home / "notes.txt").write_text("notes of a drive")
-        self.client.upload(home / "notes.txt", self._mission)
+        self._missions = [self.client.missions.create(f"drive-{number}", project="p") for number in range(_MISSIONS)]
+        for mission in self._missions:
+            self.client.upload(home / "notes.txt", mission)
         self._runner = self._start_runner()
 
     @property
@@ -114,15 +116,15 @@ class Lab:
         return f"http://127.0.0.1:{self.server.port}"
 
     def launch(self, count: int, chance: random.Random) -> list[str]:
-        """Launch runs; return their ids."""
+        """Launch runs, on all missions at once; return their ids."""
         resources = Resources(cores=1, memory_bytes=200_000_000, disk_bytes=50_000_000, time_s=120)
         ids = []
-        for _ in range(count):
+        for _ in range(count // _MISSIONS):
             script = _SCRIPT.format(port=self.witness.port, beats=chance.randrange(1, 30))
             definition = ActionDefinition(name="beat", script=script, resources=resources, network=Network.open)
-            (outcome,) = self.client.runs.launch(definition, [self._mission.id], force=True)
-            assert outcome.outcome == "created", outcome
-            ids.append(str(outcome.run.id))
+            for outcome in self.client.runs.launch(definition, self._missions, force=True):
+                assert outcome.outcome == "created", outcome
+                ids.append(str(outcome.run.id))
         return ids
 
     def kill(self, part: str) -> None:

@@ -13,7 +13,7 @@ from kleinkram.contract.runners import Capacity
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import CannotStart, RunJob
 from kleinkram.runner.executors.slurm import executor as slurm_executor
-from kleinkram.runner.executors.slurm import node_job
+from kleinkram.runner.executors.slurm import node_job, submissions
 from kleinkram.runner.executors.slurm.commands import QueueEntry, SlurmCommands, SlurmRefused, SlurmUnavailable
 from kleinkram.runner.executors.slurm.executor import SlurmExecutor
 from kleinkram.runner.executors.slurm.node_job import SharedLease
@@ -82,6 +82,7 @@ class OneJob:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.clock = Clock()
         monkeypatch.setattr(slurm_executor, "boot_time_s", self.clock)
+        monkeypatch.setattr(submissions, "boot_time_s", self.clock)
         self.commands = Commands()
         capacity = Capacity(cores=8, memory_bytes=10**10, disk_bytes=0, gpus=0)
         self.site = SlurmSite(self.commands, SlurmOptions(2), capacity, NodeOffer(is_isolated=True))
