@@ -180,6 +180,9 @@ def slurm(
     qos: Annotated[Text, option("--qos", "Q", "Request this quality of service. Default: the account's.")] = None,
     constraint: Annotated[Text, option("--constraint", "C", "Use only nodes with these features.")] = None,
     max_jobs: Annotated[int, option("--max-jobs", "N", "Limit the jobs in the queue.", min=1, max=1000)] = 20,
+    max_tasks: Annotated[
+        int | None, option("--max-tasks", "N", "Limit the tasks of a job array that run at a time.", min=1)
+    ] = None,
     sbatch_option: Annotated[
         Many, option("--option", "NAME=VALUE", "Pass a further option to sbatch for all jobs; repeatable.")
     ] = None,
@@ -236,6 +239,7 @@ def slurm(
             extra=_sbatch_options(sbatch_option or []),
             allowed=frozenset(entry.lstrip("-") for entry in allow_option or []),
             python=python,
+            max_tasks=max_tasks,
             transfers_on_nodes=transfers is TransfersOption.node,
         ),
         once=once,

@@ -96,7 +96,7 @@ class SlurmExecutor(ProcessExecutor):
         self._python = site.options.python or sys.executable
         self._prefix = f"klein-{runner.replace('-', '')[:12]}-"
         self._queue = QueueMonitor(site.commands, self._prefix)
-        self._submitter = Submitter(site, self._prefix, self._queue)
+        self._submitter = Submitter(site, self._prefix)
         self._batches = JobBatches(self._submit_new, site.settings.max_array_size)
         self._jobs: dict[str, SubmittedJob] = {}
         # Jobs of an earlier runner process that were not found yet; None where the others are not to be killed.
@@ -292,6 +292,7 @@ class SlurmExecutor(ProcessExecutor):
         submitted: list[SubmittedJob] = []
         for job, job_name in zip(jobs, names, strict=True):
             submitted.append(SubmittedJob(Submission(job_name), boot_time_s()))
+            self._queue.watch(job_name)
             try:
                 write_submission(job.directory, submitted[-1].submission)
                 self._jobs[job.key] = submitted[-1]
@@ -431,6 +432,7 @@ class SlurmExecutor(ProcessExecutor):
         submitted.submission = Submission(name, number=number)
         submitted.settled_at_s, submitted.entry, submitted.start = None, None, None
         write_submission(job.directory, submitted.submission)
+        self._queue.watch(name)
         try:
             options = sbatch_options(self._options, job.resources, job.cluster)
             self._submitter.submit(name, options, [job], [submitted])

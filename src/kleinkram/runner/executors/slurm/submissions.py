@@ -14,7 +14,6 @@ from kleinkram.runner.executors.slurm import node_job
 from kleinkram.runner.executors.slurm.commands import JobAccount, QueueEntry, SlurmUnavailable, task_name
 from kleinkram.runner.executors.slurm.options import array_option
 from kleinkram.runner.executors.slurm.probe import SlurmSite
-from kleinkram.runner.executors.slurm.queue_monitor import QueueMonitor
 from kleinkram.runner.executors.slurm.shared_files import NodeStart, Submission, write_submission
 from kleinkram.runner.executors.supervision import boot_time_s
 
@@ -113,10 +112,9 @@ class _Batch:
 class Submitter:
     """Submits jobs that are recorded, under names that begin with a prefix."""
 
-    def __init__(self, site: SlurmSite, prefix: str, queue: QueueMonitor) -> None:
+    def __init__(self, site: SlurmSite, prefix: str) -> None:
         self._site = site
         self._prefix = prefix
-        self._queue = queue
 
     def new_name(self, what: str) -> str:
         """Return a name that no job has."""
@@ -130,8 +128,6 @@ class Submitter:
         Raises:
             SlurmRefused: none was submitted.
         """
-        for known in submitted:
-            self._queue.watch(known.submission.name)
         own = [f"--job-name={name}", "--output=/dev/null", "--chdir=/", "--requeue"]
         array = [array_option(self._site.options, len(jobs))] if len(jobs) > 1 else []
         problem, job_id = None, ""
