@@ -234,7 +234,7 @@ class SlurmExecutor(ProcessExecutor):
             gpus=start.gpus if start else [],
             cpu_s=account.cpu_s if account else None,
             peak_memory_bytes=account.peak_memory_bytes if account else None,
-            requeues=start.restarts if start else 0,
+            requeues=submitted.submission.requeues + (start.restarts if start else 0),
         )
 
     def cancel(self, job: RunJob) -> None:
@@ -426,10 +426,11 @@ class SlurmExecutor(ProcessExecutor):
         """Submit a job again under a new name. The first, should it still start or go on, notices that and ends."""
         previous = submitted.submission
         # A submission that Slurm did not get does not count.
-        number = previous.number + 1 if previous.job_id else previous.number
+        known = int(bool(previous.job_id))
+        requeues = previous.requeues + known + (submitted.start.restarts if submitted.start else 0)
         self._queue.forget(previous.name)
         name = self._submitter.new_name(job.key)
-        submitted.submission = Submission(name, number=number)
+        submitted.submission = Submission(name, number=previous.number + known, requeues=requeues)
         submitted.settled_at_s, submitted.entry, submitted.start = None, None, None
         write_submission(job.directory, submitted.submission)
         self._queue.watch(name)
