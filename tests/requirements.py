@@ -60,6 +60,10 @@ PROGRAMS = {
     "sinfo": "slurm-client",
     "slurmctld": "slurmctld",
     "slurmd": "slurmd",
+    "sacct": "slurm-client",
+    "sacctmgr": "slurm-client",
+    "slurmdbd": "slurmdbd",
+    "mariadbd": "mariadb-server-core",
 }
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _NODE_SOURCES = Path(__file__).parent / "system" / "oidc"

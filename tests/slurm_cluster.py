@@ -12,8 +12,10 @@ import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from tests import slurm_accounting
 from tests.ports import choose_port
 from tests.requirements import path_of
+from tests.slurm_accounting import Accounting
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scancel", "scontrol", "sinfo")
 _START_S = 60.0
@@ -39,7 +41,7 @@ SchedulerParameters=batch_sched_delay=0,sched_min_interval=0,bf_interval=1
 ReturnToService=2
 JobAcctGatherType=jobacct_gather/linux
 JobAcctGatherFrequency=1
-AccountingStorageType=accounting_storage/none
+{accounting}
 JobCompType=jobcomp/none
 JobRequeue=1
 KillWait=2
@@ -67,8 +69,9 @@ _GPUS = "NodeName=node1 Name=gpu File=/dev/null\nNodeName=node1 Name=gpu File=/d
 class SlurmCluster:
     """The services of one cluster. `environment` is for commands and runners that use it."""
 
-    def __init__(self, folder: Path, cpus: int = 8) -> None:
+    def __init__(self, folder: Path, cpus: int = 8, *, has_accounting: bool = False) -> None:
         self.folder = folder
+        self._accounting = Accounting(folder) if has_accounting else None
         self._services: dict[str, subprocess.Popen[bytes]] = {}
         self.unshared = folder / "unshared"
         for name in ("state", "spool", "munge", "unshared"):
@@ -84,6 +87,9 @@ class SlurmCluster:
             controller_port=choose_port(),
             node_port=choose_port(),
             cpus=cpus,
+            accounting="AccountingStorageType=accounting_storage/none"
+            if self._accounting is None
+            else slurm_accounting.CLUSTER_LINES.format(port=self._accounting.port).strip(),
         )
         (folder / "slurm.conf").write_text(configuration)
         (folder / "gres.conf").write_text(_GPUS)
@@ -97,6 +103,8 @@ class SlurmCluster:
     def start(self) -> None:
         """Start all services, and wait until the node accepts jobs."""
         self.start_munge()
+        if self._accounting is not None:
+            self._start_accounting(self._accounting)
         self.start_controller()
         self.start_node()
         self.wait_until_idle()
@@ -108,6 +116,26 @@ class SlurmCluster:
         options = [f"--{name}-file={path}" for name, path in files.items()]
         self._start("munged", "--foreground", "--force", f"--socket={self.folder}/munge.socket", *options)
         _wait_for((self.folder / "munge.socket").exists)
+
+    def _start_accounting(self, accounting: Accounting) -> None:
+        """Start slurmdbd with a database of its own; root has the accounts `rich` and `poor`, which may use nothing."""
+        accounting.create_database()
+        self._start("mariadbd", *accounting.database_command())
+        _wait_for(accounting.is_database_ready)
+        self._start("slurmdbd", "-D")
+        _wait_for(lambda: self.command("sacctmgr", "--noheader", "show", "cluster", check=False).returncode == 0)
+        for words in (
+            "cluster kleinkram-tests",
+            "account rich cluster=kleinkram-tests",
+            "account poor cluster=kleinkram-tests GrpTRESMins=cpu=0",
+            "user root account=rich,poor defaultaccount=rich",
+        ):
+            self.command("sacctmgr", "--immediate", "add", *words.split())
+
+    def set_budget(self, account: str, core_minutes: int) -> None:
+        """Change what an account may use; -1: no limit."""
+        limit = f"GrpTRESMins=cpu={core_minutes}"
+        self.command("sacctmgr", "--immediate", "modify", "account", account, "set", limit)
 
     def start_controller(self) -> None:
         """Start slurmctld, and wait until it answers."""
@@ -150,8 +178,16 @@ class SlurmCluster:
         self.fail_starts(fails=False)
         self.command("scancel", f"--user={os.geteuid()}", check=False)
         self.command("scontrol", "update", "PartitionName=main", "State=UP")
-        self.command("scontrol", "update", "NodeName=node1", "State=RESUME", check=False)
+        self.resume_node()
         self.wait_until_idle()
+
+    def resume_node(self) -> None:
+        """Have the node accept jobs again, as an administrator does.
+
+        A controller that is killed forgets the last seconds and uses their job ids again. If a forgotten job is still
+        on the node, Slurm drains the node ("Duplicate jobid on nodes").
+        """
+        self.command("scontrol", "update", "NodeName=node1", "State=RESUME", check=False)
 
     def command(self, *command: str, check: bool = True) -> subprocess.CompletedProcess[str]:
         """Run one of Slurm's commands."""
@@ -201,10 +237,10 @@ def _wait_for(condition: object, timeout_s: float = _START_S) -> None:
 
 
 @contextlib.contextmanager
-def slurm_cluster(cpus: int = 8) -> Iterator[SlurmCluster]:
+def slurm_cluster(cpus: int = 8, *, has_accounting: bool = False) -> Iterator[SlurmCluster]:
     """Run a cluster in a folder of its own. Its path is short: those of sockets are limited."""
     with tempfile.TemporaryDirectory(prefix="slurm-") as folder:
-        cluster = SlurmCluster(Path(folder), cpus)
+        cluster = SlurmCluster(Path(folder), cpus, has_accounting=has_accounting)
         try:
             cluster.start()
             yield cluster

@@ -182,6 +182,9 @@ class BatchOptions:
     qos: Annotated[Text, option("--qos", "Q", "Request this quality of service. Default: the account's.")] = None
     constraint: Annotated[Text, option("--constraint", "C", "Use only nodes with these features.")] = None
     max_jobs: Annotated[int, option("--max-jobs", "N", "Limit the jobs in the queue.", min=1, max=1000)] = 20
+    max_tasks: Annotated[
+        int | None, option("--max-tasks", "N", "Limit the tasks of a job array that run at a time.", min=1)
+    ] = None
     sbatch_option: Annotated[
         Many, option("--option", "NAME=VALUE", "Pass a further option to sbatch for all jobs; repeatable.")
     ] = None
@@ -210,6 +213,7 @@ class BatchOptions:
             extra={name: value for name, _, value in pairs},
             allowed=frozenset(entry.lstrip("-") for entry in self.allow_option or []),
             python=self.python,
+            max_tasks=self.max_tasks,
             transfers_on_nodes=self.transfers is TransfersOption.node,
         )
         return {"slurm": options}

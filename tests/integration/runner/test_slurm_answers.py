@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -13,8 +15,14 @@ from kleinkram.contract.runners import Capacity
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import CannotStart, RunJob
 from kleinkram.runner.executors.slurm import executor as slurm_executor
-from kleinkram.runner.executors.slurm import node_job
-from kleinkram.runner.executors.slurm.commands import QueueEntry, SlurmCommands, SlurmRefused, SlurmUnavailable
+from kleinkram.runner.executors.slurm import node_job, submissions
+from kleinkram.runner.executors.slurm.commands import (
+    ClusterSettings,
+    QueueEntry,
+    SlurmCommands,
+    SlurmRefused,
+    SlurmUnavailable,
+)
 from kleinkram.runner.executors.slurm.executor import SlurmExecutor
 from kleinkram.runner.executors.slurm.node_job import SharedLease
 from kleinkram.runner.executors.slurm.options import SlurmOptions
@@ -40,12 +48,18 @@ class Commands(SlurmCommands):
         super().__init__()
         self.failure: Exception | None = None
         self.names: list[str] = []
+        self.arrays: list[str] = []
+        self.accepts_arrays = True
 
     def submit(self, options: Sequence[str], command: str) -> str:
         """Count a job."""
         self.names.append(options[0].removeprefix("--job-name="))
+        self.arrays += [option for option in options if option.startswith("--array=")]
         if self.failure is not None:
             raise self.failure
+        if self.arrays and not self.accepts_arrays:
+            self.arrays.clear()
+            raise SlurmRefused("Invalid job array specification")
         return str(len(self.names))
 
 
@@ -57,6 +71,7 @@ class Queue(QueueMonitor):
         self.clock = clock
         self.killed: list[str] = []
         self.released: list[str] = []
+        self.kills_others = False
 
     def show(self, name: str | None = None, state: str = "PENDING", reason: str = "None") -> None:
         """Show one job, or none, as of two seconds later."""
@@ -75,6 +90,10 @@ class Queue(QueueMonitor):
         """Record it."""
         self.released.append(name)
 
+    def kill_others(self) -> None:
+        """Record it."""
+        self.kills_others = True
+
 
 class OneJob:
     """One job of an executor whose queue and clock a test controls."""
@@ -82,9 +101,12 @@ class OneJob:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.clock = Clock()
         monkeypatch.setattr(slurm_executor, "boot_time_s", self.clock)
+        monkeypatch.setattr(submissions, "boot_time_s", self.clock)
         self.commands = Commands()
         capacity = Capacity(cores=8, memory_bytes=10**10, disk_bytes=0, gpus=0)
-        self.site = SlurmSite(self.commands, SlurmOptions(2), capacity, NodeOffer(is_isolated=True))
+        settings = ClusterSettings(max_array_size=3)
+        options = SlurmOptions(2, max_tasks=2)
+        self.site = SlurmSite(self.commands, options, capacity, NodeOffer(is_isolated=True), settings)
         self.executor = self.again()
         self.job = RunJob("a-job", folder, ["true"], None, Resources(), Network.none)
 
@@ -178,6 +200,9 @@ def test_a_job_that_slurm_forgot_is_submitted_three_times_at_most(one: OneJob) -
         ending = one.executor.poll(one.job)
     assert (ending.reason, len(one.commands.names)) == (EndReason.lost, 3)
     assert len({*one.commands.names}) == 3
+    placement = one.executor.placement(one.job)
+    assert placement is not None
+    assert placement.requeues == 2
 
 
 def test_a_controller_that_does_not_answer_ends_no_job(one: OneJob) -> None:
@@ -243,3 +268,61 @@ def test_a_lease_counts_from_when_the_node_sees_it_change(tmp_path: Path, monkey
     clock.now_s += 2
     lease.read()
     assert lease.is_over()
+
+
+@pytest.fixture
+def several(one: OneJob, tmp_path: Path) -> list[RunJob]:
+    """Jobs that are ready at the same moment."""
+    jobs = [dataclasses.replace(one.job, key=f"job-{number}", directory=tmp_path / str(number)) for number in range(3)]
+    for job in jobs:
+        job.directory.mkdir()
+    return jobs
+
+
+def submit_at_once(one: OneJob, jobs: Sequence[RunJob]) -> None:
+    with ThreadPoolExecutor(len(jobs)) as pool:
+        list(pool.map(one.executor.submit, jobs))
+
+
+def ids_of(one: OneJob, jobs: Sequence[RunJob]) -> set[str | None]:
+    placements = [one.executor.placement(job) for job in jobs]
+    return {placement.job_id for placement in placements if placement is not None}
+
+
+def test_jobs_that_are_ready_together_are_one_array(one: OneJob, several: list[RunJob]) -> None:
+    submit_at_once(one, several)
+    assert one.commands.arrays == ["--array=0-2%2"]
+    assert ids_of(one, several) == {"1_0", "1_1", "1_2"}
+
+
+def test_jobs_that_ask_for_different_things_are_not(one: OneJob, several: list[RunJob]) -> None:
+    several[0] = dataclasses.replace(several[0], resources=Resources(cores=3))
+    submit_at_once(one, several)
+    assert one.commands.arrays == ["--array=0-1%2"]
+    assert len(one.commands.names) == 2
+
+
+def test_an_array_that_slurm_refuses_is_submitted_one_by_one(one: OneJob, several: list[RunJob]) -> None:
+    one.commands.accepts_arrays = False
+    submit_at_once(one, several)
+    assert ids_of(one, several) == {"2", "3", "4"}
+
+
+def test_each_task_of_an_array_that_did_not_arrive_is_submitted_again(one: OneJob, several: list[RunJob]) -> None:
+    one.commands.failure = SlurmUnavailable("Unable to contact slurm controller (connect failure)")
+    submit_at_once(one, several)
+    one.commands.failure = None
+    while len(one.commands.names) < 4:
+        one.queue.show()
+        assert [one.executor.poll(job) for job in several] == [None] * 3
+    assert ids_of(one, several) == {"2", "3", "4"}
+
+
+def test_jobs_of_nobody_are_killed_once_all_known_ones_were_found(one: OneJob, several: list[RunJob]) -> None:
+    submit_at_once(one, several)
+    executor = one.again()
+    executor.remove_others([job.key for job in several])
+    for job in several:
+        assert not one.queue.kills_others
+        executor.poll(job)
+    assert one.queue.kills_others

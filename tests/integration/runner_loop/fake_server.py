@@ -11,6 +11,7 @@ import threading
 import time
 import uuid
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any
 
 from pydantic import BaseModel
@@ -95,11 +96,15 @@ class FakeServer:
 
     def launch(self, code: str, inputs: dict[str, bytes] | None = None, **changes: Any) -> FakeRun:
         """Queue a run of a script, unless changes say otherwise."""
-        run = queued(code, inputs or {}, changes)
-        with self._changed:
-            self.runs[run.claim.run_id] = run
-            self._changed.notify_all()
+        (run,) = self.launch_all([queued(code, inputs or {}, changes)])
         return run
+
+    def launch_all(self, runs: Sequence[FakeRun]) -> Sequence[FakeRun]:
+        """Queue runs at the same moment."""
+        with self._changed:
+            self.runs |= {run.claim.run_id: run for run in runs}
+            self._changed.notify_all()
+        return runs
 
     def wake(self) -> None:
         """Wake all long polls for runs."""

@@ -61,7 +61,7 @@ class Killer:
         """Start a runner that ended by itself: it found nothing that answers when it began."""
         if self._runner.poll() is not None:
             self._runner = self._runners.spawn(slurm=self._slurm)
-        self._slurm.command("scontrol", "update", "NodeName=node1", "State=RESUME", check=False)
+        self._slurm.resume_node()
 
     def pause(self) -> None:
         """Let them work for some seconds."""

@@ -35,10 +35,11 @@ MIB = 2**20
 
 
 def test_a_line_of_squeue() -> None:
-    running = "4711|RUNNING|1795960656|1795960660|node[1-2]|klein-a-b|None"
+    running = "4711|RUNNING|1795960656|1795960660|node[1-2]|klein-a-b|N/A|None"
     assert parse_job(running) == QueueEntry("4711", "RUNNING", 1795960656, 1795960660, "node[1-2]", "klein-a-b", "None")
-    waiting = parse_job("12|PENDING|1795960656|N/A||klein-a-b|ReqNodeNotAvail, UnavailableNodes:a|b")
-    assert (waiting.started_s, waiting.reason) == (None, "ReqNodeNotAvail, UnavailableNodes:a|b")
+    waiting = parse_job("12_3|PENDING|1795960656|N/A||klein-a-b|3|ReqNodeNotAvail, UnavailableNodes:a|b")
+    assert (waiting.job_id, waiting.name, waiting.started_s) == ("12_3", "klein-a-b_3", None)
+    assert waiting.reason == "ReqNodeNotAvail, UnavailableNodes:a|b"
 
 
 def test_a_line_of_sinfo() -> None:
@@ -65,12 +66,12 @@ def test_durations_of_slurm(text: str, seconds: int | None) -> None:
 
 def test_accounts_join_a_job_and_its_steps() -> None:
     text = (
-        "7|CANCELLED by 1000|00:02.500|\n7.batch|CANCELLED|00:02.500|1536K\n"
-        "8|COMPLETED|01:00:00|\n8.0|COMPLETED|00:01|2G\n"
+        "7|klein-a|CANCELLED by 1000|00:02.500|\n7.batch|batch|CANCELLED|00:02.500|1536K\n"
+        "8_3|klein-b|COMPLETED|01:00:00|\n8_3.0|python|COMPLETED|00:01|2G\n"
     )
     assert parse_accounts(text) == {
-        "7": JobAccount("CANCELLED", 2, 1536 * 1024),
-        "8": JobAccount("COMPLETED", 3600, 2 * 2**30),
+        "7": JobAccount("klein-a", "CANCELLED", 2, 1536 * 1024),
+        "8_3": JobAccount("klein-b_3", "COMPLETED", 3600, 2 * 2**30),
     }
 
 

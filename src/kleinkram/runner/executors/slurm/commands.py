@@ -24,9 +24,9 @@ _TRANSIENT = (
     "maxsubmitjob",
     "configuration source",
 )
-_JOB_FORMAT = "%A|%T|%V|%S|%N|%j|%r"
+_JOB_FORMAT = "%i|%T|%V|%S|%N|%j|%K|%r"
 _NODE_FORMAT = "%N|%c|%m|%G|%P|%l|%T"
-_USAGE_FIELDS = "JobID,State,TotalCPU,MaxRSS"
+_USAGE_FIELDS = "JobID,JobName,State,TotalCPU,MaxRSS"
 _SCRIPT = "#!/bin/sh\n"
 
 
@@ -39,7 +39,10 @@ class SlurmRefused(Exception):
 
 
 class QueueEntry(NamedTuple):
-    """A job in Slurm's queue. Times are in seconds by the clock of Slurm's controller; None where not known yet."""
+    """A job in Slurm's queue. Times are in seconds by the clock of Slurm's controller; None where not known yet.
+
+    Of a task of a job array, `job_id` is `123_4`, and `name` ends with `_4`, too.
+    """
 
     job_id: str
     state: str
@@ -63,11 +66,19 @@ class ClusterNode(NamedTuple):
 
 
 class JobAccount(NamedTuple):
-    """What Slurm's accounting has about an ended job."""
+    """What Slurm's accounting has about an ended job. `name` as in `QueueEntry`: Slurm may use an id twice."""
 
+    name: str
     state: str
     cpu_s: float
     peak_memory_bytes: int
+
+
+class ClusterSettings(NamedTuple):
+    """How a cluster is set: whether it stores the usage of jobs, and how many tasks a job array may have."""
+
+    has_accounting: bool = False
+    max_array_size: int = 1
 
 
 class SlurmCommands:
@@ -82,7 +93,7 @@ class SlurmCommands:
         self._user = str(os.geteuid())
 
     def submit(self, options: Sequence[str], command: str) -> str:
-        """Submit a batch job that executes a line of shell, and return its id.
+        """Submit a batch job, or a job array, that executes lines of shell, and return its id.
 
         Raises:
             SlurmUnavailable: it may have been submitted or not.
@@ -93,7 +104,9 @@ class SlurmCommands:
 
     def own_jobs(self, prefix: str) -> list[QueueEntry]:
         """Return the jobs of this user whose names have a prefix, also those that ended in the last minutes."""
-        text = self._run("squeue", "--noheader", "--states=all", f"--user={self._user}", f"--format={_JOB_FORMAT}")
+        text = self._run(
+            "squeue", "--noheader", "--array", "--states=all", f"--user={self._user}", f"--format={_JOB_FORMAT}"
+        )
         entries = [parse_job(line) for line in text.splitlines() if line.count("|") >= _JOB_FORMAT.count("|")]
         return [entry for entry in entries if entry.name.startswith(prefix)]
 
@@ -102,11 +115,15 @@ class SlurmCommands:
         text = self._run("sinfo", "--noheader", "--Node", "--exact", f"--format={_NODE_FORMAT}")
         return [parse_node(line) for line in text.splitlines() if line.count("|") >= _NODE_FORMAT.count("|")]
 
-    def has_accounting(self) -> bool:
-        """Whether Slurm stores the usage of jobs."""
+    def settings(self) -> ClusterSettings:
+        """Return how the cluster is set."""
         text = self._run("scontrol", "show", "config")
-        lines = [line for line in text.splitlines() if line.startswith("AccountingStorageType")]
-        return any("slurmdbd" in line or "mysql" in line for line in lines)
+        values = {name.strip(): value.strip() for name, _, value in (line.partition("=") for line in text.splitlines())}
+        storage, size = values.get("AccountingStorageType", ""), values.get("MaxArraySize", "")
+        return ClusterSettings(
+            has_accounting="slurmdbd" in storage or "mysql" in storage,
+            max_array_size=max(1, int(size)) if size.isdigit() else 1,
+        )
 
     def accounts(self, job_ids: Sequence[str]) -> dict[str, JobAccount]:
         """Return what the accounting has about ended jobs, by their ids."""
@@ -173,8 +190,14 @@ def reason_of(errors: str) -> str:
 
 def parse_job(line: str) -> QueueEntry:
     """Read a line of squeue."""
-    job_id, state, submitted, started, node, name, reason = line.split("|", 6)
+    job_id, state, submitted, started, node, name, task, reason = line.split("|", 7)
+    name = task_name(name, task) if task.isdigit() else name
     return QueueEntry(job_id, state, _seconds(submitted), _seconds(started), node, name, reason.strip())
+
+
+def task_name(name: str, task: int | str) -> str:
+    """Return the name of a task of a job array."""
+    return f"{name}_{task}"
 
 
 def parse_node(line: str) -> ClusterNode:
@@ -221,12 +244,14 @@ def parse_accounts(text: str) -> dict[str, JobAccount]:
     """Read lines of sacct: that of a job has its state and CPU time, that of its script the memory."""
     accounts: dict[str, JobAccount] = {}
     for line in text.splitlines():
-        job, state, cpu, memory = line.split("|")
+        job, name, state, cpu, memory = line.split("|")
         job_id, _, step = job.partition(".")
-        known = accounts.get(job_id, JobAccount("", 0.0, 0))
+        known = accounts.get(job_id, JobAccount("", "", 0.0, 0))
+        task = job_id.partition("_")[2]
         number, unit = memory.rstrip("KMGT"), memory[-1:] if memory[-1:] in _UNITS else ""
         peak = int(float(number or 0) * _UNITS[unit])
         accounts[job_id] = JobAccount(
+            name=known.name if step else task_name(name, task) if task else name,
             state=known.state if step else state.partition(" ")[0],
             cpu_s=max(known.cpu_s, float(parse_duration(cpu) or 0)),
             peak_memory_bytes=max(known.peak_memory_bytes, peak),

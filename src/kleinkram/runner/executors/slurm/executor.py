@@ -1,19 +1,17 @@
 """Runs jobs by Slurm: submits them from a login node, follows them in bulk, and supervises them on their nodes.
 
 The directories of jobs are in a folder that the login node and all nodes see. A job is recorded under a name of its own
-before it is submitted, and found by that name, so that no answer of Slurm that gets lost submits it twice. The ending
-that its supervisor wrote counts; Slurm's state only where there is none.
+before it is submitted, and found by that name, so that no answer of Slurm that gets lost submits it twice, and no id
+that Slurm uses twice confuses it. Jobs that are ready together are one job array. The ending that a job's supervisor
+wrote counts; Slurm's state only where there is none.
 """
 
 import contextlib
 import dataclasses
 import json
-import shlex
 import signal
 import sys
-import uuid
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
 
 from kleinkram.contract.runners import MAX_LEASE_S, Capacity, ExecutorAbilities, RunFinish
 from kleinkram.contract.runs import EndReason, RunPlacement
@@ -23,14 +21,18 @@ from kleinkram.runner.executors.base import Ending, RunJob, StoredResults, read_
 from kleinkram.runner.executors.gpus import Gpu
 from kleinkram.runner.executors.local import Machine, cannot_start
 from kleinkram.runner.executors.process import ProcessExecutor
-from kleinkram.runner.executors.slurm import node_job
-from kleinkram.runner.executors.slurm.commands import JobAccount, QueueEntry, SlurmRefused, SlurmUnavailable
+from kleinkram.runner.executors.slurm.commands import (
+    JobAccount,
+    QueueEntry,
+    SlurmRefused,
+    SlurmUnavailable,
+    task_name,
+)
 from kleinkram.runner.executors.slurm.options import sbatch_options
 from kleinkram.runner.executors.slurm.probe import SlurmSite
 from kleinkram.runner.executors.slurm.queue_monitor import QueueMonitor
 from kleinkram.runner.executors.slurm.shared_files import (
     SUBMISSION,
-    NodeStart,
     Submission,
     read_start,
     read_submission,
@@ -47,6 +49,7 @@ from kleinkram.runner.executors.slurm.states import (
     phase_of,
     waiting_sentence,
 )
+from kleinkram.runner.executors.slurm.submissions import JobBatches, SubmittedJob, Submitter
 from kleinkram.runner.executors.supervision import CANCELLED, ENDING, GRACE_S, boot_time_s
 from kleinkram.runner.executors.transfer_steps import FINISH
 from kleinkram.runner.images.store import ImageStore
@@ -73,32 +76,6 @@ _NOT_ACCOUNTED_S = 5.0
 _KILLED = 128 + signal.SIGKILL
 
 
-@dataclass
-class _SubmittedJob:
-    """What this process knows of a job that was submitted by it, or by an earlier one."""
-
-    submission: Submission
-    submitted_s: float
-    problem: str | None = None
-    cancelled_s: float | None = None
-    settled_at_s: float | None = None
-    stuck_since_s: float | None = None
-    read_at_s: float = 0.0
-    start_read_at_s: float = 0.0
-    releases: int = 0
-    released_s: float = 0.0
-    # Its state in the last answer, None where it was not in it; and the last that was known.
-    queue_state: str | None = None
-    entry: QueueEntry | None = None
-    start: NodeStart | None = None
-    # The start that got the lease last, and when.
-    leased_start: NodeStart | None = None
-    leased_s: float = 0.0
-    ending: Ending | None = None
-    ended_s: float | None = None
-    account: JobAccount | None = None
-
-
 class SlurmExecutor(ProcessExecutor):
     """Runs jobs by Slurm. `runner` is the id of the runner: its jobs in Slurm are named after it."""
 
@@ -119,7 +96,11 @@ class SlurmExecutor(ProcessExecutor):
         self._python = site.options.python or sys.executable
         self._prefix = f"klein-{runner.replace('-', '')[:12]}-"
         self._queue = QueueMonitor(site.commands, self._prefix)
-        self._jobs: dict[str, _SubmittedJob] = {}
+        self._submitter = Submitter(site, self._prefix)
+        self._batches = JobBatches(self._submit_new, site.settings.max_array_size)
+        self._jobs: dict[str, SubmittedJob] = {}
+        # Jobs of an earlier runner process that were not found yet; None where the others are not to be killed.
+        self._not_found: set[str] | None = None
 
     @property
     def abilities(self) -> ExecutorAbilities:
@@ -166,7 +147,10 @@ class SlurmExecutor(ProcessExecutor):
             submitted.leased_start, submitted.leased_s = submitted.start, boot_time_s()
 
     def submit(self, job: RunJob) -> None:
-        """Submit a job. Where Slurm does not answer, `poll` submits it again, unless it is in the queue."""
+        """Submit a job, together with others that are submitted now from other threads and need the same.
+
+        Where Slurm does not answer, `poll` submits it again, unless it is in the queue.
+        """
         sbatch_options(self._options, job.resources, job.cluster)
         if job.command and job.command[0] == sys.executable:
             job = dataclasses.replace(job, command=[self._python, *job.command[1:]])
@@ -191,7 +175,7 @@ class SlurmExecutor(ProcessExecutor):
             submitted.ended_s = boot_time_s()
         if self._options.transfers_on_nodes:  # its job in Slurm goes on
             return submitted.ending
-        if self._site.has_accounting and not self._is_accounted(submitted):
+        if self._site.settings.has_accounting and not self._is_accounted(submitted):
             return None
         self._queue.forget(submitted.submission.name)
         return submitted.ending
@@ -204,7 +188,7 @@ class SlurmExecutor(ProcessExecutor):
         finish = read_finish(job.directory, plain.attempt) if submitted is not None else None
         return StoredResults(finish, has_log=True) if finish is not None else None
 
-    def _is_uploading(self, job: RunJob, submitted: _SubmittedJob) -> bool:
+    def _is_uploading(self, job: RunJob, submitted: SubmittedJob) -> bool:
         """Whether the node of an ended job still uploads its results, or Slurm does not say."""
         snapshot = self._queue.snapshot
         is_known = (
@@ -215,7 +199,7 @@ class SlurmExecutor(ProcessExecutor):
         refresh(job.directory)
         if is_running and not (job.directory / FINISH).exists():
             return True
-        if self._site.has_accounting and not self._is_accounted(submitted):
+        if self._site.settings.has_accounting and not self._is_accounted(submitted):
             return True
         self._queue.forget(submitted.submission.name)
         return False
@@ -250,7 +234,7 @@ class SlurmExecutor(ProcessExecutor):
             gpus=start.gpus if start else [],
             cpu_s=account.cpu_s if account else None,
             peak_memory_bytes=account.peak_memory_bytes if account else None,
-            requeues=start.restarts if start else 0,
+            requeues=submitted.submission.requeues + (start.restarts if start else 0),
         )
 
     def cancel(self, job: RunJob) -> None:
@@ -288,56 +272,67 @@ class SlurmExecutor(ProcessExecutor):
         self._queue.close()
 
     def remove_others(self, known_keys: Collection[str]) -> None:
-        """Kill the jobs of this runner that are not known, once Slurm answers."""
-        self._queue.kill_others(known_keys)
+        """Kill the jobs of this runner that are not known, once the known ones were found and Slurm answers."""
+        self._not_found = {*known_keys} - self._jobs.keys()
+        self._kill_others_if_all_found()
+
+    def _kill_others_if_all_found(self) -> None:
+        if self._not_found is not None and not self._not_found:
+            self._not_found = None
+            self._queue.kill_others()
 
     def _start_supervisor(self, job: RunJob) -> None:
-        submission = Submission(self._new_name(job))
-        write_submission(job.directory, submission)
-        self._jobs[job.key] = submitted = _SubmittedJob(submission, boot_time_s())
-        self._queue.watch(submission.name)
+        self._batches.submit(job, sbatch_options(self._options, job.resources, job.cluster))
+
+    def _submit_new(self, options: Sequence[str], jobs: Sequence[RunJob]) -> Mapping[str, Exception]:
+        """Submit jobs for the first time, as a job array where there are several; return what went wrong, by key."""
+        name = self._submitter.new_name("array" if len(jobs) > 1 else jobs[0].key)
+        names = [task_name(name, number) for number, _ in enumerate(jobs)] if len(jobs) > 1 else [name]
+        failures: dict[str, Exception] = {}
+        submitted: list[SubmittedJob] = []
+        for job, job_name in zip(jobs, names, strict=True):
+            submitted.append(SubmittedJob(Submission(job_name), boot_time_s()))
+            self._queue.watch(job_name)
+            try:
+                write_submission(job.directory, submitted[-1].submission)
+                self._jobs[job.key] = submitted[-1]
+            except OSError as error:  # its task will do nothing
+                failures[job.key] = error
         try:
-            self._submit(job, submitted)
+            self._submitter.submit(name, options, jobs, submitted)
         except SlurmRefused as error:
-            (job.directory / SUBMISSION).unlink(missing_ok=True)
-            self._queue.forget(submission.name)
-            del self._jobs[job.key]
-            raise cannot_start(f"Slurm refused its job: {error}.") from error
+            for job, known in zip(jobs, submitted, strict=True):
+                (job.directory / SUBMISSION).unlink(missing_ok=True)
+                self._queue.forget(known.submission.name)
+                self._jobs.pop(job.key, None)
+            if len(jobs) == 1:
+                return {jobs[0].key: cannot_start(f"Slurm refused its job: {error}.")}
+            # Some of them may be accepted.
+            for job in jobs:
+                if job.key not in failures:
+                    failures |= self._submit_new(options, [job])
+        return failures
 
-    def _submit(self, job: RunJob, submitted: _SubmittedJob) -> None:
-        directory = str(job.directory)
-        command = [self._python, "-I", "-m", node_job.__name__, directory]
-        options = [
-            f"--job-name={submitted.submission.name}",
-            # `%` begins a pattern of Slurm.
-            f"--output={directory.replace('%', '%%')}/slurm.log",
-            "--open-mode=append",
-            f"--chdir={directory}",
-            "--requeue",
-            *sbatch_options(self._options, job.resources, job.cluster),
-        ]
-        try:
-            job_id = self._commands.submit(options, f"exec {shlex.join(command)}")
-            submitted.submission = submitted.submission._replace(job_id=job_id)
-            submitted.problem = None
-            write_submission(job.directory, submitted.submission)
-        except SlurmUnavailable as error:
-            submitted.problem = str(error)
-        submitted.submitted_s = boot_time_s()
-        self._queue.watch(submitted.submission.name)
-
-    def _find(self, job: RunJob) -> _SubmittedJob | None:
+    def _find(self, job: RunJob) -> SubmittedJob | None:
         """Return a submitted job, also that of an earlier runner process; None where it was not, or was removed."""
         known = self._jobs.get(job.key)
         if known is None:
             submission = read_submission(job.directory)
             if submission is None:
+                self._note_found(job)
                 return None
-            known = self._jobs.setdefault(job.key, _SubmittedJob(submission, boot_time_s()))
+            known = self._jobs.setdefault(job.key, SubmittedJob(submission, boot_time_s()))
             self._queue.watch(submission.name)
+        self._note_found(job)
         return known
 
-    def _update(self, job: RunJob, submitted: _SubmittedJob) -> None:
+    def _note_found(self, job: RunJob) -> None:
+        """Kill the jobs that nobody knows, once all known ones were found."""
+        if self._not_found is not None:
+            self._not_found.discard(job.key)
+            self._kill_others_if_all_found()
+
+    def _update(self, job: RunJob, submitted: SubmittedJob) -> None:
         """Take over what the queue, and the node, say."""
         entry = self._queue.snapshot.entries.get(submitted.submission.name)
         state = entry.state if entry is not None else None
@@ -356,7 +351,7 @@ class SlurmExecutor(ProcessExecutor):
             with contextlib.suppress(OSError):
                 submitted.start = read_start(job.directory) or submitted.start
 
-    def _own_ending(self, job: RunJob, submitted: _SubmittedJob) -> Ending | None:
+    def _own_ending(self, job: RunJob, submitted: SubmittedJob) -> Ending | None:
         """Return the ending that the supervisor wrote, if it did."""
         now_s = boot_time_s()
         if now_s < submitted.read_at_s:
@@ -379,14 +374,14 @@ class SlurmExecutor(ProcessExecutor):
             return ending_of("OUT_OF_MEMORY", "", "", "")
         return ending
 
-    def _is_out_of_memory(self, submitted: _SubmittedJob) -> bool:
+    def _is_out_of_memory(self, submitted: SubmittedJob) -> bool:
         """Whether Slurm's control group killed a process of a job."""
         name = submitted.submission.name
         self._queue.wait_until_gone(name, _SETTLED_S)
         entry = self._queue.snapshot.entries.get(name)
         return entry is not None and entry.state == "OUT_OF_MEMORY"
 
-    def _judge(self, job: RunJob, submitted: _SubmittedJob) -> Ending | None:
+    def _judge(self, job: RunJob, submitted: SubmittedJob) -> Ending | None:
         """Return how a job ended that wrote no ending, once that is certain; keep its submission going."""
         snapshot = self._queue.snapshot
         if snapshot.queried_s <= submitted.submitted_s or self._queue.error is not None:
@@ -410,50 +405,51 @@ class SlurmExecutor(ProcessExecutor):
         submitted.read_at_s = 0.0
         return self._own_ending(job, submitted) or self._end_or_submit_again(job, submitted, entry)
 
-    def _end_or_submit_again(self, job: RunJob, submitted: _SubmittedJob, entry: QueueEntry | None) -> Ending | None:
+    def _end_or_submit_again(self, job: RunJob, submitted: SubmittedJob, entry: QueueEntry | None) -> Ending | None:
         ending = self._ending_by_state(submitted, entry)
         if ending.reason is EndReason.lost and submitted.submission.number < _MAX_SUBMISSIONS:
             return self._submit_again(job, submitted)
         return ending
 
-    def _ending_by_state(self, submitted: _SubmittedJob, entry: QueueEntry | None) -> Ending:
+    def _ending_by_state(self, submitted: SubmittedJob, entry: QueueEntry | None) -> Ending:
         job_id = submitted.submission.job_id
         node = submitted.start.node if submitted.start is not None else ""
         if entry is not None:
             return ending_of(entry.state, entry.reason, job_id, entry.node or node)
-        if self._site.has_accounting:
+        if self._site.settings.has_accounting:
             with contextlib.suppress(SlurmUnavailable, SlurmRefused):
-                if (account := self._commands.accounts([job_id]).get(job_id)) is not None:
+                if (account := self._account_of(submitted)) is not None:
                     return ending_of(account.state, "None", job_id, node)
         return Ending(EndReason.lost, f"Slurm does not know its job {job_id} any more.")
 
-    def _submit_again(self, job: RunJob, submitted: _SubmittedJob) -> Ending | None:
+    def _submit_again(self, job: RunJob, submitted: SubmittedJob) -> Ending | None:
         """Submit a job again under a new name. The first, should it still start or go on, notices that and ends."""
         previous = submitted.submission
         # A submission that Slurm did not get does not count.
-        number = previous.number + 1 if previous.job_id else previous.number
+        known = int(bool(previous.job_id))
+        requeues = previous.requeues + known + (submitted.start.restarts if submitted.start else 0)
         self._queue.forget(previous.name)
-        submitted.submission = Submission(self._new_name(job), number=number)
+        name = self._submitter.new_name(job.key)
+        submitted.submission = Submission(name, number=previous.number + known, requeues=requeues)
         submitted.settled_at_s, submitted.entry, submitted.start = None, None, None
         write_submission(job.directory, submitted.submission)
+        self._queue.watch(name)
         try:
-            self._submit(job, submitted)
+            options = sbatch_options(self._options, job.resources, job.cluster)
+            self._submitter.submit(name, options, [job], [submitted])
         except SlurmRefused as error:
             return Ending(EndReason.not_possible, f"Slurm refused its job: {error}.")
         return None
 
     @staticmethod
-    def _is_lease_due(submitted: _SubmittedJob, remaining_s: float) -> bool:
+    def _is_lease_due(submitted: SubmittedJob, remaining_s: float) -> bool:
         """Whether a job needs its lease: one that has just started waits for it."""
         entry = submitted.entry
         is_waiting = entry is not None and phase_of(entry.state) is Phase.waiting
         is_known = is_waiting or (submitted.start is not None and submitted.start == submitted.leased_start)
         return not is_known or boot_time_s() - submitted.leased_s > min(_LEASE_EVERY_S, remaining_s / 20)
 
-    def _new_name(self, job: RunJob) -> str:
-        return f"{self._prefix}{job.key}-{uuid.uuid4().hex[:8]}"
-
-    def _check_waiting(self, submitted: _SubmittedJob, entry: QueueEntry) -> Ending | None:
+    def _check_waiting(self, submitted: SubmittedJob, entry: QueueEntry) -> Ending | None:
         """End a job that can never start, and have one start that Slurm holds because a node failed to start it."""
         now_s = boot_time_s()
         if is_stuck_after_failure(entry.reason):
@@ -477,12 +473,17 @@ class SlurmExecutor(ProcessExecutor):
         self._queue.kill(entry.name)
         return ending
 
-    def _is_accounted(self, submitted: _SubmittedJob) -> bool:
+    def _is_accounted(self, submitted: SubmittedJob) -> bool:
         """Whether the accounting has an ended job, or has had the time to."""
         if submitted.account is None and submitted.submission.job_id:
             self._queue.wait_until_gone(submitted.submission.name, _NOT_ACCOUNTED_S)
             with contextlib.suppress(SlurmUnavailable, SlurmRefused):
-                job_id = submitted.submission.job_id
-                submitted.account = self._commands.accounts([job_id]).get(job_id)
+                submitted.account = self._account_of(submitted)
         waited_s = boot_time_s() - (submitted.ended_s or 0.0)
         return submitted.account is not None or waited_s > _NOT_ACCOUNTED_S
+
+    def _account_of(self, submitted: SubmittedJob) -> JobAccount | None:
+        """Return what the accounting has about a job, not about another one that had its id."""
+        job_id = submitted.submission.job_id
+        account = self._commands.accounts([job_id]).get(job_id)
+        return account if account is not None and account.name == submitted.submission.name else None

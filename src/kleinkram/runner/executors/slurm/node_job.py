@@ -115,13 +115,19 @@ class NodeJobSupervisor(JobSupervisor):
         super()._write_ending(code)
 
 
+def _own_name() -> str | None:
+    """Return the name of this job as its submission has it; None outside of Slurm."""
+    name, task = os.environ.get("SLURM_JOB_NAME"), os.environ.get("SLURM_ARRAY_TASK_ID")
+    return f"{name}_{task}" if name and task else name
+
+
 def _is_current(directory: Path, token: str) -> bool:
     """Whether a start still has the directory of its job; what cannot be read at the moment is not changed."""
     try:
         submission, start = read_submission(directory), read_start(directory)
     except OSError:
         return True
-    is_named = submission is not None and submission.name == os.environ.get("SLURM_JOB_NAME", submission.name)
+    is_named = submission is not None and submission.name == (_own_name() or submission.name)
     return is_named and start is not None and start.token == token
 
 
@@ -200,7 +206,7 @@ def _upload_results(directory: Path, token: str) -> None:
 def run_job(directory: Path) -> None:
     """Run a job to its end; do nothing where the directory is not this job's any more, or the job has ended."""
     submission = read_submission(directory)
-    if submission is None or submission.name != os.environ.get("SLURM_JOB_NAME") or (directory / ENDING).exists():
+    if submission is None or submission.name != _own_name() or (directory / ENDING).exists():
         return
     token = _take_directory(directory)
     job = json.loads((directory / JOB).read_text())

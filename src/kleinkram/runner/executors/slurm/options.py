@@ -30,7 +30,8 @@ class SlurmOptions:
 
     `extra` are further options of sbatch for all jobs, by their names without dashes; `allowed` are the names of those
     that actions may set. `python` is the interpreter on the nodes; `max_jobs` bounds those in the queue.
-    `transfers_on_nodes`: the nodes move the files of their jobs.
+    `max_tasks` bounds the tasks of a job array that run at a time. `transfers_on_nodes`: the nodes move the files of
+    their jobs.
     """
 
     max_jobs: int
@@ -41,6 +42,7 @@ class SlurmOptions:
     extra: Mapping[str, str] = field(default_factory=dict)
     allowed: frozenset[str] = frozenset()
     python: str | None = None
+    max_tasks: int | None = None
     transfers_on_nodes: bool = False
 
 
@@ -71,6 +73,11 @@ def sbatch_options(options: SlurmOptions, resources: Resources, request: Cluster
     if request.exclusive:
         result.append("--exclusive")
     return result
+
+
+def array_option(options: SlurmOptions, count: int) -> str:
+    """Return the option that makes a job an array of so many tasks."""
+    return f"--array=0-{count - 1}" + (f"%{options.max_tasks}" if options.max_tasks else "")
 
 
 def usual_options(options: SlurmOptions, constraint: str | None = None) -> list[str]:

@@ -12,7 +12,7 @@ import sys
 import time
 import uuid
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from pydantic import TypeAdapter
@@ -22,6 +22,7 @@ from kleinkram.contract.runners import Capacity
 from kleinkram.runner.executors.slurm import node_job
 from kleinkram.runner.executors.slurm.commands import (
     ClusterNode,
+    ClusterSettings,
     QueueEntry,
     SlurmCommands,
     SlurmRefused,
@@ -57,7 +58,7 @@ class SlurmSite:
     options: SlurmOptions
     capacity: Capacity
     node: NodeOffer
-    has_accounting: bool = False
+    settings: ClusterSettings = field(default_factory=ClusterSettings)
 
 
 def find_site(commands: SlurmCommands, options: SlurmOptions, directory: Path, *, runner: str) -> SlurmSite:
@@ -72,22 +73,22 @@ def find_site(commands: SlurmCommands, options: SlurmOptions, directory: Path, *
     key = repr((options.partition, options.constraint, options.python or sys.executable))
     try:
         capacity = largest_node(commands.nodes(), options.partition)
-        has_accounting = commands.has_accounting()
+        settings = commands.settings()
     except (SlurmUnavailable, SlurmRefused) as error:
         if stored is None:
             raise InvalidInput(what="Slurm", reason=str(error)) from error
         _log.warning("Slurm does not answer; the runner knows the cluster from before: %s", error)
-        capacity, has_accounting = stored.capacity, stored.has_accounting
+        capacity, settings = stored.capacity, stored.settings
     has_runs = any((directory / "runs").glob("*"))
     if stored is not None and (stored.key == key or has_runs):
-        return SlurmSite(commands, options, capacity, stored.node, has_accounting)
+        return SlurmSite(commands, options, capacity, stored.node, settings)
     try:
         node = _Probe(commands, options, directory, runner).run()
     except SlurmUnavailable as error:
         raise InvalidInput(what="Slurm", reason=str(error)) from error
-    text = TypeAdapter(_StoredSite).dump_json(_StoredSite(key, capacity, node, has_accounting)).decode()
+    text = TypeAdapter(_StoredSite).dump_json(_StoredSite(key, capacity, node, settings)).decode()
     write_atomically(directory / _STORED, text)
-    return SlurmSite(commands, options, capacity, node, has_accounting)
+    return SlurmSite(commands, options, capacity, node, settings)
 
 
 def _read_stored(directory: Path) -> "_StoredSite | None":
@@ -126,7 +127,7 @@ class _StoredSite:
     key: str
     capacity: Capacity
     node: NodeOffer
-    has_accounting: bool
+    settings: ClusterSettings = field(default_factory=ClusterSettings)
 
 
 class _Probe:

@@ -3,7 +3,6 @@
 import logging
 import threading
 import time
-from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from kleinkram.runner.executors.slurm.commands import QueueEntry, SlurmCommands, SlurmRefused, SlurmUnavailable
@@ -39,7 +38,7 @@ class QueueMonitor:
         self._stop: set[str] = set()
         self._kill: set[str] = set()
         self._release: set[str] = set()
-        self._known_keys: frozenset[str] | None = None
+        self._kills_others = False
         self._lock = threading.Lock()
         self._has_work = threading.Event()
         self._has_answer = threading.Condition()
@@ -76,10 +75,10 @@ class QueueMonitor:
             self._release.add(name)
         self._wake()
 
-    def kill_others(self, known_keys: Collection[str]) -> None:
-        """End the jobs of an earlier runner process that are neither known nor watched, once Slurm answers."""
+    def kill_others(self) -> None:
+        """End the jobs of an earlier runner process that are not watched, once Slurm answers."""
         with self._lock:
-            self._known_keys = frozenset(known_keys)
+            self._kills_others = True
         self._wake()
 
     def wait_until_gone(self, name: str, timeout_s: float) -> bool:
@@ -129,7 +128,7 @@ class QueueMonitor:
 
     def _is_needed(self) -> bool:
         with self._lock:
-            return bool(self._watched or self._kill or self._known_keys is not None)
+            return bool(self._watched or self._kill or self._kills_others)
 
     def _pause(self, seconds: float) -> None:
         """Wait, but not where something is to be cancelled."""
@@ -176,12 +175,9 @@ class QueueMonitor:
 
     def _find_others(self, entries: dict[str, QueueEntry]) -> None:
         with self._lock:
-            known, self._known_keys = self._known_keys, None
-            if known is None:
-                return
-            for name in entries.keys() - self._watched:
-                if name.removeprefix(self._prefix).rpartition("-")[0] not in known:
-                    self._kill.add(name)
+            if self._kills_others:
+                self._kills_others = False
+                self._kill |= entries.keys() - self._watched
 
 
 def _ids(entries: dict[str, QueueEntry], names: set[str], *phases: Phase) -> list[str]:
