@@ -57,8 +57,6 @@ disable_apparmor = true
 [plugins."io.containerd.grpc.v1.cri".cni]
 bin_dir = "{plugins}"
 conf_dir = "{folder}/cni"
-[plugins."io.containerd.grpc.v1.cri".registry.mirrors."{registry}"]
-endpoint = ["http://{address}:{port}"]
 """
 
 
@@ -218,9 +216,20 @@ class KubernetesCluster:
             ("ip", "link", "set", inside, "name", "eth0"),
             ("ip", "address", "add", f"{self._node_address}/24", "dev", "eth0"),
             ("ip", "link", "set", "eth0", "up"),
-            ("sysctl", "-q", "net.ipv4.ip_forward=1"),
+            ("sysctl", "-q", "net.ipv4.ip_forward=1", "net.ipv4.conf.all.route_localnet=1"),
+            *self._forwarded_registry(),
         ):
             _run(*self._enter(*words))
+
+    def _forwarded_registry(self) -> list[tuple[str, ...]]:
+        """Return commands by which nodes find the registry under the name that it has on this machine."""
+        host, _, port = self._registry.rpartition(":")
+        registry = ("--destination", host, "--protocol", "tcp", "--dport", port)
+        table = ("iptables", "--wait", "--table", "nat", "--append")
+        return [
+            (*table, "OUTPUT", *registry, "--jump", "DNAT", "--to-destination", f"{self.address}:{port}"),
+            (*table, "POSTROUTING", "--destination", self.address, "--jump", "MASQUERADE"),
+        ]
 
     def _machine_pid(self) -> int:
         (pid,) = (
@@ -347,16 +356,11 @@ class KubernetesCluster:
             self.write_kubeconfig(folder / f"{name}.json", self._tokens[f"system:{name}"])
         self.write_kubeconfig(folder / "admin.json", self._tokens["admin"])
         self.write_kubeconfig(folder / "kubelet.json.token", self._tokens[f"system:node:{NODE}"])
-        host, _, port = self._registry.rpartition(":")
-        assert host == "127.0.0.1"
         (folder / "containerd.toml").write_text(
             _CONTAINERD.format(
                 folder=folder,
                 pause=self._pause,
                 plugins=self._build.plugins,
-                registry=self._registry,
-                address=self.address,
-                port=port,
             )
         )
         network = {
