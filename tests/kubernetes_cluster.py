@@ -7,8 +7,6 @@ end with it. It reaches this machine by one address, and nothing else.
 from __future__ import annotations
 
 import contextlib
-import datetime
-import ipaddress
 import itertools
 import json
 import os
@@ -18,18 +16,11 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
-import urllib3
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import rsa
-from cryptography.x509.oid import NameOID
-
+from tests.kubernetes_access import Api, Body, write_certificates
 from tests.kubernetes_build import KubernetesBuild
 from tests.requirements import path_of
 
-Body = dict[str, Any]
 # What it needs of this machine, besides what is built.
 PROGRAMS = ("containerd", "runc", "catatonit", "dnsmasq", "ip", "iptables", "setpriv")
 NODE, STORAGE_CLASS, PROVISIONER = "node-1", "of-the-tests", "kleinkram.test/folders"
@@ -66,8 +57,6 @@ disable_apparmor = true
 [plugins."io.containerd.grpc.v1.cri".cni]
 bin_dir = "{plugins}"
 conf_dir = "{folder}/cni"
-[plugins."io.containerd.grpc.v1.cri".registry.mirrors."{registry}"]
-endpoint = ["http://{address}:{port}"]
 """
 
 
@@ -227,9 +216,20 @@ class KubernetesCluster:
             ("ip", "link", "set", inside, "name", "eth0"),
             ("ip", "address", "add", f"{self._node_address}/24", "dev", "eth0"),
             ("ip", "link", "set", "eth0", "up"),
-            ("sysctl", "-q", "net.ipv4.ip_forward=1"),
+            ("sysctl", "-q", "net.ipv4.ip_forward=1", "net.ipv4.conf.all.route_localnet=1"),
+            *self._forwarded_registry(),
         ):
             _run(*self._enter(*words))
+
+    def _forwarded_registry(self) -> list[tuple[str, ...]]:
+        """Return commands by which nodes find the registry under the name that it has on this machine."""
+        host, _, port = self._registry.rpartition(":")
+        registry = ("--destination", host, "--protocol", "tcp", "--dport", port)
+        table = ("iptables", "--wait", "--table", "nat", "--append")
+        return [
+            (*table, "OUTPUT", *registry, "--jump", "DNAT", "--to-destination", f"{self.address}:{port}"),
+            (*table, "POSTROUTING", "--destination", self.address, "--jump", "MASQUERADE"),
+        ]
 
     def _machine_pid(self) -> int:
         (pid,) = (
@@ -287,6 +287,7 @@ class KubernetesCluster:
             f"--client-ca-file={folder}/ca.pem",
             f"--kubelet-client-certificate={folder}/client.pem",
             f"--kubelet-client-key={folder}/client.key",
+            "--kubelet-preferred-address-types=InternalIP",
             f"--service-account-key-file={folder}/accounts.pub",
             f"--service-account-signing-key-file={folder}/accounts.key",
             "--service-account-issuer=https://kubernetes.default.svc",
@@ -348,23 +349,18 @@ class KubernetesCluster:
 
     def _write_files(self) -> None:
         folder = self.folder
-        write_certificates(folder, self._node_address)
+        write_certificates(folder, (self._node_address, _FIRST_SERVICE))
         rows = [f'{self._tokens[name]},{name},{name},"{group}"\n' for name, group in _USERS.items()]
         (folder / "tokens.csv").write_text("".join(rows))
         for name in ("kube-controller-manager", "kube-scheduler", "kube-proxy"):
             self.write_kubeconfig(folder / f"{name}.json", self._tokens[f"system:{name}"])
         self.write_kubeconfig(folder / "admin.json", self._tokens["admin"])
         self.write_kubeconfig(folder / "kubelet.json.token", self._tokens[f"system:node:{NODE}"])
-        host, _, port = self._registry.rpartition(":")
-        assert host == "127.0.0.1"
         (folder / "containerd.toml").write_text(
             _CONTAINERD.format(
                 folder=folder,
                 pause=self._pause,
                 plugins=self._build.plugins,
-                registry=self._registry,
-                address=self.address,
-                port=port,
             )
         )
         network = {
@@ -449,100 +445,6 @@ class KubernetesCluster:
             "volumeBindingMode": "WaitForFirstConsumer",
         }
         self.api.send("POST", "/apis/storage.k8s.io/v1/storageclasses", body)
-
-
-class ApiRefusal(Exception):
-    """An answer of the API server that is an error."""
-
-    def __init__(self, status: int, text: str) -> None:
-        super().__init__(f"{status}: {text}")
-        self.status = status
-
-
-class Api:
-    """The API, with a token."""
-
-    def __init__(self, url: str, authority: Path, token: str) -> None:
-        self._url = url
-        self._pool = urllib3.PoolManager(ca_certs=str(authority), retries=False, timeout=30)
-        self._headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
-
-    def send(self, method: str, path: str, body: Body | None = None, content_type: str = "application/json") -> Body:
-        """Send a request and return its answer. Raises ApiRefusal."""
-        headers = {**self._headers, "Content-Type": content_type}
-        data = None if body is None else json.dumps(body).encode()
-        answer = self._pool.request(method, self._url + path, headers=headers, body=data)
-        if answer.status >= 300:
-            raise ApiRefusal(answer.status, answer.data.decode(errors="replace"))
-        result: Body = json.loads(answer.data or b"{}")
-        return result
-
-    def find(self, path: str) -> Body | None:
-        """Return an object; None where there is none."""
-        try:
-            return self.send("GET", path)
-        except ApiRefusal as error:
-            if error.status == 404:
-                return None
-            raise
-
-    def items(self, path: str) -> list[Body]:
-        """Return the objects of a list."""
-        found: list[Body] = self.send("GET", path)["items"]
-        return found
-
-    def is_ready(self) -> bool:
-        """Whether the API server answers, and has what it makes at its first start."""
-        try:
-            answer = self._pool.request("GET", f"{self._url}/readyz", headers=self._headers, timeout=2)
-        except urllib3.exceptions.HTTPError:
-            return False
-        return answer.status == 200
-
-
-def write_certificates(folder: Path, address: str) -> None:
-    """Write an authority, certificates of the API server for its address and of its own requests, and a key."""
-    now = datetime.datetime.now(datetime.timezone.utc)
-    authority = rsa.generate_private_key(65537, 2048)
-    issuer = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "kleinkram tests")])
-
-    def write(name: str, subject: x509.Name, key: rsa.RSAPrivateKey, extension: x509.ExtensionType) -> None:
-        made = (
-            x509.CertificateBuilder()
-            .subject_name(subject)
-            .issuer_name(issuer)
-            .public_key(key.public_key())
-            .serial_number(x509.random_serial_number())
-            .not_valid_before(now - datetime.timedelta(hours=1))
-            .not_valid_after(now + datetime.timedelta(days=2))
-            .add_extension(extension, critical=True)
-            .sign(authority, hashes.SHA256())
-        )
-        (folder / f"{name}.pem").write_bytes(made.public_bytes(serialization.Encoding.PEM))
-        _write_key(folder / f"{name}.key", key)
-
-    write("ca", issuer, authority, x509.BasicConstraints(ca=True, path_length=None))
-    addresses = [x509.IPAddress(ipaddress.ip_address(it)) for it in (address, _FIRST_SERVICE)]
-    names = [x509.DNSName("kubernetes.default.svc")]
-    server = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "kube-apiserver")])
-    write("server", server, rsa.generate_private_key(65537, 2048), x509.SubjectAlternativeName([*addresses, *names]))
-    client = rsa.generate_private_key(65537, 2048)
-    write("client", server, client, x509.ExtendedKeyUsage([x509.oid.ExtendedKeyUsageOID.CLIENT_AUTH]))
-    accounts = rsa.generate_private_key(65537, 2048)
-    _write_key(folder / "accounts.key", accounts)
-    public = accounts.public_key().public_bytes(
-        serialization.Encoding.PEM, serialization.PublicFormat.SubjectPublicKeyInfo
-    )
-    (folder / "accounts.pub").write_bytes(public)
-
-
-def _write_key(path: Path, key: rsa.RSAPrivateKey) -> None:
-    path.touch(0o600)
-    path.write_bytes(
-        key.private_bytes(
-            serialization.Encoding.PEM, serialization.PrivateFormat.TraditionalOpenSSL, serialization.NoEncryption()
-        )
-    )
 
 
 def wait_for(condition: Callable[[], object], what: str, timeout_s: float = _START_S) -> None:

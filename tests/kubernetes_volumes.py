@@ -9,7 +9,8 @@ from pathlib import Path
 
 import urllib3
 
-from tests.kubernetes_cluster import NODE, PROVISIONER, STORAGE_CLASS, Api, ApiRefusal, Body
+from tests.kubernetes_access import Api, ApiRefusal, Body
+from tests.kubernetes_cluster import NODE, PROVISIONER, STORAGE_CLASS
 
 _POLL_S = 0.1
 _NODE_CHOSEN = "volume.kubernetes.io/selected-node"

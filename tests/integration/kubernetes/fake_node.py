@@ -112,6 +112,9 @@ class FakeNode:
         while error := cluster.image_errors.get(spec["containers"][0]["image"]):
             waiting = {"waiting": {"reason": error[0], "message": error[1]}}
             cluster.change_pod(name, {"containerStatuses": _status(waiting)})
+            # The cause is told for a moment only.
+            waiting = {"waiting": {"reason": "ImagePullBackOff", "message": "Back-off pulling image"}}
+            cluster.change_pod(name, {"containerStatuses": _status(waiting)})
             if stop.wait(_POLL_S):
                 return False
         return all(self._wait_for(volume, stop) for volume in spec["volumes"])

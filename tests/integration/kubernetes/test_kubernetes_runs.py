@@ -165,6 +165,17 @@ def test_the_words_of_the_scheduler_are_shown_while_a_run_waits(site: Site) -> N
 
 
 @pytest.mark.slow
+def test_a_cluster_that_creates_no_pod_is_told_while_a_run_waits(site: Site) -> None:
+    site.cluster.creates_pods = False
+    site.start()
+    run = site.server.launch("print('x')")
+    wait_until(lambda: any("created no pod" in (progress.message or "") for progress in run.progress))
+    site.cluster.creates_pods = True
+    site.cluster.start_pod(site.cluster.named("jobs", "-fetch")[0])
+    assert ended(run).finishes[0].reason is EndReason.done
+
+
+@pytest.mark.slow
 def test_an_image_that_cannot_be_pulled(site: Site) -> None:
     words = "failed to resolve reference: lab/slam:1: not found"
     image = "lab/slam@sha256:" + "b" * 64

@@ -21,7 +21,8 @@ from tests.integration.runner_loop.conftest import ended, wait_until
 from tests.integration.runner_loop.fake_http import RUN_TOKEN
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer
-from tests.kubernetes_cluster import NODE, Body
+from tests.kubernetes_access import Body
+from tests.kubernetes_cluster import NODE
 
 pytestmark = [pytest.mark.slow, pytest.mark.soak]
 _TIMEOUT_S = 300.0

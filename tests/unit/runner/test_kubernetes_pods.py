@@ -15,7 +15,7 @@ from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import Ending
 from kleinkram.runner.executors.kubernetes import pod_log
 from kleinkram.runner.executors.kubernetes.cluster import Cluster, ClusterUnavailable, Pod
-from kleinkram.runner.executors.kubernetes.endings import ending_of, failed_start, queued_s, reason_waiting
+from kleinkram.runner.executors.kubernetes.endings import ending_of, failed_start, keep_cause, queued_s, reason_waiting
 from kleinkram.runner.executors.kubernetes.manifests import Names
 from kleinkram.runner.executors.kubernetes.network_probe import Reached, judge
 from kleinkram.runner.executors.kubernetes.options import Toleration
@@ -137,6 +137,21 @@ class Output(Cluster):
                 self._breaks_after += 50
                 raise ClusterUnavailable(0, "the test breaks it")
             yield self._lines_left[start : start + 7]
+
+
+def test_why_a_pull_failed_is_known_until_the_next_one() -> None:
+    image = f"registry.lab.example/actions/slam@sha256:{'a' * 64}"
+    cause = f'rpc error: code = NotFound desc = failed to pull "{image}": failed to resolve "{image}": not found'
+    failed = pod({"waiting": {"reason": "ErrImagePull", "message": cause}})
+    later = pod({"waiting": {"reason": "ImagePullBackOff", "message": f'Back-off pulling image "{image}"'}})
+    known = keep_cause(later, keep_cause(later, failed))
+    ending = failed_start(known, 0)
+    assert ending is not None
+    assert ending.message.endswith("not found")
+    progress = reason_waiting(known) or ""
+    assert (progress.endswith("not found"), len(progress) <= 200) == (True, True)
+    assert keep_cause(failed, later) == failed
+    assert failed_start(keep_cause(later, None), 0) is None
 
 
 @pytest.fixture(autouse=True)

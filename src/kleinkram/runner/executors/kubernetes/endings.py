@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from kleinkram.contract.actions import Resources
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import Ending
-from kleinkram.runner.executors.kubernetes.cluster import Pod, TerminatedContainer
+from kleinkram.runner.executors.kubernetes.cluster import ContainerState, Pod, TerminatedContainer
 from kleinkram.runner.executors.supervision import (
     command_not_found,
     out_of_memory,
@@ -15,11 +15,12 @@ from kleinkram.runner.executors.supervision import (
 
 # A registry that does not answer, or an image that is being pushed, is waited for.
 _IMAGE_PATIENCE_S = 120.0
+_BACK_OFF = "ImagePullBackOff"
 _PERMANENT_IMAGE_REASONS = {"InvalidImageName", "ErrImageNeverPull"}
 _IMAGE_REASONS = {
     *_PERMANENT_IMAGE_REASONS,
     "ErrImagePull",
-    "ImagePullBackOff",
+    _BACK_OFF,
     "ImageInspectError",
     "RegistryUnavailable",
 }
@@ -51,7 +52,22 @@ def reason_waiting(pod: Pod) -> str | None:
     node = f"on the node {pod.spec.node_name}, "
     if waiting.reason in _WAITING:
         return _cut_progress(node + _WAITING[waiting.reason])
-    return _cut_progress(f"{node}{waiting.reason}: {waiting.message}")
+    return _cut_middle(f"{node}{waiting.reason}: {waiting.message}")
+
+
+def keep_cause(pod: Pod, earlier: Pod | None) -> Pod:
+    """Return a pod that waits for its next pull of the image with why the last one failed.
+
+    Until Kubernetes 1.31, nodes tell the cause only for a moment, at each failure.
+    """
+    waiting = pod.container.waiting
+    before = earlier.container.waiting if earlier is not None else None
+    if waiting is None or waiting.reason != _BACK_OFF or before is None or before.reason not in _IMAGE_REASONS:
+        return pod
+    state = ContainerState(waiting=waiting.model_copy(update={"message": before.message}))
+    first, *others = pod.status.container_statuses
+    statuses = [first.model_copy(update={"state": state}), *others]
+    return pod.model_copy(update={"status": pod.status.model_copy(update={"container_statuses": statuses})})
 
 
 def queued_s(pod: Pod) -> float | None:
@@ -130,6 +146,15 @@ def vanished(failure: str | None) -> Ending:
 
 def _cut_progress(text: str) -> str:
     return " ".join(text.replace("\0", "").split())[:_MAX_PROGRESS_CHARACTERS]
+
+
+def _cut_middle(text: str) -> str:
+    """Return the beginning and the end of a text: the cause is at the end."""
+    words = " ".join(text.replace("\0", "").split())
+    if len(words) <= _MAX_PROGRESS_CHARACTERS:
+        return words
+    half = _MAX_PROGRESS_CHARACTERS // 2 - 2
+    return f"{words[:half]} … {words[-half:]}"
 
 
 def _cut(text: str) -> str:

@@ -349,7 +349,8 @@ class KubernetesExecutor(Executor):
 
     def _await_end(self, name: str, wait: Wait, show: Show | None) -> Pod | None:
         """Wait for the end of a Job that may start several pods, and return the last; None where there is none."""
-        checked_s, seen_s = 0.0, time.monotonic()
+        checked_s = 0.0
+        began_s = seen_s = time.monotonic()
         while True:
             pod = self._watch.find(name) if self._watch.is_current else None
             if pod is not None and pod.status.phase == "Succeeded":
@@ -358,7 +359,7 @@ class KubernetesExecutor(Executor):
                 seen_s = time.monotonic()
             elif (failure := endings.failed_start(pod, time.monotonic() - seen_s)) is not None:
                 raise CannotStart(failure)
-            if show is not None and pod is not None and (reason := endings.reason_waiting(pod)) is not None:
+            if show is not None and (reason := self._reason_waiting(pod, began_s)) is not None:
                 show(reason, 0.0)
             if time.monotonic() > checked_s + _JOB_CHECK_S:
                 checked_s = time.monotonic()
@@ -368,6 +369,12 @@ class KubernetesExecutor(Executor):
                         return pod
             wait(0)
             self._watch.wait(lambda seen=pod: self._watch.find(name) is not seen, _CHECK_S)  # type: ignore[misc]
+
+    def _reason_waiting(self, pod: Pod | None, began_s: float) -> str | None:
+        if pod is not None:
+            return endings.reason_waiting(pod)
+        has_waited = time.monotonic() > began_s + _JOB_CHECK_S
+        return endings.NO_POD if self._watch.is_current and has_waited else None
 
     def _monitor(self, job: RunJob) -> "_JobMonitor":
         with self._lock:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from http import HTTPStatus
 
 from kleinkram.runner.executors.kubernetes.cluster import Cluster, ClusterError, Pod
+from kleinkram.runner.executors.kubernetes.endings import keep_cause
 
 _log = logging.getLogger("kleinkram.runner")
 _RETRY_S = 1.0
@@ -65,7 +66,7 @@ class PodWatch:
             try:
                 pods, version = self._cluster.list_pods(self._selector)
                 with self._changed:
-                    self._pods = {pod.metadata.uid: pod for pod in pods}
+                    self._pods = {pod.metadata.uid: self._known(pod) for pod in pods}
                     self._is_current = True
                     self._changed.notify_all()
                 pause_s = _RETRY_S
@@ -91,9 +92,12 @@ class PodWatch:
                 if event.is_deleted:
                     self._pods.pop(pod.metadata.uid, None)
                 else:
-                    self._pods[pod.metadata.uid] = pod
+                    self._pods[pod.metadata.uid] = self._known(pod)
                 self._changed.notify_all()
         return version
+
+    def _known(self, pod: Pod) -> Pod:
+        return keep_cause(pod, self._pods.get(pod.metadata.uid))
 
 
 def _created_s(pod: Pod) -> float:
