@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
-import threading
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from kleinkram.contract.actions import Network
-from kleinkram.runner.arguments import TOKEN_VARIABLE, Arguments
+from kleinkram.runner.arguments import Arguments
 from kleinkram.runner.executors.kubernetes.cluster import connect
 from kleinkram.runner.executors.kubernetes.executor import KubernetesExecutor
 from kleinkram.runner.executors.kubernetes.options import KubernetesOptions
@@ -23,21 +20,18 @@ from tests.integration.kubernetes.fake_cluster import NAMESPACE, FakeCluster
 from tests.integration.kubernetes.manifests import manifests
 from tests.integration.runner_loop.fake_http import RUNNER_TOKEN
 from tests.integration.runner_loop.fake_server import FakeServer
+from tests.integration.runner_loop.started_runners import StartedRunners
 
 IMAGE = "registry.lab.example/actions/python@sha256:" + "a" * 64
 
 
-@dataclass
-class Site:
-    """A fake server, a fake cluster, and the consecutive runners of one test."""
+@dataclass(kw_only=True)
+class Site(StartedRunners):
+    """A fake server, a fake cluster, and runners on it."""
 
-    server: FakeServer
     cluster: FakeCluster
-    folder: Path
     options: KubernetesOptions
     networks: frozenset[Network] = frozenset(Network)
-    _threads: list[tuple[Runner, threading.Thread]] = field(default_factory=list)
-    _processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
     def executor(self, state: StateDirectory) -> KubernetesExecutor:
         """Return the executor of a runner."""
@@ -56,11 +50,8 @@ class Site:
         self.folder.mkdir(exist_ok=True)
         state = StateDirectory(self.folder)
         executor = self.executor(state)
-        runner = Runner(RunnerOptions(self.server.url, RUNNER_TOKEN, "a-runner", default_image=IMAGE), state, executor)
-        thread = threading.Thread(target=runner.run)
-        thread.start()
-        self._threads.append((runner, thread))
-        return runner
+        options = RunnerOptions(self.server.url, RUNNER_TOKEN, "a-runner", default_image=IMAGE)
+        return self.run_in_thread(Runner(options, state, executor))
 
     def spawn(self) -> subprocess.Popen[bytes]:
         """Start a runner as a process."""
@@ -71,27 +62,7 @@ class Site:
             kubernetes=self.options,
             default_image=IMAGE,
         )
-        process = subprocess.Popen(arguments.command(), env={**os.environ, TOKEN_VARIABLE: RUNNER_TOKEN})
-        self._processes.append(process)
-        return process
-
-    def kill(self, process: subprocess.Popen[bytes], number: signal.Signals) -> None:
-        """End the process of a runner."""
-        process.send_signal(number)
-        process.wait(timeout=30)
-
-    def close(self) -> None:
-        """End what is left, runs included."""
-        for runner, _ in self._threads:
-            runner.stop()
-        self.server.is_silent.set()
-        self.server.wake()
-        for runner, thread in self._threads:
-            thread.join(10)
-            runner.close(kill=True)
-        for process in self._processes:
-            if process.poll() is None:
-                self.kill(process, signal.SIGINT)
+        return self.run_as_process(arguments.command(), {})
 
 
 @pytest.fixture
@@ -110,7 +81,7 @@ def site(cluster: FakeCluster, tmp_path: Path) -> Iterator[Site]:
     """A server and a cluster without runs."""
     server = FakeServer()
     options = KubernetesOptions(namespace=NAMESPACE, kubeconfig=cluster.kubeconfig())
-    made = Site(server, cluster, tmp_path / "runner", options)
+    made = Site(server, tmp_path / "runner", cluster=cluster, options=options)
     yield made
     made.close()
     server.close()
