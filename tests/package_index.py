@@ -7,17 +7,14 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import threading
 import time
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler
 from pathlib import Path
-from typing import Any
 
-from tests.http_server import Server
+from tests.http_server import QuietHandler, serving
 
 
 @dataclass
@@ -73,7 +70,7 @@ def serve_index(folder: Path) -> Iterator[PackageIndex]:
     folder.mkdir(parents=True, exist_ok=True)
     index = PackageIndex(folder)
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(QuietHandler):
         def do_GET(self) -> None:
             index.requests.append(self.path)
             if self.path.startswith("/files/"):
@@ -91,17 +88,9 @@ def serve_index(folder: Path) -> Iterator[PackageIndex]:
             self.end_headers()
             return body
 
-        def log_message(self, *_: Any) -> None:
-            """Print nothing."""
-
-    server = Server(("127.0.0.1", 0), Handler)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    index.url = f"http://127.0.0.1:{server.server_address[1]}/simple"
-    try:
+    with serving(Handler) as port:
+        index.url = f"http://127.0.0.1:{port}/simple"
         yield index
-    finally:
-        server.shutdown()
-        server.server_close()
 
 
 def _answer(index: PackageIndex, path: str) -> tuple[int, bytes, str]:

@@ -1,18 +1,16 @@
 """A server that returns scripted answers and records the requests."""
 
 import json
-import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler
 from typing import Any
 
 from pydantic import BaseModel
 
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.problems import to_problem
-from tests.http_server import Server
+from tests.http_server import QuietHandler, serving
 
 # With a status of its own, it is what something else says that stands before the server.
 Answer = BaseModel | KleinkramError | bytes | tuple[int, bytes] | None
@@ -45,11 +43,11 @@ def scripted(*answers: Answer, by_path: Mapping[str, BaseModel] | None = None) -
     """
     script = Scripted(answers=[*answers])
 
-    class Speaker(BaseHTTPRequestHandler):
+    class Speaker(QuietHandler):
         timeout = 5
 
         def _respond(self) -> None:
-            body = self.rfile.read(int(self.headers.get("Content-Length", "0")))
+            body = self.body()
             known = self.headers.get("Authorization")
             script.requests.append(RecordedRequest(self.command, self.path, known, json.loads(body) if body else None))
             place = self.path.partition("?")[0]
@@ -58,26 +56,13 @@ def scripted(*answers: Answer, by_path: Mapping[str, BaseModel] | None = None) -
             if answer is None:
                 self.close_connection = True
                 return
-            self.send_response(status)
-            self.send_header("Content-Length", str(len(answer)))
-            self.end_headers()
-            self.wfile.write(answer)
+            self.send(status, answer)
 
-        do_GET = do_POST = do_DELETE = _respond  # noqa: N815  the names that http.server calls
+        do_GET = do_POST = do_DELETE = _respond
 
-        def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the name that http.server gives it
-            pass
-
-    server = Server(("127.0.0.1", 0), Speaker)
-    script.url = f"http://127.0.0.1:{server.server_address[1]}"
-    thread = threading.Thread(target=server.serve_forever, args=(0.01,))
-    thread.start()
-    try:
+    with serving(Speaker) as port:
+        script.url = f"http://127.0.0.1:{port}"
         yield script
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
 
 
 def _answer_bytes(answer: Answer) -> tuple[int, bytes | None]:

@@ -120,14 +120,14 @@ def instance(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instance]:
 
 
 @contextmanager
-def running_instance(home: Path, **settings: str) -> Iterator[Instance]:
+def running_instance(home: Path, *options: str, **settings: str) -> Iterator[Instance]:
     """Run `klein up` in an empty folder; `settings` are additional environment variables."""
     copy_template(home / "data")
     short = {"KLEINKRAM_PART_URL_S": "4", "KLEINKRAM_DOWNLOAD_URL_S": "4"}  # so that slow transfers outlive them
     often = {"KLEINKRAM_SIGN_INS_PER_MINUTE": "1000"}  # all stories come from one address
     environment = {**_environment(home, home / "data"), **short, **often, **settings}
     ports = ["--port", str(choose_port()), "--s3-port", str(choose_port())]  # the default ports may be in use
-    process = subprocess.Popen([str(KLEIN), "up", *ports], env=environment, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen([str(KLEIN), "up", *ports, *options], env=environment, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
         assert process.stdout.readline(), "klein up did not start"

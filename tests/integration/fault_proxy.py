@@ -5,7 +5,6 @@ Requests are passed on byte for byte, with the caller's Host, so signatures hold
 
 import datetime
 import http.client
-import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from email.utils import format_datetime
 from http.server import BaseHTTPRequestHandler
 from urllib.parse import parse_qsl, urlsplit
 
-from tests.http_server import Server
+from tests.http_server import QuietHandler, serving
 
 _OF_ONE_HOP = {"connection", "transfer-encoding", "keep-alive", "expect"}
 
@@ -127,7 +126,7 @@ def _answer(
 def standing_before(store: str) -> Iterator[Middleman]:
     """Stand before a store, given its address, on a free port of this machine."""
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(QuietHandler):
         protocol_version = "HTTP/1.1"
 
         def do_GET(self) -> None:
@@ -145,15 +144,6 @@ def standing_before(store: str) -> Iterator[Middleman]:
         def do_DELETE(self) -> None:
             middleman.pass_on(self)
 
-        def log_request(self, code: object = "-", size: object = "-") -> None:
-            """Say nothing of it."""
-
-    with Server(("127.0.0.1", 0), Handler) as server:
-        middleman = Middleman(f"http://127.0.0.1:{server.server_port}", store)
-        thread = threading.Thread(target=server.serve_forever, args=(0.05,), name="middleman")
-        thread.start()
-        try:
-            yield middleman
-        finally:
-            server.shutdown()
-            thread.join()
+    with serving(Handler) as port:
+        middleman = Middleman(f"http://127.0.0.1:{port}", store)
+        yield middleman

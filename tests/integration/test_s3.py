@@ -53,7 +53,7 @@ def _store(
             self.end_headers()
             self.wfile.write(reply.body)
 
-        do_GET = do_PUT = do_POST = do_HEAD = _answer  # noqa: N815  (the names http.server looks for)
+        do_GET = do_PUT = do_POST = do_HEAD = _answer
 
         def log_message(self, format: str, *args: object) -> None:  # noqa: A002  (the name it has in the base class)
             """Say nothing."""

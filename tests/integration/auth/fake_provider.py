@@ -8,19 +8,17 @@ import base64
 import hashlib
 import json
 import secrets
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler
 from typing import Any
 from urllib.parse import parse_qs, urlencode, urlsplit
 
 from joserfc import jwt
 from joserfc.jwk import KeySet, RSAKey
 
-from tests.http_server import Server
+from tests.http_server import QuietHandler, serving
 
 CLIENT_ID = "kleinkram"
 CLIENT_SECRET = "a secret with + and % in it"
@@ -157,35 +155,20 @@ def running_provider() -> Iterator[FakeProvider]:
     provider = FakeProvider()
     provider.rotate()
 
-    class Answering(BaseHTTPRequestHandler):
+    class Answering(QuietHandler):
         def do_GET(self) -> None:
             self._answer({})
 
         def do_POST(self) -> None:
-            length = int(self.headers["content-length"])
-            fields = parse_qs(self.rfile.read(length).decode(), keep_blank_values=True)
+            fields = parse_qs(self.body().decode(), keep_blank_values=True)
             self._answer({name: values[0] for name, values in fields.items()})
-
-        def log_message(self, *_arguments: object) -> None:
-            pass
 
         def _answer(self, body: dict[str, str]) -> None:
             headers = {name.lower(): value for name, value in self.headers.items()}
             status, message = provider.answer(urlsplit(self.path).path, body, headers)
             data = message if isinstance(message, bytes) else json.dumps(message).encode()
-            self.send_response(status)
-            self.send_header("Content-Type", "application/json")
-            self.send_header("Content-Length", str(len(data)))
-            self.end_headers()
-            self.wfile.write(data)
+            self.send(status, data, {"Content-Type": "application/json"})
 
-    server = Server(("127.0.0.1", 0), Answering)
-    provider.url = f"http://127.0.0.1:{server.server_address[1]}"
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
-    thread.start()
-    try:
+    with serving(Answering) as port:
+        provider.url = f"http://127.0.0.1:{port}"
         yield provider
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()

@@ -2,11 +2,9 @@
 
 import datetime
 import hashlib
-import threading
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 
 import pytest
@@ -28,7 +26,7 @@ from kleinkram.contract.runs import (
     RunState,
 )
 from tests.api_objects import NOW, action_read, run_detail
-from tests.http_server import Server
+from tests.http_server import QuietHandler, serving
 from tests.scripted_server import Scripted, scripted
 
 SCRIPT = ActionDefinition(name="look", script="print(1)")
@@ -126,25 +124,12 @@ def artifact(path: str, content: bytes) -> ArtifactRead:
 def store_of(content: bytes) -> Iterator[str]:
     """A store that gives these bytes for whatever is asked."""
 
-    class Speaker(BaseHTTPRequestHandler):
+    class Speaker(QuietHandler):
         def do_GET(self) -> None:
-            self.send_response(200)
-            self.send_header("Content-Length", str(len(content)))
-            self.end_headers()
-            self.wfile.write(content)
+            self.send(200, content)
 
-        def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the name that http.server gives it
-            pass
-
-    server = Server(("127.0.0.1", 0), Speaker)
-    thread = threading.Thread(target=server.serve_forever, args=(0.01,))
-    thread.start()
-    try:
-        yield f"http://127.0.0.1:{server.server_address[1]}/key"
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
+    with serving(Speaker) as port:
+        yield f"http://127.0.0.1:{port}/key"
 
 
 def test_artifacts_are_verified_before_they_get_their_name(tmp_path: Path) -> None:

@@ -2,19 +2,17 @@
 
 import json
 import subprocess
-import threading
 import urllib.parse
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from typing import Any
 
 import urllib3
 from ruamel.yaml import YAML
 
-from tests.http_server import Server
+from tests.http_server import QuietHandler, serving
 from tests.integration.upload_client import wait_until
 from tests.ports import choose_port
 from tests.requirements import need, path_of
@@ -87,25 +85,14 @@ def receiving(address: str = "127.0.0.1") -> Iterator[Receiver]:
     """Receive the webhooks of an Alertmanager at an address of this machine."""
     receiver = Receiver()
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(QuietHandler):
         def do_POST(self) -> None:
-            body = self.rfile.read(int(self.headers["Content-Length"]))
-            receiver.alerts += json.loads(body)["alerts"]
-            self.send_response(200)
-            self.end_headers()
+            receiver.alerts += json.loads(self.body())["alerts"]
+            self.send(200)
 
-        def log_message(self, *_arguments: object) -> None:
-            """Log nothing."""
-
-    with Server((address, 0), Handler) as server:
-        receiver.url = f"http://{address}:{server.server_address[1]}/"
-        thread = threading.Thread(target=server.serve_forever, name="receiver")
-        thread.start()
-        try:
-            yield receiver
-        finally:
-            server.shutdown()
-            thread.join()
+    with serving(Handler, address) as port:
+        receiver.url = f"http://{address}:{port}/"
+        yield receiver
 
 
 @contextmanager

@@ -10,7 +10,6 @@ import sys
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from kleinkram.server.health import checks, public_address
 from kleinkram.server.http.headers import CHECK_HEADER, RequestOrigin, operator_code
 from kleinkram.server.settings import Settings, _networks
 from tests.certificate import make_certificate
-from tests.http_server import Server
+from tests.http_server import QuietHandler, Server
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.fault_proxy import ProxiedRequest, Reply, standing_before
@@ -287,14 +286,10 @@ def test_a_missing_right_of_the_access_key_is_named(
 def _speaking_tls(folder: Path, address: str, *, hours: int = 1) -> Iterator[str]:
     """Run a server that shakes hands with a certificate for an address, at 127.0.0.1."""
 
-    class Silent(BaseHTTPRequestHandler):
-        def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the name that http.server gives it
-            pass
-
     certificate, key = make_certificate(folder, address, hours=hours)
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(certificate, key)
-    with Server(("127.0.0.1", 0), Silent) as server:
+    with Server(("127.0.0.1", 0), QuietHandler) as server:
         server.socket = context.wrap_socket(server.socket, server_side=True)
         thread = threading.Thread(target=server.serve_forever, args=(0.01,))
         thread.start()

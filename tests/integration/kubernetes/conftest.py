@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
-import threading
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from kleinkram.contract.actions import Network
-from kleinkram.runner.arguments import TOKEN_VARIABLE, Arguments
+from kleinkram.runner.arguments import Arguments
 from kleinkram.runner.executors.kubernetes.cluster import connect
 from kleinkram.runner.executors.kubernetes.executor import KubernetesExecutor
 from kleinkram.runner.executors.kubernetes.options import KubernetesOptions
@@ -23,21 +20,18 @@ from tests.integration.kubernetes.fake_cluster import NAMESPACE, FakeCluster
 from tests.integration.kubernetes.manifests import manifests
 from tests.integration.runner_loop.fake_http import RUNNER_TOKEN
 from tests.integration.runner_loop.fake_server import FakeServer
+from tests.integration.runner_loop.started_runners import StartedRunners
 
 IMAGE = "registry.lab.example/actions/python@sha256:" + "a" * 64
 
 
-@dataclass
-class RunnerSite:
-    """A fake server, and the consecutive runners of one test on a cluster."""
+@dataclass(kw_only=True)
+class RunnerSite(StartedRunners):
+    """A fake server, and runners on a cluster."""
 
-    server: FakeServer
-    folder: Path
     options: KubernetesOptions
     default_image: str = IMAGE
     networks: frozenset[Network] = frozenset(Network)
-    _threads: list[tuple[Runner, threading.Thread]] = field(default_factory=list)
-    _processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
     def executor(self, state: StateDirectory) -> KubernetesExecutor:
         """Return the executor of a runner."""
@@ -56,13 +50,8 @@ class RunnerSite:
         self.folder.mkdir(exist_ok=True)
         state = StateDirectory(self.folder)
         executor = self.executor(state)
-        runner = Runner(
-            RunnerOptions(self.server.url, RUNNER_TOKEN, "a-runner", default_image=self.default_image), state, executor
-        )
-        thread = threading.Thread(target=runner.run)
-        thread.start()
-        self._threads.append((runner, thread))
-        return runner
+        options = RunnerOptions(self.server.url, RUNNER_TOKEN, "a-runner", default_image=self.default_image)
+        return self.run_in_thread(Runner(options, state, executor))
 
     def spawn(self) -> subprocess.Popen[bytes]:
         """Start a runner as a process."""
@@ -73,34 +62,14 @@ class RunnerSite:
             kubernetes=self.options,
             default_image=self.default_image,
         )
-        process = subprocess.Popen(arguments.command(), env={**os.environ, TOKEN_VARIABLE: RUNNER_TOKEN})
-        self._processes.append(process)
-        return process
-
-    def kill(self, process: subprocess.Popen[bytes], number: signal.Signals) -> None:
-        """End the process of a runner."""
-        process.send_signal(number)
-        process.wait(timeout=30)
-
-    def close(self) -> None:
-        """End what is left, runs included."""
-        for runner, _ in self._threads:
-            runner.stop()
-        self.server.is_silent.set()
-        self.server.wake()
-        for runner, thread in self._threads:
-            thread.join(10)
-            runner.close(kill=True)
-        for process in self._processes:
-            if process.poll() is None:
-                self.kill(process, signal.SIGINT)
+        return self.run_as_process(arguments.command(), {})
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Site(RunnerSite):
     """The same with a fake cluster."""
 
-    cluster: FakeCluster = field(kw_only=True)
+    cluster: FakeCluster
 
 
 @pytest.fixture
@@ -119,7 +88,7 @@ def site(cluster: FakeCluster, tmp_path: Path) -> Iterator[Site]:
     """A server and a cluster without runs."""
     server = FakeServer()
     options = KubernetesOptions(namespace=NAMESPACE, kubeconfig=cluster.kubeconfig())
-    made = Site(server, tmp_path / "runner", options, cluster=cluster)
+    made = Site(server, tmp_path / "runner", cluster=cluster, options=options)
     yield made
     made.close()
     server.close()

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from tests.http_server import PersistentHandler
 
 if TYPE_CHECKING:
     from tests.integration.kubernetes.fake_cluster import FakeCluster
 
 
-class ApiHandler(BaseHTTPRequestHandler):
+class ApiHandler(PersistentHandler):
     """One connection to the cluster `fake`."""
 
     fake: FakeCluster
-    protocol_version = "HTTP/1.1"
-    disable_nagle_algorithm = True
-    wbufsize = -1
-
-    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002  as its base calls it
-        """Say nothing."""
 
     def do_GET(self) -> None:
         self._do("GET")
@@ -34,7 +29,7 @@ class ApiHandler(BaseHTTPRequestHandler):
     def _do(self, method: str) -> None:
         from tests.integration.kubernetes.fake_cluster import Refused
 
-        body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+        body = self.body()
         if self.fake.is_away.is_set():
             self.close_connection = True
             return
@@ -50,11 +45,7 @@ class ApiHandler(BaseHTTPRequestHandler):
             self._stream(answer)
 
     def _say(self, status: int, body: bytes) -> None:
-        self.send_response(status)
-        self.send_header("Content-Type", "application/json")
-        self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
-        self.wfile.write(body)
+        self.send(status, body, {"Content-Type": "application/json"})
 
     def _stream(self, pieces: Iterator[bytes]) -> None:
         self.send_response(200)

@@ -6,52 +6,38 @@ import base64
 import hashlib
 import json
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler
 from pathlib import Path
-from threading import Thread
-from typing import Any
 
 import pytest
 
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import CannotStart
 from kleinkram.runner.executors.kubernetes.image_registry import pin_image
-from tests.http_server import Server
+from tests.http_server import QuietHandler, serving
 
 MANIFEST = b'{"schemaVersion": 2}'
 DIGEST = f"sha256:{hashlib.sha256(MANIFEST).hexdigest()}"
 
 
-class Registry(BaseHTTPRequestHandler):
+class Registry(QuietHandler):
     """A registry with one image, of which it tells by a token."""
 
     needs_password = False
-
-    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002  as its base calls it
-        """Say nothing."""
 
     def do_GET(self) -> None:
         if self.path.startswith("/token"):
             assert "scope=repository%3Alab%2Fslam%3Apull" in self.path
             password = base64.b64encode(b"ada:secret").decode()
             is_refused = self.needs_password and self.headers.get("Authorization") != f"Basic {password}"
-            self.answer(401 if is_refused else 200, b'{"errors": []}' if is_refused else b'{"token": "the-token"}')
+            self.send(401 if is_refused else 200, b'{"errors": []}' if is_refused else b'{"token": "the-token"}')
         elif self.headers.get("Authorization") != "Bearer the-token":
             host = self.headers["Host"]
             challenge = f'Bearer realm="http://{host}/token",service="registry",scope="repository:lab/slam:pull"'
-            self.answer(401, b"{}", **{"WWW-Authenticate": challenge})
+            self.send(401, b"{}", {"WWW-Authenticate": challenge})
         elif self.path == "/v2/lab/slam/manifests/1.0":
-            self.answer(200, MANIFEST, **{"Content-Type": "application/vnd.oci.image.manifest.v1+json"})
+            self.send(200, MANIFEST, {"Content-Type": "application/vnd.oci.image.manifest.v1+json"})
         else:
-            self.answer(404, b"{}")
-
-    def answer(self, status: int, body: bytes, **headers: str) -> None:
-        """Send an answer."""
-        self.send_response(status)
-        for name, value in {**headers, "Content-Length": str(len(body))}.items():
-            self.send_header(name, value)
-        self.end_headers()
-        self.wfile.write(body)
+            self.send(404, b"{}")
 
 
 @pytest.fixture
@@ -59,13 +45,8 @@ def registry(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[str]:
     """The address of a registry, for which nobody has signed in."""
     monkeypatch.setenv("DOCKER_CONFIG", str(tmp_path))
     monkeypatch.setattr(Registry, "needs_password", False)
-    server = Server(("127.0.0.1", 0), Registry)
-    thread = Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
-    thread.start()
-    yield f"127.0.0.1:{server.server_port}"
-    server.shutdown()
-    server.server_close()
-    thread.join()
+    with serving(Registry) as port:
+        yield f"127.0.0.1:{port}"
 
 
 def test_a_tag_becomes_a_digest(registry: str) -> None:

@@ -7,7 +7,6 @@ import socket
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 
 import pytest
@@ -25,7 +24,7 @@ from kleinkram.recordings.http_source import ATTEMPTS, HttpSource
 from kleinkram.recordings.isolation import UrlRequest, summarise_isolated
 from kleinkram.recordings.limits import PARALLEL_READS
 from kleinkram.recordings.sample import generate_bag, generate_mcap
-from tests.http_server import Server
+from tests.http_server import PersistentHandler, serving
 
 DATA = bytes(range(256)) * 40
 SECRET = "X-Amz-Signature=hunter2"
@@ -55,11 +54,7 @@ def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
     monkeypatch.setattr(http_source, "FIRST_PAUSE_S", 0)
     state = Store()
 
-    class Handler(BaseHTTPRequestHandler):
-        protocol_version = "HTTP/1.1"
-        disable_nagle_algorithm = True
-        wbufsize = 65536
-
+    class Handler(PersistentHandler):
         def setup(self) -> None:
             state.connections += 1
             super().setup()
@@ -84,17 +79,8 @@ def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
                 self.connection.shutdown(socket.SHUT_RDWR)
                 state.hung_up.set()
 
-        def log_message(self, *_: object) -> None:
-            pass
-
-    server = Server(("127.0.0.1", 0), Handler)
-    state.port = server.server_port
-    thread = threading.Thread(target=server.serve_forever, args=(0.01,))
-    thread.start()
-    yield state
-    server.shutdown()
-    thread.join()
-    server.server_close()
+    with serving(Handler) as state.port:
+        yield state
 
 
 def test_reads_exactly_the_requested_bytes(store: Store) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from typing import ClassVar
 
@@ -14,12 +13,13 @@ from kleinkram.contract.actions import Network, Resources
 from kleinkram.runner.executors.base import CannotStart, RunJob
 from kleinkram.runner.executors.docker.container import JOB_LABEL
 from kleinkram.runner.executors.docker.executor import DockerExecutor
+from tests.http_server import QuietHandler
 from tests.integration.runner.scripted_engine import with_engine
 
 STATE = {"Status": "running", "Pid": 1, "ExitCode": 0, "StartedAt": "2026", "FinishedAt": "0001-", "OOMKilled": False}
 
 
-class Refusing(BaseHTTPRequestHandler):
+class Refusing(QuietHandler):
     """An engine with two containers of runs that removes none."""
 
     removal_requests: ClassVar[list[str]] = []
@@ -41,13 +41,8 @@ class Refusing(BaseHTTPRequestHandler):
         self.removal_requests.append(self.path.partition("?")[0])
         self._say(500, {"message": "device or resource busy"})
 
-    def log_message(self, *_: object) -> None:
-        """Say nothing."""
-
     def _say(self, status: int, values: object) -> None:
-        self.send_response(status)
-        self.end_headers()
-        self.wfile.write(json.dumps(values).encode())
+        self.send(status, json.dumps(values).encode())
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -22,6 +21,7 @@ from kleinkram.runner.executors.docker.executor import DockerExecutor
 from kleinkram.runner.executors.gpu_pool import acquire_gpus
 from kleinkram.runner.executors.gpus import Gpu, GpuRequest
 from kleinkram.runner.executors.local import Machine, MachineShare
+from tests.http_server import QuietHandler
 from tests.integration.runner.conftest import Bench, lent, log_of
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner.fake_gpus import FakeGpus, described
@@ -99,7 +99,7 @@ def test_an_image_that_asks_for_all_gpus_gets_none(tmp_path: Path) -> None:
         assert limited["HostConfig"]["DeviceRequests"] == []
 
 
-class Recording(BaseHTTPRequestHandler):
+class Recording(QuietHandler):
     """A Docker with NVIDIA's runtime that starts everything, and has a container of another runner with GPU-0."""
 
     created: ClassVar[list[dict[str, Any]]] = []
@@ -118,7 +118,7 @@ class Recording(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """Note what is created."""
-        body = self.rfile.read(int(self.headers["Content-Length"]))
+        body = self.body()
         if self.path.startswith("/containers/create"):
             self.created.append(json.loads(body))
         self._answer(200, {"Id": "1"})
@@ -127,14 +127,8 @@ class Recording(BaseHTTPRequestHandler):
         """Remove."""
         self._answer(204, None)
 
-    def log_message(self, *_: object) -> None:
-        """Write nothing."""
-
     def _answer(self, status: int, content: object) -> None:
-        self.send_response(status)
-        self.end_headers()
-        if content is not None:
-            self.wfile.write(json.dumps(content).encode())
+        self.send(status, b"" if content is None else json.dumps(content).encode())
 
 
 @pytest.mark.usefixtures("machine")

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import base64
 import json
-import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler
 from pathlib import Path
-from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
 from kleinkram.runner.images.names import parse_image_name
 from kleinkram.runner.images.registry import Layer, RegistryClient, RegistryFailure
-from tests.http_server import Server
+from tests.http_server import QuietHandler, serving
 from tests.integration.runner.registry_images import digest_of
 
 LAYER = bytes(range(256)) * 4000
@@ -43,27 +41,26 @@ class PrivateRegistry:
     breaks: int = 0
     sent_bytes: int = 100_000
 
-    def answer(self, handler: BaseHTTPRequestHandler) -> None:
+    def answer(self, handler: QuietHandler) -> None:
         parts, known = urlsplit(handler.path), handler.headers.get("Authorization")
         self.requests.append((parts.path, known))
         if parts.path == "/token":
             ada = f"Basic {base64.b64encode(b'ada:secret').decode()}"
             scope = parse_qs(parts.query)["scope"]
             is_ada = known == ada and scope == ["repository:lab/slam:pull"]
-            self._send(handler, 200 if is_ada else 401, json.dumps({"token": "t"}).encode())
+            handler.send(200 if is_ada else 401, json.dumps({"token": "t"}).encode())
         elif parts.path.startswith("/elsewhere/"):
             self._send_blob(handler, CONFIG if parts.path.endswith(digest_of(CONFIG)) else LAYER)
         elif known != "Bearer t":
             realm = f'Bearer realm="http://{self.place}/token",service="registry"'
-            self._send(handler, 401, b"{}", **{"WWW-Authenticate": realm})
+            handler.send(401, b"{}", {"WWW-Authenticate": realm})
         elif "/blobs/" in parts.path:
-            self._send(
-                handler, 307, b"", Location=f"http://{self.other_place}/elsewhere/{parts.path.rpartition('/')[2]}"
-            )
+            place = f"http://{self.other_place}/elsewhere/{parts.path.rpartition('/')[2]}"
+            handler.send(307, headers={"Location": place})
         else:
-            self._send(handler, 200, self.manifest, **{"Content-Type": self.kind})
+            handler.send(200, self.manifest, {"Content-Type": self.kind})
 
-    def _send_blob(self, handler: BaseHTTPRequestHandler, data: bytes) -> None:
+    def _send_blob(self, handler: QuietHandler, data: bytes) -> None:
         offset = int((handler.headers.get("Range") or "bytes=0-")[6:-1])
         if data is LAYER and self.breaks:
             self.breaks -= 1
@@ -73,43 +70,25 @@ class PrivateRegistry:
             handler.wfile.write(data[offset : offset + self.sent_bytes])
             handler.close_connection = True
             return
-        self._send(handler, 206 if offset else 200, data[offset:])
-
-    @staticmethod
-    def _send(handler: BaseHTTPRequestHandler, status: int, body: bytes, **headers: str) -> None:
-        handler.send_response(status)
-        for name, value in {**headers, "Content-Length": str(len(body))}.items():
-            handler.send_header(name, value)
-        handler.end_headers()
-        handler.wfile.write(body)
+        handler.send(206 if offset else 200, data[offset:])
 
 
 @pytest.fixture
 def registry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[PrivateRegistry]:
     made = PrivateRegistry()
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(QuietHandler):
         protocol_version = "HTTP/1.1"
         timeout = 5
 
         def do_GET(self) -> None:
             made.answer(self)
 
-        def log_message(self, *_: Any) -> None:
-            return
-
-    servers = [Server((host, 0), Handler) for host in _HOSTS]
-    for server in servers:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-    made.place, made.other_place = (
-        f"{host}:{server.server_port}" for host, server in zip(_HOSTS, servers, strict=True)
-    )
     monkeypatch.setenv("DOCKER_CONFIG", str(tmp_path))
-    log_in(tmp_path, made.place, "ada:secret")
-    yield made
-    for server in servers:
-        server.shutdown()
-        server.server_close()
+    with ExitStack() as stack:
+        made.place, made.other_place = (f"{host}:{stack.enter_context(serving(Handler, host))}" for host in _HOSTS)
+        log_in(tmp_path, made.place, "ada:secret")
+        yield made
 
 
 def log_in(folder: Path, place: str, pair: str) -> None:

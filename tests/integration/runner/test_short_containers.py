@@ -10,7 +10,6 @@ import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from typing import ClassVar
 
@@ -20,6 +19,7 @@ from kleinkram.contract.actions import Network, Resources
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import RunJob, wait_for_end
 from kleinkram.runner.executors.docker.executor import DockerExecutor
+from tests.http_server import QuietHandler
 from tests.integration.runner.scripted_engine import with_engine
 from tests.requirements import missing, need
 
@@ -27,7 +27,7 @@ WORDS = b"ERROR (catatonit:2): failed to exec pid1: No such file or directory\n"
 BORN = {"StartedAt": "2026", "OOMKilled": False}
 
 
-class Podman(BaseHTTPRequestHandler):
+class Podman(QuietHandler):
     """An engine whose only container exits after some inspections."""
 
     pid: ClassVar[int]
@@ -61,20 +61,15 @@ class Podman(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """Handle a request."""
-        self.rfile.read(int(self.headers["Content-Length"]))
+        self.body()
         name = self.path.partition("?")[0].rpartition("/")[2]
         self.done.add(name)
         self._say(200, b"{}")
 
-    def log_message(self, *_: object) -> None:
-        """Say nothing."""
-
     def _say(self, status: int, values: bytes) -> None:
         # Who only wants to know whether there is an answer reads none.
         with contextlib.suppress(BrokenPipeError):
-            self.send_response(status)
-            self.end_headers()
-            self.wfile.write(values)
+            self.send(status, values)
 
 
 @contextmanager

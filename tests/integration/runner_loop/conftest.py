@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from kleinkram.environments.uv import parse_index
-from kleinkram.runner.arguments import DEFAULT_IMAGE, TOKEN_VARIABLE, Arguments, ExecutorChoice, ImageChoice
+from kleinkram.runner.arguments import DEFAULT_IMAGE, Arguments, ExecutorChoice, ImageChoice
 from kleinkram.runner.executors.local import LocalExecutor, Machine, MachineShare
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.executors.slurm.options import SlurmOptions
@@ -26,6 +24,7 @@ from tests.integration.runner.engines import Dockerd
 from tests.integration.runner_loop.fake_http import RUNNER_TOKEN
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer
+from tests.integration.runner_loop.started_runners import StartedRunners
 from tests.slurm_cluster import SlurmCluster
 
 _SHARE = MachineShare(cores=2, memory_bytes=10**9, disk_bytes=10**9, cache_bytes=10**9)
@@ -40,15 +39,10 @@ def wait_until(condition: Callable[[], object], *, timeout_s: float = 60) -> Non
 
 
 @dataclass
-class Runners:
-    """The consecutive runners of one test on one state directory. `user` and `python` are those of processes."""
+class Runners(StartedRunners):
+    """Runners of this machine or on Slurm. `python` is that of processes."""
 
-    server: FakeServer
-    folder: Path
-    user: int | None = None
     python: str = sys.executable
-    _threads: list[tuple[Runner, threading.Thread]] = field(default_factory=list)
-    _processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
     def start(
         self,
@@ -62,11 +56,7 @@ class Runners:
         executor = executor or ProcessExecutor()
         executor._machine = Machine(self.folder, share, parse_index(index))
         options = RunnerOptions(self.server.url, RUNNER_TOKEN, "a-runner", token_file=token_file)
-        runner = Runner(options, StateDirectory(self.folder), executor)
-        thread = threading.Thread(target=runner.run)
-        thread.start()
-        self._threads.append((runner, thread))
-        return runner
+        return self.run_in_thread(Runner(options, StateDirectory(self.folder), executor))
 
     def spawn(
         self,
@@ -96,34 +86,9 @@ class Runners:
             images_bytes=10**9,
             default_image=default_image or DEFAULT_IMAGE,
         )
-        environment = {**os.environ, TOKEN_VARIABLE: RUNNER_TOKEN}
-        if docker:
-            environment["DOCKER_HOST"] = f"unix://{docker.socket}"
-        if slurm:
-            environment |= slurm.environment
-        process = subprocess.Popen(
-            [self.python, *arguments.command()[1:]], env=environment, user=self.user, group=self.user
-        )
-        self._processes.append(process)
-        return process
-
-    def kill(self, process: subprocess.Popen[bytes], sign: signal.Signals = signal.SIGKILL) -> None:
-        """End a runner's process."""
-        process.send_signal(sign)
-        process.wait(timeout=30)
-
-    def close(self) -> None:
-        """End what is left, runs included."""
-        for runner, _ in self._threads:
-            runner.stop()
-        self.server.is_silent.set()
-        self.server.wake()
-        for runner, thread in self._threads:
-            thread.join(10)
-            runner.close(kill=True)
-        for process in self._processes:
-            if process.poll() is None:
-                self.kill(process, signal.SIGINT)
+        environment = {"DOCKER_HOST": f"unix://{docker.socket}"} if docker else {}
+        environment |= slurm.environment if slurm else {}
+        return self.run_as_process([self.python, *arguments.command()[1:]], environment)
 
 
 @pytest.fixture

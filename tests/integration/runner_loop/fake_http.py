@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 import time
-from http.server import BaseHTTPRequestHandler
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from kleinkram.contract.errors import KleinkramError, NotAuthenticated
 from kleinkram.contract.problems import to_problem
+from tests.http_server import PersistentHandler
 
 if TYPE_CHECKING:
     from tests.integration.runner_loop.fake_server import FakeServer
@@ -17,17 +17,10 @@ RUN_TOKEN = "klein_run_" + "t" * 43 + "abcdef"
 RUNNER_TOKEN = "klein_runner_" + "r" * 43 + "012345"
 
 
-class Handler(BaseHTTPRequestHandler):
+class Handler(PersistentHandler):
     """One connection to the stand-in `fake`."""
 
     fake: FakeServer
-    protocol_version = "HTTP/1.1"
-    # An answer is two writes; else each waits for the other side's word.
-    disable_nagle_algorithm = True
-    wbufsize = -1
-
-    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002  as its base calls it
-        """Say nothing."""
 
     def do_GET(self) -> None:
         self._do("GET")
@@ -36,13 +29,13 @@ class Handler(BaseHTTPRequestHandler):
         self._do("POST")
 
     def do_PUT(self) -> None:
-        body = self.rfile.read(int(self.headers["Content-Length"]))
+        body = self.body()
         path, _, query = self.path.partition("?")
         is_taken = self.fake.write(path.removeprefix("/store/"), body, query.removeprefix("sha256="))
-        self._say(200 if is_taken else 503, b"" if is_taken else self.fake.store_says, {"ETag": '"e"'})
+        self.send(200 if is_taken else 503, b"" if is_taken else self.fake.store_says, {"ETag": '"e"'})
 
     def _do(self, method: str) -> None:
-        body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+        body = self.body()
         path, _, query = self.path.partition("?")
         if self.fake.is_silent.is_set():
             self.close_connection = True
@@ -57,12 +50,12 @@ class Handler(BaseHTTPRequestHandler):
             answer = self.fake.answer(method, path.removeprefix("/api/v1"), query, body)
         except KleinkramError as error:
             problem = to_problem(error, "a-request").model_dump_json().encode()
-            self._say(error.status, problem, {"Content-Type": "application/problem+json"})
+            self.send(error.status, problem, {"Content-Type": "application/problem+json"})
             return
         if self.fake.is_silent.is_set():
             self.close_connection = True
             return
-        self._say(200 if answer else 204, answer.model_dump_json().encode() if answer else b"", {})
+        self.send(200 if answer else 204, answer.model_dump_json().encode() if answer else b"")
 
     def _give(self, data: bytes) -> None:
         expected = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers["Range"])
@@ -81,10 +74,3 @@ class Handler(BaseHTTPRequestHandler):
                     time.sleep(0.05)
         except OSError:
             self.close_connection = True
-
-    def _say(self, status: int, body: bytes, headers: dict[str, str]) -> None:
-        self.send_response(status)
-        for name, value in {**headers, "Content-Length": str(len(body))}.items():
-            self.send_header(name, value)
-        self.end_headers()
-        self.wfile.write(body)
