@@ -56,7 +56,7 @@ test-all: setup
 	@$(BIN)/python -m pytest -m "slow and not soak" -q -n 4 --dist loadfile --no-loadscope-reorder --timeout=300 -o faulthandler_timeout=1000
 
 soak: setup
-	@$(BIN)/python -m tests.requirements
+	@$(BIN)/python -m tests.requirements --soak
 	@HYPOTHESIS_PROFILE=soak $(BIN)/python -m pytest -m soak -q --timeout=0
 
 # Two at a time, from their installation on: pip, mypy and ESLint use one core each.
