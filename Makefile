@@ -57,7 +57,7 @@ test-all: setup
 
 # KLEINKRAM_TEST_KUBERNETES names the folder where a Kubernetes is built, once.
 soak: setup
-	@$(BIN)/python -m tests.requirements
+	@$(BIN)/python -m tests.requirements --soak
 	@$(BIN)/python -m tests.kubernetes_build
 	@HYPOTHESIS_PROFILE=soak $(BIN)/python -m pytest -m soak -q --timeout=0
 

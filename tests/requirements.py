@@ -1,7 +1,8 @@
 """System packages that tests need. Tests without their packages are skipped; KLEINKRAM_REQUIRE_ALL=1 makes them fail.
 
-`python -m tests.requirements` lists what the slow tests need and this machine lacks. With KLEINKRAM_TEST_INSTALL=1 it
-installs them before any test runs, because two test processes cannot install at the same time.
+`python -m tests.requirements` lists what the slow tests need and this machine lacks, with `--soak` the long ones, too.
+With KLEINKRAM_TEST_INSTALL=1 it installs that before any test runs, because two test processes cannot install at the same
+time.
 """
 
 from __future__ import annotations
@@ -60,6 +61,9 @@ PROGRAMS = {
     "sinfo": "slurm-client",
     "slurmctld": "slurmctld",
     "slurmd": "slurmd",
+}
+# Those of the long rounds only.
+_SOAK_PROGRAMS = {
     "sacct": "slurm-client",
     "sacctmgr": "slurm-client",
     "slurmdbd": "slurmdbd",
@@ -96,7 +100,7 @@ def path_of(program: str) -> str | None:
 def need(*programs: str) -> None:
     """Skip or fail the test, as `missing` does, unless these programs are installed."""
     if lacking := [program for program in programs if path_of(program) is None]:
-        packages = sorted({PROGRAMS[program] for program in lacking})
+        packages = sorted({(PROGRAMS | _SOAK_PROGRAMS)[program] for program in lacking})
         missing(f"not installed: {', '.join(lacking)} (Debian: {' '.join(packages)}; {_HOW})")
 
 
@@ -238,7 +242,8 @@ def _install_helm() -> None:
 
 def main() -> None:
     """Print the missing requirements, or install them if KLEINKRAM_TEST_INSTALL is set."""
-    packages = sorted({word for program, name in PROGRAMS.items() if path_of(program) is None for word in name.split()})
+    programs = PROGRAMS | (_SOAK_PROGRAMS if "--soak" in sys.argv else {})
+    packages = sorted({word for program, name in programs.items() if path_of(program) is None for word in name.split()})
     lacks_node = not (_node_folder() / "ready").exists()
     lacks_helm = not _helm().exists()
     lacks_compose = not (_compose_folder() / "docker-compose").exists()

@@ -12,10 +12,11 @@ from tests.requirements import path_of
 PROGRAMS = ("slurmdbd", "mariadbd", "sacctmgr", "sacct")
 _TABLES = Path("/usr/share/mysql")
 _TABLE_FILES = ("system_tables", "performance_tables", "system_tables_data")
-CLUSTER_LINES = """\
+_CLUSTER = """\
 AccountingStorageType=accounting_storage/slurmdbd
 AccountingStorageHost=127.0.0.1
 AccountingStoragePort={port}
+AccountingStoragePass={folder}/munge.socket
 AccountingStorageEnforce=associations,limits
 """
 _DAEMON = """\
@@ -36,17 +37,16 @@ LogFile={folder}/slurmdbd.log
 
 
 class Accounting:
-    """The files and command lines of the accounting of the cluster in `folder`."""
+    """The files and command lines of the accounting of the cluster in `folder`; `settings` are those of the cluster."""
 
     def __init__(self, folder: Path) -> None:
-        self.port = choose_port()
+        port = choose_port()
+        self.settings = _CLUSTER.format(folder=folder, port=port)
         self._data = folder / "mariadb"
         self._socket = folder / "mariadb.socket"
         self._database_port = choose_port()
         self._options = ["--no-defaults", "--user=root", f"--datadir={self._data}"]
-        text = _DAEMON.format(
-            folder=folder, host=socket.gethostname(), port=self.port, database_port=self._database_port
-        )
+        text = _DAEMON.format(folder=folder, host=socket.gethostname(), port=port, database_port=self._database_port)
         (folder / "slurmdbd.conf").touch(0o600)
         (folder / "slurmdbd.conf").write_text(text)
 

@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from tests import slurm_accounting
 from tests.ports import choose_port
 from tests.requirements import path_of
 from tests.slurm_accounting import Accounting
@@ -57,11 +56,13 @@ SlurmdPidFile={folder}/slurmd.pid
 SlurmctldLogFile={folder}/slurmctld.log
 SlurmdLogFile={folder}/slurmd.log
 Prolog={folder}/prolog
+TaskProlog={folder}/task-prolog
 GresTypes=gpu
 NodeName=node1 NodeHostname={host} NodeAddr=127.0.0.1 CPUs={cpus} RealMemory=16000 Features=fast Gres=gpu:2
 PartitionName=main Nodes=node1 Default=YES MaxTime=1-00:00:00 State=UP
 PartitionName=short Nodes=node1 MaxTime=00:02:00 State=UP
 """
+_NO_ACCOUNTING = "AccountingStorageType=accounting_storage/none"
 # Files that stand for the two devices: nothing can be computed on them, but Slurm hands them out.
 _GPUS = "NodeName=node1 Name=gpu File=/dev/null\nNodeName=node1 Name=gpu File=/dev/zero\n"
 
@@ -69,14 +70,25 @@ _GPUS = "NodeName=node1 Name=gpu File=/dev/null\nNodeName=node1 Name=gpu File=/d
 class SlurmCluster:
     """The services of one cluster. `environment` is for commands and runners that use it."""
 
-    def __init__(self, folder: Path, cpus: int = 8, *, has_accounting: bool = False) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        cpus: int = 8,
+        *,
+        has_accounting: bool = False,
+        node_variables: Mapping[str, str] | None = None,
+    ) -> None:
         self.folder = folder
+        self._node_variables = node_variables or {}
         self._accounting = Accounting(folder) if has_accounting else None
         self._services: dict[str, subprocess.Popen[bytes]] = {}
         self.unshared = folder / "unshared"
         for name in ("state", "spool", "munge", "unshared"):
             (folder / name).mkdir(mode=0o700)
         self.fail_starts(fails=False)
+        exports = "".join(f"echo export {name}={value}\n" for name, value in self._node_variables.items())
+        (folder / "task-prolog").write_text(f"#!/bin/sh\n{exports}")
+        (folder / "task-prolog").chmod(0o755)
         # munged serves every user.
         folder.chmod(0o755)
         (folder / "munge" / "key").write_bytes(os.urandom(128))
@@ -87,9 +99,7 @@ class SlurmCluster:
             controller_port=choose_port(),
             node_port=choose_port(),
             cpus=cpus,
-            accounting="AccountingStorageType=accounting_storage/none"
-            if self._accounting is None
-            else slurm_accounting.CLUSTER_LINES.format(port=self._accounting.port).strip(),
+            accounting=self._accounting.settings if self._accounting else _NO_ACCOUNTING,
         )
         (folder / "slurm.conf").write_text(configuration)
         (folder / "gres.conf").write_text(_GPUS)
@@ -152,6 +162,7 @@ class SlurmCluster:
             "slurmd",
             *("--mount", "--time", f"--boottime={_BOOT_TIME_S}", "--fork", "--kill-child=KILL", "sh", "-c", script),
             program="unshare",
+            variables=self._node_variables,
         )
 
     def fail_starts(self, *, fails: bool) -> None:
@@ -213,7 +224,13 @@ class SlurmCluster:
                 process.wait()
         self._services.clear()
 
-    def _start(self, service: str, *arguments: str, program: str | None = None) -> None:
+    def _start(
+        self,
+        service: str,
+        *arguments: str,
+        program: str | None = None,
+        variables: Mapping[str, str] | None = None,
+    ) -> None:
         log = (self.folder / f"{service}.out").open("ab")
         path = path_of(program or service)
         assert path is not None
@@ -223,7 +240,7 @@ class SlurmCluster:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                env={"PATH": os.environ["PATH"] + ":/usr/sbin", **self.environment},
+                env={"PATH": os.environ["PATH"] + ":/usr/sbin", **self.environment, **(variables or {})},
                 cwd=self.folder,
             )
 
@@ -237,10 +254,15 @@ def _wait_for(condition: object, timeout_s: float = _START_S) -> None:
 
 
 @contextlib.contextmanager
-def slurm_cluster(cpus: int = 8, *, has_accounting: bool = False) -> Iterator[SlurmCluster]:
-    """Run a cluster in a folder of its own. Its path is short: those of sockets are limited."""
+def slurm_cluster(
+    cpus: int = 8, *, has_accounting: bool = False, node_variables: Mapping[str, str] | None = None
+) -> Iterator[SlurmCluster]:
+    """Run a cluster in a folder of its own, whose path is short: those of sockets are limited.
+
+    `node_variables` are those of the node's service and of its jobs.
+    """
     with tempfile.TemporaryDirectory(prefix="slurm-") as folder:
-        cluster = SlurmCluster(Path(folder), cpus, has_accounting=has_accounting)
+        cluster = SlurmCluster(Path(folder), cpus, has_accounting=has_accounting, node_variables=node_variables)
         try:
             cluster.start()
             yield cluster

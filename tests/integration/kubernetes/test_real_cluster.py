@@ -98,7 +98,13 @@ def site(kubernetes: RealCluster, tmp_path: Path) -> Iterator[RealSite]:
     options = KubernetesOptions(
         namespace=NAMESPACE, kubeconfig=kubernetes.kubeconfig, pod_image=kubernetes.pod_image, memory_bytes=10**12
     )
-    made = RealSite(server, tmp_path / "runner", options, kubernetes.script_image, frozenset({Network.open}))
+    made = RealSite(
+        server=server,
+        folder=tmp_path / "runner",
+        options=options,
+        default_image=kubernetes.script_image,
+        networks=frozenset({Network.open}),
+    )
     made.real = kubernetes
     yield made
     made.close()

@@ -179,6 +179,12 @@ def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Ben
         return Bench(SlurmExecutor(site), folder, lambda: SlurmExecutor(site))
     if executor == "fake_kubernetes":
         return fake_kubernetes_bench(request, folder)
+    if executor == "slurm_images":
+        slurm: SlurmSite = request.getfixturevalue("slurm_site")
+        stored: ImageFolder = request.getfixturevalue("image_folder")
+        in_images = SlurmExecutor(slurm, images=stored.store())
+        image = in_images.prepare_image(stored.image).reference
+        return Bench(in_images, folder, lambda: SlurmExecutor(slurm, images=stored.store()), image, "python3")
     if executor == "kubernetes":
         return kubernetes_bench(request, folder)
     if executor == "images":
@@ -297,7 +303,14 @@ EVERYWHERE = pytest.mark.parametrize(
     ],
     indirect=True,
 )
+# The same, and jobs of Slurm in images.
+EVERYWHERE_IN_IMAGES = pytest.mark.parametrize(
+    "bench",
+    [*EVERYWHERE.args[1], pytest.param("slurm_images", marks=pytest.mark.slow)],
+    indirect=True,
+)
 _EXECUTORS = [
+    pytest.param("slurm_images", marks=[pytest.mark.slow, pytest.mark.soak]),
     *_LOCAL,
     pytest.param("podman", marks=pytest.mark.soak),
     pytest.param("slurm", marks=[pytest.mark.slow, pytest.mark.soak]),

@@ -24,6 +24,7 @@ from kleinkram.runner.executors.port_forward import PortForward
 from kleinkram.runner.executors.supervision import GRACE_S, boot_time_s
 from tests.integration.runner.conftest import (
     EVERYWHERE,
+    EVERYWHERE_IN_IMAGES,
     LOCALLY,
     LOCALLY_EVERYWHERE,
     NOT_ON_THAT_CLUSTER,
@@ -59,7 +60,7 @@ def until_logged_by(bench: Bench, text: str, words: str) -> None:
         time.sleep(0.02)
 
 
-@EVERYWHERE
+@EVERYWHERE_IN_IMAGES
 def test_a_job_reads_in_and_writes_out(isolated: Bench) -> None:
     job = isolated.job(
         "import os, pathlib\n"
@@ -89,7 +90,7 @@ def test_a_job_can_write_only_to_its_output_folder(isolated: Bench, path: str) -
     assert (job.directory / "in" / "drive.txt").read_text() == "bytes of a drive"
 
 
-@EVERYWHERE
+@EVERYWHERE_IN_IMAGES
 def test_the_sandbox_hides_the_machine(isolated: Bench) -> None:
     secret = isolated.folder / "credentials.json"
     secret.write_text("a token")
@@ -164,7 +165,7 @@ def test_a_missing_command(bench: Bench) -> None:
 
 
 @pytest.mark.slow
-@EVERYWHERE
+@EVERYWHERE_IN_IMAGES
 def test_too_much_memory_ends_the_run_alone(bench: Bench) -> None:
     _, ending = bench.run(
         "import time\nheld = []\nwhile True: held.append(bytearray(b'x' * 5_000_000)); time.sleep(0.01)",

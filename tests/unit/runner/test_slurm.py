@@ -58,9 +58,9 @@ def test_gpus_are_counted_by_their_resources(gres: str, count: int) -> None:
 
 @pytest.mark.parametrize(
     ("text", "seconds"),
-    [("2:00", 120), ("1:00:00", 3600), ("2-01:00:30", 176430), ("00:01.500", 1), ("infinite", None), ("n/a", None)],
+    [("2:00", 120), ("1:00:00", 3600), ("2-01:00:30", 176430), ("00:01.500", 1.5), ("infinite", None), ("n/a", None)],
 )
-def test_durations_of_slurm(text: str, seconds: int | None) -> None:
+def test_durations_of_slurm(text: str, seconds: float | None) -> None:
     assert parse_duration(text) == seconds
 
 
@@ -70,7 +70,7 @@ def test_accounts_join_a_job_and_its_steps() -> None:
         "8_3|klein-b|COMPLETED|01:00:00|\n8_3.0|python|COMPLETED|00:01|2G\n"
     )
     assert parse_accounts(text) == {
-        "7": JobAccount("klein-a", "CANCELLED", 2, 1536 * 1024),
+        "7": JobAccount("klein-a", "CANCELLED", 2.5, 1536 * 1024),
         "8_3": JobAccount("klein-b_3", "COMPLETED", 3600, 2 * 2**30),
     }
 

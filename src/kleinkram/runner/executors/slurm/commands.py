@@ -62,7 +62,7 @@ class ClusterNode(NamedTuple):
     gpus: int
     partition: str
     is_default: bool
-    time_s: int | None
+    time_s: float | None
 
 
 class JobAccount(NamedTuple):
@@ -225,7 +225,7 @@ def count_gpus(gres: str) -> int:
     return total
 
 
-def parse_duration(text: str) -> int | None:
+def parse_duration(text: str) -> float | None:
     """Return seconds of `[days-][hours:]minutes:seconds[.fraction]`; None where it is `infinite`."""
     days, _, clock = text.strip().rpartition("-")
     parts = clock.split(":")
@@ -234,7 +234,7 @@ def parse_duration(text: str) -> int | None:
         seconds = 86400 * int(days or 0)
     except ValueError:
         return None
-    return int(seconds + sum(value * 60**power for power, value in enumerate(reversed(values))))
+    return float(seconds + sum(value * 60**power for power, value in enumerate(reversed(values))))
 
 
 _UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
@@ -253,7 +253,7 @@ def parse_accounts(text: str) -> dict[str, JobAccount]:
         accounts[job_id] = JobAccount(
             name=known.name if step else task_name(name, task) if task else name,
             state=known.state if step else state.partition(" ")[0],
-            cpu_s=max(known.cpu_s, float(parse_duration(cpu) or 0)),
+            cpu_s=max(known.cpu_s, parse_duration(cpu) or 0.0),
             peak_memory_bytes=max(known.peak_memory_bytes, peak),
         )
     return accounts
