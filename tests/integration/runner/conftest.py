@@ -248,7 +248,7 @@ LOCALLY_EVERYWHERE = pytest.mark.parametrize(
     [*_LOCAL, pytest.param("podman", marks=pytest.mark.slow), pytest.param("slurm", marks=pytest.mark.slow)],
     indirect=True,
 )
-# What is tried by Podman and Slurm, too, each time that Docker is: of the rest, their turn is with the long rounds.
+# What each executor does each time that Docker does: for the rest, the turn of the others is with the long rounds.
 EVERYWHERE = pytest.mark.parametrize(
     "bench",
     [
@@ -260,10 +260,10 @@ EVERYWHERE = pytest.mark.parametrize(
     indirect=True,
 )
 _EXECUTORS = [
-    *_LOCAL,
+    "process",
+    pytest.param("docker", marks=pytest.mark.slow),
+    *(pytest.param(name, marks=[pytest.mark.slow, pytest.mark.soak]) for name in ("images", "slurm", "kubernetes")),
     pytest.param("podman", marks=pytest.mark.soak),
-    pytest.param("slurm", marks=[pytest.mark.slow, pytest.mark.soak]),
-    _CLUSTER,
 ]
 
 
