@@ -159,7 +159,8 @@ class FakeProvider:
 
 @cache
 def _key(_number: int) -> RSAKey:
-    return RSAKey.generate_key(2048)
+    key: RSAKey = RSAKey.generate_key(2048)
+    return key
 
 
 @contextmanager
