@@ -112,6 +112,7 @@ def test_workers_of_dask_read_what_a_search_finds(lab: Terminal, robot: dict[str
     assert all(150 < rate < 250 for rate in rates), lines
 
 
+@pytest.mark.soak
 def test_workers_of_ray_read_what_a_search_finds(lab: Terminal, robot: dict[str, str], tmp_path: Path) -> None:
     query = "project:alpine topic:/imu/data"
     quiet = {"RAY_TMPDIR": "/tmp", "RAY_USAGE_STATS_ENABLED": "0", "RAY_DATA_DISABLE_PROGRESS_BARS": "1"}

@@ -1,14 +1,18 @@
 """The API for HTTP tests: one for the whole session, or one with settings of its own."""
 
 import os
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import argon2
 import pytest
 from alembic import command
 
+from kleinkram.server.auth import local_accounts
 from kleinkram.server.migrations import alembic_config
 from tests import slurm_cluster
 from tests.integration.api_server import Api, serving
@@ -19,6 +23,8 @@ from tests.requirements import missing, need
 from tests.services import RunningPostgres, RunningStore
 from tests.slurm_cluster import SlurmCluster
 
+_QUICK_HASHER = argon2.PasswordHasher(time_cost=1, memory_cost=64, parallelism=1)
+_THREAD_END_S = 20
 StartApi = Callable[..., Api]
 Starting = Callable[[], AbstractContextManager[StartApi]]
 _LIMITS = [
@@ -101,6 +107,33 @@ def _isolate_modules(begun_apis: list[Api]) -> Iterator[None]:
         api.sql("UPDATE project SET is_public = false WHERE is_public")
         # Or garbage collection would find a thousand missions without recordings.
         api.sql("UPDATE mission SET derived_revision = files_revision WHERE derived_revision <> files_revision")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _threads_end() -> Iterator[None]:
+    """Fail a module after which a thread of the product goes on: it would disturb the tests that follow."""
+    before = {*threading.enumerate()}
+    yield
+    left = [thread for thread in threading.enumerate() if thread not in before and _is_of_the_product(thread)]
+    deadline = time.monotonic() + _THREAD_END_S
+    for thread in left:
+        thread.join(max(0.0, deadline - time.monotonic()))
+    assert [thread.name for thread in left if thread.is_alive()] == [], "close what started these threads"
+
+
+def _is_of_the_product(thread: threading.Thread) -> bool:
+    """Whether it runs code of the product; the session's API runs in a thread of the web server."""
+    return str(getattr(getattr(thread, "_target", None), "__module__", "")).startswith("kleinkram.")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _quick_hashes() -> Iterator[None]:
+    """Let servers in this process hash passwords quickly; the unit tests hash as the product does."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(local_accounts, "_argon2", _QUICK_HASHER)
+        local_accounts._unknown_hash.cache_clear()
+        yield
+    local_accounts._unknown_hash.cache_clear()
 
 
 @pytest.fixture

@@ -15,14 +15,23 @@ import pytest
 from kleinkram.contract.uploads import MIN_PART_BYTES
 from tests.acceptance.conftest import wait_until
 from tests.system import backend
-from tests.system.chaos.kill_rounds import CONNECTIONS, MB, Round, fill, say, turns, upload_under_fire
+from tests.system.chaos.kill_rounds import (
+    CONNECTIONS,
+    MB,
+    VICTIMS,
+    Round,
+    fill,
+    say,
+    turns,
+    upload_under_fire,
+)
 from tests.system.cluster import Cluster
 
-# Of ten rounds in CI one is of the full size. Each has what a full one has: large files of several parts, and more
-# small ones than are announced at once. What more bytes add is time.
+# The rounds of CI kill each process once. They have what a full one has: large files of several parts, and more small
+# ones than are announced at once. What more bytes add is time.
 _FULL_MB, _SMALL_MB = 300, 50
 _FULL_RATE_MB_S, _SMALL_RATE_MB_S = 75, 25
-_ROUNDS_PER_CLUSTER = 10
+_ROUNDS_IN_CI, _ROUNDS_PER_CLUSTER = 4, 10
 _UNFINISHED = "SELECT path, state, failure FROM upload WHERE state IN ('open', 'completing')"
 _FILES = """
     SELECT file.path, encode(blob.sha256, 'hex') FROM file JOIN blob ON blob.id = file.blob_id
@@ -41,17 +50,16 @@ for step in range(20):
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_an_upload_survives_ten_rounds_of_kills(cluster: Cluster) -> None:
-    first = _first_seed()
-    sizes = {seed: _FULL_MB for seed in range(first, first + _ROUNDS_PER_CLUSTER) if seed % _ROUNDS_PER_CLUSTER == 1}
-    _rounds(cluster, [*_planned(cluster.home, first, _ROUNDS_PER_CLUSTER, sizes)])
+def test_an_upload_survives_kills_of_every_process(cluster: Cluster) -> None:
+    rounds = [*_planned(cluster.home, _first_seed(), _ROUNDS_IN_CI, _SMALL_MB)]
+    assert _first_seed() != 1 or {victim for one in rounds for victim in one.victims} == {*VICTIMS}
+    _rounds(cluster, rounds)
 
 
 @pytest.mark.soak
 def test_a_large_upload_survives_many_rounds_of_kills(tmp_path: Path) -> None:
     first, count = _first_seed(), int(os.environ.get("KLEINKRAM_SOAK_ROUNDS", "100"))
-    sizes = dict.fromkeys(range(first, first + count), _FULL_MB)
-    planned = [*_planned(tmp_path, first, count, sizes)]
+    planned = [*_planned(tmp_path, first, count, _FULL_MB)]
     # A new cluster after some rounds, because a hundred rounds would fill the disk.
     for begin in range(0, count, _ROUNDS_PER_CLUSTER):
         home = tmp_path / f"cluster{begin}"
@@ -68,10 +76,10 @@ def _first_seed() -> int:
     return int(os.environ.get("KLEINKRAM_KILLS_SEED", "1"))
 
 
-def _planned(home: Path, first: int, count: int, sizes: dict[int, int]) -> Iterator[Round]:
+def _planned(home: Path, first: int, count: int, size_mb: int) -> Iterator[Round]:
     """Yield the rounds of these seeds. A round depends on its seed only."""
     for seed, victims in enumerate(itertools.islice(turns(random.Random(0)), first, first + count), start=first):
-        yield Round(seed, victims, home / f"m{seed}", sizes.get(seed, _SMALL_MB) * MB)
+        yield Round(seed, victims, home / f"m{seed}", size_mb * MB)
 
 
 def _rounds(cluster: Cluster, rounds: list[Round]) -> None:

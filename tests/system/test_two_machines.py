@@ -46,6 +46,7 @@ print(json.dumps([port for port in map(int, sys.argv[2:]) if opens(port)]))
 """
 
 
+@pytest.mark.soak
 def test_another_machine_uploads_downloads_and_verifies_over_http(
     cluster: Cluster, other_machine: OtherMachine, tmp_path: Path
 ) -> None:

@@ -203,10 +203,10 @@ class ActiveRun:
             self._context.statistics.count_end(None)
             _log.exception("the run %s is given up", self.assignment.run_id)
         finally:
+            self._log.close()
             if is_detached:
                 self._release_environment()
             else:
-                self._log.close()
                 try:
                     self._executor.remove(self._job())
                     self._release_environment()

@@ -131,7 +131,9 @@ class Runner:
         self._register_until_accepted()
         notify_status("claiming runs")
         if self._options.default_image is not None and self._executor.abilities.images:
-            threading.Thread(target=self._find_default_image, name="default image", daemon=True).start()
+            search = threading.Thread(target=self._find_default_image, name="default image", daemon=True)
+            search.start()
+            self._threads.append(search)
         capacity = self._executor.capacity
         _log.info(
             "ready: %g cores, %.1f GB memory, %.0f GB disk, %d GPUs, runs as %s",
@@ -233,10 +235,11 @@ class Runner:
     def _find_default_image(self) -> None:
         """Look for the image that scripts run on until it is available, and report its digest."""
         is_logged = False
-        while True:
+        while not self._is_closed.is_set():
             try:
                 self._default_image_digest = self._executor.prepare_image(self._options.default_image or "").digest
-                self._register()
+                if not self._is_closed.is_set():
+                    self._register()
                 return
             except CannotStart as error:
                 if not is_logged:
@@ -244,7 +247,7 @@ class Runner:
                 is_logged = True
             except KleinkramError as error:
                 _log.warning("the default image could not be reported to the server yet: %s", error)
-            time.sleep(_DEFAULT_IMAGE_RETRY_S)
+            self._is_closed.wait(_DEFAULT_IMAGE_RETRY_S)
 
     def _claim(self, *, max_runs: int) -> list[ActiveRun]:
         """Wait for runs and start them; none where there are none."""

@@ -29,9 +29,9 @@ from tests.integration.openapi_check import assert_is_described
 _CHECKS = [not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
 _MODES = (GenerationMode("positive"), GenerationMode("negative"))
 # The short round calls so many operations, the others all of them.
-_OPERATIONS = 30
+_OPERATIONS = 10
 # Requests per operation in the three rounds. Generating a request takes longer than answering it.
-_SHORT, _LONG, _SOAK = 3, 10, 60
+_SHORT, _LONG, _SOAK = 3, 4, 60
 
 # Refused by the HTTP parser, before there is a request: too long or malformed.
 _NOT_HTTP = "Invalid HTTP request received."

@@ -6,12 +6,14 @@ real thing is `tests/system/test_oidc.py`.
 
 import base64
 import hashlib
+import itertools
 import json
 import secrets
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 from urllib.parse import parse_qs, urlencode, urlsplit
 
@@ -20,6 +22,9 @@ from joserfc.jwk import KeySet, RSAKey
 
 from tests.http_server import QuietHandler, serving
 
+# Generating one takes a quarter of a second. Providers use these in turn, each with a new key id.
+_KEYS = 4
+_turns = itertools.count()
 CLIENT_ID = "kleinkram"
 CLIENT_SECRET = "a secret with + and % in it"
 
@@ -51,7 +56,8 @@ class FakeProvider:
 
     def rotate(self, *, keep_old: bool = False) -> None:
         """Sign with a new key from now on."""
-        made = RSAKey.generate_key(2048, parameters={"kid": secrets.token_hex(4)})
+        raw = _key(next(_turns) % _KEYS).raw_value
+        made = RSAKey(raw, raw, {"kid": secrets.token_hex(4)})
         self.keys = [made, *(self.keys if keep_old else [])]
 
     def sign_in_as(self, subject: str, **claims: Any) -> None:
@@ -147,6 +153,12 @@ class FakeProvider:
         self.__dict__.clear()
         self.__init__(url)  # type: ignore[misc]  # all of it anew, what tests put in the place of methods too
         self.rotate()
+
+
+@cache
+def _key(_number: int) -> RSAKey:
+    key: RSAKey = RSAKey.generate_key(2048)
+    return key
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
+from kleinkram.runner.executors.base import CannotStart, Ending
 from kleinkram.runner.executors.kubernetes import endings, executor
 from tests.integration.kubernetes.conftest import IMAGE, Site
 from tests.integration.kubernetes.manifests import rules
@@ -90,6 +92,21 @@ def test_the_role_allows_what_the_runner_does_and_no_more(site: Site) -> None:
     wait_until(lambda: is_clean(site))
     wait_until(lambda: runner.active_count == 0)
     assert set(site.cluster.requests) == allowed
+
+
+def test_a_closed_runner_looks_for_its_image_no_longer(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    searches: list[threading.Thread] = []
+
+    def find_none(_executor: object, _image: str) -> None:
+        searches.append(threading.current_thread())
+        raise CannotStart(Ending(EndReason.image_unavailable, "The image is not there."))
+
+    monkeypatch.setattr(executor.KubernetesExecutor, "prepare_image", find_none)
+    site.start()
+    wait_until(lambda: searches)
+    site.close()
+    searches[0].join(20)
+    assert not searches[0].is_alive()
 
 
 @pytest.mark.slow

@@ -102,19 +102,19 @@ def test_the_script_describes_itself() -> None:
 def test_from_a_recording_to_an_error_of_centimetres(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Both actions, one after the other, on a drive of 40 m; the second finds the file that the first one made."""
+    """Both actions, one after the other, on a drive of 20 m; the second finds the file that the first one made."""
     folder = tmp_path_factory.mktemp("drive")
     drive = folder / "drive.mcap"
-    generate_mcap(drive, duration_s=20, size_bytes=60_000_000)
+    generate_mcap(drive, duration_s=10, size_bytes=30_000_000)
     with_packages(monkeypatch, LIDAR_ODOMETRY)
     ran = track(tmp_path_factory.mktemp("odometry"), {"drive.mcap": drive})
     assert ran.exit_code == 0, ran.log
     (made,) = ran.report.mission_files
     assert (made.to, made.derived_from) == ("derived/lidar-odometry.tum", ["drive.mcap"])
-    assert ran.metric("scans", topic="/lidar/points") == 200
-    assert ran.metric("path_length", topic="/lidar/points") == pytest.approx(39.8, rel=0.01)
+    assert ran.metric("scans", topic="/lidar/points") == 100
+    assert ran.metric("path_length", topic="/lidar/points") == pytest.approx(19.8, rel=0.01)
     trajectory = read_file(ran.out / made.path)
-    assert len(trajectory) == 200
+    assert len(trajectory) == 100
 
     with_packages(monkeypatch, SLAM_EVALUATE)
     evaluated = try_out(
@@ -127,7 +127,7 @@ def test_from_a_recording_to_an_error_of_centimetres(
     assert evaluated.exit_code == 0, evaluated.log
     compared = {"estimate": made.to, "reference": "tf:odom->base_link"}
     labels = {**compared, "alignment": "se3", "tolerance": "0.01 s"}
-    assert evaluated.metric("matched_poses", labels=labels) == 200
+    assert evaluated.metric("matched_poses", labels=labels) == 100
     assert 0 < evaluated.metric("ate_rmse", labels=labels) < MAX_ATE_M
     assert evaluated.metric("rpe_rmse", labels={**labels, "delta": "1 s"}) < MAX_ATE_M
 
@@ -138,7 +138,7 @@ def test_with_its_mount_the_trajectory_is_that_of_the_robot(
 ) -> None:
     """A lidar of the legged robot, a quarter of a metre in front of its base, recorded by another computer."""
     folder = tmp_path_factory.mktemp("rig")
-    generate_rig(folder, duration_s=12)
+    generate_rig(folder, duration_s=6)
     files: dict[str, Path | bytes] = {name: folder / name for name in ("nuc/nuc.mcap", "lpc/lpc.mcap")}
     with_packages(monkeypatch, LIDAR_ODOMETRY)
     topic, mount = "/lidar/livox/points", "lpc/lpc.mcap:tf:base->lidar_livox"
@@ -148,5 +148,5 @@ def test_with_its_mount_the_trajectory_is_that_of_the_robot(
     of_robot, of_lidar = (read_file(ran.out / "lidar-odometry.tum") for ran in (robot, lidar))
     turn = 2 * np.arctan2(of_lidar.orientations[:, 2], of_lidar.orientations[:, 3])
     lever = 0.25 * np.stack([1 - np.cos(turn), -np.sin(turn)], axis=1)
-    assert np.abs(turn).max() > 0.4
+    assert np.abs(turn).max() > 0.2
     assert of_robot.positions[:, :2] == pytest.approx(of_lidar.positions[:, :2] + lever, abs=0.01)

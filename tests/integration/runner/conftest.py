@@ -291,7 +291,7 @@ LOCALLY_EVERYWHERE = pytest.mark.parametrize(
     [*_LOCAL, pytest.param("podman", marks=pytest.mark.slow), pytest.param("slurm", marks=pytest.mark.slow)],
     indirect=True,
 )
-# What is tried by Podman and Slurm, too, each time that Docker is: of the rest, their turn is with the long rounds.
+# What each executor does each time that Docker does: for the rest, the turn of the others is with the long rounds.
 EVERYWHERE = pytest.mark.parametrize(
     "bench",
     [
@@ -310,11 +310,13 @@ EVERYWHERE_IN_IMAGES = pytest.mark.parametrize(
     indirect=True,
 )
 _EXECUTORS = [
-    pytest.param("slurm_images", marks=[pytest.mark.slow, pytest.mark.soak]),
-    *_LOCAL,
+    "process",
+    pytest.param("docker", marks=pytest.mark.slow),
+    *(
+        pytest.param(name, marks=[pytest.mark.slow, pytest.mark.soak])
+        for name in ("images", "slurm", "slurm_images", "fake_kubernetes")
+    ),
     pytest.param("podman", marks=pytest.mark.soak),
-    pytest.param("slurm", marks=[pytest.mark.slow, pytest.mark.soak]),
-    _FAKE_CLUSTER,
 ]
 # What the real cluster of the tests cannot do: it enforces no network policies, and its volumes have no size.
 NOT_ON_THAT_CLUSTER = pytest.mark.parametrize("bench", _EXECUTORS, indirect=True)

@@ -77,16 +77,21 @@ def test_a_job_reads_in_and_writes_out(isolated: Bench) -> None:
     assert all(words in log_of(job) for words in ("to stdout", "to stderr"))
 
 
-@pytest.mark.parametrize(
-    "path", ["/in/drive.txt", "/in/other", "/usr/other", "/etc/other", "/other", "/proc/sys/vm/swappiness"]
-)
-def test_a_job_can_write_only_to_its_output_folder(isolated: Bench, path: str) -> None:
-    job = isolated.job(f"open({path!r}, 'a').write('1')")
+def test_a_job_can_write_only_to_its_output_folder(isolated: Bench) -> None:
+    paths = ["/in/drive.txt", "/in/other", "/usr/other", "/etc/other", "/other", "/proc/sys/vm/swappiness"]
+    job = isolated.job(
+        f"for path in {paths}:\n"
+        "    try:\n"
+        "        with open(path, 'a') as file: file.write('1')\n"
+        "        print('written')\n"
+        "    except OSError as error: print(error.strerror)"
+    )
     (job.directory / "in" / "drive.txt").write_text("bytes of a drive")
     isolated.executor.submit(job)
-    ending = isolated.end_of(job)
-    assert (ending.reason, ending.exit_code) == (EndReason.exit_code, 1)
-    assert re.search("Read-only|Permission|denied", log_of(job))
+    assert isolated.end_of(job).reason is EndReason.done
+    refusals = log_of(job).splitlines()
+    assert len(refusals) == len(paths)
+    assert all(re.search("Read-only|Permission|denied", refusal) for refusal in refusals), refusals
     assert (job.directory / "in" / "drive.txt").read_text() == "bytes of a drive"
 
 
