@@ -238,6 +238,19 @@ def test_what_ends_a_pod_from_outside(
 
 
 @pytest.mark.slow
+def test_a_pod_that_replaces_a_deleted_one_does_not_count(site: Site) -> None:
+    site.cluster.replaces_deleted_pods = True
+    site.start()
+    run = site.server.launch(_LASTING)
+    wait_until(lambda: has_begun(site))
+    site.cluster.delete_pod(pod_of(site, "action")["metadata"]["name"])
+    (finish,) = ended(run).finishes
+    assert (finish.reason, "deleted it" in finish.message) == (EndReason.lost, True)
+    assert run.artifacts.keys() <= {LOG_PATH}
+    wait_until(lambda: is_clean(site))
+
+
+@pytest.mark.slow
 def test_a_cancelled_run_ends_and_leaves_nothing(site: Site) -> None:
     site.start()
     run = site.server.launch(_LASTING)
