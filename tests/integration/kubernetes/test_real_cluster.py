@@ -296,7 +296,7 @@ def test_a_service_of_the_cluster_is_killed_during_a_run(site: RealSite, service
     site.wait_until_clean()
 
 
-_RUNS = 60
+_RUNS = 20
 # Each start has a name of its own, in every line of the log and in its only file.
 _NAMED = (
     "import time, uuid\nfrom kleinkram.action import out\nname = uuid.uuid4().hex\n"
