@@ -165,7 +165,7 @@ def test_the_words_of_the_scheduler_are_shown_while_a_run_waits(site: Site) -> N
 
 
 @pytest.mark.slow
-def test_a_cluster_that_creates_no_pod_is_told_while_a_run_waits(site: Site) -> None:
+def test_a_cluster_that_creates_no_pod_is_named_while_a_run_waits(site: Site) -> None:
     site.cluster.creates_pods = False
     site.start()
     run = site.server.launch("print('x')")
