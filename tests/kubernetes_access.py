@@ -55,8 +55,8 @@ class Api:
 
     def items(self, path: str) -> list[Body]:
         """Return the objects of a list."""
-        found: list[Body] = self.send("GET", path)["items"]
-        return found
+        objects: list[Body] = self.send("GET", path)["items"]
+        return objects
 
     def is_ready(self) -> bool:
         """Whether the API server answers, and has what it makes at its first start."""

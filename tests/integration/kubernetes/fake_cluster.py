@@ -47,6 +47,7 @@ class FakeCluster:
     `rules` are those of a Role; None allows all. `unschedulable`: what the scheduler says while it finds no node.
     `image_errors`: reason and message by image. `folder_of` is where the volume of a claim is. `is_away`: the API
     server does not answer. With `folder_of`, every claim exists. `creates_pods`: its Job controller does.
+    `replaces_deleted_pods`: it starts another pod for one that was deleted, as Kubernetes 1.20 does.
     """
 
     def __init__(self, folder: Path, *, folder_of: Callable[[str], Path] | None = None) -> None:
@@ -62,6 +63,7 @@ class FakeCluster:
         self.ignores_policies = False
         self.is_away = threading.Event()
         self.creates_pods = True
+        self.replaces_deleted_pods = False
         self.objects: dict[str, dict[str, Body]] = {
             kind: {} for kind in ("jobs", "pods", "secrets", "persistentvolumeclaims")
         }
@@ -303,7 +305,10 @@ class FakeCluster:
                 return
             pod["metadata"]["deletionTimestamp"] = now()
             self.announce("MODIFIED", pod)
+            job = self.objects["jobs"].get(pod["metadata"]["labels"]["job-name"])
         self.node.stop(name)
+        if job is not None and self.replaces_deleted_pods:
+            self.start_pod(job)
 
     def drop_pod(self, name: str) -> None:
         """Remove a pod that has ended."""

@@ -182,7 +182,7 @@ def test_the_words_of_the_scheduler_are_shown_while_a_run_waits(site: Site) -> N
 
 
 @pytest.mark.slow
-def test_a_cluster_that_creates_no_pod_is_told_while_a_run_waits(site: Site) -> None:
+def test_a_cluster_that_creates_no_pod_is_named_while_a_run_waits(site: Site) -> None:
     site.cluster.creates_pods = False
     site.start()
     run = site.server.launch("print('x')")
@@ -251,6 +251,19 @@ def test_what_ends_a_pod_from_outside(
     assert finish.reason is reason
     assert words in finish.message
     site.cluster.delete_pod(pod["metadata"]["name"])
+    wait_until(lambda: is_clean(site))
+
+
+@pytest.mark.slow
+def test_a_pod_that_replaces_a_deleted_one_does_not_count(site: Site) -> None:
+    site.cluster.replaces_deleted_pods = True
+    site.start()
+    run = site.server.launch(_LASTING)
+    wait_until(lambda: has_begun(site))
+    site.cluster.delete_pod(pod_of(site, "action")["metadata"]["name"])
+    (finish,) = ended(run).finishes
+    assert (finish.reason, "deleted it" in finish.message) == (EndReason.lost, True)
+    assert run.artifacts.keys() <= {LOG_PATH}
     wait_until(lambda: is_clean(site))
 
 

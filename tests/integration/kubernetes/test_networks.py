@@ -11,8 +11,11 @@ from kleinkram.runner.executors.kubernetes.cluster import connect
 from kleinkram.runner.executors.kubernetes.manifests import Manifests
 from kleinkram.runner.executors.kubernetes.network_probe import find_networks
 from kleinkram.runner.executors.kubernetes.options import KubernetesOptions
+from kleinkram.runner.state_directory import StateDirectory
+from tests.integration.kubernetes.conftest import Site
 from tests.integration.kubernetes.fake_cluster import NAMESPACE, FakeCluster
 from tests.integration.kubernetes.manifests import rules
+from tests.integration.runner_loop.conftest import wait_until
 
 URL = "https://192.0.2.10"
 
@@ -26,6 +29,17 @@ def test_networks_that_policies_separate_are_offered(cluster: FakeCluster) -> No
     cluster.rules = rules()
     assert networks_of(cluster) == set(Network)
     assert not cluster.named("jobs")
+
+
+@pytest.mark.slow
+def test_pods_of_a_check_that_was_killed_are_removed_by_the_next_runner(site: Site) -> None:
+    site.folder.mkdir()
+    manifests = Manifests(site.options, str(StateDirectory(site.folder).runner_id))
+    key = "probe-0123abcd-none"
+    connect(NAMESPACE, site.options.kubeconfig).create("jobs", manifests.probe(key, "none", [("192.0.2.10", 443)]))
+    assert site.cluster.named("jobs")
+    site.start()
+    wait_until(lambda: not site.cluster.named("jobs"))
 
 
 def test_policies_that_nothing_enforces_are_noticed(cluster: FakeCluster, caplog: pytest.LogCaptureFixture) -> None:

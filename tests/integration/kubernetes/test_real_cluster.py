@@ -50,14 +50,16 @@ class RealSite(RunnerSite):
     def launch(self, code: str, inputs: dict[str, bytes] | None = None, **changes: object) -> FakeRun:
         """Queue a run with an open network, the only one of this cluster."""
         resources = {"cores": 0.1, "memory_bytes": 300_000_000, "time_s": 240}
-        given = changes.pop("resources", {})
-        assert isinstance(given, dict)
-        return self.server.launch(code, inputs, network=Network.open, resources={**resources, **given}, **changes)
+        own_resources = changes.pop("resources", {})
+        assert isinstance(own_resources, dict)
+        return self.server.launch(
+            code, inputs, network=Network.open, resources={**resources, **own_resources}, **changes
+        )
 
     def pods(self, step: str = "") -> list[Body]:
         """Return the pods of the namespace, or of a step of runs."""
-        found = self.real.cluster.api.items(f"/api/v1/namespaces/{NAMESPACE}/pods")
-        return [pod for pod in found if not step or pod["metadata"]["labels"].get("kleinkram.step") == step]
+        pods = self.real.cluster.api.items(f"/api/v1/namespaces/{NAMESPACE}/pods")
+        return [pod for pod in pods if not step or pod["metadata"]["labels"].get("kleinkram.step") == step]
 
     def is_clean(self) -> bool:
         """Whether nothing is left of a run."""
@@ -233,7 +235,7 @@ def test_the_words_of_the_scheduler_are_shown_while_a_run_waits(site: RealSite) 
     site.wait_until_clean()
 
 
-def test_a_quota_that_allows_no_pod_is_told(site: RealSite) -> None:
+def test_a_quota_that_allows_no_pod_is_shown(site: RealSite) -> None:
     place = f"/api/v1/namespaces/{NAMESPACE}/resourcequotas"
     body: Body = {
         "apiVersion": "v1",
@@ -302,7 +304,7 @@ def test_a_service_of_the_cluster_is_killed_during_a_run(site: RealSite, service
     site.wait_until_clean()
 
 
-_RUNS = 60
+_RUNS = 20
 # Each start has a name of its own, in every line of the log and in its only file.
 _NAMED = (
     "import time, uuid\nfrom kleinkram.action import out\nname = uuid.uuid4().hex\n"

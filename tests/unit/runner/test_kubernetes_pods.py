@@ -187,6 +187,16 @@ def test_output_that_the_node_deleted_before_it_was_copied_is_noted(tmp_path: Pa
     assert text.count("lines may be missing here") == 1
 
 
+def test_what_a_node_says_of_itself_is_not_output(tmp_path: Path) -> None:
+    lines = [b"2026-01-01T12:00:00Z a\n", b"2026-01-01T12:00:01Z b\n"]
+    words = b"rpc error: code = Unavailable desc = connect: connection refused"
+    broken = PodLog(Output([lines[0], words], 10**6), "a-pod", tmp_path)
+    cursor, is_whole = broken._copy(broken._read_cursor())
+    assert (cursor.lines, is_whole, (tmp_path / "log").read_bytes()) == (1, False, b"a\n")
+    copied(PodLog(Output(lines, 10**6), "a-pod", tmp_path))
+    assert (tmp_path / "log").read_bytes() == b"a\nb\n"
+
+
 def test_times_of_any_precision_are_compared(tmp_path: Path) -> None:
     lines = [b"2026-01-01T12:00:00Z a\n", b"2026-01-01T12:00:00.1Z b\n", b"2026-01-01T12:00:00.12Z c\n"]
     copied(PodLog(Output(lines[:2], 10**6), "a-pod", tmp_path))

@@ -60,7 +60,7 @@ from kleinkram.runner.input_cache import InputFile, InputSource
 _log = logging.getLogger("kleinkram.runner")
 # Between the failure of this runner and another one's start of the run: long enough to restart the runner elsewhere.
 _LEASE_S = 900
-_STOP_REASON, _STARTED = "stop-reason.json", "started"
+_STOP_REASON, _STARTED, _FIRST_POD = "stop-reason.json", "started", "pod"
 _JOB_CHECK_S = 2.0
 _CHECK_S = 0.5
 # A pod of an earlier start is gone by then, unless its node does not answer.
@@ -275,7 +275,8 @@ class KubernetesExecutor(Executor):
     def remove(self, job: RunJob) -> None:
         """Delete everything of a job; what the cluster does not delete now is tried again later."""
         self._forget(job)
-        (job.directory / _STOP_REASON).unlink(missing_ok=True)
+        for name in (_STOP_REASON, _FIRST_POD):
+            (job.directory / name).unlink(missing_ok=True)
         self._try_to_delete(job.key)
 
     def close(self) -> None:
@@ -449,7 +450,11 @@ class _JobMonitor:
             return self._poll_without_pod()
         self._pod = pod
         self._place(pod)
-        if pod.container.running or pod.container.terminated:
+        if not self._is_first(pod):
+            # Old clusters, such as 1.20, replace a pod that somebody deleted, whatever it has done by then.
+            lost = endings.vanished(None)
+            self._limits.stop((lost.reason.value, lost.message), grace_s=0)
+        elif pod.container.running or pod.container.terminated:
             self._follow(pod)
         if pod.has_ended:
             return self._poll_ended(endings.ending_of(pod, self._job.resources))
@@ -491,6 +496,14 @@ class _JobMonitor:
         waited_s = endings.queued_s(pod)
         name = f"{self._cluster.namespace}/{pod.metadata.name}"
         self.placement = RunPlacement(job_id=name[:200], node=pod.spec.node_name, queued_s=waited_s)
+
+    def _is_first(self, pod: Pod) -> bool:
+        """Whether a pod is the first that any runner saw of this job."""
+        path = self._job.directory / _FIRST_POD
+        with contextlib.suppress(FileNotFoundError):
+            return path.read_text() == pod.metadata.uid
+        write_atomically(path, pod.metadata.uid)
+        return True
 
     def _follow(self, pod: Pod) -> None:
         if self._log is None:

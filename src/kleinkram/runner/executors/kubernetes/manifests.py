@@ -227,8 +227,8 @@ class Manifests:
         }
         pod = {**self._pod(container, Resources()), "volumes": [{"name": "tmp", "emptyDir": {"sizeLimit": "64Mi"}}]}
         pod["activeDeadlineSeconds"] = _DEADLINE_MARGIN_S
-        name = Names.of(f"{key}-{network}").action
-        return self._job(name, self.labels(key, "probe", network), pod, retries=0)
+        # With the key of its own name, it is found and removed by a later runner, if this one is killed.
+        return self._job(Names.of(key).action, self.labels(key, "probe", network), pod, retries=0)
 
     def _job(self, name: str, labels: dict[str, str], pod: Body, *, retries: int) -> Body:
         return {

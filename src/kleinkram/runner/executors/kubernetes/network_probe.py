@@ -86,10 +86,11 @@ def _words(reached: Reached | None) -> str:
 
 def _probe(cluster: Cluster, manifests: Manifests, targets: Sequence[tuple[str, int]]) -> dict[str, Reached]:
     """Run a pod for each network; those that do not end in time are left out."""
-    key = f"probe-{uuid.uuid4().hex[:8]}"
-    jobs = {network: Names.of(f"{key}-{network}").action for network in _NETWORKS}
+    mark = uuid.uuid4().hex[:8]
+    keys = {network: f"probe-{mark}-{network}" for network in _NETWORKS}
+    jobs = {network: Names.of(key).action for network, key in keys.items()}
     try:
-        for network in _NETWORKS:
+        for network, key in keys.items():
             cluster.create("jobs", manifests.probe(key, network, targets))
         return _results(cluster, manifests, jobs)
     finally:

@@ -117,11 +117,14 @@ class PodLog:
             return copy.cursor, False
         finally:
             os.close(log)
-        return copy.cursor, True
+        return copy.cursor, not copy.is_broken
 
 
 class _Copy:
-    """One pass through the lines of a pod, of which those before the cursor are left out."""
+    """One pass through the lines of a pod, of which those before the cursor are left out.
+
+    `is_broken`: the node could not read all of them.
+    """
 
     def __init__(self, cursor: _Cursor) -> None:
         self.cursor = cursor
@@ -130,6 +133,8 @@ class _Copy:
         self._time = ""
         self._size_bytes = cursor.size_bytes
         self._is_line_start = True
+        self._is_of_node = False
+        self.is_broken = False
         # Until the first line after the cursor: later ones may have earlier times, if the clock of the node is set.
         self._is_left_out = True
 
@@ -138,13 +143,16 @@ class _Copy:
         text = line
         if self._is_line_start:
             self._time, text = _split(line)
-            if self._is_left_out and not self._is_before_cursor():
+            # Nodes write there, without a time, what goes wrong while they read.
+            self._is_of_node = not self._time
+            self.is_broken = self.is_broken or self._is_of_node
+            if not self._is_of_node and self._is_left_out and not self._is_before_cursor():
                 self._is_left_out = False
                 if self._same_time < self._resumed.lines:
                     # The node has begun a new file since, and deletes the older ones.
                     text = _GAP + text
         self._is_line_start = line.endswith(b"\n")
-        if self._is_left_out:
+        if self._is_left_out or self._is_of_node:
             return b""
         free_bytes = LOG_BYTES - self._size_bytes
         if free_bytes < 0:
