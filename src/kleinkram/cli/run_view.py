@@ -166,9 +166,9 @@ def _placement_rows(run: RunRead) -> list[tuple[str, object]]:
     return [
         ("node", placement.node),
         ("job", placement.job_id),
-        ("queued there", None if placement.queued_s is None else duration(int(placement.queued_s * _NS))),
-        ("requeued there", count(placement.requeues, "time") if placement.requeues else None),
-        ("GPUs", ", ".join(placement.gpus)),
+        ("queue wait", None if placement.queued_s is None else duration(int(placement.queued_s * _NS))),
+        ("requeued", count(placement.requeues, "time") if placement.requeues else None),
+        ("GPUs", ", ".join(f"GPU {gpu}" if gpu.isdecimal() else gpu for gpu in placement.gpus)),
         ("accounted", ", ".join(used)),
     ]
 

@@ -57,7 +57,7 @@ def test_a_run_shows_why_its_job_waits_and_then_where_it_runs(
     runner.finish(claimed, placement=_ACCOUNTED).ok()
     assert lab.get(f"/runs/{claimed['run_id']}").ok()["placement"] == _ACCOUNTED
     shown = [" ".join(line.split()) for line in klein("run", "info", claimed["run_id"]).splitlines()]
-    where = ["isolation: container", "node: gpu07", "job: 4711_3", "queued there: 12.0 s", "requeued there: 1 time"]
+    where = ["isolation: container", "node: gpu07", "job: 4711_3", "queue wait: 12.0 s", "requeued: 1 time"]
     accounted = ["GPUs: GPU-5f2e", "accounted: 41.2 s of cores, 1.5 GB of memory at most"]
     assert [line for line in [*where, *accounted] if line not in shown] == []
 

@@ -11,7 +11,7 @@ describe("sizes, as the command line writes them", () => {
 
 describe("spans", () => {
   it.each([
-    [0.25 * NS, "0.250 s"], [12.34 * NS, "12.3 s"], [65 * NS, "1 min 05 s"], [3599.6 * NS, "1 h 00 min"], [8040 * NS, "2 h 14 min"],
+    [0, "0 s"], [0.25 * NS, "0.250 s"], [6 * NS, "6 s"], [12.34 * NS, "12.3 s"], [65 * NS, "1 min 05 s"], [3599.6 * NS, "1 h 00 min"], [8040 * NS, "2 h 14 min"],
     [100 * 3600 * NS, "4.2 days"], [102_492 * 3600 * NS, "11.7 years"],
   ])("%d ns", (nanoseconds, text) => expect(formatDuration(nanoseconds)).toBe(text));
 });

@@ -24,11 +24,10 @@ export function formatSpeed(bytesPerSecond: number): string {
   return `${formatSize(bytesPerSecond)}/s`;
 }
 
-/** A span of nanoseconds: `0 s`, `1.250 s`, `3 min 05 s`, `2 h 14 min`, `12.5 days`, `11.7 years`. */
+/** A span of nanoseconds: `6 s`, `1.250 s`, `3 min 05 s`, `2 h 14 min`, `12.5 days`, `11.7 years`. */
 export function formatDuration(nanoseconds: number): string {
-  if (nanoseconds === 0) return "0 s";
   const seconds = nanoseconds / NS_PER_S;
-  if (Math.abs(seconds) < 60) return `${seconds.toFixed(Math.abs(seconds) < 10 ? 3 : 1)} s`;
+  if (Math.abs(seconds) < 60) return `${Number.isInteger(seconds) ? seconds : seconds.toFixed(Math.abs(seconds) < 10 ? 3 : 1)} s`;
   if (Math.abs(seconds) >= YEAR_S) return `${(seconds / YEAR_S).toFixed(1)} years`;
   if (Math.abs(seconds) >= LONG_S) return `${(seconds / DAY_S).toFixed(1)} days`;
   const whole = Math.round(seconds);

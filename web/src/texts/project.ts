@@ -151,7 +151,7 @@ export const texts = {
     publicConfirm: "Anyone can then see and download all its current and future content without an account.",
     publish: "Make public",
     isolation: "Weakest isolation of runs",
-    isolationHint: "Runners with a weaker isolation get no runs of this project. Runs that have started go on. Only owners can change it.",
+    isolationHint: "Runners with a weaker isolation get no runs of this project, except on a server with a single account. Runs that have started go on. Only owners can change it.",
     isolationForbidden: " (not allowed on this server)",
     isolationOverruled: (label: string) => `This server now asks for more: ${label}. Runs with less do not start.`,
     quota: "Quota",

@@ -130,14 +130,14 @@ describe("the place of a run on a cluster", () => {
   });
   it("has facts only where the runner reported them", () => {
     expect(placementFacts({ placement }).map(({ label, value }) => `${label}: ${value}`)).toEqual([
-      "Job: 4711_3", "Queued there: 12.0 s", "Requeued there: 1 time", "GPUs: GPU-5f2e, GPU-9a10", "Accounted: 41.3 s of cores, 1.5 GB of memory at most",
+      "Job: 4711_3", "Queue wait: 12 s", "Requeued: 1 time", "GPUs: GPU-5f2e, GPU-9a10", "Accounted: 41.3 s of cores, 1.5 GB of memory at most",
     ]);
     expect(placementFacts({ placement: { gpus: [], requeues: 0 } })).toEqual([]);
     expect(placementFacts({ placement: null })).toEqual([]);
   });
   it("has a reason while its job waits, which is not that of a queued run", () => {
     const progress = { fraction: 0, message: "waits in the queue of Slurm: Resources" };
-    expect(waitOf({ state: "preparing", waits_for: null, progress })).toBe(progress.message);
+    expect(waitOf({ state: "preparing", waits_for: null, progress })).toBe("Waits in the queue of Slurm: Resources");
     expect(waitOf({ state: "running", waits_for: null, progress })).toBe("");
     expect(waitOf({ state: "queued", waits_for: "No runner is registered.", progress: null })).toBe("No runner is registered.");
   });

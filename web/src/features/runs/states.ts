@@ -48,14 +48,20 @@ export function placeOf({ placement }: Pick<Run, "placement">): string {
   return [placement?.node ?? "", placement?.job_id ? texts.job(placement.job_id) : ""].filter((item) => item !== "").join(", ");
 }
 
-/** Returns what a run waits for, or what its preparation does at the moment; empty where it does neither. */
+/** Returns what a run waits for, or what its preparation does at the moment, as a sentence; empty where it does neither. */
 export function waitOf({ state, waits_for: waits, progress }: Pick<Run, "state" | "waits_for" | "progress">): string {
-  return (waits ?? "") || (state === "preparing" ? (progress?.message ?? "") : "");
+  const text = (waits ?? "") || (state === "preparing" ? (progress?.message ?? "") : "");
+  return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
 export interface Fact {
   readonly label: string;
   readonly value: string;
+}
+
+/** Returns the name of a GPU: its UUID, or its number on the node. */
+function gpuName(id: string): string {
+  return /^\d+$/.test(id) ? texts.gpuNumber(id) : id;
 }
 
 /** Returns where a run is on its cluster or machine, and what that measured. */
@@ -67,7 +73,7 @@ export function placementFacts({ placement }: Pick<Run, "placement">): readonly 
     { label: texts.facts.job, value: job ?? "" },
     { label: texts.facts.queued, value: typeof queued === "number" ? formatDuration(Math.round(queued) * MS_PER_S * NS_PER_MS) : "" },
     { label: texts.facts.requeues, value: requeues > 0 ? texts.times(requeues) : "" },
-    { label: texts.facts.gpus, value: gpus.join(", ") },
+    { label: texts.facts.gpus, value: gpus.map(gpuName).join(", ") },
     { label: texts.facts.accounted, value: accounted.filter((item) => item !== "").join(", ") },
   ];
   return facts.filter(({ value }) => value !== "");
