@@ -1,8 +1,8 @@
 """System packages that tests need. Tests without their packages are skipped; KLEINKRAM_REQUIRE_ALL=1 makes them fail.
 
 `python -m tests.requirements` lists what the slow tests need and this machine lacks, with `--soak` the long ones, too.
-With KLEINKRAM_TEST_INSTALL=1 it installs that before any test runs, because two test processes cannot install at the same
-time.
+With KLEINKRAM_TEST_INSTALL=1 it installs that before any test runs, because two test processes cannot install at the
+same time.
 """
 
 from __future__ import annotations

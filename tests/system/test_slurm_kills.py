@@ -30,25 +30,25 @@ with socket.create_connection(("127.0.0.1", {port})) as outside:
         outside.sendall(f"{{run}} {{name}} {{event}}\\n".encode())
         outside.recv(1)
     say("begin")
-    for _ in range({beats}):
+    for _ in range({steps}):
         print(name, flush=True)
         time.sleep(0.1)
-        say("beat")
+        say("step")
     (out / "name").write_text(name)
     say("end")
 """
 
 
-def beating(lab: Lab, beats: int) -> ActionDefinition:
+def stepwise(lab: Lab, steps: int) -> ActionDefinition:
     """Return an action that lasts for so many tenths of a second."""
     resources = Resources(cores=1, memory_bytes=200_000_000, disk_bytes=50_000_000, time_s=120)
-    script = _SCRIPT.format(port=lab.witness.port, beats=beats)
-    return ActionDefinition(name="beat", script=script, resources=resources, network=Network.open)
+    script = _SCRIPT.format(port=lab.witness.port, steps=steps)
+    return ActionDefinition(name="step", script=script, resources=resources, network=Network.open)
 
 
 def run_under_fire(lab: Lab, count: int, chance: random.Random, strikes: Iterator[str]) -> None:
     """Have runs done while parts are killed; check that each was done, with the results of exactly one start."""
-    ids = [run_id for _ in range(count // MISSIONS) for run_id in lab.launch(beating(lab, chance.randrange(1, 30)))]
+    ids = [run_id for _ in range(count // MISSIONS) for run_id in lab.launch(stepwise(lab, chance.randrange(1, 30)))]
     kills = dict.fromkeys(_PARTS, 0)
     until_s, least = time.monotonic() + _STUCK_S, count
     while (active := lab.active()) != 0:

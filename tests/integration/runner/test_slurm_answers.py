@@ -28,7 +28,7 @@ from kleinkram.runner.executors.slurm.node_job import SharedLease
 from kleinkram.runner.executors.slurm.options import SlurmOptions
 from kleinkram.runner.executors.slurm.probe import NodeOffer, SlurmSite
 from kleinkram.runner.executors.slurm.queue_monitor import QueueMonitor, QueueSnapshot
-from kleinkram.runner.executors.slurm.shared_files import read_submission, write_lease
+from kleinkram.runner.executors.slurm.shared_files import NodeStart, read_submission, write_lease, write_start
 
 
 class Clock:
@@ -326,3 +326,14 @@ def test_jobs_of_nobody_are_killed_once_all_known_ones_were_found(one: OneJob, s
         assert not one.queue.kills_others
         executor.poll(job)
     assert one.queue.kills_others
+
+
+def test_a_runner_that_finds_a_job_ended_reports_its_last_start(one: OneJob) -> None:
+    one.executor.submit(one.job)
+    write_start(one.job.directory, NodeStart("a-token", "node1", 1, []))
+    one.end()
+    executor = one.again()
+    assert executor.poll(one.job) is not None
+    placement = executor.placement(one.job)
+    assert placement is not None
+    assert (placement.node, placement.requeues) == ("node1", 1)

@@ -173,6 +173,7 @@ class SlurmExecutor(ProcessExecutor):
             if submitted.ending is None:
                 return None
             submitted.ended_s = boot_time_s()
+            submitted.start_read_at_s = 0.0
         if self._options.transfers_on_nodes:  # its job in Slurm goes on
             return submitted.ending
         if self._site.settings.has_accounting and not self._is_accounted(submitted):
@@ -345,7 +346,7 @@ class SlurmExecutor(ProcessExecutor):
                 submitted.problem = None
                 with contextlib.suppress(OSError):
                     write_submission(job.directory, submitted.submission)
-        is_started = entry is not None and phase_of(entry.state) is not Phase.waiting
+        is_started = submitted.ending is not None or (entry is not None and phase_of(entry.state) is not Phase.waiting)
         if is_started and boot_time_s() >= submitted.start_read_at_s:
             submitted.start_read_at_s = boot_time_s() + (0.2 if submitted.start is None else 2.0)
             with contextlib.suppress(OSError):
