@@ -275,12 +275,7 @@ class SlurmExecutor(ProcessExecutor):
     def remove_others(self, known_keys: Collection[str]) -> None:
         """Kill the jobs of this runner that are not known, once the known ones were found and Slurm answers."""
         self._not_found = {*known_keys} - self._jobs.keys()
-        self._kill_others_if_all_found()
-
-    def _kill_others_if_all_found(self) -> None:
-        if self._not_found is not None and not self._not_found:
-            self._not_found = None
-            self._queue.kill_others()
+        self._note_found("")
 
     def _start_supervisor(self, job: RunJob) -> None:
         self._batches.submit(job, sbatch_options(self._options, job.resources, job.cluster))
@@ -299,6 +294,7 @@ class SlurmExecutor(ProcessExecutor):
                 self._jobs[job.key] = submitted[-1]
             except OSError as error:  # its task will do nothing
                 failures[job.key] = error
+                self._queue.forget(job_name)
         try:
             self._submitter.submit(name, options, jobs, submitted)
         except SlurmRefused as error:
@@ -320,18 +316,21 @@ class SlurmExecutor(ProcessExecutor):
         if known is None:
             submission = read_submission(job.directory)
             if submission is None:
-                self._note_found(job)
+                self._note_found(job.key)
                 return None
             known = self._jobs.setdefault(job.key, SubmittedJob(submission, boot_time_s()))
             self._queue.watch(submission.name)
-        self._note_found(job)
+        self._note_found(job.key)
         return known
 
-    def _note_found(self, job: RunJob) -> None:
+    def _note_found(self, key: str) -> None:
         """Kill the jobs that nobody knows, once all known ones were found."""
-        if self._not_found is not None:
-            self._not_found.discard(job.key)
-            self._kill_others_if_all_found()
+        not_found = self._not_found
+        if not_found is not None:
+            not_found.discard(key)
+            if not not_found:
+                self._not_found = None
+                self._queue.kill_others()
 
     def _update(self, job: RunJob, submitted: SubmittedJob) -> None:
         """Take over what the queue, and the node, say."""
