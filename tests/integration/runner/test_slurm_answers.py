@@ -200,9 +200,6 @@ def test_a_job_that_slurm_forgot_is_submitted_three_times_at_most(one: OneJob) -
         ending = one.executor.poll(one.job)
     assert (ending.reason, len(one.commands.names)) == (EndReason.lost, 3)
     assert len({*one.commands.names}) == 3
-    placement = one.executor.placement(one.job)
-    assert placement is not None
-    assert placement.requeues == 2
 
 
 def test_a_controller_that_does_not_answer_ends_no_job(one: OneJob) -> None:

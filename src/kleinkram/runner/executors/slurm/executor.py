@@ -235,7 +235,7 @@ class SlurmExecutor(ProcessExecutor):
             gpus=start.gpus if start else [],
             cpu_s=account.cpu_s if account else None,
             peak_memory_bytes=account.peak_memory_bytes if account else None,
-            requeues=submitted.submission.requeues + (start.restarts if start else 0),
+            requeues=start.restarts if start else 0,
         )
 
     def cancel(self, job: RunJob) -> None:
@@ -427,10 +427,9 @@ class SlurmExecutor(ProcessExecutor):
         previous = submitted.submission
         # A submission that Slurm did not get does not count.
         known = int(bool(previous.job_id))
-        requeues = previous.requeues + known + (submitted.start.restarts if submitted.start else 0)
         self._queue.forget(previous.name)
         name = self._submitter.new_name(job.key)
-        submitted.submission = Submission(name, number=previous.number + known, requeues=requeues)
+        submitted.submission = Submission(name, number=previous.number + known)
         submitted.settled_at_s, submitted.entry, submitted.start = None, None, None
         write_submission(job.directory, submitted.submission)
         self._queue.watch(name)
