@@ -14,7 +14,7 @@ from pathlib import Path
 
 from tests.ports import choose_port
 from tests.requirements import path_of
-from tests.slurm_accounting import Accounting
+from tests.slurm_accounts import Accounting
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scancel", "scontrol", "sinfo")
 _START_S = 60.0

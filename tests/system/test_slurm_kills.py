@@ -30,25 +30,28 @@ with socket.create_connection(("127.0.0.1", {port})) as outside:
         outside.sendall(f"{{run}} {{name}} {{event}}\\n".encode())
         outside.recv(1)
     say("begin")
-    for _ in range({beats}):
+    for _ in range({steps}):
         print(name, flush=True)
         time.sleep(0.1)
-        say("beat")
+        say("step")
     (out / "name").write_text(name)
     say("end")
 """
 
 
-def beating(lab: Lab, beats: int) -> ActionDefinition:
+def stepwise(lab: Lab, steps: int) -> ActionDefinition:
     """Return an action that lasts for so many tenths of a second."""
     resources = Resources(cores=1, memory_bytes=200_000_000, disk_bytes=50_000_000, time_s=120)
-    script = _SCRIPT.format(port=lab.witness.port, beats=beats)
-    return ActionDefinition(name="beat", script=script, resources=resources, network=Network.open)
+    script = _SCRIPT.format(port=lab.witness.port, steps=steps)
+    return ActionDefinition(name="step", script=script, resources=resources, network=Network.open)
 
 
-def run_under_fire(lab: Lab, count: int, chance: random.Random, strikes: Iterator[str]) -> None:
-    """Have runs done while parts are killed; check that each was done, with the results of exactly one start."""
-    ids = [run_id for _ in range(count // MISSIONS) for run_id in lab.launch(beating(lab, chance.randrange(1, 30)))]
+def run_under_fire(lab: Lab, count: int, chance: random.Random, strikes: Iterator[str], *, pause_s: float) -> None:
+    """Have runs done while parts are killed; check that each was done, with the results of exactly one start.
+
+    A part is away for up to `pause_s`, and all of them work as long at most before the next is killed.
+    """
+    ids = [run_id for _ in range(count // MISSIONS) for run_id in lab.launch(stepwise(lab, chance.randrange(1, 30)))]
     kills = dict.fromkeys(_PARTS, 0)
     until_s, least = time.monotonic() + _STUCK_S, count
     while (active := lab.active()) != 0:
@@ -58,9 +61,9 @@ def run_under_fire(lab: Lab, count: int, chance: random.Random, strikes: Iterato
         if (part := next(strikes, None)) is not None:
             kills[part] += 1
             lab.kill(part)
-            time.sleep(chance.uniform(0, 4))
+            time.sleep(chance.uniform(0, pause_s))
         lab.start_again(part or "")
-        time.sleep(chance.uniform(1, 5) if part else 0.2)
+        time.sleep(chance.uniform(pause_s / 4, pause_s) if part else 0.2)
     repeated = [run_id for run_id in ids if check(lab, lab.client.runs.get(run_id)) > 1]
     sys.stderr.write(f"{count} runs, {len(repeated)} of them started more than once; kills: {kills}\n")
 
@@ -85,7 +88,7 @@ def check(lab: Lab, run: RunDetail) -> int:
 @pytest.mark.slow
 def test_runs_survive_a_kill_of_each_part(tmp_path: Path) -> None:
     with lab(tmp_path) as made:
-        run_under_fire(made, 10, random.Random(1), iter(_PARTS))
+        run_under_fire(made, 10, random.Random(1), iter(_PARTS), pause_s=1)
 
 
 @pytest.mark.soak
@@ -94,4 +97,4 @@ def test_many_runs_survive_random_kills(tmp_path: Path) -> None:
     seed = int(os.environ.get("KLEINKRAM_KILLS_SEED", "28"))
     chance = random.Random(seed)
     with lab(tmp_path) as made:
-        run_under_fire(made, 200, chance, iter(lambda: chance.choice(_PARTS), ""))
+        run_under_fire(made, 200, chance, iter(lambda: chance.choice(_PARTS), ""), pause_s=4)

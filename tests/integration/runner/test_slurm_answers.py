@@ -28,7 +28,7 @@ from kleinkram.runner.executors.slurm.node_job import SharedLease
 from kleinkram.runner.executors.slurm.options import SlurmOptions
 from kleinkram.runner.executors.slurm.probe import NodeOffer, SlurmSite
 from kleinkram.runner.executors.slurm.queue_monitor import QueueMonitor, QueueSnapshot
-from kleinkram.runner.executors.slurm.shared_files import read_submission, write_lease
+from kleinkram.runner.executors.slurm.shared_files import NodeStart, read_submission, write_lease, write_start
 
 
 class Clock:
@@ -200,9 +200,6 @@ def test_a_job_that_slurm_forgot_is_submitted_three_times_at_most(one: OneJob) -
         ending = one.executor.poll(one.job)
     assert (ending.reason, len(one.commands.names)) == (EndReason.lost, 3)
     assert len({*one.commands.names}) == 3
-    placement = one.executor.placement(one.job)
-    assert placement is not None
-    assert placement.requeues == 2
 
 
 def test_a_controller_that_does_not_answer_ends_no_job(one: OneJob) -> None:
@@ -326,3 +323,14 @@ def test_jobs_of_nobody_are_killed_once_all_known_ones_were_found(one: OneJob, s
         assert not one.queue.kills_others
         executor.poll(job)
     assert one.queue.kills_others
+
+
+def test_a_runner_that_finds_a_job_ended_reports_its_last_start(one: OneJob) -> None:
+    one.executor.submit(one.job)
+    write_start(one.job.directory, NodeStart("a-token", "node1", 1, []))
+    one.end()
+    executor = one.again()
+    assert executor.poll(one.job) is not None
+    placement = executor.placement(one.job)
+    assert placement is not None
+    assert (placement.node, placement.requeues) == ("node1", 1)

@@ -13,7 +13,7 @@ from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.slurm.commands import SlurmCommands
 from kleinkram.runner.executors.slurm.options import SlurmOptions
 from kleinkram.runner.executors.slurm.probe import find_site
-from tests import slurm_accounting, slurm_cluster
+from tests import slurm_accounts, slurm_cluster
 from tests.integration.runner_loop.conftest import Runners, ended
 from tests.integration.runner_loop.fake_server import FakeServer
 from tests.integration.runner_loop.test_slurm import until_shown
@@ -27,7 +27,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.soak]
 @pytest.fixture(scope="module")
 def accounted() -> Iterator[SlurmCluster]:
     """A cluster with accounts."""
-    need(*slurm_cluster.PROGRAMS, *slurm_accounting.PROGRAMS)
+    need(*slurm_cluster.PROGRAMS, *slurm_accounts.PROGRAMS)
     with slurm_cluster.slurm_cluster(has_accounting=True) as made:
         yield made
 

@@ -173,6 +173,7 @@ class SlurmExecutor(ProcessExecutor):
             if submitted.ending is None:
                 return None
             submitted.ended_s = boot_time_s()
+            submitted.start_read_at_s = 0.0
         if self._options.transfers_on_nodes:  # its job in Slurm goes on
             return submitted.ending
         if self._site.settings.has_accounting and not self._is_accounted(submitted):
@@ -234,7 +235,7 @@ class SlurmExecutor(ProcessExecutor):
             gpus=start.gpus if start else [],
             cpu_s=account.cpu_s if account else None,
             peak_memory_bytes=account.peak_memory_bytes if account else None,
-            requeues=submitted.submission.requeues + (start.restarts if start else 0),
+            requeues=start.restarts if start else 0,
         )
 
     def cancel(self, job: RunJob) -> None:
@@ -274,12 +275,7 @@ class SlurmExecutor(ProcessExecutor):
     def remove_others(self, known_keys: Collection[str]) -> None:
         """Kill the jobs of this runner that are not known, once the known ones were found and Slurm answers."""
         self._not_found = {*known_keys} - self._jobs.keys()
-        self._kill_others_if_all_found()
-
-    def _kill_others_if_all_found(self) -> None:
-        if self._not_found is not None and not self._not_found:
-            self._not_found = None
-            self._queue.kill_others()
+        self._note_found("")
 
     def _start_supervisor(self, job: RunJob) -> None:
         self._batches.submit(job, sbatch_options(self._options, job.resources, job.cluster))
@@ -298,6 +294,7 @@ class SlurmExecutor(ProcessExecutor):
                 self._jobs[job.key] = submitted[-1]
             except OSError as error:  # its task will do nothing
                 failures[job.key] = error
+                self._queue.forget(job_name)
         try:
             self._submitter.submit(name, options, jobs, submitted)
         except SlurmRefused as error:
@@ -319,18 +316,21 @@ class SlurmExecutor(ProcessExecutor):
         if known is None:
             submission = read_submission(job.directory)
             if submission is None:
-                self._note_found(job)
+                self._note_found(job.key)
                 return None
             known = self._jobs.setdefault(job.key, SubmittedJob(submission, boot_time_s()))
             self._queue.watch(submission.name)
-        self._note_found(job)
+        self._note_found(job.key)
         return known
 
-    def _note_found(self, job: RunJob) -> None:
+    def _note_found(self, key: str) -> None:
         """Kill the jobs that nobody knows, once all known ones were found."""
-        if self._not_found is not None:
-            self._not_found.discard(job.key)
-            self._kill_others_if_all_found()
+        not_found = self._not_found
+        if not_found is not None:
+            not_found.discard(key)
+            if not not_found:
+                self._not_found = None
+                self._queue.kill_others()
 
     def _update(self, job: RunJob, submitted: SubmittedJob) -> None:
         """Take over what the queue, and the node, say."""
@@ -345,7 +345,7 @@ class SlurmExecutor(ProcessExecutor):
                 submitted.problem = None
                 with contextlib.suppress(OSError):
                     write_submission(job.directory, submitted.submission)
-        is_started = entry is not None and phase_of(entry.state) is not Phase.waiting
+        is_started = submitted.ending is not None or (entry is not None and phase_of(entry.state) is not Phase.waiting)
         if is_started and boot_time_s() >= submitted.start_read_at_s:
             submitted.start_read_at_s = boot_time_s() + (0.2 if submitted.start is None else 2.0)
             with contextlib.suppress(OSError):
@@ -427,10 +427,9 @@ class SlurmExecutor(ProcessExecutor):
         previous = submitted.submission
         # A submission that Slurm did not get does not count.
         known = int(bool(previous.job_id))
-        requeues = previous.requeues + known + (submitted.start.restarts if submitted.start else 0)
         self._queue.forget(previous.name)
         name = self._submitter.new_name(job.key)
-        submitted.submission = Submission(name, number=previous.number + known, requeues=requeues)
+        submitted.submission = Submission(name, number=previous.number + known)
         submitted.settled_at_s, submitted.entry, submitted.start = None, None, None
         write_submission(job.directory, submitted.submission)
         self._queue.watch(name)

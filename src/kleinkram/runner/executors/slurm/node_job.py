@@ -134,15 +134,15 @@ def _is_current(directory: Path, token: str) -> bool:
 def _take_directory(directory: Path) -> str:
     """Make this start the one that has the directory, without what an earlier one left; return its token."""
     gpus = os.environ.get("CUDA_VISIBLE_DEVICES", "")
+    previous = read_start(directory)
     start = NodeStart(
         token=uuid.uuid4().hex,
         node=os.environ.get("SLURMD_NODENAME") or socket.gethostname(),
-        restarts=int(os.environ.get("SLURM_RESTART_COUNT", "0")),
+        restarts=0 if previous is None else previous.restarts + 1,
         gpus=[gpu for gpu in gpus.split(",") if gpu and gpu != nvidia.NONE_VISIBLE],
     )
-    is_restart = read_start(directory) is not None
     write_start(directory, start)
-    if is_restart:
+    if previous is not None:
         for name in ("out", "tmp"):
             _replace_directory(directory / name)
     return start.token

@@ -25,17 +25,16 @@ class Submission(NamedTuple):
     """A submission of a job, recorded before it is made. `job_id` is empty until Slurm has answered.
 
     `name` is that of the job in Slurm; of a task of a job array, with its number. `number` counts those submissions of
-    the job that Slurm had, `requeues` how often it was started again before this one.
+    the job that Slurm had.
     """
 
     name: str
     job_id: str = ""
     number: int = 1
-    requeues: int = 0
 
 
 class NodeStart(NamedTuple):
-    """A start of a job on a node. `token` is unique; `restarts` is how often Slurm had started the job before."""
+    """A start of a job on a node. `token` is unique; `restarts` counts the starts before it."""
 
     token: str
     node: str
