@@ -26,6 +26,7 @@ _RUNS = int(os.environ.get("KLEINKRAM_BENCH_CLUSTER_RUNS", "1000"))
 _QUEUED, _OF_SMALL = 10_000, 100
 _AT_ONCE, _WITH_FILES = 500, 200
 _MOST_CPU_MS, _MOST_LIST_MS, _LISTED = 5.0, 50.0, 20
+# The home page is no list: it has no bar, here as at other scales.
 _LISTS = ("runs?limit=100", "runs?active=true&limit=100&count=true", "missions?limit=100", "home")
 # Copies of one launched run, each on a mission of its own.
 _FILL = """
@@ -114,8 +115,8 @@ def _list_row(url: str, token: str) -> Row:
     return {
         "what": f"lists with {_QUEUED:,} queued runs, p95",
         "measured": ", ".join(f"{path} {ms:.0f} ms" for path, ms in times.items()),
-        "bar": f"<= {_MOST_LIST_MS:.0f} ms",
-        "met": max(times.values()) <= _MOST_LIST_MS,
+        "bar": f"<= {_MOST_LIST_MS:.0f} ms; home has none",
+        "met": max(ms for path, ms in times.items() if path != "home") <= _MOST_LIST_MS,
         "p95_ms": times,
     }
 

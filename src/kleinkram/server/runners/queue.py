@@ -32,7 +32,8 @@ _ROUNDING = 1e-6
 # - able: what this runner may execute, once it has the resources. candidate: the first of each lane that fit now, and
 #   the oldest of the lane if it fits the machine, but not beside what runs there now.
 # - person_turn, project_turn: the cores that the person, or the project, has when it is the candidate's turn: those of
-#   assigned runs, and of the candidates before it.
+#   assigned runs, and of the candidates before it. first: so few that not all
+#   queued runs are read for them.
 _NEXT = text("""
 WITH RECURSIVE lane AS (
   (SELECT priority, launch_project_id, started_by_id FROM run WHERE state = 'queued' ORDER BY 1, 2, 3 LIMIT 1)
@@ -101,10 +102,14 @@ project_turn AS (
     ) AS project_cores
   FROM person_turn LEFT JOIN (SELECT launch_project_id, sum(cores) AS cores FROM assigned GROUP BY 1) of_project
     USING (launch_project_id)
+),
+first AS MATERIALIZED (
+  SELECT * FROM project_turn ORDER BY rank, project_cores, project_started_at NULLS FIRST, created_at, id
+  LIMIT :candidates
 )
-SELECT run.id, keeps_room FROM project_turn JOIN run ON run.id = project_turn.id
+SELECT run.id, keeps_room FROM first JOIN run ON run.id = first.id
 WHERE run.state = 'queued'
-ORDER BY rank, project_cores, project_started_at NULLS FIRST, project_turn.created_at, run.id
+ORDER BY rank, project_cores, project_started_at NULLS FIRST, first.created_at, run.id
 LIMIT :max_runs FOR UPDATE OF run SKIP LOCKED
 """)
 
