@@ -360,6 +360,20 @@ def test_a_killed_runner_finds_its_jobs_again(site: Site, when: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("silent", "reason"), [(2, EndReason.done), (3, EndReason.inputs_unavailable)])
+def test_inputs_are_fetched_again_where_a_node_does_not_say_how_it_went(
+    site: Site, silent: int, reason: EndReason
+) -> None:
+    site.cluster.node.silent_ends = silent
+    site.start()
+    (finish,) = ended(site.server.launch("", {"drive.bag": b"bytes"})).finishes
+    assert finish.reason is reason
+    assert ("did not say" in finish.message) == (reason is EndReason.inputs_unavailable)
+    assert len([it for it in site.cluster.created if it["metadata"]["name"].endswith("-fetch")]) == 3
+    wait_until(lambda: is_clean(site))
+
+
+@pytest.mark.slow
 def test_objects_of_unknown_runs_are_removed(site: Site) -> None:
     first = site.spawn()
     run = site.server.launch(_LASTING)

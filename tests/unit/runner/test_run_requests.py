@@ -63,7 +63,7 @@ def test_ends_of_one_moment_are_one_request() -> None:
     assert server.alone == []
 
 
-def test_a_runner_with_few_runs_waits_for_no_others() -> None:
+def test_a_runner_with_ten_runs_waits_for_no_others() -> None:
     server = Server()
     report(server, count=10)
     assert (server.combined, sorted(server.alone)) == ([], RUNS)

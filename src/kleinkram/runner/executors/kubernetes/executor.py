@@ -14,7 +14,7 @@ import time
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from kleinkram.contract.actions import Network
+from kleinkram.contract.actions import Network, Resources
 from kleinkram.contract.errors import RunGone
 from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.runners import Capacity, ExecutorAbilities, RunFinish
@@ -67,6 +67,9 @@ _CHECK_S = 0.5
 _GONE_S = 120.0
 _LOG_COMPLETE_S = 60.0
 _CREATE_S = 60.0
+# How often inputs are fetched where a pod was lost, or the node did not say how it ended.
+_MAX_FETCHES = 3
+_NO_PODS, _NO_OUTCOME = "Its pods were removed.", "Its node did not say how it ended."
 _JOB_NAME_LABEL = "job-name"
 _CANCELLED_RESULTS = "It was cancelled: its results were not stored."
 _NO_NODE = "A pod of an earlier start is not removed by the cluster, since its node does not answer."
@@ -142,7 +145,6 @@ class KubernetesExecutor(Executor):
         for left_key in [*self._left_keys]:
             self._try_to_delete(left_key)
         key = directory.parent.name
-        names = _names(key)
         assignment = source.assignment
         size_bytes = sum(file.size_bytes for file in files.values()) + assignment.resources.disk_bytes
         try:
@@ -154,21 +156,32 @@ class KubernetesExecutor(Executor):
             raise cannot_start(message) from None
         self._watch.start()
         fetch = self._manifests.fetch(key, assignment, has_authorities=self._authorities is not None)
-        self._await_removal(key, source.wait)
-        self._left_keys.discard(key)
-        self._create("persistentvolumeclaims", self._manifests.claim(key, size_bytes), source.wait)
-        self._create("secrets", order, source.wait)
-        self._create("jobs", fetch, source.wait)
-        pod = self._await_end(names.fetch, source.wait, source.show)
-        outcome = FetchOutcome.parse(pod.container.terminated.message if pod and pod.container.terminated else "")
-        if outcome is None:
-            words = endings.ending_of(pod, assignment.resources).message if pod else "its pods were removed"
-            message = f"The pod that fetches its inputs failed: {words}"
-            raise CannotStart(Ending(EndReason.inputs_unavailable, message))
+        volume = self._manifests.claim(key, size_bytes)
+        objects: dict[Kind, Body] = {"persistentvolumeclaims": volume, "secrets": order, "jobs": fetch}
+        outcome = self._fetch(key, objects, assignment.resources, source)
         if outcome.is_gone:
             raise RunGone(run_id=str(assignment.run_id))
         if outcome.ending is not None:
             raise CannotStart(outcome.ending)
+
+    def _fetch(self, key: str, objects: Mapping[Kind, Body], resources: Resources, source: InputSource) -> FetchOutcome:
+        """Create the objects of a pod that fetches inputs, and return what it says; again, where it was lost."""
+        for number in range(1, _MAX_FETCHES + 1):
+            self._await_removal(key, source.wait)
+            self._left_keys.discard(key)
+            for kind, body in objects.items():
+                self._create(kind, body, source.wait)
+            pod = self._await_end(_names(key).fetch, source.wait, source.show)
+            outcome = FetchOutcome.parse(pod.container.terminated.message if pod and pod.container.terminated else "")
+            if outcome is not None:
+                return outcome
+            ending = endings.ending_of(pod, resources) if pod else Ending(EndReason.lost, _NO_PODS)
+            if ending.reason not in {EndReason.done, EndReason.lost}:
+                break
+            _log.warning("fetch %d of the inputs of the run %s: %s", number, key, ending.message or _NO_OUTCOME)
+            self._try_to_delete(key)
+        message = f"The pod that fetches its inputs failed: {ending.message or _NO_OUTCOME}"
+        raise CannotStart(Ending(EndReason.inputs_unavailable, message))
 
     def place_environment(self, script: LockedScript, *, wait: Wait, show: Show) -> Environment:
         """Refuse: packages are not installed for jobs on a cluster."""
