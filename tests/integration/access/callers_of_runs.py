@@ -8,6 +8,7 @@ from tests.integration.access.expectations import Target
 from tests.integration.access.world import ACTION, Principal
 
 _DELETE = 4
+_END = {"attempt": 1, "reason": "done", "message": ""}
 _UNKNOWN_RUNNER = "00000000-0000-0000-0000-000000000001"
 _CAPACITY = {"cores": 64, "memory_bytes": 2**40, "disk_bytes": 2**40, "gpus": 0}
 _FREE = {"cores": 1, "memory_bytes": 1, "disk_bytes": 1, "gpus": 0}
@@ -147,6 +148,16 @@ RUN_OPERATIONS: dict[str, tuple[Caller, ...]] = {
     "get_run_context": (
         Caller(get("/runner/runs/{run}/context", attempt="1"), Target.server, accepted_code="run_gone"),
     ),
+    "get_run_contexts": (
+        Caller(
+            post(
+                f"/runners/{_UNKNOWN_RUNNER}/contexts",
+                lambda principal: {"runs": [{"run_id": principal.objects.run, "attempt": 1}]},
+            ),
+            Target.server,
+            accepted_code="not_found",
+        ),
+    ),
     "sign_inputs": (
         Caller(
             post("/runner/runs/{run}/inputs", lambda _: {"attempt": 1, "paths": ["one.mcap"]}),
@@ -173,9 +184,19 @@ RUN_OPERATIONS: dict[str, tuple[Caller, ...]] = {
     ),
     "finish_run": (
         Caller(
-            post("/runner/runs/{run}/finish", lambda _: {"attempt": 1, "reason": "done", "message": ""}),
+            post("/runner/runs/{run}/finish", lambda _: _END),
             Target.server,
             accepted_code="run_gone",
+        ),
+    ),
+    "finish_runs": (
+        Caller(
+            post(
+                f"/runners/{_UNKNOWN_RUNNER}/ends",
+                lambda principal: {"ends": [{"run_id": principal.objects.run, "finish": _END}]},
+            ),
+            Target.server,
+            accepted_code="not_found",
         ),
     ),
 }

@@ -51,9 +51,11 @@ WRITES: dict[str, set[str]] = {
     "get_mission_pictures": {"project.preview"},
     "register_runner": {"[runner.register]"},
     "finish_run": {"[run.end]", "[file.create]"},
+    "finish_runs": {"[run.end]", "[file.create]"},
     # Messages of a runner during a run. The audit entry is written when the run ends.
     "claim_run": set(),
     "send_heartbeats": set(),
+    "get_run_contexts": set(),
     "sign_inputs": set(),
     "create_log_chunk": set(),
     "confirm_log_chunk": set(),

@@ -143,6 +143,12 @@ async def record_seen(db: Connection, actor: Actor, runner_id: uuid.UUID) -> int
     return lease_s
 
 
+def require_own(actor: Actor, runner_id: uuid.UUID) -> None:
+    """Check that a token is a runner's own. Raises NotFound."""
+    if actor.runner_id != runner_id:
+        raise NotFound(resource_type="runner", ref=str(runner_id))
+
+
 async def pin_images(db: Connection, digests: Mapping[uuid.UUID, str]) -> None:
     """Pin the images of versions of actions, unless they are pinned: the first resolution of a name is permanent."""
     for version_id, digest in digests.items():

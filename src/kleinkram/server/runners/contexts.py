@@ -26,7 +26,7 @@ from kleinkram.server.runners.assigned_runs import (
     find_definitions,
     lock_assigned_run,
     lock_assigned_runs,
-    record_seen,
+    require_own,
 )
 from kleinkram.server.runs.declared_inputs import checks_at_launch, mission_at_launch, reference_at_launch
 from kleinkram.server.tables import file, run_input
@@ -51,10 +51,9 @@ async def get_contexts(
     """Return the contexts of several runs in the order requested: as `get_context`, with null for RunGone.
 
     Raises:
-        NotFound: this person has no such runner.
-        Forbidden: the token is another runner's.
+        NotFound: the token is not this runner's.
     """
-    await record_seen(db, actor, runner_id)
+    require_own(actor, runner_id)
     rows = await lock_assigned_runs(db, actor, {one.run_id: one.attempt for one in requested})
     contexts = await _read_contexts(db, rows)
     return RunContexts(contexts=[contexts.get(one.run_id) for one in requested])

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from sqlalchemy import select
-from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.checks import Verdict
 from kleinkram.contract.errors import RunGone
@@ -20,14 +19,14 @@ from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.context import AppContext
-from kleinkram.server.db import Connection, among
+from kleinkram.server.db import Connection, among, insert_rows
 from kleinkram.server.runners.assigned_runs import (
     AssignedRun,
     find_definitions,
     is_of_runner,
     lock_assigned_runs,
     pin_images,
-    record_seen,
+    require_own,
     thinned,
 )
 from kleinkram.server.runs.lifecycle import (
@@ -63,11 +62,9 @@ async def finish_runs(
     """Record the ends of several runs, as `finish_run` does, and return their states; null for RunGone.
 
     Raises:
-        NotFound: this person has no such runner.
-        Forbidden: the token is another runner's.
+        NotFound: the token is not this runner's.
     """
-    async with context.database.begin() as db:
-        await record_seen(db, actor, runner_id)
+    require_own(actor, runner_id)
     finishes = {end.run_id: end.finish for end in reported}
     # Those that create files lock their missions: each in a transaction of its own, so that two cannot deadlock.
     alone = {run_id: finish for run_id, finish in finishes.items() if finish.report.mission_files}
@@ -143,7 +140,7 @@ async def _artifacts_of(db: Connection, run_ids: Sequence[uuid.UUID]) -> default
 async def _store_logs(db: Connection, ended: Sequence[_Ended]) -> None:
     logs = [{"run_id": one.row.id, "content": one.finish.log} for one in ended if one.finish.log]
     if logs:
-        await db.execute(upsert(run_log).values(logs).on_conflict_do_nothing())
+        await db.execute(insert_rows(run_log, logs))
 
 
 async def _all_samples(db: Connection, ended: Sequence[_Ended]) -> dict[uuid.UUID, dict[str, object]]:
