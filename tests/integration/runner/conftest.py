@@ -50,12 +50,18 @@ class Bench:
 
     executor: Executor
     folder: Path
-    again: Callable[[], Executor]
+    next_executor: Callable[[], Executor]
     image: str | None = None
     python: str = sys.executable
     machine: str = "127.0.0.1"
     engine: Dockerd | None = None
     made: list[RunJob] = field(default_factory=list)
+    later: list[Executor] = field(default_factory=list)
+
+    def again(self) -> Executor:
+        """Return the executor of the next runner on the same jobs."""
+        self.later.append(self.next_executor())
+        return self.later[-1]
 
     def job(
         self,
@@ -262,10 +268,12 @@ def kubernetes_bench(request: pytest.FixtureRequest, folder: Path) -> Bench:
 def lent(executor: str, request: pytest.FixtureRequest, folder: Path) -> Iterator[Bench]:
     """Yield a bench for an executor, and remove its jobs afterwards."""
     made = bench_of(executor, request, folder)
+    first = made.executor
     yield made
     for job in made.made:
         made.executor.remove(job)
-    made.executor.close()
+    for started in (first, *made.later):
+        started.close()
 
 
 # Of this machine: they measure what a job uses, and give it the network `api` by port forwards.
