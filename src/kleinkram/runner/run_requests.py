@@ -4,6 +4,7 @@ Hundreds of short jobs start and end at a time on a cluster; then one request fo
 more than one for each.
 """
 
+import logging
 import math
 import threading
 import time
@@ -19,6 +20,7 @@ from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.runners import MAX_RUNS, RunAttempt, RunEnd, RunFinish
 from kleinkram.contract.runs import RunContext
 
+_log = logging.getLogger("kleinkram.runner")
 ItemT = TypeVar("ItemT", bound=BaseModel)
 AnswerT = TypeVar("AnswerT")
 
@@ -109,12 +111,14 @@ class _CombinedRequests(Generic[ItemT, AnswerT]):
             left_bytes -= batch[-1].size_bytes
         try:
             answers = self._send([one.item for one in batch])
-        except KleinkramError:
-            answers = []
-        for one in batch:
-            one.is_sent = True
-        for one, answer in zip(batch, answers, strict=False):
-            one.answer = answer
+            for one, answer in zip(batch, answers, strict=False):
+                one.answer = answer
+        except (KleinkramError, OSError) as error:
+            _log.warning("a combined request about %d runs failed; each is sent alone: %s", len(batch), error)
+        finally:
+            # Whatever happens: each of them must be sent alone then.
+            for one in batch:
+                one.is_sent = True
 
 
 class _WaitingItem(Generic[ItemT, AnswerT]):

@@ -8,6 +8,8 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast
 
+import pytest
+
 from kleinkram.client.runs import Runners
 from kleinkram.contract.errors import InternalError
 from kleinkram.contract.runners import RunEnd, RunFinish
@@ -20,12 +22,12 @@ RUNS = [uuid.UUID(int=number) for number in range(100, 130)]
 
 
 class Server:
-    """The ends that arrived, each in its request; it refuses combined ones if it `fails`, and runs that are `gone`."""
+    """The ends that arrived, each in its request. Combined ones end with the error `fails`; some runs are `gone`."""
 
     def __init__(self) -> None:
         self.combined: list[list[uuid.UUID]] = []
         self.alone: list[uuid.UUID] = []
-        self.fails = False
+        self.fails: Exception | None = None
         self.gone: set[uuid.UUID] = set()
         self._lock = threading.Lock()
 
@@ -38,8 +40,8 @@ class Server:
 
     def finish_all(self, runner_id: uuid.UUID, ends: Sequence[RunEnd]) -> Sequence[RunState | None]:
         assert runner_id == RUNNER_ID
-        if self.fails:
-            raise InternalError(request_id="a-request")
+        if self.fails is not None:
+            raise self.fails
         self.combined.append([end.run_id for end in ends])
         return [None if end.run_id in self.gone else RunState.done for end in ends]
 
@@ -74,9 +76,18 @@ def test_what_has_no_answer_is_sent_alone() -> None:
     server.gone = {RUNS[3]}
     report(server)
     assert server.alone == [RUNS[3]]
-    server.fails = True
-    report(server)
-    assert sorted(server.alone[1:]) == RUNS
+    for error in (InternalError(request_id="a-request"), OSError("broken")):
+        server.fails, server.alone = error, []
+        report(server)
+        assert sorted(server.alone) == RUNS
+
+
+def test_a_request_that_fails_unexpectedly_leaves_no_other_run_waiting() -> None:
+    server = Server()
+    server.fails = RuntimeError("a bug")
+    with pytest.raises(RuntimeError):
+        report(server)
+    assert len(server.alone) >= len(RUNS) // 2
 
 
 def test_requests_have_a_limited_size(monkeypatch: Any) -> None:
