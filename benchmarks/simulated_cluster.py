@@ -45,6 +45,8 @@ from kleinkram.runner.run_requests import finish_pause_s
 # How long the cluster takes to start a job, and to run it, in seconds.
 _PENDING_S, _RUNNING_S = (0.5, 5.0), (10.0, 30.0)
 _THREADS = 16
+# As that of a login node.
+_LEASE_S = 900
 _ROOM = Capacity(cores=64, memory_bytes=2**40, disk_bytes=2**42, gpus=0)
 _ABILITIES = ExecutorAbilities(
     executor="slurm",
@@ -98,6 +100,7 @@ class SimulatedCluster:
                 labels=["cluster"],
                 capacity=_ROOM,
                 abilities=_ABILITIES,
+                lease_s=_LEASE_S,
                 default_image=f"sha256:{'0' * 64}",
                 version="0",
             )

@@ -37,7 +37,7 @@ from kleinkram.runner import state_directory as runner_state
 from kleinkram.runner.active_run import ActiveRun
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.supervision import boot_time_s
-from kleinkram.runner.run_requests import RunRequests
+from kleinkram.runner.run_requests import RunRequests, split_heartbeats
 from kleinkram.runner.state_directory import LEASE_MARGIN_S, Attempt, Lease, RunnerContext, StateDirectory, StopRequest
 from kleinkram.runner.statistics import RunnerStatistics
 from kleinkram.systemd import Watchdog, notify_ready, notify_status, notify_stopping
@@ -332,21 +332,23 @@ class Runner:
         active = {run.assignment.run_id: run for run in self._active_runs()}
         if not active:
             return
-        heartbeats = {run_id: run.heartbeat() for run_id, run in active.items()}
-        requested_s = boot_time_s()
-        replies = runners.send_heartbeats(self._state.runner_id, Heartbeats(runs=[*heartbeats.values()]))
-        self.statistics.count_answer()
+        began_s = boot_time_s()
+        for batch in split_heartbeats([run.heartbeat() for run in active.values()]):
+            heartbeats = {heartbeat.run_id: heartbeat for heartbeat in batch}
+            requested_s = boot_time_s()
+            replies = runners.send_heartbeats(self._state.runner_id, Heartbeats(runs=batch))
+            self.statistics.count_answer()
+            for reply in replies.runs:
+                heartbeat = heartbeats.get(reply.run_id)
+                if heartbeat is not None and heartbeat.attempt == reply.attempt:
+                    active[reply.run_id].on_reply(heartbeat, reply, requested_s=requested_s, lease_s=replies.lease_s)
         try:
-            self._state.record_heartbeat(requested_s)  # for the next runner
+            self._state.record_heartbeat(began_s)  # for the next runner
             self._is_heartbeat_recorded = True
         except OSError as error:
             if self._is_heartbeat_recorded:
                 _log.warning("the last heartbeat cannot be recorded in %s: %s", self._state.path, error)
             self._is_heartbeat_recorded = False
-        for reply in replies.runs:
-            run = active.get(reply.run_id)
-            if run is not None and run.assignment.attempt == reply.attempt:
-                run.on_reply(heartbeats[reply.run_id], reply, requested_s=requested_s, lease_s=replies.lease_s)
 
     def _enforce_leases(self) -> None:
         watchdog = Watchdog()

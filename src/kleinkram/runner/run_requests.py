@@ -10,14 +10,14 @@ import threading
 import time
 import uuid
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Generic, TypeVar
 
 from pydantic import BaseModel
 
 from kleinkram.client.runs import Runners
 from kleinkram.contract.errors import KleinkramError
-from kleinkram.contract.runners import MAX_RUNS, RunAttempt, RunEnd, RunFinish
+from kleinkram.contract.runners import MAX_RUNS, Heartbeat, RunAttempt, RunEnd, RunFinish
 from kleinkram.contract.runs import RunContext
 
 _log = logging.getLogger("kleinkram.runner")
@@ -31,11 +31,27 @@ _CONTEXT_PAUSE_S = 0.05
 # A larger report is sent alone: servers limit the size of requests.
 _MAX_ITEM_BYTES = 64 * 1024
 _MAX_REQUEST_BYTES = 2**20
+# In the heartbeats of one request: about as large.
+_MAX_SAMPLES = 5000
 
 
 def finish_pause_s(runs: int) -> float:
     """Return how long the end of one of so many runs waits for others to be reported with it, in seconds."""
-    return min(2.0, runs / 250)
+    return min(2.0, runs / 100)
+
+
+def split_heartbeats(heartbeats: Sequence[Heartbeat]) -> Iterator[list[Heartbeat]]:
+    """Return heartbeats in parts that a server accepts in one request: after an outage, runs have many samples."""
+    batch: list[Heartbeat] = []
+    samples = 0
+    for heartbeat in heartbeats:
+        samples += len(heartbeat.samples)
+        if batch and samples > _MAX_SAMPLES:
+            yield batch
+            batch, samples = [], len(heartbeat.samples)
+        batch.append(heartbeat)
+    if batch:
+        yield batch
 
 
 class RunRequests:

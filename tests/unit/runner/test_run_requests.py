@@ -12,10 +12,10 @@ import pytest
 
 from kleinkram.client.runs import Runners
 from kleinkram.contract.errors import InternalError
-from kleinkram.contract.runners import RunEnd, RunFinish
-from kleinkram.contract.runs import EndReason, RunState
+from kleinkram.contract.runners import Heartbeat, Heartbeats, RunEnd, RunFinish
+from kleinkram.contract.runs import EndReason, RunState, Usage, UsageSample
 from kleinkram.runner import run_requests
-from kleinkram.runner.run_requests import RunRequests
+from kleinkram.runner.run_requests import RunRequests, split_heartbeats
 
 RUNNER_ID = uuid.UUID(int=1)
 RUNS = [uuid.UUID(int=number) for number in range(100, 130)]
@@ -99,3 +99,16 @@ def test_requests_have_a_limited_size(monkeypatch: Any) -> None:
     monkeypatch.setattr(run_requests, "_MAX_ITEM_BYTES", 1000)
     report(server, message="x" * 1000)
     assert sorted(server.alone) == RUNS
+
+
+def test_heartbeats_after_an_outage_are_split() -> None:
+    """Servers refuse requests over 4 MiB: the leases of all runs would end."""
+    numbers = dict.fromkeys(("memory_bytes", "peak_memory_bytes", "read_bytes", "written_bytes"), 2**40)
+    samples = [UsageSample(at_s=number / 3, usage=Usage(cpu_s=1 / 3, **numbers)) for number in range(100)]
+    sent = [Heartbeat(run_id=uuid.uuid4(), attempt=1, state=RunState.running, samples=samples) for _ in range(1000)]
+    parts = [*split_heartbeats(sent)]
+    assert [heartbeat for part in parts for heartbeat in part] == sent
+    assert max(len(Heartbeats(runs=part).model_dump_json()) for part in parts) < 2 * 2**20
+    without = [heartbeat.model_copy(update={"samples": []}) for heartbeat in sent]
+    assert [*split_heartbeats(without)] == [without]
+    assert [*split_heartbeats([])] == []

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import psycopg
 from psycopg.conninfo import make_conninfo
 
+from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.errors import TooManyStreams
 from kleinkram.server import metrics
 from kleinkram.server.background import cancel_and_wait
@@ -52,16 +53,17 @@ class PendingEvents:
 
 @dataclass(frozen=True)
 class EventFilter:
-    """Events of these types and, with `resource_id`, of this object or of several objects at once."""
+    """Events of these types, perhaps of one kind; with `resource_id`, of this object or of several objects at once."""
 
     resource_types: frozenset[str]
     resource_id: uuid.UUID | None = None
+    change: ChangeKind | None = None
 
     def includes(self, event: ChangeEvent) -> bool:
         """Whether an event passes the filter."""
-        return event.resource_type in self.resource_types and (
-            None in (self.resource_id, event.id) or event.id == self.resource_id
-        )
+        if event.resource_type not in self.resource_types or self.change not in (None, event.change):
+            return False
+        return None in (self.resource_id, event.id) or event.id == self.resource_id
 
 
 class EventSubscription:

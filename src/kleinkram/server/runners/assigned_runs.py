@@ -5,7 +5,7 @@ import uuid
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from sqlalchemy import ColumnElement, func, insert, select, update
+from sqlalchemy import ColumnElement, bindparam, func, insert, select, update
 
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.audit import ChangeKind
@@ -28,7 +28,7 @@ from kleinkram.contract.uploads import ChecksumKind, UploadDecisions
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
-from kleinkram.server.db import Connection, among
+from kleinkram.server.db import Connection, among, among_parameter
 from kleinkram.server.s3.storage import PartTarget
 from kleinkram.server.tables import (
     action,
@@ -72,9 +72,8 @@ class AssignedRun(NamedTuple):
     project_id: uuid.UUID
 
 
-async def lock_runs(db: Connection, condition: ColumnElement[bool], *, limit: int) -> list[AssignedRun]:
-    """Return runs that meet a condition, in the order of their ids, locked until this transaction ends."""
-    columns = (
+_RUNS = (
+    select(
         *(run.c[name] for name in AssignedRun._fields[:12]),
         action_version.c.definition["name"].astext.label("action_name"),
         action_version.c.image_digest.label("pinned_digest"),
@@ -82,17 +81,30 @@ async def lock_runs(db: Connection, condition: ColumnElement[bool], *, limit: in
         action.c.id.label("action_id"),
         mission.c.project_id,
     )
-    stmt = (
-        select(*columns)
-        .join_from(run, mission, mission.c.id == run.c.mission_id)
-        .join(action_version, action_version.c.id == run.c.version_id)
-        .outerjoin(action, action.c.id == action_version.c.action_id)
-        .where(condition)
-        .order_by(run.c.id)
-        .limit(limit)
-        .with_for_update(of=run, key_share=True)
-    )
-    return [AssignedRun._make(row) for row in await db.execute(stmt)]
+    .join_from(run, mission, mission.c.id == run.c.mission_id)
+    .join(action_version, action_version.c.id == run.c.version_id)
+    .outerjoin(action, action.c.id == action_version.c.action_id)
+    .order_by(run.c.id)
+    .with_for_update(of=run, key_share=True)
+)
+# Built once: a runner with many runs sends these often.
+_OF_RUNNER = (run.c.runner_id == bindparam("runner_id")) & run.c.state.in_(ASSIGNED)
+_ASSIGNED = _RUNS.where(_OF_RUNNER, among_parameter(run.c.id, "run_ids"))
+_UNKNOWN = _RUNS.where(_OF_RUNNER, ~among_parameter(run.c.id, "run_ids")).limit(bindparam("limit"))
+_BY_IDS = _RUNS.where(among_parameter(run.c.id, "run_ids"))
+
+
+async def lock_runs(db: Connection, run_ids: Sequence[uuid.UUID]) -> list[AssignedRun]:
+    """Return runs in the order of their ids, locked until this transaction ends."""
+    return [AssignedRun._make(row) for row in await db.execute(_BY_IDS, {"run_ids": [*run_ids]})]
+
+
+async def lock_unknown_runs(
+    db: Connection, runner_id: uuid.UUID, known_ids: Sequence[uuid.UUID], *, limit: int
+) -> list[AssignedRun]:
+    """Return runs that a runner has without knowing it, locked until this transaction ends."""
+    values = {"runner_id": runner_id, "run_ids": [*known_ids], "limit": limit}
+    return [AssignedRun._make(row) for row in await db.execute(_UNKNOWN, values)]
 
 
 async def find_definitions(db: Connection, rows: Sequence[AssignedRun]) -> dict[uuid.UUID, ActionDefinition]:
@@ -104,9 +116,8 @@ async def find_definitions(db: Connection, rows: Sequence[AssignedRun]) -> dict[
 
 async def lock_assigned_runs(db: Connection, actor: Actor, attempts: Mapping[uuid.UUID, int]) -> list[AssignedRun]:
     """Return those runs of a runner that it has by these attempts, locked until this transaction ends."""
-    is_assigned = is_of_runner(actor) & run.c.state.in_(ASSIGNED)
-    rows = await lock_runs(db, among(run.c.id, attempts) & is_assigned, limit=len(attempts))
-    return [row for row in rows if row.attempt == attempts[row.id]]
+    found = await db.execute(_ASSIGNED, {"runner_id": actor.runner_id, "run_ids": [*attempts]})
+    return [AssignedRun._make(row) for row in found if row.attempt == attempts[row.id]]
 
 
 def is_of_runner(actor: Actor) -> ColumnElement[bool]:
@@ -151,14 +162,15 @@ def require_own(actor: Actor, runner_id: uuid.UUID) -> None:
 
 async def pin_images(db: Connection, digests: Mapping[uuid.UUID, str]) -> None:
     """Pin the images of versions of actions, unless they are pinned: the first resolution of a name is permanent."""
-    for version_id, digest in digests.items():
+    # In one order, so that two runners cannot deadlock.
+    for version_id, digest in sorted(digests.items()):
         is_unpinned = action_version.c.image_digest.is_(None) & action_version.c.definition["image"].astext.is_not(None)
         stmt = update(action_version).where(action_version.c.id == version_id, is_unpinned)
         await db.execute(stmt.values(image_digest=digest))
 
 
 def token_lifetime(definition: ActionDefinition) -> datetime.timedelta:
-    """Return how long the token of a run is valid from its claim, and from the start of its job."""
+    """Return how long the token of a run is valid from its claim; heartbeats extend that."""
     return datetime.timedelta(seconds=definition.resources.time_s) + TOKEN_MARGIN
 
 

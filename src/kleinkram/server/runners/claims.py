@@ -26,6 +26,7 @@ from kleinkram.server.runners.assigned_runs import (
     AssignedRun,
     find_definitions,
     lock_runs,
+    lock_unknown_runs,
     record_seen,
     token_lifetime,
 )
@@ -41,7 +42,6 @@ from kleinkram.server.runs.eligibility import (
 )
 from kleinkram.server.runs.lifecycle import end_run, requeue_lost_runs
 from kleinkram.server.tables import mission, project, run, run_input, runner, token, token_limit
-from kleinkram.server.tables.runs import ASSIGNED
 
 _SCOPES = {
     Right.read: [Scope.read],
@@ -49,11 +49,11 @@ _SCOPES = {
     Right.write: [Scope.write],
     Right.delete: [Scope.write],
 }
-# The end of a lease publishes no event.
+# New runs end the wait of a claim. Whatever else lets a run start, as the end of a lease, is noticed by this time.
 _CHECK_EVERY_S = 5.0
-# Runs change all the time where many are executed; a waiting claim looks no more often than this.
+# Where many are launched, a waiting claim looks no more often than this.
 _CHECK_PAUSE_S = 0.25
-_QUEUE = EventFilter(frozenset({"run"}))
+_NEW_RUNS = EventFilter(frozenset({"run"}), change=ChangeKind.created)
 # The fields of an assignment that are those of the definition.
 _OF_DEFINITION = (
     *("image", "command", "script", "dependencies", "requires_python", "lock"),
@@ -72,7 +72,7 @@ async def claim(
         TooManyStreams: too many requests of this runner wait already.
     """
     until = time.monotonic() + requested.wait_s
-    with hub.long_poll(runner_id, _QUEUE) as listener:
+    with hub.long_poll(runner_id, _NEW_RUNS) as listener:
         while True:
             async with context.database.begin() as db:
                 weakest = context.settings.weakest_isolation
@@ -89,15 +89,13 @@ async def _claim_now(
 ) -> list[RunAssignment]:
     lease_s = await record_seen(db, actor, runner_id)
     await requeue_lost_runs(db)
-    # Assigned without the runner's knowledge: the answer to an earlier claim was lost.
-    is_assigned = (run.c.runner_id == runner_id) & run.c.state.in_(ASSIGNED)
-    is_unknown = ~among(run.c.id, requested.active_run_ids)
-    if unanswered := await lock_runs(db, is_assigned & is_unknown, limit=requested.max_runs):
+    # The answer to an earlier claim was lost.
+    if unanswered := await lock_unknown_runs(db, runner_id, requested.active_run_ids, limit=requested.max_runs):
         return await _assign(db, unanswered, await find_definitions(db, unanswered), runner_id, lease_s)
     claiming = await find_runner(db, runner_id)
     rule = await isolation_rule(db, weakest)
     while run_ids := await _next_runs(db, claiming, requested, rule):
-        rows = {row.id: row for row in await lock_runs(db, among(run.c.id, run_ids), limit=len(run_ids))}
+        rows = {row.id: row for row in await lock_runs(db, run_ids)}
         candidates = [rows[run_id] for run_id in run_ids]
         definitions = await find_definitions(db, candidates)
         allowed = await _still_allowed(db, candidates, definitions)

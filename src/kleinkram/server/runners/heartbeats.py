@@ -62,15 +62,15 @@ WHERE run.id = ANY (CAST(:run_ids AS uuid[])) AND runner_id = :runner_id
 ORDER BY run.id
 """
 _READ, _LOCK = text(_READ_SQL), text(f"{_READ_SQL} FOR NO KEY UPDATE OF run")
-# The token of a run does not end while its job waits in the queue of a cluster.
+# A job may wait in the queue of a cluster for days, at first or after a failure of its node: its token lasts longer.
 _EXTEND_TOKENS = text("""
-UPDATE token SET expires_at = now() + waiting.lasts
+UPDATE token SET expires_at = now() + unfinished.lasts
 FROM (
   SELECT run.id, make_interval(secs => (definition #>> '{resources,time_s}')::integer + :margin_s) AS lasts
   FROM run JOIN action_version ON action_version.id = run.version_id WHERE run.id = ANY (CAST(:run_ids AS uuid[]))
-) AS waiting
-WHERE token.run_id = waiting.id AND token.revoked_at IS NULL
-  AND token.expires_at < now() + waiting.lasts - make_interval(secs => CAST(:margin_s AS double precision) / 2)
+) AS unfinished
+WHERE token.run_id = unfinished.id AND token.revoked_at IS NULL
+  AND token.expires_at < now() + unfinished.lasts - make_interval(secs => CAST(:margin_s AS double precision) / 2)
 """)
 
 
@@ -198,7 +198,7 @@ async def _record(db: Connection, reported: Sequence[tuple[_Reported, Heartbeat]
             digests[row.version_id] = news["image_digest"]
     await db.execute(_RECORD, {"news": to_json(changes).decode()})
     await pin_images(db, digests)
-    if waiting := [row.id for row, _ in reported if row.state == RunState.preparing.value]:
-        await db.execute(_EXTEND_TOKENS, {"run_ids": waiting, "margin_s": TOKEN_MARGIN.total_seconds()})
+    if unfinished := [row.id for row, heartbeat in reported if heartbeat.state is not RunState.collecting]:
+        await db.execute(_EXTEND_TOKENS, {"run_ids": unfinished, "margin_s": TOKEN_MARGIN.total_seconds()})
     for start in range(0, len(events), _EVENTS):
         await publish(db, events[start : start + _EVENTS])

@@ -78,9 +78,10 @@ candidate AS (
       SELECT id, created_at, cores, fits FROM able
       WHERE priority = turn.priority AND launch_project_id = turn.launch_project_id
         AND started_by_id = turn.started_by_id AND fits_alone
+        AND created_at < now() - CAST(:keeps_room_after AS interval)
       ORDER BY created_at, id LIMIT 1
     ) oldest
-    WHERE :may_keep_room AND NOT fits AND created_at < now() - CAST(:keeps_room_after AS interval)
+    WHERE :may_keep_room AND NOT fits
   ) queued
 ),
 assigned AS MATERIALIZED (

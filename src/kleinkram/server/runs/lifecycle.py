@@ -20,7 +20,6 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
 from kleinkram.contract.reports import MissionFile, Report, Severity
 from kleinkram.contract.runs import EndReason, RunRead, RunState
-from kleinkram.contract.uploads import UploadState
 from kleinkram.server import metrics
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.access.rights import require_mission
@@ -46,10 +45,7 @@ from kleinkram.server.tables import (
     run_finding,
     run_metric,
     runner,
-    token,
-    upload,
 )
-from kleinkram.server.tables.blobs import UNDER_WAY
 from kleinkram.server.tables.runs import ASSIGNED
 
 # How often a run is queued again after its runner was lost.
@@ -79,6 +75,13 @@ FROM jsonb_to_recordset(CAST(:ended AS jsonb)) AS ended(
 )
 WHERE run.id = ended.id
 RETURNING run.id, run.mission_id, run.state, run.reason, extract(epoch FROM now() - run.claimed_at) AS claimed_s
+""")
+_DISCARD = text("""
+WITH revoked AS (
+  UPDATE token SET revoked_at = now() WHERE run_id = ANY (CAST(:run_ids AS uuid[])) AND revoked_at IS NULL
+)
+UPDATE upload SET state = 'aborted'
+WHERE run_id = ANY (CAST(:run_ids AS uuid[])) AND state IN ('open', 'completing')
 """)
 
 
@@ -161,10 +164,7 @@ async def _discard_attempts(
     db: Connection, run_ids: Collection[uuid.UUID], *, without_results: Collection[uuid.UUID]
 ) -> None:
     """Revoke the tokens of attempts, abort their uploads, and delete their artifacts if they are `without_results`."""
-    tokens = among(token.c.run_id, run_ids) & token.c.revoked_at.is_(None)
-    await db.execute(update(token).where(tokens).values(revoked_at=func.now()))
-    open_uploads = among(upload.c.run_id, run_ids) & upload.c.state.in_(UNDER_WAY)
-    await db.execute(update(upload).where(open_uploads).values(state=UploadState.aborted.value))
+    await db.execute(_DISCARD, {"run_ids": [*run_ids]})
     if without_results:
         await db.execute(delete(run_artifact).where(among(run_artifact.c.run_id, without_results)))
 
