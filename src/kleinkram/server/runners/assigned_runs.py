@@ -116,8 +116,8 @@ async def find_definitions(db: Connection, rows: Sequence[AssignedRun]) -> dict[
 
 async def lock_assigned_runs(db: Connection, actor: Actor, attempts: Mapping[uuid.UUID, int]) -> list[AssignedRun]:
     """Return those runs of a runner that it has by these attempts, locked until this transaction ends."""
-    found = await db.execute(_ASSIGNED, {"runner_id": actor.runner_id, "run_ids": [*attempts]})
-    return [AssignedRun._make(row) for row in found if row.attempt == attempts[row.id]]
+    rows = await db.execute(_ASSIGNED, {"runner_id": actor.runner_id, "run_ids": [*attempts]})
+    return [AssignedRun._make(row) for row in rows if row.attempt == attempts[row.id]]
 
 
 def is_of_runner(actor: Actor) -> ColumnElement[bool]:
