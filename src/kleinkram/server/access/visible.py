@@ -48,8 +48,13 @@ def visible_projects(actor: Actor, right: Right = Right.read) -> sa.Select[Any]:
 
 def visible_missions(actor: Actor, right: Right = Right.read) -> sa.Select[Any]:
     """Return the missions on which `actor` has a right, joined with their projects."""
+    return joined_missions().where(is_visible_mission(actor, right))
+
+
+def is_visible_mission(actor: Actor, right: Right = Right.read) -> sa.ColumnElement[bool]:
+    """Whether `actor` has a right on a mission that is joined with its project."""
     live = (mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    return joined_missions().where(*live, _has_right_on_mission(actor, right))
+    return sa.and_(*live, _has_right_on_mission(actor, right))
 
 
 def visible_files(actor: Actor, right: Right = Right.read) -> sa.Select[Any]:

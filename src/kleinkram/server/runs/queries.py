@@ -18,7 +18,7 @@ from kleinkram.contract.runs import (
     RunState,
 )
 from kleinkram.server.access.actor import Actor, ActorKind
-from kleinkram.server.access.visible import level_on_mission, visible_files, visible_missions
+from kleinkram.server.access.visible import is_visible_mission, level_on_mission, visible_files
 from kleinkram.server.db import among, matches, matches_key
 from kleinkram.server.pagination import Order
 from kleinkram.server.runs.eligibility import PROJECT_ISOLATION
@@ -73,13 +73,13 @@ def visible_runs(actor: Actor) -> Select[Any]:
         select(run)
         .join(mission, mission.c.id == run.c.mission_id)
         .join(project, project.c.id == mission.c.project_id)
-        .join(action_version, action_version.c.id == run.c.version_id)
+        # Every run has a version. PostgreSQL drops an outer join if no column of it is used, as in a count.
+        .outerjoin(action_version, action_version.c.id == run.c.version_id)
         .outerjoin(action, action.c.id == action_version.c.action_id)
     )
     if actor.kind is not ActorKind.person or Scope.read not in actor.scopes:
         return joined.where(false())
-    missions = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True)
-    visible = joined.where(run.c.mission_id.in_(missions))
+    visible = joined.where(is_visible_mission(actor))
     return visible if actor.run_id is None else visible.where(run.c.id == actor.run_id)
 
 
@@ -93,7 +93,7 @@ def run_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
         PROJECT_ISOLATION,
         level_on_mission(actor).label("level"),
     )
-    named = stmt.add_columns(*columns).join(person, person.c.id == run.c.started_by_id)
+    named = stmt.add_columns(*columns).outerjoin(person, person.c.id == run.c.started_by_id)
     return named.outerjoin(runner, runner.c.id == run.c.runner_id)
 
 
