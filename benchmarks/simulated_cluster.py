@@ -40,7 +40,7 @@ from kleinkram.contract.runners import (
 )
 from kleinkram.contract.runs import EndReason, RunPlacement, RunState
 from kleinkram.contract.uploads import PartToSign, UploadFile, UploadFinish, UploadRequired, crc64nvme
-from kleinkram.runner.run_requests import finish_pause_s
+from kleinkram.runner.run_requests import report_pause_s
 
 # How long the cluster takes to start a job, and to run it, in seconds.
 _PENDING_S, _RUNNING_S = (0.5, 5.0), (10.0, 30.0)
@@ -121,7 +121,7 @@ class SimulatedCluster:
                     self._go_on(pool)
                     if time.monotonic() >= report_at_s:
                         self._report_ends()
-                        report_at_s = time.monotonic() + finish_pause_s(len(self._active))
+                        report_at_s = time.monotonic() + report_pause_s(len(self._active))
                     time.sleep(0.02)
         finally:
             self._is_over.set()

@@ -37,7 +37,7 @@ from kleinkram.runner import state_directory as runner_state
 from kleinkram.runner.active_run import ActiveRun
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.supervision import boot_time_s
-from kleinkram.runner.run_requests import RunRequests, split_heartbeats
+from kleinkram.runner.run_requests import RunRequests, report_pause_s, split_heartbeats
 from kleinkram.runner.state_directory import LEASE_MARGIN_S, Attempt, Lease, RunnerContext, StateDirectory, StopRequest
 from kleinkram.runner.statistics import RunnerStatistics
 from kleinkram.systemd import Watchdog, notify_ready, notify_status, notify_stopping
@@ -45,6 +45,7 @@ from kleinkram.systemd import Watchdog, notify_ready, notify_status, notify_stop
 _log = logging.getLogger("kleinkram.runner")
 _HEARTBEAT_TIMEOUT_S = 10.0
 _HEARTBEAT_PAUSE_S = 0.1
+_CAPACITY_PAUSE_S = 0.2
 _ENFORCE_EVERY_S = 0.2
 _RETRY_S = 3.0
 _REFUSED_RETRY_S = 15.0
@@ -257,6 +258,8 @@ class Runner:
         free = self._executor.free(_reserved_by(active), len(active))
         if free is None:
             self._has_capacity.wait(HEARTBEAT_S)
+            # The ends of several runs are reported, and free their resources, together.
+            self._is_stopping.wait(min(_CAPACITY_PAUSE_S, report_pause_s(len(active))))
             return []
         # With active runs, capacity may be freed soon, which a new request reports.
         request = ClaimRequest(
@@ -326,7 +329,7 @@ class Runner:
                     _log.warning("the server gets no heartbeats of %d runs: %s", len(self._active), error)
                 backoff = backoff or Backoff(math.inf, self._is_closed.wait)
                 backoff.pause()
-            self._is_closed.wait(_HEARTBEAT_PAUSE_S)
+            self._is_closed.wait(max(_HEARTBEAT_PAUSE_S, report_pause_s(self.active_count)))
 
     def _send_heartbeat(self, runners: Runners) -> None:
         active = {run.assignment.run_id: run for run in self._active_runs()}

@@ -35,8 +35,8 @@ _MAX_REQUEST_BYTES = 2**20
 _MAX_SAMPLES = 5000
 
 
-def finish_pause_s(runs: int) -> float:
-    """Return how long the end of one of so many runs waits for others to be reported with it, in seconds."""
+def report_pause_s(runs: int) -> float:
+    """Return how long news of one of so many runs wait for those of others, to be one request, in seconds."""
     return min(2.0, runs / 100)
 
 
@@ -71,7 +71,7 @@ class RunRequests:
             return [] if runner_id is None else once.finish_all(runner_id, ends)
 
         self._contexts = _CombinedRequests(get_contexts, lambda: _CONTEXT_PAUSE_S)
-        self._ends = _CombinedRequests(finish, lambda: finish_pause_s(count()))
+        self._ends = _CombinedRequests(finish, lambda: report_pause_s(count()))
 
     def get_context(self, run_id: uuid.UUID, attempt: int) -> RunContext:
         """Return the content of `/in/mission.json`.
