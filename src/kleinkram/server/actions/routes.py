@@ -17,11 +17,12 @@ from kleinkram.contract.base import Page
 from kleinkram.contract.library import LibraryAdd, LibraryFilter, LibraryRead
 from kleinkram.server.actions import library, service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction, VersionNumber
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.pagination import PageQuery
 
-router = APIRouter(prefix="/api/v1/actions", tags=["actions"])
-library_router = APIRouter(prefix="/api/v1/library", tags=["actions"])
+router = APIRouter(prefix="/api/v1/actions", tags=["actions"], responses=FAILURE_RESPONSES)
+library_router = APIRouter(prefix="/api/v1/library", tags=["actions"], responses=FAILURE_RESPONSES)
 
 
 class ActionListQuery(ActionFilter, PageQuery):

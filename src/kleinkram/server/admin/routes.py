@@ -8,8 +8,9 @@ from kleinkram.contract import admin
 from kleinkram.server.admin import service
 from kleinkram.server.admin.status import get_status
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, CurrentSettings, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 
-router = APIRouter(prefix="/api/v1/admin", tags=["admin"])
+router = APIRouter(prefix="/api/v1/admin", tags=["admin"], responses=FAILURE_RESPONSES)
 JobId = Annotated[int, Path(ge=1, le=2**63 - 1)]
 
 

@@ -10,9 +10,10 @@ from kleinkram.contract.audit import AuditFilter, AuditRead
 from kleinkram.contract.base import Page
 from kleinkram.server.audit import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.pagination import PageQuery
 
-router = APIRouter(prefix="/api/v1/audit", tags=["audit"])
+router = APIRouter(prefix="/api/v1/audit", tags=["audit"], responses=FAILURE_RESPONSES)
 
 _JSON_LINES = "application/jsonl"
 

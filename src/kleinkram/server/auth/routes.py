@@ -28,12 +28,13 @@ from kleinkram.server.http.dependencies import (
     Transaction,
     require_same_origin,
 )
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.pagination import PageQuery
 from kleinkram.server.tables.sign_in import CodePurpose
 
-router = APIRouter(prefix="/api/v1/auth", tags=["signing in"])
-me_router = APIRouter(prefix="/api/v1/me", tags=["me"])
-people_router = APIRouter(prefix="/api/v1/people", tags=["people"])
+router = APIRouter(prefix="/api/v1/auth", tags=["signing in"], responses=FAILURE_RESPONSES)
+me_router = APIRouter(prefix="/api/v1/me", tags=["me"], responses=FAILURE_RESPONSES)
+people_router = APIRouter(prefix="/api/v1/people", tags=["people"], responses=FAILURE_RESPONSES)
 # Also without a cookie: another site's page must not sign a person in as somebody else.
 _SAME_ORIGIN = [Depends(require_same_origin)]
 

@@ -25,10 +25,11 @@ from kleinkram.contract.checks import (
 )
 from kleinkram.server.checks import documents, overview, service
 from kleinkram.server.http.dependencies import CurrentActor, Reading, Transaction, VersionNumber
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.pagination import CountedPageQuery, PageQuery
 
-router = APIRouter(prefix="/api/v1", tags=["checks"])
+router = APIRouter(prefix="/api/v1", tags=["checks"], responses=FAILURE_RESPONSES)
 
 
 class MissionChecksQuery(MissionCheckFilter, PageQuery):

@@ -8,10 +8,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kleinkram.server.events.service import EventStream, stream_events
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, Reauthenticate
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.http.headers import EVENT_STREAM, UNBUFFERED
 from kleinkram.server.http.middleware import mark_as_stream
 
-router = APIRouter(prefix="/api/v1/events", tags=["events"])
+router = APIRouter(prefix="/api/v1/events", tags=["events"], responses=FAILURE_RESPONSES)
 _MAX_DURATION_S = 3600.0
 EventId = Annotated[str, Field(max_length=64, pattern=r"^[ -~]*$")]
 

@@ -22,11 +22,12 @@ from kleinkram.contract.search import FileQuery, FilesLabelled, LabelChange
 from kleinkram.server.files import service
 from kleinkram.server.files.slices import SliceSelection, open_slice
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.http.middleware import mark_as_stream
 from kleinkram.server.pagination import PageRequest
 
-router = APIRouter(prefix="/api/v1", tags=["files"])
+router = APIRouter(prefix="/api/v1", tags=["files"], responses=FAILURE_RESPONSES)
 
 
 class FileListQuery(FileQuery):

@@ -10,9 +10,10 @@ from kleinkram.contract.base import Page
 from kleinkram.server.grants import service
 from kleinkram.server.grants.service import GrantResource
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.pagination import PageQuery
 
-router = APIRouter(prefix="/api/v1", tags=["access"])
+router = APIRouter(prefix="/api/v1", tags=["access"], responses=FAILURE_RESPONSES)
 ListQuery = Annotated[PageQuery, Query()]
 
 

@@ -10,10 +10,11 @@ from kleinkram.contract.base import Page
 from kleinkram.contract.names import Term
 from kleinkram.server.groups import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.pagination import CountedPageQuery
 
-router = APIRouter(prefix="/api/v1/groups", tags=["groups"])
+router = APIRouter(prefix="/api/v1/groups", tags=["groups"], responses=FAILURE_RESPONSES)
 
 
 class GroupListQuery(CountedPageQuery):

@@ -13,6 +13,7 @@ from kleinkram.contract.people import ServiceRead, ViewerRead
 from kleinkram.diagnostics import Diagnostic, DiagnosticSeverity, find_problems
 from kleinkram.server.health.readiness import CachedLookup, check_service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.http.headers import EVENT_STREAM, UNBUFFERED, request_origin
 from kleinkram.server.http.middleware import mark_as_stream
 from kleinkram.server.settings import Settings
@@ -24,7 +25,7 @@ _PAUSE_S = 4
 _STOPPING = "This process is stopping."
 
 probes = APIRouter(include_in_schema=False)
-router = APIRouter(prefix="/api/v1", tags=["service"])
+router = APIRouter(prefix="/api/v1", tags=["service"], responses=FAILURE_RESPONSES)
 
 
 @probes.get("/health/live")

@@ -5,8 +5,9 @@ from fastapi import APIRouter
 from kleinkram.contract.home import HomeRead, HomeStorage
 from kleinkram.server.home import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 
-router = APIRouter(prefix="/api/v1", tags=["home"])
+router = APIRouter(prefix="/api/v1", tags=["home"], responses=FAILURE_RESPONSES)
 
 
 @router.get("/home", operation_id="get_home")

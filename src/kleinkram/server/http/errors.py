@@ -23,6 +23,14 @@ _log = logging.getLogger("kleinkram.http")
 _MAX_PROBLEMS = 100
 _MAX_CHARACTERS = 1000
 
+# Any operation may fail with any code of the closed list in the schema; clients branch on it (RFC 9457).
+FAILURE_RESPONSES: dict[int | str, dict[str, object]] = {
+    "default": {
+        "description": "A failure as a problem document (RFC 9457), identified by `code`.",
+        "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/ProblemDocument"}}},
+    }
+}
+
 
 def install_error_handlers(app: FastAPI) -> None:
     """Turn every failure of an app into a problem document."""

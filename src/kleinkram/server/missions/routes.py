@@ -18,11 +18,12 @@ from kleinkram.contract.projects import Deleted
 from kleinkram.contract.query import parse
 from kleinkram.contract.search import QueryText
 from kleinkram.server.http.dependencies import CurrentActor, Reading, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.missions import service
 from kleinkram.server.pagination import PageRequest
 
-router = APIRouter(prefix="/api/v1", tags=["missions"])
+router = APIRouter(prefix="/api/v1", tags=["missions"], responses=FAILURE_RESPONSES)
 
 
 class MissionListQuery(MissionFilter):

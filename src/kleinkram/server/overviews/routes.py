@@ -16,10 +16,11 @@ from kleinkram.contract.files import (
 from kleinkram.contract.names import Term
 from kleinkram.contract.search import Buckets, Overview
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.overviews import service, topics
 from kleinkram.server.pagination import PageRequest
 
-router = APIRouter(prefix="/api/v1", tags=["overviews"])
+router = APIRouter(prefix="/api/v1", tags=["overviews"], responses=FAILURE_RESPONSES)
 
 
 @router.get("/missions/{mission_id}/timeline", operation_id="get_mission_timeline")

@@ -11,10 +11,11 @@ from kleinkram.contract.base import Page
 from kleinkram.contract.names import Term
 from kleinkram.contract.people import Departure, Erasure, PersonErase, PersonRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.pagination import CountedPageQuery
 from kleinkram.server.people import erasure, export, service
 
-router = APIRouter(prefix="/api/v1/people", tags=["people"])
+router = APIRouter(prefix="/api/v1/people", tags=["people"], responses=FAILURE_RESPONSES)
 _JSON_LINES = "application/jsonl"
 
 

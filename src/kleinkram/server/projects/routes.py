@@ -10,11 +10,12 @@ from kleinkram.contract.missions import MissionTemplate
 from kleinkram.contract.names import Term
 from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.pagination import CountedPageQuery
 from kleinkram.server.projects import service
 
-router = APIRouter(prefix="/api/v1/projects", tags=["projects"])
+router = APIRouter(prefix="/api/v1/projects", tags=["projects"], responses=FAILURE_RESPONSES)
 
 
 class ProjectListQuery(CountedPageQuery):

@@ -7,10 +7,11 @@ from fastapi import APIRouter
 from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.files import RecordingRead
 from kleinkram.server.http.dependencies import CurrentActor, Reading
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.pagination import PageRequest
 from kleinkram.server.recordings import service
 
-router = APIRouter(prefix="/api/v1", tags=["recordings"])
+router = APIRouter(prefix="/api/v1", tags=["recordings"], responses=FAILURE_RESPONSES)
 
 
 @router.get("/missions/{mission_id}/recordings", operation_id="list_recordings")

@@ -10,6 +10,7 @@ from kleinkram.contract.base import Page
 from kleinkram.contract.runs import RunContext
 from kleinkram.contract.uploads import UploadDecisions
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.http.middleware import mark_as_stream
 from kleinkram.server.pagination import PageQuery
 from kleinkram.server.runners import assigned_runs, ends, service
@@ -17,7 +18,7 @@ from kleinkram.server.runners.claims import claim
 from kleinkram.server.runners.contexts import get_context, get_contexts
 from kleinkram.server.runners.heartbeats import record_heartbeats
 
-router = APIRouter(prefix="/api/v1", tags=["runners"])
+router = APIRouter(prefix="/api/v1", tags=["runners"], responses=FAILURE_RESPONSES)
 AttemptQuery = Annotated[runners.Attempt, Query()]
 
 

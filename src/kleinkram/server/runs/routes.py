@@ -12,11 +12,12 @@ from kleinkram.contract.metrics import MetricNameFilter, MetricNames, MetricTabl
 from kleinkram.contract.previews import MissionPictures, MissionPreviews, PicturesRequest
 from kleinkram.contract.project_actions import ProjectActionAdd, ProjectActionList, ProjectActionRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, CurrentSettings, Reading, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.http.middleware import mark_as_stream
 from kleinkram.server.pagination import CountedPageQuery, PageQuery
 from kleinkram.server.runs import launch, lifecycle, logs, metric_tables, previews, project_actions, recorded, service
 
-router = APIRouter(prefix="/api/v1", tags=["runs"])
+router = APIRouter(prefix="/api/v1", tags=["runs"], responses=FAILURE_RESPONSES)
 
 
 class RunListQuery(runs.RunFilter, CountedPageQuery):

@@ -11,10 +11,11 @@ from kleinkram.contract.names import Term
 from kleinkram.contract.query import combined_filter
 from kleinkram.contract.search import FacetsRead, FileQuery, QueryText, SearchRead, StatsRead
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.pagination import PageRequest
 from kleinkram.server.search import facets, service, statistics
 
-router = APIRouter(prefix="/api/v1", tags=["search"])
+router = APIRouter(prefix="/api/v1", tags=["search"], responses=FAILURE_RESPONSES)
 
 
 class SearchQuery(BaseModel):

@@ -12,13 +12,14 @@ from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.tokens import SHARE_PAGE, ShareCreate, SharedRead, ShareMade, ShareRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.http.headers import PAGE_POLICY
 from kleinkram.server.http.web_app import PAGE_HEAD, brand
 from kleinkram.server.pagination import PageQuery
 from kleinkram.server.settings import Settings
 from kleinkram.server.shares import service
 
-router = APIRouter(prefix="/api/v1", tags=["shares"])
+router = APIRouter(prefix="/api/v1", tags=["shares"], responses=FAILURE_RESPONSES)
 
 
 class ShareListQuery(PageQuery):

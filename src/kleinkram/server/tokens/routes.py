@@ -8,11 +8,12 @@ from fastapi import APIRouter, Query
 from kleinkram.contract.base import Page
 from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.pagination import PageQuery
 from kleinkram.server.tokens import service
 from kleinkram.server.tokens.service import DerivedTokens
 
-router = APIRouter(prefix="/api/v1/tokens", tags=["tokens"])
+router = APIRouter(prefix="/api/v1/tokens", tags=["tokens"], responses=FAILURE_RESPONSES)
 
 
 class TokenListQuery(PageQuery):

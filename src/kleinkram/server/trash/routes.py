@@ -8,10 +8,11 @@ from fastapi import APIRouter, Query
 from kleinkram.contract.base import Page
 from kleinkram.contract.projects import TrashRead, TrashResourceType
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.pagination import PageQuery
 from kleinkram.server.trash import service
 
-router = APIRouter(prefix="/api/v1/trash", tags=["trash"])
+router = APIRouter(prefix="/api/v1/trash", tags=["trash"], responses=FAILURE_RESPONSES)
 
 
 class TrashListQuery(PageQuery):

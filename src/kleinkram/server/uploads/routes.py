@@ -16,10 +16,11 @@ from kleinkram.contract.uploads import (
     UploadsComplete,
 )
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Transaction
+from kleinkram.server.http.errors import FAILURE_RESPONSES
 from kleinkram.server.pagination import PageRequest
 from kleinkram.server.uploads import completion, parts, service
 
-router = APIRouter(prefix="/api/v1", tags=["uploads"])
+router = APIRouter(prefix="/api/v1", tags=["uploads"], responses=FAILURE_RESPONSES)
 
 
 @router.post("/missions/{mission_id}/uploads", operation_id="begin_uploads")
