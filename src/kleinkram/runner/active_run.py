@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 
 from kleinkram import traces
+from kleinkram.client._http import Backoff
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.reports import Progress
@@ -22,7 +23,7 @@ from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_fo
 from kleinkram.runner.executors.supervision import CANCELLED, boot_time_s
 from kleinkram.runner.inputs import job_of, prepare_run
 from kleinkram.runner.logs import LogUpload, Redactor
-from kleinkram.runner.node_transfers import order_transfers, read_status
+from kleinkram.runner.node_transfers import TransferStatus, order_transfers, read_status
 from kleinkram.runner.results import JobOutput, ProgressReader, ResultUpload
 from kleinkram.runner.state_directory import (
     Attempt,
@@ -43,6 +44,12 @@ _MAX_SAMPLES = 100
 # A run that crashes its machine each time is not started for ever.
 _MAX_STARTS = 3
 _CANCEL_EVERY_S = 1.0
+# How long to try again after errors: of a file system that may come back, and of others.
+_STORAGE_RETRY_S = 86400.0
+_ERROR_RETRY_S = 300.0
+_LASTING_ERRORS = frozenset({errno.ENOENT, errno.ENOTDIR})
+_FORGET_FAILURES_S = 600.0
+_MAX_MESSAGE = 200
 
 
 class ActiveRun:
@@ -72,6 +79,10 @@ class ActiveRun:
         if is_new:
             self._is_confirmed.set()
         self._is_submitted = attempt.state.stage is RunState.running
+        # How its job ended, from when that is known until it is recorded.
+        self._ending: Ending | None = None
+        self._retry: Backoff | None = None
+        self._failed_s = -math.inf
         self._samples: list[UsageSample] = []
         self._usage = attempt.state.usage
         self._placement = attempt.state.placement
@@ -85,6 +96,7 @@ class ActiveRun:
         self._cancelled_at_s = -math.inf
         self._is_cancel_failing = False
         self._are_inputs_counted = False
+        self._transfers: TransferStatus | None = None
         self._upload: ResultUpload | None = None
         self._thread = threading.Thread(target=self._run, name=f"run {attempt.key[:8]}", daemon=True)
 
@@ -177,19 +189,8 @@ class ActiveRun:
     def _run_to_end(self) -> None:
         is_detached = False
         try:
-            try:
-                if self._attempt.state.stage is not RunState.collecting:
-                    ending = self._run_job()
-                    self._attempt.change(
-                        stage=RunState.collecting, ending=ending, usage=self._usage, placement=self._placement
-                    )
-                with traces.span("upload results"):
-                    self._upload_results()
-            except OSError as error:
-                if error.errno not in _DISK_FULL_ERRORS:
-                    raise
-                _log.error("the run %s is ended, as the disk is full: %s", self.assignment.run_id, error)
-                self._report_disk_full()
+            while not self._is_completed():
+                pass
         except StopRequested as stopped:
             is_detached = stopped.request is StopRequest.detach
             if not is_detached:
@@ -198,8 +199,8 @@ class ActiveRun:
         except RunGone:
             _log.info("the run %s is not this runner's any more", self.assignment.run_id)
             self._context.statistics.count_end(None)
-        except (KleinkramError, OSError):
-            # Its lease ends, and the server decides what happens.
+        except KleinkramError:
+            # The server does not accept its report. It returns the run with the next claim, as a new attempt.
             self._context.statistics.count_end(None)
             _log.exception("the run %s is given up", self.assignment.run_id)
         finally:
@@ -215,6 +216,59 @@ class ActiveRun:
                     _log.warning("the folder of the run %s was not removed: %s", self.assignment.run_id, error)
                 finally:
                     self._on_end(self)
+
+    def _is_completed(self) -> bool:
+        """Take the steps that are not recorded as done; return whether the end of the run is reported.
+
+        After an error of the file system or of this program, they are to be taken again, as after a kill: the job goes
+        on meanwhile, and its results stay.
+        """
+        try:
+            self._take_steps()
+        except (StopRequested, KleinkramError):
+            raise
+        except Exception as error:
+            if isinstance(error, OSError) and error.errno in _DISK_FULL_ERRORS:
+                _log.error("the run %s is ended, as the disk is full: %s", self.assignment.run_id, error)
+                self._report_without_results(ResultUpload.without_disk_space)
+                return True
+            if self._wait_after(error):
+                return False
+            _log.exception("the run %s is ended, as its runner cannot complete it", self.assignment.run_id)
+            ending = Ending(
+                EndReason.lost, f"Its runner could not complete it, and tried for long: {_reason_of(error)}."
+            )
+            self._report_without_results(lambda upload: upload.plain(ending))
+        return True
+
+    def _take_steps(self) -> None:
+        if self._attempt.state.stage is not RunState.collecting:
+            self._is_submitted = self._attempt.state.stage is RunState.running
+            self._ending = self._ending or self._run_job()
+            self._attempt.change(
+                stage=RunState.collecting, ending=self._ending, usage=self._usage, placement=self._placement
+            )
+        with traces.span("upload results"):
+            self._upload_results()
+
+    def _wait_after(self, error: Exception) -> bool:
+        """Wait after an unexpected error; return whether to try again. Where a person cancels the run, do not."""
+        now_s = boot_time_s()
+        if self._retry is None or now_s - self._failed_s > _FORGET_FAILURES_S:
+            is_of_storage = isinstance(error, OSError) and error.errno not in _LASTING_ERRORS
+            self._retry = Backoff(_STORAGE_RETRY_S if is_of_storage else _ERROR_RETRY_S, self.stop.wait)
+            _log.warning("the run %s is tried again after an error", self.assignment.run_id, exc_info=error)
+        self._failed_s = now_s
+        self._upload = None
+        message = f"its runner tries again after an error: {_reason_of(error)}"
+        self._preparation = Progress(fraction=0, message=message[:_MAX_MESSAGE])
+        self._context.on_change()
+        try:
+            return self._retry.pause()
+        except StopRequested as stopped:
+            if stopped.request is not StopRequest.cancel:
+                raise
+            return False
 
     def _run_job(self) -> Ending:
         try:
@@ -266,7 +320,11 @@ class ActiveRun:
             raise StopRequested(StopRequest.abandon)
         job = self._job()
         self._executor.set_lease(job, self.lease.until_s, create=True)
-        self._executor.submit(job)
+        try:
+            self._executor.submit(job)
+        except OSError:  # it was not started, or is removed before the next try
+            self._attempt.change(stage=RunState.preparing, starts=self._attempt.state.starts - 1)
+            raise
         self._is_submitted = True
         self._attempt.change(started_s=boot_time_s())
 
@@ -316,7 +374,9 @@ class ActiveRun:
         """Return why a job has not started: its cluster has not started it, or its node downloads its inputs."""
         if (reason := self._executor.reason_waiting(job)) is not None:
             return reason
-        status = read_status(self._attempt.directory)
+        with contextlib.suppress(OSError):  # the shared file system is not available
+            self._transfers = read_status(self._attempt.directory)
+        status = self._transfers
         if status is not None and status.is_over and not self._are_inputs_counted:
             self._are_inputs_counted = True
             self._context.statistics.count_inputs("store", status.store_bytes)
@@ -391,15 +451,17 @@ class ActiveRun:
             progress=self._progress.progress,
         )
 
-    def _report_disk_full(self) -> None:
-        """Report the end: given up, the run would be started again, and meet the same."""
-        if self.stop.request is StopRequest.cancel:
+    def _report_without_results(self, finish_of: Callable[[ResultUpload], RunFinish]) -> None:
+        """Report the end of a run that cannot be completed: given up, it would be started again, and meet the same."""
+        is_cancelled = self.stop.request is StopRequest.cancel
+        if is_cancelled:
             self.stop.acknowledge()
         self.stop.check()
-        self._executor.remove(self._job())
+        with contextlib.suppress(OSError):  # it is removed again in the end
+            self._executor.remove(self._job())
         self._set_state(RunState.collecting)
         self._upload = upload = self._result_upload()
-        self._report(upload, upload.without_disk_space())
+        self._report(upload, upload.plain(Ending.of(CANCELLED)) if is_cancelled else finish_of(upload))
 
     def _report(self, upload: ResultUpload, finish: RunFinish) -> None:
         # With what further heartbeats would have reported.
@@ -416,3 +478,7 @@ class ActiveRun:
     def _set_state(self, state: RunState) -> None:
         self._state = state
         self._context.on_change()
+
+
+def _reason_of(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or repr(error)

@@ -82,7 +82,11 @@ def order_transfers(directory: Path, url: str, token_file: Path, cache: InputCac
 
 
 def read_status(directory: Path) -> TransferStatus | None:
-    """Return what the download of the inputs of a job does; None where its node moves no files."""
+    """Return what the download of the inputs of a job does; None where its node moves no files.
+
+    Raises:
+        OSError: the folder cannot be read at the moment.
+    """
     try:
         return TransferStatus.model_validate_json((directory / STATUS).read_bytes())
     except (FileNotFoundError, ValidationError):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import math
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,10 +15,11 @@ from kleinkram.client import _http
 from kleinkram.client.transfer import store
 from kleinkram.contract.errors import BodyTooLarge, FieldProblem, InvalidRequest, KleinkramError
 from kleinkram.contract.runners import LOG_PATH
-from kleinkram.contract.runs import EndReason, RunState
-from kleinkram.runner import results
+from kleinkram.contract.runs import EndReason, RunPlacement, RunState
+from kleinkram.runner import active_run, results
 from kleinkram.runner.active_run import ActiveRun
-from kleinkram.runner.executors.base import Executor
+from kleinkram.runner.executors.base import Ending, Executor, RunJob, StoredResults
+from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.state_directory import LEASE_MARGIN_S
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
@@ -317,3 +321,75 @@ def test_a_run_whose_report_is_refused_fails(
     assert finish.reason is reason
     assert finish.problems == [f"The server did not accept its report: {refusal}"]
     assert finish.message == finish.problems[0] or reason is EndReason.exit_code
+
+
+class WithFailures(ProcessExecutor):
+    """Fails with an error so many times, at one of its steps."""
+
+    def __init__(self, step: str, error: Exception, times: float) -> None:
+        super().__init__()
+        self.step, self.error, self.left = step, error, times
+
+    def fail(self, step: str) -> None:
+        if step == self.step and self.left > 0:
+            self.left -= 1
+            raise self.error
+
+    def submit(self, job: RunJob) -> None:
+        self.fail("submit")
+        super().submit(job)
+
+    def poll(self, job: RunJob) -> Ending | None:
+        self.fail("poll")
+        return super().poll(job)
+
+    def placement(self, job: RunJob) -> RunPlacement | None:
+        self.fail("placement")
+        return super().placement(job)
+
+    def collect(self, job: RunJob) -> Path:
+        self.fail("collect")
+        return super().collect(job)
+
+    def upload_results(self, job: RunJob, *arguments: Any, **options: Any) -> StoredResults | None:
+        self.fail("upload_results")
+        return super().upload_results(job, *arguments, **options)
+
+
+STALE = OSError(errno.ESTALE, "Stale file handle")
+
+
+@pytest.mark.parametrize("step", ["submit", "poll", "placement", "collect", "upload_results"])
+@pytest.mark.parametrize("error", [STALE, ValueError("a mistake")])
+def test_an_unexpected_error_neither_ends_a_job_nor_loses_its_results(
+    server: FakeServer, runners: Runners, step: str, error: Exception
+) -> None:
+    if step == "submit" and not isinstance(error, OSError):
+        return  # it may have been started: what `poll` says counts
+    executor = WithFailures(step, error, 2)
+    runners.start(executor)
+    run = server.launch("import uuid\nfrom kleinkram.action import out\n(out / uuid.uuid4().hex).write_text('x')")
+    assert [finish.reason for finish in ended(run).finishes] == [EndReason.done]
+    assert (run.attempt, [*run.artifacts.values()], executor.left) == (1, [b"x"], 0)
+
+
+def test_a_run_whose_results_stay_unreadable_is_reported_once(
+    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(active_run, "_STORAGE_RETRY_S", 1.0)
+    runners.start(WithFailures("collect", STALE, math.inf))
+    run = server.launch("print('began')")
+    (finish,) = ended(run).finishes
+    assert (finish.reason, run.attempt) == (EndReason.lost, 1)
+    assert finish.message == "Its runner could not complete it, and tried for long: Stale file handle."
+    assert "its runner tries again after an error: Stale file handle" in {entry.message for entry in run.progress}
+    wait_until(lambda: not [*runners.folder.glob("runs/*")])
+
+
+def test_a_run_that_meets_errors_is_cancelled(server: FakeServer, runners: Runners) -> None:
+    runners.start(WithFailures("collect", STALE, math.inf))
+    run = server.launch("print('began')")
+    wait_until(lambda: run.progress)
+    run.is_cancelled = True
+    (finish,) = ended(run).finishes
+    assert (finish.reason, run.attempt, run.artifacts) == (EndReason.cancelled, 1, {})

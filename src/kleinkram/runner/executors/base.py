@@ -216,7 +216,7 @@ class Executor(ABC):
 
     @abstractmethod
     def usage(self, job: RunJob) -> Usage | None:
-        """Return the last known usage of a job."""
+        """Return the last known usage of a job; None where nothing is known, or nothing new."""
 
     @abstractmethod
     def collect(self, job: RunJob) -> Path:

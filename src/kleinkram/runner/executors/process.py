@@ -192,10 +192,10 @@ class ProcessExecutor(LocalExecutor):
         self._signal(job, signal.SIGTERM)
 
     def usage(self, job: RunJob) -> Usage | None:
-        """Return the usage that the supervisor wrote last."""
+        """Return the usage that the supervisor wrote last; None where it cannot be read at the moment, either."""
         try:
             return Usage(**json.loads((job.directory / USAGE).read_text()))
-        except FileNotFoundError:
+        except (OSError, ValueError):
             return None
 
     def remove(self, job: RunJob) -> None:
