@@ -356,6 +356,7 @@ class ActiveRun:
         sampled_s = -math.inf
         while (ending := wait_for_end(self._executor, job, _CHECK_EVERY_S)) is None:
             self._check_stop()
+            self._show_waiting(self._reason_waiting(job))
             self._progress.read()
             if boot_time_s() - sampled_s >= _SAMPLE_EVERY_S:
                 sampled_s = boot_time_s()
@@ -388,10 +389,15 @@ class ActiveRun:
         while (reason := self._reason_waiting(job)) is not None and self._executor.poll(job) is None:
             self._check_stop()
             self._placement = self._executor.placement(job)
-            if self._preparation is None or self._preparation.message != reason:
-                self._preparation = Progress(fraction=0, message=reason)
-                self._context.on_change()
+            self._show_waiting(reason)
             time.sleep(_CHECK_EVERY_S)
+
+    def _show_waiting(self, reason: str | None) -> None:
+        """Show why a job waits, for the first time or once more: a cluster may start it again."""
+        shown = Progress(fraction=0, message=reason[:_MAX_MESSAGE]) if reason is not None else None
+        if shown != self._preparation:
+            self._preparation = shown
+            self._context.on_change()
 
     def _check_stop(self) -> None:
         """Raise on a stop request; a cancelled job ends by itself."""

@@ -1,4 +1,4 @@
-"""`python -m kleinkram.runner.node_transfers fetch|upload DIRECTORY`: the transfers of one job, on its compute node.
+"""`python -m kleinkram.runner.node_transfers fetch|upload DIRECTORY [START]`: the transfers of one job, on its node.
 
 `fetch` downloads the inputs that the shared cache lacks and links all of them into `DIRECTORY/in`; the URLs are signed
 now, however long the job waited. `upload` uploads log and artifacts, and leaves in `finish.json` what the runner is to
@@ -26,8 +26,8 @@ from kleinkram.contract.runs import EndReason
 from kleinkram.runner.arguments import find_token
 from kleinkram.runner.executors import linux_syscalls
 from kleinkram.runner.executors.base import CannotStart, Ending
-from kleinkram.runner.executors.supervision import ENDING, read_log_of, write_atomically
-from kleinkram.runner.executors.transfer_steps import FINISH, ORDER, STATUS
+from kleinkram.runner.executors.supervision import ending_file, read_log_of, write_atomically
+from kleinkram.runner.executors.transfer_steps import ORDER, STATUS, finish_file
 from kleinkram.runner.input_cache import InputCache, place_inputs
 from kleinkram.runner.inputs import InputDownload, fetch_inputs, input_files, make_readable, repeat_while_unavailable
 from kleinkram.runner.logs import Redactor
@@ -145,9 +145,9 @@ class NodeTransfers:
         )
         write_status(self._directory, status)
 
-    def upload(self) -> None:
-        """Upload the results of the job, whose ending is recorded."""
-        values = json.loads((self._directory / ENDING).read_text())
+    def upload(self, start: str = "") -> None:
+        """Upload the results of the job, whose ending is recorded; `start` is the token of its start, if it has one."""
+        values = json.loads(ending_file(self._directory, start).read_text())
         ending = Ending(EndReason(values["reason"]), values["message"], values["exit_code"])
         progress = ProgressReader(self._directory / "out")
         progress.read()
@@ -169,7 +169,7 @@ class NodeTransfers:
         if finish.reason is EndReason.results_not_stored:
             # The runner tries for days; a node is too precious.
             raise _NotStored(finish.message)
-        write_atomically(self._directory / FINISH, finish.model_dump_json())
+        write_atomically(finish_file(self._directory, start), finish.model_dump_json())
 
     def _show(self, message: str, _: float) -> None:
         if message != self._shown:
@@ -203,7 +203,7 @@ def main() -> None:
         if step == "fetch":
             transfers.fetch()
         else:
-            transfers.upload()
+            transfers.upload(*sys.argv[3:4])
         code = 0
     except (CannotStart, StopRequested, KleinkramError, OSError, _NotStored) as error:
         ending = error.ending if isinstance(error, CannotStart) else _ending_of(error)

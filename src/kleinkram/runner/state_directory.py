@@ -41,6 +41,7 @@ LOG_UPLOAD = "log-upload.json"
 _STATE = "state.json"
 # What stays when an attempt is started again: its log may be stored already.
 _PRESERVED = {_STATE, LOG, LOG_UPLOAD}
+_PRIVATE = ("runs", "cache", "environments", "images")
 _LAST_HEARTBEAT = "last-heartbeat"
 # A run is stopped this long before its lease ends, so that two runners never run it at once.
 LEASE_MARGIN_S = 10.0
@@ -53,7 +54,8 @@ class StateDirectory:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.runs = path / "runs"
-        self.runs.mkdir(mode=0o711, exist_ok=True)
+        for name in _PRIVATE:
+            _make_private(path / name)
         id_file = path / "id"
         if not id_file.exists():
             write_atomically(id_file, str(uuid.uuid4()))
@@ -65,7 +67,7 @@ class StateDirectory:
     def create_attempt(self, assignment: RunAssignment) -> "Attempt":
         """Create the directory of a new attempt."""
         directory = self.runs / f"{assignment.run_id}-{assignment.attempt}"
-        directory.mkdir(mode=0o711, parents=True, exist_ok=True)
+        directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         attempt = Attempt(directory, AttemptState(assignment=assignment))
         attempt.change()
         return attempt
@@ -91,6 +93,17 @@ class StateDirectory:
             if boot_id == _boot_id():
                 return float(at_s)
         return 0.0
+
+
+def _make_private(directory: Path) -> None:
+    """Create a folder that only its user can look into, wherever it is: it has inputs and results."""
+    try:
+        directory.mkdir(mode=0o700, exist_ok=True)
+        if directory.stat().st_mode & 0o077:
+            directory.chmod(0o700)
+    except OSError as error:
+        reason = f"it cannot be kept from other users: {error.strerror or error}"
+        raise InvalidInput(what=f"The folder {directory}", reason=reason) from error
 
 
 @contextlib.contextmanager

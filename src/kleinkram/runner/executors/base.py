@@ -19,7 +19,7 @@ from kleinkram.contract.runs import EndReason, RunPlacement, Usage
 from kleinkram.environments.cache import Environment, Show
 from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors.port_forward import PortForward
-from kleinkram.runner.executors.transfer_steps import FINISH
+from kleinkram.runner.executors.transfer_steps import finish_file
 from kleinkram.runner.input_cache import InputCache, InputFile, InputSource
 
 _POLL_EVERY_S = 0.25
@@ -244,10 +244,10 @@ class Executor(ABC):
         """End its threads; jobs go on."""
 
 
-def read_finish(directory: Path, attempt: int) -> RunFinish | None:
+def read_finish(directory: Path, attempt: int, start: str = "") -> RunFinish | None:
     """Return what the node of an attempt leaves to report; None where it has not uploaded all results."""
     try:
-        finish = RunFinish.model_validate_json((directory / FINISH).read_bytes())
+        finish = RunFinish.model_validate_json(finish_file(directory, start).read_bytes())
     except (FileNotFoundError, ValidationError):
         return None
     return finish if finish.attempt == attempt else None

@@ -24,7 +24,7 @@ _RESERVED_BYTES = 4096
 
 CANCELLED = ("cancelled", "It was cancelled.")
 DISK_FULL = ("disk", "The disk of its runner is full. Run it again once there is space.")
-LEASE_EXPIRED = ("lost", "Its runner lost the connection to the server for too long; another runner may run it again.")
+LEASE_EXPIRED = ("lost", "It had no news from its runner for too long. Run it again with klein run retry.")
 
 
 class JobLimits(NamedTuple):
@@ -187,6 +187,11 @@ def write_atomically(path: Path, text: str) -> None:
     temporary.replace(path)
 
 
+def ending_file(directory: Path, start: str = "") -> Path:
+    """Return where the ending of a job is, whose directory is used by several starts: of one of them, by its token."""
+    return directory / (f"ending-{start}.json" if start else ENDING)
+
+
 def reserve(path: Path) -> None:
     """Reserve disk space for a later `write_atomically`.
 
@@ -197,6 +202,15 @@ def reserve(path: Path) -> None:
         stream.write(bytes(_RESERVED_BYTES))
         stream.flush()
         os.fsync(stream.fileno())
+
+
+def move_reserved(source: Path, target: Path) -> None:
+    """Have the space that was reserved for a file be that of another; reserve it where it is gone, if there is some."""
+    with contextlib.suppress(OSError):
+        try:
+            _temporary(source).rename(_temporary(target))
+        except FileNotFoundError:
+            reserve(target)
 
 
 def _temporary(path: Path) -> Path:

@@ -21,13 +21,7 @@ from kleinkram.runner.executors.base import Ending, RunJob, StoredResults, read_
 from kleinkram.runner.executors.gpus import Gpu
 from kleinkram.runner.executors.local import Machine, cannot_start
 from kleinkram.runner.executors.process import ProcessExecutor
-from kleinkram.runner.executors.slurm.commands import (
-    JobAccount,
-    QueueEntry,
-    SlurmRefused,
-    SlurmUnavailable,
-    task_name,
-)
+from kleinkram.runner.executors.slurm.commands import QueueEntry, SlurmRefused, task_name
 from kleinkram.runner.executors.slurm.options import sbatch_options
 from kleinkram.runner.executors.slurm.probe import SlurmSite
 from kleinkram.runner.executors.slurm.queue_monitor import QueueMonitor
@@ -50,8 +44,8 @@ from kleinkram.runner.executors.slurm.states import (
     waiting_sentence,
 )
 from kleinkram.runner.executors.slurm.submissions import JobBatches, SubmittedJob, Submitter
-from kleinkram.runner.executors.supervision import CANCELLED, ENDING, GRACE_S, boot_time_s
-from kleinkram.runner.executors.transfer_steps import FINISH
+from kleinkram.runner.executors.supervision import CANCELLED, GRACE_S, LEASE_EXPIRED, boot_time_s, ending_file
+from kleinkram.runner.executors.transfer_steps import finish_file
 from kleinkram.runner.images.store import ImageStore
 from kleinkram.runner.input_cache import InputCache
 
@@ -90,7 +84,6 @@ class SlurmExecutor(ProcessExecutor):
     ) -> None:
         super().__init__(machine, environments, images)
         self._site = site
-        self._commands = site.commands
         self._options = site.options
         self._is_isolated = self._apptainer is None and site.node.is_isolated
         self._python = site.options.python or sys.executable
@@ -125,8 +118,9 @@ class SlurmExecutor(ProcessExecutor):
         return self._required_machine().cache if self._options.transfers_on_nodes else None
 
     def free(self, reserved: Capacity, job_count: int) -> Capacity | None:
-        """Return what a job may have: Slurm has the queue, whose length is bounded."""
-        return self.capacity if job_count < self._options.max_jobs else None
+        """Return what a job may have: Slurm has the queue, whose length is bounded. None while Slurm refuses all."""
+        has_room = job_count < self._options.max_jobs and not self._submitter.is_refused
+        return self.capacity if has_room else None
 
     def max_claimed(self, job_count: int) -> int:
         """Return how many jobs may still be submitted."""
@@ -169,7 +163,9 @@ class SlurmExecutor(ProcessExecutor):
         self._use_image(job)
         if submitted.ending is None:
             self._update(job, submitted)
-            submitted.ending = self._own_ending(job, submitted) or self._judge(job, submitted)
+            submitted.ending = self._without_lost_lease(
+                job, submitted, self._own_ending(job, submitted) or self._judge(job, submitted)
+            )
             if submitted.ending is None:
                 return None
             submitted.ended_s = boot_time_s()
@@ -184,10 +180,19 @@ class SlurmExecutor(ProcessExecutor):
     def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait) -> StoredResults | None:
         """Wait while the node of an ended job uploads its results; None if it did not, or is not to."""
         submitted = self._find(job) if self._options.transfers_on_nodes else None
-        while submitted is not None and self._is_uploading(job, submitted):
+        if submitted is None:
+            return None
+        submitted.start = submitted.start or read_start(job.directory)
+        while self._is_uploading(job, submitted):
             wait(_CHECK_UPLOAD_EVERY_S)
-        finish = read_finish(job.directory, plain.attempt) if submitted is not None else None
-        return StoredResults(finish, has_log=True) if finish is not None else None
+        if submitted.start is None:
+            return None
+        finish = read_finish(job.directory, plain.attempt, submitted.start.token)
+        if finish is None:
+            return None
+        if plain.reason is not EndReason.done:  # Slurm may know more than the node, such as that memory ran out
+            finish = finish.model_copy(update={"reason": plain.reason, "message": plain.message})
+        return StoredResults(finish, has_log=True)
 
     def _is_uploading(self, job: RunJob, submitted: SubmittedJob) -> bool:
         """Whether the node of an ended job still uploads its results, or Slurm does not say."""
@@ -198,16 +203,23 @@ class SlurmExecutor(ProcessExecutor):
         entry = snapshot.entries.get(submitted.submission.name)
         is_running = not is_known or (entry is not None and phase_of(entry.state) is Phase.running)
         refresh(job.directory)
-        if is_running and not (job.directory / FINISH).exists():
+        if is_running and not self._has_uploaded(job, submitted):
             return True
         if self._site.settings.has_accounting and not self._is_accounted(submitted):
             return True
         self._queue.forget(submitted.submission.name)
         return False
 
+    @staticmethod
+    def _has_uploaded(job: RunJob, submitted: SubmittedJob) -> bool:
+        return submitted.start is not None and finish_file(job.directory, submitted.start.token).exists()
+
     def reason_waiting(self, job: RunJob) -> str | None:
         """Return why a job is not running yet."""
-        submitted = self._find(job)
+        try:
+            submitted = self._find(job)
+        except OSError as error:
+            return f"waits for the shared file system: {error.strerror or error}"
         if submitted is None or submitted.ending is not None:
             return None
         self._update(job, submitted)
@@ -219,7 +231,10 @@ class SlurmExecutor(ProcessExecutor):
 
     def placement(self, job: RunJob) -> RunPlacement | None:
         """Return the job in Slurm, its node and devices, and what the accounting has."""
-        submitted = self._find(job)
+        try:
+            submitted = self._find(job)
+        except OSError:  # the shared file system is not available
+            return None
         if submitted is None:
             return None
         self._update(job, submitted)
@@ -262,7 +277,7 @@ class SlurmExecutor(ProcessExecutor):
         (job.directory / SUBMISSION).unlink(missing_ok=True)
         super().remove(job)
         name = submitted.submission.name
-        if submitted.ending is None or (self._options.transfers_on_nodes and not (job.directory / FINISH).exists()):
+        if submitted.ending is None or (self._options.transfers_on_nodes and not self._has_uploaded(job, submitted)):
             self._queue.kill(name)
             self._queue.wait_until_gone(name, _REMOVE_S)
         self._queue.forget(name)
@@ -362,12 +377,16 @@ class SlurmExecutor(ProcessExecutor):
         if submitted.settled_at_s is not None:
             refresh(job.directory)
         try:
-            values = json.loads((job.directory / ENDING).read_text())
+            start = read_start(job.directory)
+            if start is None:
+                return None
+            values = json.loads(ending_file(job.directory, start.token).read_text())
         except FileNotFoundError:
             return None
         except OSError:  # the shared file system is not available
             submitted.settled_at_s = None
             return None
+        submitted.start = start
         refresh(job.directory / "out")
         ending = Ending(EndReason(values["reason"]), values["message"], values["exit_code"])
         if ending.exit_code == _KILLED and self._is_out_of_memory(submitted):
@@ -400,10 +419,23 @@ class SlurmExecutor(ProcessExecutor):
             return Ending.of(CANCELLED)
         if submitted.settled_at_s is None:
             submitted.settled_at_s = boot_time_s() + _SETTLED_S
+            self._ask_account(submitted)
         if snapshot.queried_s < submitted.settled_at_s:
             return None
         submitted.read_at_s = 0.0
         return self._own_ending(job, submitted) or self._end_or_submit_again(job, submitted, entry)
+
+    def _without_lost_lease(self, job: RunJob, submitted: SubmittedJob, ending: Ending | None) -> Ending | None:
+        """Submit a job again of which only its node saw the lease expire, as when the file system hung there."""
+        start = submitted.start
+        is_lost = ending is not None and ending.message == LEASE_EXPIRED[1]
+        if not is_lost or start is None or submitted.submission.number >= _MAX_SUBMISSIONS:
+            return ending
+        try:
+            ending_file(job.directory, start.token).unlink(missing_ok=True)
+        except OSError:
+            return None
+        return self._submit_again(job, submitted)
 
     def _end_or_submit_again(self, job: RunJob, submitted: SubmittedJob, entry: QueueEntry | None) -> Ending | None:
         ending = self._ending_by_state(submitted, entry)
@@ -416,10 +448,9 @@ class SlurmExecutor(ProcessExecutor):
         node = submitted.start.node if submitted.start is not None else ""
         if entry is not None:
             return ending_of(entry.state, entry.reason, job_id, entry.node or node)
-        if self._site.settings.has_accounting:
-            with contextlib.suppress(SlurmUnavailable, SlurmRefused):
-                if (account := self._account_of(submitted)) is not None:
-                    return ending_of(account.state, "None", job_id, node)
+        self._ask_account(submitted)
+        if submitted.account is not None:
+            return ending_of(submitted.account.state, "None", job_id, node)
         return Ending(EndReason.lost, f"Slurm does not know its job {job_id} any more.")
 
     def _submit_again(self, job: RunJob, submitted: SubmittedJob) -> Ending | None:
@@ -427,11 +458,15 @@ class SlurmExecutor(ProcessExecutor):
         previous = submitted.submission
         # A submission that Slurm did not get does not count.
         known = int(bool(previous.job_id))
-        self._queue.forget(previous.name)
         name = self._submitter.new_name(job.key)
-        submitted.submission = Submission(name, number=previous.number + known)
-        submitted.settled_at_s, submitted.entry, submitted.start = None, None, None
-        write_submission(job.directory, submitted.submission)
+        submission = Submission(name, number=previous.number + known)
+        try:
+            write_submission(job.directory, submission)
+        except OSError:  # the shared file system is not available
+            return None
+        self._queue.forget(previous.name)
+        submitted.submission = submission
+        submitted.settled_at_s, submitted.entry, submitted.start, submitted.account = None, None, None, None
         self._queue.watch(name)
         try:
             options = sbatch_options(self._options, job.resources, job.cluster)
@@ -476,13 +511,12 @@ class SlurmExecutor(ProcessExecutor):
         """Whether the accounting has an ended job, or has had the time to."""
         if submitted.account is None and submitted.submission.job_id:
             self._queue.wait_until_gone(submitted.submission.name, _NOT_ACCOUNTED_S)
-            with contextlib.suppress(SlurmUnavailable, SlurmRefused):
-                submitted.account = self._account_of(submitted)
+            self._ask_account(submitted)
         waited_s = boot_time_s() - (submitted.ended_s or 0.0)
         return submitted.account is not None or waited_s > _NOT_ACCOUNTED_S
 
-    def _account_of(self, submitted: SubmittedJob) -> JobAccount | None:
-        """Return what the accounting has about a job, not about another one that had its id."""
+    def _ask_account(self, submitted: SubmittedJob) -> None:
+        """Take over what the accounting has about a job, or have it asked."""
         job_id = submitted.submission.job_id
-        account = self._commands.accounts([job_id]).get(job_id)
-        return account if account is not None and account.name == submitted.submission.name else None
+        if self._site.settings.has_accounting and job_id and submitted.account is None:
+            submitted.account = self._queue.account(submitted.submission.name, job_id)
