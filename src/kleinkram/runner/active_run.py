@@ -10,9 +10,11 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from typing import TypeVar
 
 from kleinkram import traces
-from kleinkram.contract.errors import KleinkramError, RunGone
+from kleinkram.client._http import Backoff
+from kleinkram.contract.errors import RunGone
 from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.reports import Progress
 from kleinkram.contract.runners import Heartbeat, HeartbeatReply, LeaseStatus, RunAssignment, RunFinish
@@ -43,6 +45,10 @@ _MAX_SAMPLES = 100
 # A run that crashes its machine each time is not started for ever.
 _MAX_STARTS = 3
 _CANCEL_EVERY_S = 1.0
+# Results stay on the runner while an unexpected error lasts; by then, an administrator has seen it.
+_KEEP_RESULTS_S = 7 * 86400.0
+_RETRY_PREPARATION_S = 60.0
+_T = TypeVar("_T")
 
 
 class ActiveRun:
@@ -186,7 +192,7 @@ class ActiveRun:
                 with traces.span("upload results"):
                     self._upload_results()
             except OSError as error:
-                if error.errno not in _DISK_FULL_ERRORS:
+                if not _is_disk_full(error):
                     raise
                 _log.error("the run %s is ended, as the disk is full: %s", self.assignment.run_id, error)
                 self._report_disk_full()
@@ -198,8 +204,8 @@ class ActiveRun:
         except RunGone:
             _log.info("the run %s is not this runner's any more", self.assignment.run_id)
             self._context.statistics.count_end(None)
-        except (KleinkramError, OSError):
-            # Its lease ends, and the server decides what happens.
+        except Exception:
+            # It was repeated for long. The server decides what happens to the run.
             self._context.statistics.count_end(None)
             _log.exception("the run %s is given up", self.assignment.run_id)
         finally:
@@ -211,25 +217,49 @@ class ActiveRun:
                     self._executor.remove(self._job())
                     self._release_environment()
                     remove_tree(self._attempt.directory)
-                except OSError as error:
+                except Exception as error:
                     _log.warning("the folder of the run %s was not removed: %s", self.assignment.run_id, error)
                 finally:
                     self._on_end(self)
 
+    def _repeat(self, step: Callable[[], _T], *expected: type[Exception]) -> _T:
+        """Repeat a step after an unexpected error: to give up the run would delete its results.
+
+        Raises:
+            StopRequested, RunGone: the step raised it; `expected`, too.
+            Exception: the error goes on for a week; where nothing has run yet, for a minute.
+        """
+        passed_on: tuple[type[Exception], ...] = (StopRequested, RunGone, *expected)
+        backoff: Backoff | None = None
+        logged = ""
+        while True:
+            try:
+                return step()
+            except passed_on:  # noqa: PERF203  each round takes seconds
+                raise
+            except Exception as error:
+                if _is_disk_full(error):
+                    raise
+                if str(error) != logged:
+                    logged = str(error)
+                    _log.exception("an error of the runner stops the run %s; trying again", self.assignment.run_id)
+                has_results = self._attempt.state.stage is not RunState.preparing
+                backoff = backoff or Backoff(_KEEP_RESULTS_S if has_results else _RETRY_PREPARATION_S, self.stop.wait)
+                self._show_error(error)
+                if not backoff.pause():
+                    raise
+
+    def _show_error(self, error: Exception) -> None:
+        message = f"an error of its runner, which tries again: {type(error).__name__} (see its log)"
+        if self._upload is not None:
+            self._upload.progress = Progress(fraction=1, message=message)
+        else:
+            self._preparation = Progress(fraction=0, message=message)
+        self._context.on_change()
+
     def _run_job(self) -> Ending:
         try:
-            if self._is_submitted:  # an earlier runner submitted the job, or was about to
-                ending = self._executor.poll(self._job())
-                is_lost = ending is not None and ending.reason is EndReason.lost
-                if is_lost and self._attempt.state.starts < _MAX_STARTS:
-                    self._is_submitted = False
-                elif ending is not None:
-                    return ending
-            if not self._is_submitted:
-                with traces.span("prepare"):
-                    self._prepare_and_submit()
-            with traces.span("execute"):
-                return self._watch()
+            return self._repeat(self._start_and_watch, CannotStart)
         except CannotStart as error:
             # Whatever was starting may have been killed for a stop request.
             self._check_stop()
@@ -239,6 +269,25 @@ class ActiveRun:
                 raise
             self.stop.acknowledge()
             return Ending.of(CANCELLED)
+
+    def _start_and_watch(self) -> Ending:
+        # True of a job that was submitted by an earlier runner or before an error, and of one that was about to be.
+        self._is_submitted = self._attempt.state.stage is RunState.running
+        if self._is_submitted and not self._executor.was_submitted(self._job(), self.stop.wait):
+            self._attempt.change(starts=max(0, self._attempt.state.starts - 1))
+            self._is_submitted = False
+        if self._is_submitted:
+            ending = self._executor.poll(self._job())
+            is_lost = ending is not None and ending.reason is EndReason.lost
+            if is_lost and self._attempt.state.starts < _MAX_STARTS:
+                self._is_submitted = False
+            elif ending is not None:
+                return ending
+        if not self._is_submitted:
+            with traces.span("prepare"):
+                self._prepare_and_submit()
+        with traces.span("execute"):
+            return self._watch()
 
     def _prepare_and_submit(self) -> None:
         while not self._is_confirmed.is_set():
@@ -353,7 +402,7 @@ class ActiveRun:
         ending = self._attempt.state.ending or Ending(EndReason.lost, "How it ended was not recorded.")
         self._upload = upload = self._result_upload()
         try:
-            self._report(upload, self._stored_results(upload, ending) or upload.upload(ending))
+            self._repeat(lambda: self._report(upload, self._stored_results(upload, ending) or upload.upload(ending)))
         except StopRequested as stopped:
             if stopped.request is not StopRequest.cancel:
                 raise
@@ -365,11 +414,10 @@ class ActiveRun:
         """Return what to report once the results are uploaded where the job ran; None if this runner is to do so."""
         job = self._job()
 
-        def wait(seconds: float) -> None:
-            upload.progress = Progress(fraction=1, message="the results are uploaded where the job ran")
-            self.stop.wait(seconds)
+        def show(message: str, _fraction: float) -> None:
+            upload.progress = Progress(fraction=1, message=message)
 
-        stored = self._executor.upload_results(job, upload.plain(ending), wait)
+        stored = self._executor.upload_results(job, upload.plain(ending), self.stop.wait, show)
         self._placement = self._executor.placement(job) or self._placement
         if stored is None or stored.has_log:
             return stored and stored.finish
@@ -416,3 +464,7 @@ class ActiveRun:
     def _set_state(self, state: RunState) -> None:
         self._state = state
         self._context.on_change()
+
+
+def _is_disk_full(error: Exception) -> bool:
+    return isinstance(error, OSError) and error.errno in _DISK_FULL_ERRORS

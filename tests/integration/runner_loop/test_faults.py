@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,8 @@ from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner import results
 from kleinkram.runner.active_run import ActiveRun
-from kleinkram.runner.executors.base import Executor
+from kleinkram.runner.executors.base import CannotStart, Ending, Executor
+from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.state_directory import LEASE_MARGIN_S
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
@@ -317,3 +319,61 @@ def test_a_run_whose_report_is_refused_fails(
     assert finish.reason is reason
     assert finish.problems == [f"The server did not accept its report: {refusal}"]
     assert finish.message == finish.problems[0] or reason is EndReason.exit_code
+
+
+class FailingOnce:
+    """A method of an executor that fails at its first call after some."""
+
+    def __init__(self, method: Callable[..., object], error: Exception, after: int) -> None:
+        self._method = method
+        self._error = error
+        self.left = after
+
+    def __call__(self, *arguments: object, **options: object) -> object:
+        self.left -= 1
+        if self.left == -1:
+            raise self._error
+        return self._method(*arguments, **options)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("method", "error", "after"),
+    [
+        ("place_inputs", RuntimeError("unexpected"), 0),
+        ("submit", ValueError("unexpected"), 0),
+        ("poll", RuntimeError("unexpected"), 5),
+        ("collect", PermissionError(13, "Permission denied"), 0),
+        ("upload_results", CannotStart(Ending(EndReason.image_unavailable, "unexpected")), 0),
+        ("upload_results", KeyError("unexpected"), 0),
+    ],
+)
+def test_an_unexpected_error_of_the_runner_costs_no_results(
+    server: FakeServer, runners: Runners, method: str, error: Exception, after: int
+) -> None:
+    executor = ProcessExecutor()
+    failing = FailingOnce(getattr(executor, method), error, after)
+    setattr(executor, method, failing)
+    runners.start(executor)
+    run = server.launch(SHORT)
+    (finish,) = ended(run).finishes
+    assert (finish.reason, run.attempt, run.artifacts) == (EndReason.done, 1, {"x": b"x", LOG_PATH: b"began\n"})
+    assert failing.left <= -1
+    wait_until(lambda: not [*runners.folder.glob("runs/*")])
+
+
+@pytest.mark.slow
+def test_a_run_whose_results_cannot_be_read_is_shown_and_cancelled(
+    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def collect(_executor: object, _job: object) -> Path:
+        raise RuntimeError("unexpected")
+
+    monkeypatch.setattr(ProcessExecutor, "collect", collect)
+    runners.start()
+    run = server.launch("print('x')")
+    wait_until(lambda: any("an error of its runner" in (it.message or "") for it in run.progress))
+    assert [*runners.folder.glob("runs/*/state.json")]
+    run.is_cancelled = True
+    assert ended(run).finishes[0].reason is EndReason.cancelled
+    wait_until(lambda: not [*runners.folder.glob("runs/*")])

@@ -15,9 +15,9 @@ from collections.abc import Collection, Mapping, Sequence
 
 from kleinkram.contract.runners import MAX_LEASE_S, Capacity, ExecutorAbilities, RunFinish
 from kleinkram.contract.runs import EndReason, RunPlacement
-from kleinkram.environments.cache import EnvironmentCache
+from kleinkram.environments.cache import EnvironmentCache, Show
 from kleinkram.environments.uv import Wait
-from kleinkram.runner.executors.base import Ending, RunJob, StoredResults, read_finish
+from kleinkram.runner.executors.base import UPLOADING, Ending, RunJob, StoredResults, read_finish
 from kleinkram.runner.executors.gpus import Gpu
 from kleinkram.runner.executors.local import Machine, cannot_start
 from kleinkram.runner.executors.process import ProcessExecutor
@@ -181,10 +181,11 @@ class SlurmExecutor(ProcessExecutor):
         self._queue.forget(submitted.submission.name)
         return submitted.ending
 
-    def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait) -> StoredResults | None:
+    def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait, show: Show) -> StoredResults | None:
         """Wait while the node of an ended job uploads its results; None if it did not, or is not to."""
         submitted = self._find(job) if self._options.transfers_on_nodes else None
         while submitted is not None and self._is_uploading(job, submitted):
+            show(UPLOADING, 1.0)
             wait(_CHECK_UPLOAD_EVERY_S)
         finish = read_finish(job.directory, plain.attempt) if submitted is not None else None
         return StoredResults(finish, has_log=True) if finish is not None else None
