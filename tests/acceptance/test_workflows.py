@@ -104,8 +104,7 @@ def test_a_job_array_of_slurm_finds_the_same(
     try:
         run(job_array, robot | slurm.environment, tmp_path)
     finally:
-        for output in tmp_path.glob("slurm-*.out"):
-            print(output.read_text())
+        sys.stderr.write("".join(path.read_text() for path in tmp_path.glob("slurm-*.out")))
     assert len(recorded(lab, "imu-gaps")) == 2
     check_lineage(lab, "day-2")
 

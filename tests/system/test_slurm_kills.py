@@ -51,7 +51,8 @@ def run_under_fire(
 ) -> None:
     """Have runs done while parts are killed; check that each was done, with the results of exactly one start.
 
-    The runs last for so many tenths of a second; each part is killed at least once. A part is away for up to `pause_s`, and all of them work as long at most before the next is killed.
+    The runs last for so many tenths of a second. Each part is killed at least once, and away for up to `pause_s`; all
+    of them work as long at most before the next is killed.
     """
     ids = [run_id for _ in range(count // MISSIONS) for run_id in lab.launch(stepwise(lab, chance.choice(steps)))]
     kills = dict.fromkeys(_PARTS, 0)

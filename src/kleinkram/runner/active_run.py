@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from kleinkram import traces
 from kleinkram.client._http import Backoff
-from kleinkram.contract.errors import KleinkramError, RunGone
+from kleinkram.contract.errors import RunGone
 from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.reports import Progress
 from kleinkram.contract.runners import Heartbeat, HeartbeatReply, LeaseStatus, RunAssignment, RunFinish
@@ -44,7 +44,9 @@ _MAX_SAMPLES = 100
 # A run that crashes its machine each time is not started for ever.
 _MAX_STARTS = 3
 _CANCEL_EVERY_S = 1.0
-# How long to try again after errors: of a file system that may come back, and of others.
+# How long to try again after errors: with results, by when an administrator has seen them; before, after those of a
+# file system that may come back, and after others.
+_KEEP_RESULTS_S = 7 * 86400.0
 _STORAGE_RETRY_S = 86400.0
 _ERROR_RETRY_S = 300.0
 _LASTING_ERRORS = frozenset({errno.ENOENT, errno.ENOTDIR})
@@ -199,8 +201,8 @@ class ActiveRun:
         except RunGone:
             _log.info("the run %s is not this runner's any more", self.assignment.run_id)
             self._context.statistics.count_end(None)
-        except KleinkramError:
-            # The server does not accept its report. It returns the run with the next claim, as a new attempt.
+        except Exception:
+            # Not even the end could be reported. The server returns the run with the next claim, as a new attempt.
             self._context.statistics.count_end(None)
             _log.exception("the run %s is given up", self.assignment.run_id)
         finally:
@@ -212,7 +214,7 @@ class ActiveRun:
                     self._executor.remove(self._job())
                     self._release_environment()
                     remove_tree(self._attempt.directory)
-                except OSError as error:
+                except Exception as error:
                     _log.warning("the folder of the run %s was not removed: %s", self.assignment.run_id, error)
                 finally:
                     self._on_end(self)
@@ -225,7 +227,7 @@ class ActiveRun:
         """
         try:
             self._take_steps()
-        except (StopRequested, KleinkramError):
+        except (StopRequested, RunGone):
             raise
         except Exception as error:
             if isinstance(error, OSError) and error.errno in _DISK_FULL_ERRORS:
@@ -243,7 +245,6 @@ class ActiveRun:
 
     def _take_steps(self) -> None:
         if self._attempt.state.stage is not RunState.collecting:
-            self._is_submitted = self._attempt.state.stage is RunState.running
             self._ending = self._ending or self._run_job()
             self._attempt.change(
                 stage=RunState.collecting, ending=self._ending, usage=self._usage, placement=self._placement
@@ -255,12 +256,11 @@ class ActiveRun:
         """Wait after an unexpected error; return whether to try again. Where a person cancels the run, do not."""
         now_s = boot_time_s()
         if self._retry is None or now_s - self._failed_s > _FORGET_FAILURES_S:
-            is_of_storage = isinstance(error, OSError) and error.errno not in _LASTING_ERRORS
-            self._retry = Backoff(_STORAGE_RETRY_S if is_of_storage else _ERROR_RETRY_S, self.stop.wait)
+            self._retry = Backoff(self._patience_s(error), self.stop.wait)
             _log.warning("the run %s is tried again after an error", self.assignment.run_id, exc_info=error)
         self._failed_s = now_s
         self._upload = None
-        message = f"its runner tries again after an error: {_reason_of(error)}"
+        message = f"an error of its runner, which tries again: {_reason_of(error)}"
         self._preparation = Progress(fraction=0, message=message[:_MAX_MESSAGE])
         self._context.on_change()
         try:
@@ -270,9 +270,20 @@ class ActiveRun:
                 raise
             return False
 
+    def _patience_s(self, error: Exception) -> float:
+        if self._attempt.state.stage is RunState.collecting:
+            return _KEEP_RESULTS_S
+        is_of_storage = isinstance(error, OSError) and error.errno not in _LASTING_ERRORS
+        return _STORAGE_RETRY_S if is_of_storage else _ERROR_RETRY_S
+
     def _run_job(self) -> Ending:
+        # True of a job that was submitted by an earlier runner or before an error, and of one that was about to be.
+        self._is_submitted = self._attempt.state.stage is RunState.running
         try:
-            if self._is_submitted:  # an earlier runner submitted the job, or was about to
+            if self._is_submitted and not self._executor.was_submitted(self._job(), self.stop.wait):
+                self._attempt.change(starts=max(0, self._attempt.state.starts - 1))
+                self._is_submitted = False
+            if self._is_submitted:
                 ending = self._executor.poll(self._job())
                 is_lost = ending is not None and ending.reason is EndReason.lost
                 if is_lost and self._attempt.state.starts < _MAX_STARTS:
@@ -431,11 +442,10 @@ class ActiveRun:
         """Return what to report once the results are uploaded where the job ran; None if this runner is to do so."""
         job = self._job()
 
-        def wait(seconds: float) -> None:
-            upload.progress = Progress(fraction=1, message="the results are uploaded where the job ran")
-            self.stop.wait(seconds)
+        def show(message: str, _fraction: float) -> None:
+            upload.progress = Progress(fraction=1, message=message)
 
-        stored = self._executor.upload_results(job, upload.plain(ending), wait)
+        stored = self._executor.upload_results(job, upload.plain(ending), self.stop.wait, show)
         self._placement = self._executor.placement(job) or self._placement
         if stored is None or stored.has_log:
             return stored and stored.finish
@@ -487,4 +497,4 @@ class ActiveRun:
 
 
 def _reason_of(error: Exception) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or repr(error)
+    return (error.strerror if isinstance(error, OSError) else None) or f"{type(error).__name__} (see its log)"

@@ -55,6 +55,7 @@ _DETACH_S = 3.0
 _LOG_PARTS_PER_S = 10.0
 _STORE_CONNECTIONS = 8
 _DEFAULT_IMAGE_RETRY_S = 300.0
+_ABILITIES_RETRY_S = 60.0
 # A thread without progress for this long hangs: longer than any request with its retries.
 _HANGS_S = 240.0
 _REFUSALS = (NotAuthenticated, Forbidden, ScopeMissing)
@@ -134,6 +135,10 @@ class Runner:
             search = threading.Thread(target=self._find_default_image, name="default image", daemon=True)
             search.start()
             self._threads.append(search)
+        if not self._executor.are_abilities_known:
+            search = threading.Thread(target=self._find_abilities, name="abilities", daemon=True)
+            search.start()
+            self._threads.append(search)
         capacity = self._executor.capacity
         _log.info(
             "ready: %g cores, %.1f GB memory, %.0f GB disk, %d GPUs, runs as %s",
@@ -198,9 +203,9 @@ class Runner:
             if isinstance(entry, Path):
                 with contextlib.suppress(OSError):
                     runner_state.remove_tree(entry)
-        until_s = max(
-            boot_time_s() + _CONFIRMATION_S, self._state.last_heartbeat_s() + self._executor.lease_s - LEASE_MARGIN_S
-        )
+        # Where the jobs end in time by themselves, the login node, its clock, and a silent server cost none of them.
+        confirmed_s = boot_time_s() if self._executor.nodes_enforce_leases else self._state.last_heartbeat_s()
+        until_s = max(boot_time_s() + _CONFIRMATION_S, confirmed_s + self._executor.lease_s - LEASE_MARGIN_S)
         for attempt in attempts:
             _log.info("continuing the run %s", attempt.state.assignment.run_id)
             self._add(attempt, Lease(until_s), is_new=False)
@@ -248,6 +253,19 @@ class Runner:
             except KleinkramError as error:
                 _log.warning("the default image could not be reported to the server yet: %s", error)
             self._is_closed.wait(_DEFAULT_IMAGE_RETRY_S)
+
+    def _find_abilities(self) -> None:
+        """Look for abilities until all are known and reported."""
+        is_reported = False
+        while not (is_reported or self._is_closed.wait(_ABILITIES_RETRY_S)):
+            self._executor.find_abilities()
+            if self._is_closed.is_set():
+                return
+            try:
+                self._register()
+                is_reported = self._executor.are_abilities_known
+            except KleinkramError as error:
+                _log.warning("what this runner offers could not be reported to the server yet: %s", error)
 
     def _claim(self, *, max_runs: int) -> list[ActiveRun]:
         """Wait for runs and start them; none where there are none."""

@@ -125,14 +125,13 @@ class NodeTransfers:
         source = InputDownload(self._runners, store, self._assignment, self._stop, self._show)
         files = input_files(self._assignment)
 
-        def place() -> str:
+        def place() -> None:
             try:
                 fetch_inputs(lambda: place_inputs(cache, target, files, source, copy=order.copy_inputs))
             except _REFUSALS as error:
                 file = self._order.token_file
                 message = f"The server does not accept the token of its runner any more. Replace it in {file}."
                 raise CannotStart(Ending(EndReason.inputs_unavailable, message)) from error
-            return ""
 
         repeat_while_unavailable(place, self._stop.wait)
         make_readable(target)

@@ -469,7 +469,7 @@ def test_what_slurm_knows_of_an_end_counts_where_its_node_uploaded_the_results(o
     of_node = plain.model_copy(update={"reason": EndReason.signal, "message": "SIGKILL", "problems": ["a problem"]})
     finish_file(one.job.directory, "a-token").write_text(of_node.model_dump_json())
     one.queue.show()
-    stored = executor.upload_results(one.job, plain, lambda _: None)
+    stored = executor.upload_results(one.job, plain, lambda _: None, lambda *_: None)
     assert stored is not None
     assert (stored.finish.reason, stored.finish.message) == (EndReason.memory, "Slurm ended it.")
     assert stored.finish.problems == ["a problem"]

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import errno
-import math
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -15,12 +14,13 @@ from kleinkram.client import _http
 from kleinkram.client.transfer import store
 from kleinkram.contract.errors import BodyTooLarge, FieldProblem, InvalidRequest, KleinkramError
 from kleinkram.contract.runners import LOG_PATH
-from kleinkram.contract.runs import EndReason, RunPlacement, RunState
+from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner import active_run, results
 from kleinkram.runner.active_run import ActiveRun
-from kleinkram.runner.executors.base import Ending, Executor, RunJob, StoredResults
+from kleinkram.runner.executors.base import CannotStart, Ending, Executor
 from kleinkram.runner.executors.process import ProcessExecutor
-from kleinkram.runner.state_directory import LEASE_MARGIN_S
+from kleinkram.runner.executors.supervision import boot_time_s
+from kleinkram.runner.state_directory import LEASE_MARGIN_S, StateDirectory
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer
@@ -323,73 +323,100 @@ def test_a_run_whose_report_is_refused_fails(
     assert finish.message == finish.problems[0] or reason is EndReason.exit_code
 
 
-class WithFailures(ProcessExecutor):
-    """Fails with an error so many times, at one of its steps."""
+class FailingOnce:
+    """A method of an executor that fails at its first call after some."""
 
-    def __init__(self, step: str, error: Exception, times: float) -> None:
-        super().__init__()
-        self.step, self.error, self.left = step, error, times
+    def __init__(self, method: Callable[..., object], error: Exception, after: int) -> None:
+        self._method = method
+        self._error = error
+        self.left = after
 
-    def fail(self, step: str) -> None:
-        if step == self.step and self.left > 0:
-            self.left -= 1
-            raise self.error
-
-    def submit(self, job: RunJob) -> None:
-        self.fail("submit")
-        super().submit(job)
-
-    def poll(self, job: RunJob) -> Ending | None:
-        self.fail("poll")
-        return super().poll(job)
-
-    def placement(self, job: RunJob) -> RunPlacement | None:
-        self.fail("placement")
-        return super().placement(job)
-
-    def collect(self, job: RunJob) -> Path:
-        self.fail("collect")
-        return super().collect(job)
-
-    def upload_results(self, job: RunJob, *arguments: Any, **options: Any) -> StoredResults | None:
-        self.fail("upload_results")
-        return super().upload_results(job, *arguments, **options)
+    def __call__(self, *arguments: object, **options: object) -> object:
+        self.left -= 1
+        if self.left == -1:
+            raise self._error
+        return self._method(*arguments, **options)
 
 
-STALE = OSError(errno.ESTALE, "Stale file handle")
-
-
-@pytest.mark.parametrize("step", ["submit", "poll", "placement", "collect", "upload_results"])
-@pytest.mark.parametrize("error", [STALE, ValueError("a mistake")])
-def test_an_unexpected_error_neither_ends_a_job_nor_loses_its_results(
-    server: FakeServer, runners: Runners, step: str, error: Exception
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("method", "error", "after"),
+    [
+        ("place_inputs", RuntimeError("unexpected"), 0),
+        ("submit", ValueError("unexpected"), 0),
+        ("submit", BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"), 0),
+        ("poll", RuntimeError("unexpected"), 5),
+        ("placement", OSError(errno.ESTALE, "Stale file handle"), 0),
+        ("collect", PermissionError(13, "Permission denied"), 0),
+        ("upload_results", CannotStart(Ending(EndReason.image_unavailable, "unexpected")), 0),
+        ("upload_results", KeyError("unexpected"), 0),
+    ],
+)
+def test_an_unexpected_error_of_the_runner_costs_no_results(
+    server: FakeServer, runners: Runners, method: str, error: Exception, after: int
 ) -> None:
-    if step == "submit" and not isinstance(error, OSError):
-        return  # it may have been started: what `poll` says counts
-    executor = WithFailures(step, error, 2)
+    executor = ProcessExecutor()
+    failing = FailingOnce(getattr(executor, method), error, after)
+    setattr(executor, method, failing)
     runners.start(executor)
-    run = server.launch("import uuid\nfrom kleinkram.action import out\n(out / uuid.uuid4().hex).write_text('x')")
-    assert [finish.reason for finish in ended(run).finishes] == [EndReason.done]
-    assert (run.attempt, [*run.artifacts.values()], executor.left) == (1, [b"x"], 0)
+    run = server.launch(SHORT)
+    (finish,) = ended(run).finishes
+    assert (finish.reason, run.attempt, run.artifacts) == (EndReason.done, 1, {"x": b"x", LOG_PATH: b"began\n"})
+    assert failing.left <= -1
+    wait_until(lambda: not [*runners.folder.glob("runs/*")])
+
+
+@pytest.mark.slow
+def test_a_run_whose_results_cannot_be_read_is_shown_and_cancelled(
+    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def collect(_executor: object, _job: object) -> Path:
+        raise RuntimeError("unexpected")
+
+    monkeypatch.setattr(ProcessExecutor, "collect", collect)
+    runners.start()
+    run = server.launch("print('x')")
+    wait_until(lambda: any("an error of its runner" in (it.message or "") for it in run.progress))
+    assert [*runners.folder.glob("runs/*/state.json")]
+    run.is_cancelled = True
+    assert ended(run).finishes[0].reason is EndReason.cancelled
+    wait_until(lambda: not [*runners.folder.glob("runs/*")])
 
 
 def test_a_run_whose_results_stay_unreadable_is_reported_once(
     server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(active_run, "_STORAGE_RETRY_S", 1.0)
-    runners.start(WithFailures("collect", STALE, math.inf))
-    run = server.launch("print('began')")
+    def collect(_executor: object, _job: object) -> Path:
+        raise OSError(errno.ESTALE, "Stale file handle")
+
+    monkeypatch.setattr(active_run, "_KEEP_RESULTS_S", 1.0)
+    monkeypatch.setattr(ProcessExecutor, "collect", collect)
+    runners.start()
+    run = server.launch("print('x')")
     (finish,) = ended(run).finishes
     assert (finish.reason, run.attempt) == (EndReason.lost, 1)
     assert finish.message == "Its runner could not complete it, and tried for long: Stale file handle."
-    assert "its runner tries again after an error: Stale file handle" in {entry.message for entry in run.progress}
+    assert "an error of its runner, which tries again: Stale file handle" in {entry.message for entry in run.progress}
     wait_until(lambda: not [*runners.folder.glob("runs/*")])
 
 
-def test_a_run_that_meets_errors_is_cancelled(server: FakeServer, runners: Runners) -> None:
-    runners.start(WithFailures("collect", STALE, math.inf))
-    run = server.launch("print('began')")
-    wait_until(lambda: run.progress)
-    run.is_cancelled = True
-    (finish,) = ended(run).finishes
-    assert (finish.reason, run.attempt, run.artifacts) == (EndReason.cancelled, 1, {})
+class OnNodes(ProcessExecutor):
+    """Runs jobs on other machines, which end them in time by themselves."""
+
+    nodes_enforce_leases = True
+    lease_s = 900
+
+
+@pytest.mark.parametrize(("executor", "least_s"), [(ProcessExecutor(), 0), (OnNodes(), 800)])
+def test_jobs_of_other_machines_outlive_a_move_of_their_runner(
+    server: FakeServer, runners: Runners, executor: ProcessExecutor, least_s: float
+) -> None:
+    """On another login node, the time of the last heartbeat is unknown, and the server may not answer yet."""
+    server.is_silent.set()
+    runners.folder.mkdir()
+    StateDirectory(runners.folder).create_attempt(server.launch("print('x')").claim)
+    (runners.folder / "last-heartbeat").write_text(f"another-boot 5.0 {time.time() - 86_400}")
+    runner = runners.start(executor)
+    wait_until(lambda: runner._active_runs())
+    (run,) = runner._active_runs()
+    assert least_s < run.lease.until_s - boot_time_s() < least_s + 100

@@ -165,6 +165,28 @@ def test_a_runner_killed_while_its_job_runs_finds_it_again(
 
 
 @long
+def test_a_runner_that_continues_on_another_login_node_waits_for_a_silent_server(
+    server: FakeServer, runners: Runners, slurm: SlurmCluster
+) -> None:
+    """Whose clock, besides, is a day fast. The nodes end jobs whose leases expire."""
+    first = runners.spawn(slurm=slurm)
+    run = server.launch(LASTING)
+    heartbeat = until_running(runners, run)
+    wait_until((runners.folder / "last-heartbeat").exists)
+    runners.kill(first)
+    server.is_silent.set()
+    (runners.folder / "last-heartbeat").write_text(f"another-boot 5.0 {time.time() - 86_400}")
+    runners.spawn(slurm=slurm)
+    began_s = time.monotonic()
+    wait_until(lambda: time.monotonic() - began_s > 15)
+    assert is_alive(heartbeat)
+    server.is_silent.clear()
+    run.is_cancelled = True
+    assert [finish.reason for finish in ended(run).finishes] == [EndReason.cancelled]
+    assert run.attempt == 1
+
+
+@long
 def test_a_controller_that_is_down_loses_and_doubles_nothing(
     server: FakeServer, runners: Runners, slurm: SlurmCluster
 ) -> None:

@@ -20,6 +20,7 @@ _ENTRY_BYTES = 1024
 # Of the kernel's flags of a process: PF_EXITING.
 _IS_EXITING = 4
 _SHORT_BYTES = 128
+_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _RESERVED_BYTES = 4096
 
 CANCELLED = ("cancelled", "It was cancelled.")
@@ -77,9 +78,10 @@ class LimitMonitor:
             self._disk_at_s = time.monotonic() + max(_DISK_EVERY_S, 10 * (time.monotonic() - started_s))
 
     def is_lease_expired(self) -> bool:
-        """Whether the lease in the directory has expired."""
+        """Whether the lease in the directory has expired. One from before a restart, or of another machine, has not."""
         try:
-            return boot_time_s() >= float((self._directory / LEASE).read_text())
+            until_s, of_boot = (self._directory / LEASE).read_text().split()
+            return of_boot == boot_id() and boot_time_s() >= float(until_s)
         except (FileNotFoundError, ValueError):
             return False
 
@@ -112,6 +114,23 @@ def boot_time_s() -> float:
     """Return the time since this machine was started, sleep included: the clock of leases, which nobody sets."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)
     return time.monotonic() if clock is None else time.clock_gettime(clock)
+
+
+def boot_id() -> str:
+    """Return what `boot_time_s` counts from: it differs between machines, and after a restart."""
+    try:
+        return _BOOT_ID.read_text().strip()
+    except OSError:
+        return "unknown"
+
+
+def write_lease(directory: Path, until_s: float, *, create: bool) -> None:
+    """Write the lease of a job, by the clock of `boot_time_s`.
+
+    Raises:
+        OSError: it has no lease and `create` is false, or that cannot be written.
+    """
+    write_in_place(directory / LEASE, f"{until_s} {boot_id()}", create=create)
 
 
 def reason_of_exit_code(code: int) -> tuple[str, str]:

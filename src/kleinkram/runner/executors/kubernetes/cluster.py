@@ -29,14 +29,16 @@ _SERVICE_ACCOUNT = Path("/var/run/secrets/kubernetes.io/serviceaccount/token")
 _LOG_S = 60.0
 _LONGEST_EVENT_BYTES = 8 * 2**20
 _LONGEST_LINE_BYTES = 2**16
+_EXISTS = "AlreadyExists"
 
 
 class ClusterError(Exception):
     """The API server refused a request. The text is its message."""
 
-    def __init__(self, status: int, message: str) -> None:
+    def __init__(self, status: int, message: str, reason: str = "") -> None:
         super().__init__(message)
         self.status = status
+        self.reason = reason
 
     @property
     def is_missing(self) -> bool:
@@ -44,13 +46,18 @@ class ClusterError(Exception):
         return self.status == HTTPStatus.NOT_FOUND
 
     @property
-    def is_conflict(self) -> bool:
+    def is_existing(self) -> bool:
         """Whether an object of this name exists."""
-        return self.status == HTTPStatus.CONFLICT
+        return self.reason == _EXISTS
+
+    @property
+    def is_over_quota(self) -> bool:
+        """Whether a ResourceQuota of the namespace has no room for it at the moment."""
+        return self.status == HTTPStatus.FORBIDDEN and "exceeded quota" in str(self)
 
 
 class ClusterUnavailable(ClusterError):
-    """The API server does not answer, or is overloaded."""
+    """The API server does not answer, is overloaded, or met a conflict: the same request may succeed later."""
 
 
 class _ApiObject(BaseModel):
@@ -88,8 +95,6 @@ class WaitingContainer(_ApiObject):
 class RunningContainer(_ApiObject):
     """A container that runs."""
 
-    started_at: datetime.datetime | None = None
-
 
 class TerminatedContainer(_ApiObject):
     """How a container ended. `message` is what it wrote for that purpose, or the words of the container runtime."""
@@ -97,8 +102,6 @@ class TerminatedContainer(_ApiObject):
     exit_code: int
     reason: str = ""
     message: str = ""
-    started_at: datetime.datetime | None = None
-    finished_at: datetime.datetime | None = None
 
 
 class ContainerState(_ApiObject):
@@ -133,11 +136,12 @@ class PodStatus(_ApiObject):
 
 
 class Pod(_ApiObject):
-    """A pod."""
+    """A pod. `is_disrupted`, which the API server does not say: its end was requested before it was seen to end."""
 
     metadata: ObjectMetadata
     spec: PodSpecification = PodSpecification()
     status: PodStatus = PodStatus()
+    is_disrupted: bool = Field(False, exclude=True)
 
     @property
     def has_ended(self) -> bool:
@@ -157,8 +161,6 @@ class Pod(_ApiObject):
 class JobStatus(_ApiObject):
     """The state of a Job."""
 
-    failed: int = 0
-    succeeded: int = 0
     conditions: list[Condition] = []
 
 
@@ -198,6 +200,7 @@ class _NamedObjectList(_ApiObject):
 
 class _StatusAnswer(_ApiObject):
     message: str = ""
+    reason: str = ""
     code: int = 0
 
 
@@ -247,7 +250,7 @@ class Cluster:
         """Return a Job."""
         return self._find("jobs", name, ClusterJob)
 
-    def has_claim(self, name: str) -> bool:
+    def has_volume(self, name: str) -> bool:
         """Whether a claim of a volume exists."""
         return self._find("persistentvolumeclaims", name, _NamedObject) is not None
 
@@ -296,13 +299,13 @@ class Cluster:
             for line in lines:
                 event = _parse(line, _WatchEvent)
                 if event.type == "ERROR":
-                    status = _StatusAnswer.model_validate(event.object)
+                    status = _checked(event.object, _StatusAnswer)
                     raise ClusterError(status.code, status.message)
                 if event.type == "BOOKMARK":
                     metadata = event.object.get("metadata", {})
                     yield PodEvent(version=metadata.get("resourceVersion", ""))
                 else:
-                    pod = _checked(event.object)
+                    pod = _checked(event.object, Pod)
                     version = pod.metadata.resource_version
                     yield PodEvent(version=version, is_deleted=event.type == "DELETED", pod=pod)
 
@@ -349,6 +352,7 @@ class Cluster:
         self, method: str, path: str, query: Mapping[str, str], body: Body | None, read_timeout_s: float | None
     ) -> _LibraryResponse:
         from kubernetes.client.exceptions import ApiException
+        from kubernetes.config import ConfigException
 
         try:
             return self._library.call_api(
@@ -364,6 +368,8 @@ class Cluster:
             )
         except ApiException as error:
             raise _refusal(error.status or 0, error.body or "") from error
+        except ConfigException as error:  # such as a token file that is just being replaced
+            raise ClusterUnavailable(0, f"the credentials of Kubernetes cannot be read: {error}") from error
         except (urllib3.exceptions.HTTPError, OSError) as error:
             raise ClusterUnavailable(0, f"the API server of Kubernetes does not answer: {error}") from error
 
@@ -388,9 +394,9 @@ class Cluster:
             response.close()
 
 
-def _checked(value: dict[str, Any]) -> Pod:
+def _checked(value: dict[str, Any], model: type[_Object]) -> _Object:
     try:
-        return Pod.model_validate(value)
+        return model.model_validate(value)
     except ValidationError as error:
         raise ClusterUnavailable(0, f"the API server of Kubernetes gave an unexpected answer: {error}") from error
 
@@ -403,11 +409,15 @@ def _parse(data: bytes, model: type[_Object]) -> _Object:
 
 
 def _refusal(status: int, body: str | bytes) -> ClusterError:
-    text = body.decode(errors="replace") if isinstance(body, bytes) else body
+    text, reason = body.decode(errors="replace") if isinstance(body, bytes) else body, ""
     with contextlib.suppress(ValidationError):
-        text = _StatusAnswer.model_validate_json(text).message or text
-    is_unavailable = status == HTTPStatus.TOO_MANY_REQUESTS or status >= HTTPStatus.INTERNAL_SERVER_ERROR
-    return (ClusterUnavailable if is_unavailable else ClusterError)(status, text.strip() or f"HTTP status {status}")
+        answer = _StatusAnswer.model_validate_json(text)
+        text, reason = answer.message or text, answer.reason
+    # Such as two changes of a ResourceQuota at the same moment.
+    is_conflict = status == HTTPStatus.CONFLICT and reason != _EXISTS
+    is_overloaded = status == HTTPStatus.TOO_MANY_REQUESTS or status >= HTTPStatus.INTERNAL_SERVER_ERROR
+    kind = ClusterUnavailable if is_conflict or is_overloaded else ClusterError
+    return kind(status, text.strip() or f"HTTP status {status}", reason)
 
 
 def connect(namespace: str, kubeconfig: Path | None = None, context: str | None = None) -> Cluster:

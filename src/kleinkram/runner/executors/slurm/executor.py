@@ -15,9 +15,9 @@ from collections.abc import Collection, Mapping, Sequence
 
 from kleinkram.contract.runners import MAX_LEASE_S, Capacity, ExecutorAbilities, RunFinish
 from kleinkram.contract.runs import EndReason, RunPlacement
-from kleinkram.environments.cache import EnvironmentCache
+from kleinkram.environments.cache import EnvironmentCache, Show
 from kleinkram.environments.uv import Wait
-from kleinkram.runner.executors.base import Ending, RunJob, StoredResults, read_finish
+from kleinkram.runner.executors.base import UPLOADING, Ending, RunJob, StoredResults, read_finish
 from kleinkram.runner.executors.gpus import Gpu
 from kleinkram.runner.executors.local import Machine, cannot_start
 from kleinkram.runner.executors.process import ProcessExecutor
@@ -113,6 +113,11 @@ class SlurmExecutor(ProcessExecutor):
         return _LEASE_S
 
     @property
+    def nodes_enforce_leases(self) -> bool:
+        """By their own clocks. A job that starts without news from the runner does nothing, either."""
+        return True
+
+    @property
     def node_cache(self) -> InputCache | None:
         """The cache in the shared folder, if the nodes move the files of their jobs."""
         return self._required_machine().cache if self._options.transfers_on_nodes else None
@@ -177,13 +182,14 @@ class SlurmExecutor(ProcessExecutor):
         self._queue.forget(submitted.submission.name)
         return submitted.ending
 
-    def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait) -> StoredResults | None:
+    def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait, show: Show) -> StoredResults | None:
         """Wait while the node of an ended job uploads its results; None if it did not, or is not to."""
         submitted = self._find(job) if self._options.transfers_on_nodes else None
         if submitted is None:
             return None
         submitted.start = submitted.start or read_start(job.directory)
         while self._is_uploading(job, submitted):
+            show(UPLOADING, 1.0)
             wait(_CHECK_UPLOAD_EVERY_S)
         if submitted.start is None:
             return None
