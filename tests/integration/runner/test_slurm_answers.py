@@ -19,7 +19,7 @@ from kleinkram.contract.runners import Capacity, RunFinish
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob
 from kleinkram.runner.executors.slurm import executor as slurm_executor
-from kleinkram.runner.executors.slurm import node_job, submissions
+from kleinkram.runner.executors.slurm import job_endings, node_job, submissions
 from kleinkram.runner.executors.slurm.commands import (
     ClusterNode,
     ClusterSettings,
@@ -125,6 +125,7 @@ class OneJob:
         self.clock = Clock()
         monkeypatch.setattr(slurm_executor, "boot_time_s", self.clock)
         monkeypatch.setattr(submissions, "boot_time_s", self.clock)
+        monkeypatch.setattr(job_endings, "boot_time_s", self.clock)
         self.commands = Commands()
         capacity = Capacity(cores=8, memory_bytes=10**10, disk_bytes=0, gpus=0)
         settings = ClusterSettings(max_array_size=3)
@@ -137,7 +138,7 @@ class OneJob:
         """Return the executor of the next runner process."""
         self.executor = SlurmExecutor(self.site)
         self.queue = Queue(self.commands, self.clock)
-        self.executor._queue = self.queue
+        self.executor._queue = self.executor._endings._queue = self.queue
         return self.executor
 
     @property
@@ -449,12 +450,12 @@ def test_a_submission_that_cannot_be_recorded_is_made_later(one: OneJob, monkeyp
     def fail(directory: Path, _: object) -> None:
         raise OSError(errno.EIO, "Input/output error", str(directory))
 
-    monkeypatch.setattr(slurm_executor, "write_submission", fail)
+    monkeypatch.setattr(job_endings, "write_submission", fail)
     for _ in range(10):
         one.queue.show()
         assert one.executor.poll(one.job) is None
     assert (one.name, len(one.commands.names)) == (first, 1)
-    monkeypatch.setattr(slurm_executor, "write_submission", write_submission)
+    monkeypatch.setattr(job_endings, "write_submission", write_submission)
     one.queue.show()
     one.executor.poll(one.job)
     assert len(one.commands.names) == 2
