@@ -249,6 +249,7 @@ class ActiveRun:
             self._attempt.change(
                 stage=RunState.collecting, ending=self._ending, usage=self._usage, placement=self._placement
             )
+            self._retry = None
         with traces.span("upload results"):
             self._upload_results()
 
@@ -435,7 +436,8 @@ class ActiveRun:
             if stopped.request is not StopRequest.cancel:
                 raise
             self.stop.acknowledge()
-            self._executor.remove(self._job())
+            with contextlib.suppress(OSError):  # it is removed again in the end
+                self._executor.remove(self._job())
             self._report(upload, upload.without_results(Ending.of(CANCELLED, ending.exit_code)))
 
     def _stored_results(self, upload: ResultUpload, ending: Ending) -> RunFinish | None:

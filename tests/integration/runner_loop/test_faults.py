@@ -17,7 +17,7 @@ from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner import active_run, results
 from kleinkram.runner.active_run import ActiveRun
-from kleinkram.runner.executors.base import CannotStart, Ending, Executor
+from kleinkram.runner.executors.base import CannotStart, Ending, Executor, RunJob
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.executors.supervision import boot_time_s
 from kleinkram.runner.state_directory import LEASE_MARGIN_S, StateDirectory
@@ -420,3 +420,24 @@ def test_jobs_of_other_machines_outlive_a_move_of_their_runner(
     wait_until(lambda: runner._active_runs())
     (run,) = runner._active_runs()
     assert least_s < run.lease.until_s - boot_time_s() < least_s + 100
+
+
+class StartedAgain(ProcessExecutor):
+    """Runs jobs like a cluster that starts one again: it waits once more after it has run."""
+
+    calls = 0
+
+    def reason_waiting(self, job: RunJob) -> str | None:
+        """Return why it waits, some moments after its start."""
+        self.calls += 1
+        return "waits in the queue of Slurm: Priority" if 2 < self.calls < 6 else None
+
+
+@pytest.mark.slow
+def test_a_run_whose_job_waits_again_says_why(server: FakeServer, runners: Runners) -> None:
+    runners.start(StartedAgain())
+    run = server.launch(LASTING)
+    wait_until(lambda: "waits in the queue of Slurm: Priority" in {entry.message for entry in run.progress})
+    assert RunState.running in run.states
+    run.is_cancelled = True
+    ended(run)
