@@ -18,7 +18,8 @@ from kleinkram.contract.people import ServiceRead
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner.executors.base import CannotStart
 from kleinkram.runner.executors.kubernetes import run_objects, transfers
-from kleinkram.runner.executors.kubernetes.cluster import Cluster, Pod, PodEvent, connect
+from kleinkram.runner.executors.kubernetes.api_objects import Pod, PodEvent
+from kleinkram.runner.executors.kubernetes.cluster import Cluster, connect
 from kleinkram.runner.executors.kubernetes.pod_watch import PodWatch
 from kleinkram.runner.executors.kubernetes.run_objects import RunObjects
 from tests.integration.kubernetes.action_scripts import LASTING, OBEDIENT
