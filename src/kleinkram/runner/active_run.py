@@ -186,9 +186,7 @@ class ActiveRun:
             try:
                 if self._attempt.state.stage is not RunState.collecting:
                     ending = self._run_job()
-                    self._attempt.change(
-                        stage=RunState.collecting, ending=ending, usage=self._usage, placement=self._placement
-                    )
+                    self._repeat(lambda: self._record_end(ending))
                 with traces.span("upload results"):
                     self._upload_results()
             except OSError as error:
@@ -269,6 +267,9 @@ class ActiveRun:
                 raise
             self.stop.acknowledge()
             return Ending.of(CANCELLED)
+
+    def _record_end(self, ending: Ending) -> None:
+        self._attempt.change(stage=RunState.collecting, ending=ending, usage=self._usage, placement=self._placement)
 
     def _start_and_watch(self) -> Ending:
         # True of a job that was submitted by an earlier runner or before an error, and of one that was about to be.

@@ -243,7 +243,7 @@ def test_a_program_that_ends_well_because_its_pod_is_removed_has_not_ended_well(
 def _killed_while_it_fetches(site: Site) -> FakeRun:
     """Return a run whose runner was killed, and whose inputs wait for a node."""
     first = site.spawn()
-    wait_until(lambda: site.server.hellos)
+    wait_until(lambda: site.server.registrations)
     site.cluster.unschedulable = "0/3 nodes are available"
     run = site.server.launch(LASTING)
     wait_until(lambda: site.cluster.named("pods"))
