@@ -100,9 +100,9 @@ def test_a_job_array_of_slurm_finds_the_same(
     (tmp_path / "missions.txt").write_text("day-1\nday-2\n")
     for name in ("imu_gaps.py", "imu_gaps.sbatch"):
         shutil.copy(_EXAMPLES / name, tmp_path)
-    job_array = ["sbatch", "--wait", "--array=1-2%10", "imu_gaps.sbatch", "alpine", "missions.txt"]
+    job_array: list[object] = ["sbatch", "--wait", "--array=1-2%10", "imu_gaps.sbatch", "alpine", "missions.txt"]
     try:
-        run(job_array, robot | slurm.environment, tmp_path)
+        run(job_array, {**robot, **slurm.environment}, tmp_path)
     finally:
         sys.stderr.write("".join(path.read_text() for path in tmp_path.glob("slurm-*.out")))
     assert len(recorded(lab, "imu-gaps")) == 2

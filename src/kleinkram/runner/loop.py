@@ -338,10 +338,13 @@ class Runner:
             try:
                 self._send_heartbeat(runners)
                 backoff = None
-            except (KleinkramError, OSError) as error:
+            except Exception as error:
+                # Whatever it is: without this thread, all runs would lose their leases, and their results.
                 self.statistics.count_error("heartbeat")
                 if backoff is None:
-                    _log.warning("the server gets no heartbeats of %d runs: %s", len(self._active), error)
+                    is_expected = isinstance(error, KleinkramError | OSError)
+                    words = "the server gets no heartbeats of %d runs: %s"
+                    _log.warning(words, len(self._active), error, exc_info=None if is_expected else error)
                 backoff = backoff or Backoff(math.inf, self._is_closed.wait)
                 backoff.pause()
             self._is_closed.wait(_HEARTBEAT_PAUSE_S)
@@ -372,7 +375,10 @@ class Runner:
             if time.monotonic() - min(self._progress_s.values()) < _HANGS_S:
                 watchdog.ping()
             for run in self._active_runs():
-                run.enforce()
+                try:
+                    run.enforce()
+                except Exception:  # noqa: PERF203  the others have leases, too
+                    _log.exception("the lease of the run %s is not enforced", run.assignment.run_id)
 
 
 def _reserved_by(runs: Sequence[ActiveRun]) -> Capacity:

@@ -18,7 +18,8 @@ from kleinkram.contract.people import ServiceRead
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner.executors.base import CannotStart
 from kleinkram.runner.executors.kubernetes import run_objects, transfers
-from kleinkram.runner.executors.kubernetes.cluster import Cluster, Pod, PodEvent, connect
+from kleinkram.runner.executors.kubernetes.api_objects import Pod, PodEvent
+from kleinkram.runner.executors.kubernetes.cluster import Cluster, connect
 from kleinkram.runner.executors.kubernetes.pod_watch import PodWatch
 from kleinkram.runner.executors.kubernetes.run_objects import RunObjects
 from tests.integration.kubernetes.action_scripts import LASTING, OBEDIENT
@@ -242,7 +243,7 @@ def test_a_program_that_ends_well_because_its_pod_is_removed_has_not_ended_well(
 def _killed_while_it_fetches(site: Site) -> FakeRun:
     """Return a run whose runner was killed, and whose inputs wait for a node."""
     first = site.spawn()
-    wait_until(lambda: site.server.hellos)
+    wait_until(lambda: site.server.registrations)
     site.cluster.unschedulable = "0/3 nodes are available"
     run = site.server.launch(LASTING)
     wait_until(lambda: site.cluster.named("pods"))

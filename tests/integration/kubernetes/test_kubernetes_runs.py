@@ -354,7 +354,7 @@ def test_volumes_are_as_large_as_inputs_and_results(site: Site) -> None:
 def test_a_run_is_not_started_again_while_its_pod_may_run(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_objects, "_GONE_S", 1.0)
     first = site.spawn()
-    wait_until(lambda: site.server.hellos)
+    wait_until(lambda: site.server.registrations)
     site.cluster.unschedulable = "0/3 nodes are available"
     run = site.server.launch(LASTING)
     wait_until(lambda: site.cluster.named("pods"))

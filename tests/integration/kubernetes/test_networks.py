@@ -102,5 +102,10 @@ def test_networks_that_were_not_known_are_reported_later(site: Site, monkeypatch
     site.networks = None
     site.cluster.fails = {("create", "jobs"): [403, 403]}
     site.start()
-    wait_until(lambda: site.server.hellos and site.server.hellos[-1].abilities.networks == {Network.none, Network.open})
-    assert site.server.hellos[0].abilities.networks == set()
+    wait_until(
+        lambda: (
+            site.server.registrations
+            and site.server.registrations[-1].abilities.networks == {Network.none, Network.open}
+        )
+    )
+    assert site.server.registrations[0].abilities.networks == set()

@@ -160,7 +160,7 @@ def test_a_run_reads_its_inputs_and_its_results_are_stored(site: RealSite, capfd
     assert finish.placement.node == NODE
     site.wait_until_clean()
     # Its network plugin enforces no policies, which was noticed.
-    assert site.server.hellos[0].abilities.networks == {Network.open}
+    assert site.server.registrations[0].abilities.networks == {Network.open}
     assert "does not enforce NetworkPolicies" in capfd.readouterr().err
 
 
@@ -300,7 +300,7 @@ def test_no_run_is_lost_doubled_or_stuck(site: RealSite) -> None:
     chance = random.Random(28)
     runs = [site.launch(_NAMED.format(beats=chance.randrange(1, 50)), resources={"time_s": 600}) for _ in range(_RUNS)]
     runner = site.spawn()
-    wait_until(lambda: site.server.hellos, timeout_s=_TIMEOUT_S)
+    wait_until(lambda: site.server.registrations, timeout_s=_TIMEOUT_S)
     until_s = time.monotonic() + 40 * _RUNS
     counts = dict.fromkeys(("runner", "kube-apiserver", "kube-controller-manager", "kubelet", "etcd"), 0)
     # Each at least once, then by chance.

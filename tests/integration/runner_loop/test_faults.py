@@ -16,10 +16,12 @@ from kleinkram.contract.errors import BodyTooLarge, FieldProblem, InvalidRequest
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner import active_run, results
+from kleinkram.runner.__main__ import _run_until_signal
 from kleinkram.runner.active_run import ActiveRun
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, RunJob
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.executors.supervision import boot_time_s
+from kleinkram.runner.loop import Runner
 from kleinkram.runner.state_directory import LEASE_MARGIN_S, StateDirectory
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
@@ -157,7 +159,7 @@ def test_sigterm_leaves_jobs_and_sigint_ends_them(server: FakeServer, runners: R
     runners.kill(first, signal.SIGTERM)
     wait_until(lambda: is_alive(heartbeat))
     second = runners.spawn()
-    wait_until(lambda: len(server.hellos) == 2)
+    wait_until(lambda: len(server.registrations) == 2)
     wait_until(lambda: is_alive(heartbeat))
     runners.kill(second, signal.SIGINT)
     assert not is_alive(heartbeat)
@@ -441,3 +443,43 @@ def test_a_run_whose_job_waits_again_says_why(server: FakeServer, runners: Runne
     assert RunState.running in run.states
     run.is_cancelled = True
     ended(run)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["on_reply", "enforce", "heartbeat"])
+def test_an_unexpected_error_ends_no_thread_of_the_runner(
+    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    original = getattr(ActiveRun, method)
+    failures: list[str] = []
+
+    def fails_once(*arguments: object, **options: object) -> object:
+        if not failures:
+            failures.append(method)
+            raise RuntimeError("unexpected")
+        return original(*arguments, **options)
+
+    monkeypatch.setattr(ActiveRun, method, fails_once)
+    runners.start()
+    run = server.launch(LASTING)
+    until_running(runners, run)
+    assert failures
+    run.is_cancelled = True
+    assert ended(run).finishes[0].reason is EndReason.cancelled
+
+
+def test_a_runner_that_ends_by_an_unexpected_error_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Broken(Runner):
+        def __init__(self) -> None:
+            self.has_killed: bool | None = None
+
+        def run(self, *, once: bool = False) -> None:
+            raise RuntimeError("unexpected")
+
+        def close(self, *, kill: bool) -> None:
+            self.has_killed = kill
+
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    runner = Broken()
+    assert _run_until_signal(runner, once=False) == 1
+    assert runner.has_killed is False

@@ -14,7 +14,8 @@ from kleinkram.contract.runners import RunFinish
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import Ending
 from kleinkram.runner.executors.kubernetes import pod_log
-from kleinkram.runner.executors.kubernetes.cluster import Cluster, ClusterUnavailable, Pod
+from kleinkram.runner.executors.kubernetes.api_objects import Pod
+from kleinkram.runner.executors.kubernetes.cluster import Cluster, ClusterUnavailable
 from kleinkram.runner.executors.kubernetes.endings import (
     ending_of,
     failed_start,

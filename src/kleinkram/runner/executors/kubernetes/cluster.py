@@ -5,17 +5,16 @@ library's own types are checked nowhere. It is imported only when a runner start
 """
 
 import contextlib
-import datetime
 from collections.abc import Iterator, Mapping
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any, Literal, Protocol, TypeVar, cast
 
 import urllib3
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic.alias_generators import to_camel
+from pydantic import Field, ValidationError
 
 from kleinkram.client.errors import InvalidInput
+from kleinkram.runner.executors.kubernetes.api_objects import ApiObject, ClusterJob, ObjectMetadata, Pod, PodEvent
 
 Kind = Literal["jobs", "pods", "persistentvolumeclaims", "secrets"]
 Body = dict[str, Any]
@@ -60,161 +59,34 @@ class ClusterUnavailable(ClusterError):
     """The API server does not answer, is overloaded, or met a conflict: the same request may succeed later."""
 
 
-class _ApiObject(BaseModel):
-    model_config = ConfigDict(alias_generator=to_camel, populate_by_name=True, frozen=True)
-
-
-class ObjectMetadata(_ApiObject):
-    """What all objects have."""
-
-    name: str
-    uid: str = ""
-    labels: dict[str, str] = {}
-    resource_version: str = ""
-    creation_timestamp: datetime.datetime | None = None
-    deletion_timestamp: datetime.datetime | None = None
-
-
-class Condition(_ApiObject):
-    """A condition of an object."""
-
-    type: str
-    status: str
-    reason: str | None = None
-    message: str | None = None
-    last_transition_time: datetime.datetime | None = None
-
-
-class WaitingContainer(_ApiObject):
-    """Why a container does not run yet."""
-
-    reason: str = ""
-    message: str = ""
-
-
-class RunningContainer(_ApiObject):
-    """A container that runs."""
-
-
-class TerminatedContainer(_ApiObject):
-    """How a container ended. `message` is what it wrote for that purpose, or the words of the container runtime."""
-
-    exit_code: int
-    reason: str = ""
-    message: str = ""
-
-
-class ContainerState(_ApiObject):
-    """One of these."""
-
-    waiting: WaitingContainer | None = None
-    running: RunningContainer | None = None
-    terminated: TerminatedContainer | None = None
-
-
-class ContainerStatus(_ApiObject):
-    """The state of a container."""
-
-    name: str
-    state: ContainerState = ContainerState()
-
-
-class PodSpecification(_ApiObject):
-    """Where a pod is."""
-
-    node_name: str | None = None
-
-
-class PodStatus(_ApiObject):
-    """The state of a pod."""
-
-    phase: str = "Pending"
-    reason: str = ""
-    message: str = ""
-    conditions: list[Condition] = []
-    container_statuses: list[ContainerStatus] = []
-
-
-class Pod(_ApiObject):
-    """A pod. `is_disrupted`, which the API server does not say: its end was requested before it was seen to end."""
-
-    metadata: ObjectMetadata
-    spec: PodSpecification = PodSpecification()
-    status: PodStatus = PodStatus()
-    is_disrupted: bool = Field(False, exclude=True)
-
-    @property
-    def has_ended(self) -> bool:
-        """Whether none of its containers runs, or will."""
-        return self.status.phase in {"Succeeded", "Failed"}
-
-    @property
-    def container(self) -> ContainerState:
-        """The state of its only container."""
-        return self.status.container_statuses[0].state if self.status.container_statuses else ContainerState()
-
-    def condition(self, name: str) -> Condition | None:
-        """Return a condition."""
-        return next((condition for condition in self.status.conditions if condition.type == name), None)
-
-
-class JobStatus(_ApiObject):
-    """The state of a Job."""
-
-    conditions: list[Condition] = []
-
-
-class ClusterJob(_ApiObject):
-    """A Job."""
-
-    metadata: ObjectMetadata
-    status: JobStatus = JobStatus()
-
-    @property
-    def failure(self) -> str | None:
-        """Why it failed, in the words of the cluster; None where it did not."""
-        for condition in self.status.conditions:
-            if condition.type == "Failed" and condition.status == "True":
-                return condition.message or condition.reason or "it failed"
-        return None
-
-
-class _NamedObject(_ApiObject):
+class _NamedObject(ApiObject):
     metadata: ObjectMetadata
 
 
-class _ListMetadata(_ApiObject):
+class _ListMetadata(ApiObject):
     resource_version: str = ""
     continue_: str = Field("", alias="continue")
 
 
-class _PodList(_ApiObject):
+class _PodList(ApiObject):
     metadata: _ListMetadata = _ListMetadata()
-    items: list[Pod] = []
+    items: tuple[Pod, ...] = ()
 
 
-class _NamedObjectList(_ApiObject):
+class _NamedObjectList(ApiObject):
     metadata: _ListMetadata = _ListMetadata()
-    items: list[_NamedObject] = []
+    items: tuple[_NamedObject, ...] = ()
 
 
-class _StatusAnswer(_ApiObject):
+class _StatusAnswer(ApiObject):
     message: str = ""
     reason: str = ""
     code: int = 0
 
 
-class _WatchEvent(_ApiObject):
+class _WatchEvent(ApiObject):
     type: str
     object: dict[str, Any]
-
-
-class PodEvent(BaseModel):
-    """A change of a pod, after which a watch can continue from `version`; without a pod, that alone."""
-
-    version: str
-    is_deleted: bool = False
-    pod: Pod | None = None
 
 
 class _LibraryResponse(Protocol):
@@ -232,7 +104,7 @@ class _Library(Protocol):
     def call_api(self, resource_path: str, method: str, **options: object) -> _LibraryResponse: ...
 
 
-_Object = TypeVar("_Object", bound=_ApiObject)
+_Object = TypeVar("_Object", bound=ApiObject)
 
 
 class Cluster:
@@ -280,7 +152,7 @@ class Cluster:
     def list_pods(self, selector: str) -> tuple[list[Pod], str]:
         """Return the pods with labels, and the version to watch from."""
         page = _parse(self._send("GET", self._path("pods"), query={"labelSelector": selector}), _PodList)
-        return page.items, page.metadata.resource_version
+        return [*page.items], page.metadata.resource_version
 
     def watch_pods(self, selector: str, version: str) -> Iterator[PodEvent]:
         """Yield changes after a version, until the API server ends the watch.

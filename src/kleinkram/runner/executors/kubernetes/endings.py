@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from kleinkram.contract.actions import Resources
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import Ending
-from kleinkram.runner.executors.kubernetes.cluster import ContainerState, Pod, TerminatedContainer
+from kleinkram.runner.executors.kubernetes.api_objects import ContainerState, Pod, TerminatedContainer
 from kleinkram.runner.executors.supervision import (
     command_not_found,
     out_of_memory,

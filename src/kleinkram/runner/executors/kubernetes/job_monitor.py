@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from kleinkram.contract.runs import EndReason, RunPlacement
 from kleinkram.runner.executors.base import Ending, RunJob
 from kleinkram.runner.executors.kubernetes import endings
-from kleinkram.runner.executors.kubernetes.cluster import Body, Cluster, ClusterError, ClusterUnavailable, Kind, Pod
+from kleinkram.runner.executors.kubernetes.api_objects import Pod
+from kleinkram.runner.executors.kubernetes.cluster import Body, Cluster, ClusterError, ClusterUnavailable, Kind
 from kleinkram.runner.executors.kubernetes.pod_log import PodLog
 from kleinkram.runner.executors.kubernetes.pod_watch import PodWatch
 from kleinkram.runner.executors.kubernetes.run_objects import OverQuota, RunObjects, names_of

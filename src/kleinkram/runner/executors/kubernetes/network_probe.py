@@ -16,7 +16,8 @@ from urllib.parse import urlsplit
 
 from kleinkram.contract.actions import Network
 from kleinkram.runner.executors.kubernetes import endings
-from kleinkram.runner.executors.kubernetes.cluster import Cluster, ClusterError, ClusterUnavailable, Pod
+from kleinkram.runner.executors.kubernetes.api_objects import Pod
+from kleinkram.runner.executors.kubernetes.cluster import Cluster, ClusterError, ClusterUnavailable
 from kleinkram.runner.executors.kubernetes.manifests import NETWORK_LABEL, TRANSFER, Manifests, Names
 
 _log = logging.getLogger("kleinkram.runner")

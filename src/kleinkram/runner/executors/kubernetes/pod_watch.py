@@ -5,7 +5,8 @@ import threading
 from collections.abc import Callable, Sequence
 from http import HTTPStatus
 
-from kleinkram.runner.executors.kubernetes.cluster import Cluster, ClusterError, Pod
+from kleinkram.runner.executors.kubernetes.api_objects import Pod
+from kleinkram.runner.executors.kubernetes.cluster import Cluster, ClusterError
 from kleinkram.runner.executors.kubernetes.endings import with_history
 
 _log = logging.getLogger("kleinkram.runner")

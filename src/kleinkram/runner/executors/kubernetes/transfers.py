@@ -16,7 +16,8 @@ from kleinkram.environments.cache import Show
 from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors.base import UPLOADING, CannotStart, Ending
 from kleinkram.runner.executors.kubernetes import endings
-from kleinkram.runner.executors.kubernetes.cluster import Body, Cluster, ClusterError, ClusterUnavailable, Kind, Pod
+from kleinkram.runner.executors.kubernetes.api_objects import Pod
+from kleinkram.runner.executors.kubernetes.cluster import Body, Cluster, ClusterError, ClusterUnavailable, Kind
 from kleinkram.runner.executors.kubernetes.pod_watch import PodWatch
 from kleinkram.runner.executors.kubernetes.run_objects import RunObjects, names_of
 from kleinkram.runner.executors.kubernetes.transfer_output import FetchOutcome, read_finish
