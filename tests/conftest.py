@@ -7,13 +7,15 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.requirements import missing
+from tests import slurm_cluster
+from tests.requirements import missing, need
+from tests.slurm_cluster import SlurmCluster
 from tests.template_instance import share_template
 
 MakeCase = Callable[[str], Path]
@@ -93,6 +95,16 @@ def pytest_collection_finish() -> None:
     gc.freeze()
     gc.set_threshold(10_000)
     gc.enable()
+
+
+@pytest.fixture(scope="session")
+def slurm() -> Iterator[SlurmCluster]:
+    """A Slurm cluster of one node."""
+    if os.geteuid() != 0:
+        missing("a Slurm of the tests' own needs root")
+    need(*slurm_cluster.PROGRAMS)
+    with slurm_cluster.slurm_cluster() as made:
+        yield made
 
 
 @pytest.fixture(scope="session", autouse=True)

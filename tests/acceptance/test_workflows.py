@@ -14,6 +14,7 @@ import pytest
 
 from tests.acceptance.conftest import Terminal, _terminal, running_instance
 from tests.requirements import need_workflows
+from tests.slurm_cluster import SlurmCluster
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -92,14 +93,18 @@ def test_a_snakemake_pipeline(lab: Terminal, robot: dict[str, str], tmp_path: Pa
         check_lineage(lab, mission)
 
 
-def test_the_script_of_a_job_array_finds_the_same(lab: Terminal, robot: dict[str, str], tmp_path: Path) -> None:
-    """Each task runs as Slurm would start it; its results are those that Snakemake had already put back, or new."""
+def test_a_job_array_of_slurm_finds_the_same(
+    lab: Terminal, robot: dict[str, str], slurm: SlurmCluster, tmp_path: Path
+) -> None:
+    """Its results are those that Snakemake had already put back, or new."""
     (tmp_path / "missions.txt").write_text("day-1\nday-2\n")
-    shutil.copy(_EXAMPLES / "imu_gaps.py", tmp_path)
-    for task in (1, 2):
-        slurm = {"SLURM_ARRAY_TASK_ID": str(task), "SLURM_SUBMIT_DIR": str(tmp_path), "TMPDIR": str(tmp_path)}
-        command = ["bash", _EXAMPLES / "imu_gaps.sbatch", "alpine", tmp_path / "missions.txt"]
-        run(command, robot | slurm, tmp_path)
+    for name in ("imu_gaps.py", "imu_gaps.sbatch"):
+        shutil.copy(_EXAMPLES / name, tmp_path)
+    job_array: list[object] = ["sbatch", "--wait", "--array=1-2%10", "imu_gaps.sbatch", "alpine", "missions.txt"]
+    try:
+        run(job_array, {**robot, **slurm.environment}, tmp_path)
+    finally:
+        sys.stderr.write("".join(path.read_text() for path in tmp_path.glob("slurm-*.out")))
     assert len(recorded(lab, "imu-gaps")) == 2
     check_lineage(lab, "day-2")
 

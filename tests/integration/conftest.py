@@ -1,6 +1,5 @@
 """The API for HTTP tests: one for the whole session, or one with settings of its own."""
 
-import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,14 +13,11 @@ from alembic import command
 
 from kleinkram.server.auth import local_accounts
 from kleinkram.server.migrations import alembic_config
-from tests import slurm_cluster
 from tests.integration.api_server import Api, serving
 from tests.integration.corpus import Corpus, upload_corpus
 from tests.integration.kubernetes.real_cluster import RealCluster, real_cluster
 from tests.integration.sample import Sample
-from tests.requirements import missing, need
 from tests.services import RunningPostgres, RunningStore
-from tests.slurm_cluster import SlurmCluster
 
 _QUICK_HASHER = argon2.PasswordHasher(time_cost=1, memory_cost=64, parallelism=1)
 _THREAD_END_S = 20
@@ -153,16 +149,6 @@ def corpus(starting: Starting, recordings_dir: Path) -> Iterator[Corpus]:
     """The real recordings in a mission of an API of their own, summarised, verified and grouped."""
     with starting() as start:
         yield upload_corpus(start(), recordings_dir)
-
-
-@pytest.fixture(scope="session")
-def slurm() -> Iterator[SlurmCluster]:
-    """A Slurm cluster of one node."""
-    if os.geteuid() != 0:
-        missing("a Slurm of the tests' own needs root")
-    need(*slurm_cluster.PROGRAMS)
-    with slurm_cluster.slurm_cluster() as made:
-        yield made
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ import os
 import random
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -46,12 +46,15 @@ def stepwise(lab: Lab, steps: int) -> ActionDefinition:
     return ActionDefinition(name="step", script=script, resources=resources, network=Network.open)
 
 
-def run_under_fire(lab: Lab, count: int, chance: random.Random, strikes: Iterator[str], *, pause_s: float) -> None:
+def run_under_fire(
+    lab: Lab, count: int, chance: random.Random, strikes: Iterator[str], *, steps: Sequence[int], pause_s: float
+) -> None:
     """Have runs done while parts are killed; check that each was done, with the results of exactly one start.
 
-    A part is away for up to `pause_s`, and all of them work as long at most before the next is killed.
+    The runs last for so many tenths of a second. Each part is killed at least once, and away for up to `pause_s`; all
+    of them work as long at most before the next is killed.
     """
-    ids = [run_id for _ in range(count // MISSIONS) for run_id in lab.launch(stepwise(lab, chance.randrange(1, 30)))]
+    ids = [run_id for _ in range(count // MISSIONS) for run_id in lab.launch(stepwise(lab, chance.choice(steps)))]
     kills = dict.fromkeys(_PARTS, 0)
     until_s, least = time.monotonic() + _STUCK_S, count
     while (active := lab.active()) != 0:
@@ -64,6 +67,7 @@ def run_under_fire(lab: Lab, count: int, chance: random.Random, strikes: Iterato
             time.sleep(chance.uniform(0, pause_s))
         lab.start_again(part or "")
         time.sleep(chance.uniform(pause_s / 4, pause_s) if part else 0.2)
+    assert min(kills.values()) > 0, f"the runs ended before each part was killed: {kills}"
     repeated = [run_id for run_id in ids if check(lab, lab.client.runs.get(run_id)) > 1]
     sys.stderr.write(f"{count} runs, {len(repeated)} of them started more than once; kills: {kills}\n")
 
@@ -88,7 +92,7 @@ def check(lab: Lab, run: RunDetail) -> int:
 @pytest.mark.slow
 def test_runs_survive_a_kill_of_each_part(tmp_path: Path) -> None:
     with lab(tmp_path) as made:
-        run_under_fire(made, 10, random.Random(1), iter(_PARTS), pause_s=1)
+        run_under_fire(made, 10, random.Random(1), iter(_PARTS), steps=(60,), pause_s=1)
 
 
 @pytest.mark.soak
@@ -97,4 +101,4 @@ def test_many_runs_survive_random_kills(tmp_path: Path) -> None:
     seed = int(os.environ.get("KLEINKRAM_KILLS_SEED", "28"))
     chance = random.Random(seed)
     with lab(tmp_path) as made:
-        run_under_fire(made, 200, chance, iter(lambda: chance.choice(_PARTS), ""), pause_s=4)
+        run_under_fire(made, 200, chance, iter(lambda: chance.choice(_PARTS), ""), steps=range(1, 30), pause_s=4)

@@ -256,6 +256,14 @@ class ClusterOptions:
         Many, option("--gpu-toleration", "KEY[=VALUE][:EFFECT]", "For runs with GPUs, tolerate this one; repeatable.")
     ] = None
     priority_class: Annotated[Text, option("--priority-class", "P", "Give pods this priority class.")] = None
+    allow_metadata_access: Annotated[
+        bool,
+        option(
+            "--allow-metadata-access",
+            None,
+            "Offer open networks though they reach the cloud's metadata service, and so credentials of nodes.",
+        ),
+    ] = False
     user: Annotated[
         int, option("--user", "UID", "Run pods as this user; 0: as the one that the cluster chooses.", min=0)
     ] = 10_001
@@ -284,6 +292,7 @@ class ClusterOptions:
             "tolerations": tolerations("--toleration", self.toleration),
             "gpu_tolerations": tolerations("--gpu-toleration", self.gpu_toleration),
             "priority_class": self.priority_class,
+            "allow_metadata_access": self.allow_metadata_access,
             "run_as_user": self.user or None,
             **({"pod_image": self.pod_image} if self.pod_image else {}),
         }

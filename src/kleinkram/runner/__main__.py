@@ -146,6 +146,9 @@ def _run_until_signal(runner: Runner, *, once: bool) -> int:
             runner.run(once=once)
         except (KleinkramError, OSError) as error:
             errors.append(error)
+        except Exception as error:
+            _log.exception("an unexpected error ends the runner; its runs go on")
+            errors.append(error)
         finally:
             has_ended.set()
 

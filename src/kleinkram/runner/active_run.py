@@ -12,7 +12,8 @@ import time
 from collections.abc import Callable
 
 from kleinkram import traces
-from kleinkram.contract.errors import KleinkramError, RunGone
+from kleinkram.client._http import Backoff
+from kleinkram.contract.errors import RunGone
 from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.reports import Progress
 from kleinkram.contract.runners import Heartbeat, HeartbeatReply, LeaseStatus, RunAssignment, RunFinish
@@ -22,7 +23,7 @@ from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_fo
 from kleinkram.runner.executors.supervision import CANCELLED, boot_time_s
 from kleinkram.runner.inputs import job_of, prepare_run
 from kleinkram.runner.logs import LogUpload, Redactor
-from kleinkram.runner.node_transfers import order_transfers, read_status
+from kleinkram.runner.node_transfers import TransferStatus, order_transfers, read_status
 from kleinkram.runner.results import JobOutput, ProgressReader, ResultUpload
 from kleinkram.runner.state_directory import (
     Attempt,
@@ -43,6 +44,14 @@ _MAX_SAMPLES = 100
 # A run that crashes its machine each time is not started for ever.
 _MAX_STARTS = 3
 _CANCEL_EVERY_S = 1.0
+# How long to try again after errors: with results, by when an administrator has seen them; before, after those of a
+# file system that may come back, and after others.
+_KEEP_RESULTS_S = 7 * 86400.0
+_STORAGE_RETRY_S = 86400.0
+_ERROR_RETRY_S = 300.0
+_LASTING_ERRORS = frozenset({errno.ENOENT, errno.ENOTDIR})
+_FORGET_FAILURES_S = 600.0
+_MAX_MESSAGE = 200
 
 
 class ActiveRun:
@@ -72,6 +81,10 @@ class ActiveRun:
         if is_new:
             self._is_confirmed.set()
         self._is_submitted = attempt.state.stage is RunState.running
+        # How its job ended, from when that is known until it is recorded.
+        self._ending: Ending | None = None
+        self._retry: Backoff | None = None
+        self._failed_s = -math.inf
         self._samples: list[UsageSample] = []
         self._usage = attempt.state.usage
         self._placement = attempt.state.placement
@@ -85,6 +98,7 @@ class ActiveRun:
         self._cancelled_at_s = -math.inf
         self._is_cancel_failing = False
         self._are_inputs_counted = False
+        self._transfers: TransferStatus | None = None
         self._upload: ResultUpload | None = None
         self._thread = threading.Thread(target=self._run, name=f"run {attempt.key[:8]}", daemon=True)
 
@@ -177,19 +191,8 @@ class ActiveRun:
     def _run_to_end(self) -> None:
         is_detached = False
         try:
-            try:
-                if self._attempt.state.stage is not RunState.collecting:
-                    ending = self._run_job()
-                    self._attempt.change(
-                        stage=RunState.collecting, ending=ending, usage=self._usage, placement=self._placement
-                    )
-                with traces.span("upload results"):
-                    self._upload_results()
-            except OSError as error:
-                if error.errno not in _DISK_FULL_ERRORS:
-                    raise
-                _log.error("the run %s is ended, as the disk is full: %s", self.assignment.run_id, error)
-                self._report_disk_full()
+            while not self._is_completed():
+                pass
         except StopRequested as stopped:
             is_detached = stopped.request is StopRequest.detach
             if not is_detached:
@@ -198,8 +201,8 @@ class ActiveRun:
         except RunGone:
             _log.info("the run %s is not this runner's any more", self.assignment.run_id)
             self._context.statistics.count_end(None)
-        except (KleinkramError, OSError):
-            # Its lease ends, and the server decides what happens.
+        except Exception:
+            # Not even the end could be reported. The server returns the run with the next claim, as a new attempt.
             self._context.statistics.count_end(None)
             _log.exception("the run %s is given up", self.assignment.run_id)
         finally:
@@ -211,14 +214,77 @@ class ActiveRun:
                     self._executor.remove(self._job())
                     self._release_environment()
                     remove_tree(self._attempt.directory)
-                except OSError as error:
+                except Exception as error:
                     _log.warning("the folder of the run %s was not removed: %s", self.assignment.run_id, error)
                 finally:
                     self._on_end(self)
 
-    def _run_job(self) -> Ending:
+    def _is_completed(self) -> bool:
+        """Take the steps that are not recorded as done; return whether the end of the run is reported.
+
+        After an error of the file system or of this program, they are to be taken again, as after a kill: the job goes
+        on meanwhile, and its results stay.
+        """
         try:
-            if self._is_submitted:  # an earlier runner submitted the job, or was about to
+            self._take_steps()
+        except (StopRequested, RunGone):
+            raise
+        except Exception as error:
+            if isinstance(error, OSError) and error.errno in _DISK_FULL_ERRORS:
+                _log.error("the run %s is ended, as the disk is full: %s", self.assignment.run_id, error)
+                self._report_without_results(ResultUpload.without_disk_space)
+                return True
+            if self._wait_after(error):
+                return False
+            _log.exception("the run %s is ended, as its runner cannot complete it", self.assignment.run_id)
+            ending = Ending(
+                EndReason.lost, f"Its runner could not complete it, and tried for long: {_reason_of(error)}."
+            )
+            self._report_without_results(lambda upload: upload.plain(ending))
+        return True
+
+    def _take_steps(self) -> None:
+        if self._attempt.state.stage is not RunState.collecting:
+            self._ending = self._ending or self._run_job()
+            self._attempt.change(
+                stage=RunState.collecting, ending=self._ending, usage=self._usage, placement=self._placement
+            )
+            self._retry = None
+        with traces.span("upload results"):
+            self._upload_results()
+
+    def _wait_after(self, error: Exception) -> bool:
+        """Wait after an unexpected error; return whether to try again. Where a person cancels the run, do not."""
+        now_s = boot_time_s()
+        if self._retry is None or now_s - self._failed_s > _FORGET_FAILURES_S:
+            self._retry = Backoff(self._patience_s(error), self.stop.wait)
+            _log.warning("the run %s is tried again after an error", self.assignment.run_id, exc_info=error)
+        self._failed_s = now_s
+        self._upload = None
+        message = f"an error of its runner, which tries again: {_reason_of(error)}"
+        self._preparation = Progress(fraction=0, message=message[:_MAX_MESSAGE])
+        self._context.on_change()
+        try:
+            return self._retry.pause()
+        except StopRequested as stopped:
+            if stopped.request is not StopRequest.cancel:
+                raise
+            return False
+
+    def _patience_s(self, error: Exception) -> float:
+        if self._attempt.state.stage is RunState.collecting:
+            return _KEEP_RESULTS_S
+        is_of_storage = isinstance(error, OSError) and error.errno not in _LASTING_ERRORS
+        return _STORAGE_RETRY_S if is_of_storage else _ERROR_RETRY_S
+
+    def _run_job(self) -> Ending:
+        # True of a job that was submitted by an earlier runner or before an error, and of one that was about to be.
+        self._is_submitted = self._attempt.state.stage is RunState.running
+        try:
+            if self._is_submitted and not self._executor.was_submitted(self._job(), self.stop.wait):
+                self._attempt.change(starts=max(0, self._attempt.state.starts - 1))
+                self._is_submitted = False
+            if self._is_submitted:
                 ending = self._executor.poll(self._job())
                 is_lost = ending is not None and ending.reason is EndReason.lost
                 if is_lost and self._attempt.state.starts < _MAX_STARTS:
@@ -266,7 +332,11 @@ class ActiveRun:
             raise StopRequested(StopRequest.abandon)
         job = self._job()
         self._executor.set_lease(job, self.lease.until_s, create=True)
-        self._executor.submit(job)
+        try:
+            self._executor.submit(job)
+        except OSError:  # it was not started, or is removed before the next try
+            self._attempt.change(stage=RunState.preparing, starts=self._attempt.state.starts - 1)
+            raise
         self._is_submitted = True
         self._attempt.change(started_s=boot_time_s())
 
@@ -298,6 +368,7 @@ class ActiveRun:
         sampled_s = -math.inf
         while (ending := wait_for_end(self._executor, job, _CHECK_EVERY_S)) is None:
             self._check_stop()
+            self._show_waiting(self._reason_waiting(job))
             self._progress.read()
             if boot_time_s() - sampled_s >= _SAMPLE_EVERY_S:
                 sampled_s = boot_time_s()
@@ -316,7 +387,9 @@ class ActiveRun:
         """Return why a job has not started: its cluster has not started it, or its node downloads its inputs."""
         if (reason := self._executor.reason_waiting(job)) is not None:
             return reason
-        status = read_status(self._attempt.directory)
+        with contextlib.suppress(OSError):  # the shared file system is not available
+            self._transfers = read_status(self._attempt.directory)
+        status = self._transfers
         if status is not None and status.is_over and not self._are_inputs_counted:
             self._are_inputs_counted = True
             self._context.statistics.count_inputs("store", status.store_bytes)
@@ -328,10 +401,15 @@ class ActiveRun:
         while (reason := self._reason_waiting(job)) is not None and self._executor.poll(job) is None:
             self._check_stop()
             self._placement = self._executor.placement(job)
-            if self._preparation is None or self._preparation.message != reason:
-                self._preparation = Progress(fraction=0, message=reason)
-                self._context.on_change()
+            self._show_waiting(reason)
             time.sleep(_CHECK_EVERY_S)
+
+    def _show_waiting(self, reason: str | None) -> None:
+        """Show why a job waits, for the first time or once more: a cluster may start it again."""
+        shown = Progress(fraction=0, message=reason[:_MAX_MESSAGE]) if reason is not None else None
+        if shown != self._preparation:
+            self._preparation = shown
+            self._context.on_change()
 
     def _check_stop(self) -> None:
         """Raise on a stop request; a cancelled job ends by itself."""
@@ -358,18 +436,18 @@ class ActiveRun:
             if stopped.request is not StopRequest.cancel:
                 raise
             self.stop.acknowledge()
-            self._executor.remove(self._job())
+            with contextlib.suppress(OSError):  # it is removed again in the end
+                self._executor.remove(self._job())
             self._report(upload, upload.without_results(Ending.of(CANCELLED, ending.exit_code)))
 
     def _stored_results(self, upload: ResultUpload, ending: Ending) -> RunFinish | None:
         """Return what to report once the results are uploaded where the job ran; None if this runner is to do so."""
         job = self._job()
 
-        def wait(seconds: float) -> None:
-            upload.progress = Progress(fraction=1, message="the results are uploaded where the job ran")
-            self.stop.wait(seconds)
+        def show(message: str, _fraction: float) -> None:
+            upload.progress = Progress(fraction=1, message=message)
 
-        stored = self._executor.upload_results(job, upload.plain(ending), wait)
+        stored = self._executor.upload_results(job, upload.plain(ending), self.stop.wait, show)
         self._placement = self._executor.placement(job) or self._placement
         if stored is None or stored.has_log:
             return stored and stored.finish
@@ -391,15 +469,17 @@ class ActiveRun:
             progress=self._progress.progress,
         )
 
-    def _report_disk_full(self) -> None:
-        """Report the end: given up, the run would be started again, and meet the same."""
-        if self.stop.request is StopRequest.cancel:
+    def _report_without_results(self, finish_of: Callable[[ResultUpload], RunFinish]) -> None:
+        """Report the end of a run that cannot be completed: given up, it would be started again, and meet the same."""
+        is_cancelled = self.stop.request is StopRequest.cancel
+        if is_cancelled:
             self.stop.acknowledge()
         self.stop.check()
-        self._executor.remove(self._job())
+        with contextlib.suppress(OSError):  # it is removed again in the end
+            self._executor.remove(self._job())
         self._set_state(RunState.collecting)
         self._upload = upload = self._result_upload()
-        self._report(upload, upload.without_disk_space())
+        self._report(upload, upload.plain(Ending.of(CANCELLED)) if is_cancelled else finish_of(upload))
 
     def _report(self, upload: ResultUpload, finish: RunFinish) -> None:
         # With what further heartbeats would have reported.
@@ -416,3 +496,7 @@ class ActiveRun:
     def _set_state(self, state: RunState) -> None:
         self._state = state
         self._context.on_change()
+
+
+def _reason_of(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or f"{type(error).__name__} (see its log)"

@@ -17,8 +17,6 @@ from kleinkram.runner.executors.docker.client import DockerClient, EngineError, 
 from kleinkram.runner.executors.docker.executor import DockerExecutor
 from kleinkram.runner.executors.kubernetes.cluster import connect
 from kleinkram.runner.executors.kubernetes.executor import KubernetesExecutor
-from kleinkram.runner.executors.kubernetes.manifests import Manifests
-from kleinkram.runner.executors.kubernetes.network_probe import find_networks
 from kleinkram.runner.executors.kubernetes.options import KubernetesOptions
 from kleinkram.runner.executors.local import Machine
 from kleinkram.runner.executors.process import ProcessExecutor
@@ -132,8 +130,9 @@ def kubernetes_executor(options: KubernetesOptions, *, runner: str, url: str, to
         InvalidInput: there is no configuration of a cluster.
     """
     cluster = connect(options.namespace, options.kubeconfig, options.context)
-    networks = find_networks(cluster, Manifests(options, runner), url)
-    return KubernetesExecutor(cluster, options, runner=runner, url=url, token=token, networks=networks)
+    executor = KubernetesExecutor(cluster, options, runner=runner, url=url, token=token)
+    executor.find_abilities()
+    return executor
 
 
 def _image_store(

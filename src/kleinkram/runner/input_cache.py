@@ -211,7 +211,7 @@ class InputCache:
         self.limit_bytes = limit_bytes
         self.max_age_s = max_age_s
         try:
-            directory.mkdir(mode=0o711, parents=True, exist_ok=True)
+            directory.mkdir(mode=0o700, parents=True, exist_ok=True)
             self._ages_checked_s = time.monotonic()
             self._evict()
         except OSError as error:

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
 import urllib3
@@ -42,6 +42,7 @@ _DOWNLOADING = "downloading inputs"
 _MAX_SHOWN = 200
 # A server that is unavailable comes back.
 _RETRY_S = 600.0
+_T = TypeVar("_T")
 _PERMANENT_ERRORS = (NotFound, FileUnavailable, InvalidRequest)
 
 
@@ -94,7 +95,7 @@ def place_run_inputs(context: RunnerContext, source: "InputDownload", directory:
     """
     assignment = source.assignment
 
-    def place() -> str:
+    def place_files() -> None:
         remove_tree(directory)
         directory.mkdir()
         files = input_files(assignment)
@@ -103,12 +104,16 @@ def place_run_inputs(context: RunnerContext, source: "InputDownload", directory:
             placed_bytes = sum(file.size_bytes for file in {*files.values()})
             context.statistics.count_inputs("store", source.fetched_bytes)
             context.statistics.count_inputs("cache", placed_bytes - source.fetched_bytes)
+
+    def place_context() -> str:
         run_context = context.requests.get_context(assignment.run_id, assignment.attempt)
         trusted = os.environ.get("SSL_CERT_FILE") if assignment.network is Network.api else None
         write_context(directory, run_context, assignment.script, Path(trusted).read_text() if trusted else None)
         return context.service.get().store_url if assignment.network is Network.api else ""
 
-    store_url = repeat_while_unavailable(place, source.wait)
+    repeat_while_unavailable(place_files, source.wait)
+    # By itself: inputs that are placed stay.
+    store_url = repeat_while_unavailable(place_context, source.wait)
     make_readable(directory)
     return store_url
 
@@ -142,7 +147,7 @@ def fetch_inputs(place: Callable[[], None]) -> None:
         raise _unavailable(f"Its inputs cannot be placed: {error.strerror}.") from error
 
 
-def repeat_while_unavailable(step: Callable[[], str], wait_for: Wait) -> str:
+def repeat_while_unavailable(step: Callable[[], _T], wait_for: Wait) -> _T:
     """Return what a step of the preparation returns, repeated for some minutes while the server is unavailable.
 
     Raises:

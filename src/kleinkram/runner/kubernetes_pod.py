@@ -23,7 +23,7 @@ from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.errors import RunGone
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import CannotStart, Ending
-from kleinkram.runner.executors.kubernetes.manifests import ORDER_FILE, PodOrder
+from kleinkram.runner.executors.kubernetes.manifests import ASSIGNMENT_FILE, PodAssignment
 from kleinkram.runner.executors.kubernetes.transfer_output import FetchOutcome, finish_lines
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.executors.supervision import JobLimits, LimitMonitor
@@ -52,11 +52,11 @@ class VolumeExecutor(ProcessExecutor):
         place_inputs(InputCache(self._volume / _CACHE, sys.maxsize), directory, files, source, copy=False)
 
 
-def fetch(order: PodOrder, volume: Path) -> FetchOutcome:
+def fetch(assigned: PodAssignment, volume: Path) -> FetchOutcome:
     """Write the inputs of a run to its volume."""
-    with _context(order, VolumeExecutor(volume)) as context:
+    with _context(assigned, VolumeExecutor(volume)) as context:
         source = InputDownload(
-            context.runners, context.store, order.assignment, StopSignal(), lambda message, fraction: None
+            context.runners, context.store, assigned.assignment, StopSignal(), lambda message, fraction: None
         )
         try:
             place_run_inputs(context, source, volume / "in")
@@ -70,23 +70,23 @@ def fetch(order: PodOrder, volume: Path) -> FetchOutcome:
     return FetchOutcome()
 
 
-def store(order: PodOrder, volume: Path, ending: Ending) -> None:
+def store(assigned: PodAssignment, volume: Path, ending: Ending) -> None:
     """Upload the results of a run from its volume, and write what to report to stdout."""
-    resources = order.assignment.resources
+    resources = assigned.assignment.resources
     limits = LimitMonitor(volume, JobLimits(resources.memory_bytes, resources.disk_bytes, resources.time_s, 0))
     limits.check_disk()
     if ending.reason is EndReason.done and limits.reason is not None:
         # Volumes of some clusters have no limit.
         ending = Ending.of(limits.reason, ending.exit_code)
     output = JobOutput(volume, lambda: volume / "out", lambda offset, size_bytes: b"")
-    with _context(order, VolumeExecutor(volume)) as context:
+    with _context(assigned, VolumeExecutor(volume)) as context:
         upload = ResultUpload(
             context.runners,
             context.url,
             output,
-            order.assignment,
+            assigned.assignment,
             stop=StopSignal(),
-            redactor=Redactor([order.token]),
+            redactor=Redactor([assigned.token]),
             progress=None,
         )
         finish = upload.upload(ending)
@@ -108,8 +108,8 @@ def _is_reachable(host: str, port: str) -> bool:
 
 
 @contextlib.contextmanager
-def _context(order: PodOrder, executor: VolumeExecutor) -> Iterator[RunnerContext]:
-    api = Api(Endpoint("runner", order.url, order.token, EndpointSource.argument))
+def _context(assigned: PodAssignment, executor: VolumeExecutor) -> Iterator[RunnerContext]:
+    api = Api(Endpoint("runner", assigned.url, assigned.token, EndpointSource.argument))
     runners, storage = Runners(api), StoreClient(_CONNECTIONS)
     try:
         yield RunnerContext(
@@ -117,8 +117,8 @@ def _context(order: PodOrder, executor: VolumeExecutor) -> Iterator[RunnerContex
             runners=runners,
             requests=RunRequests(runners),
             store=storage,
-            url=order.url,
-            token=order.token,
+            url=assigned.url,
+            token=assigned.token,
             token_file=None,
             service=Service(api),
             default_image=None,
@@ -135,7 +135,7 @@ def main() -> None:
     parser.add_argument("step", choices=("fetch", "store", "probe"))
     parser.add_argument("targets", nargs="*")
     parser.add_argument("--volume", type=Path)
-    parser.add_argument("--order", type=Path)
+    parser.add_argument("--assignment", type=Path)
     parser.add_argument("--ending")
     parser.add_argument("--outcome", type=Path, default=_TERMINATION_LOG)
     arguments = parser.parse_args()
@@ -145,12 +145,12 @@ def main() -> None:
     if arguments.step == "probe":
         arguments.outcome.write_text(json.dumps(probe(arguments.targets)))
         return
-    order = PodOrder.model_validate_json(gzip.decompress((arguments.order / ORDER_FILE).read_bytes()))
+    assigned = PodAssignment.model_validate_json(gzip.decompress((arguments.assignment / ASSIGNMENT_FILE).read_bytes()))
     if arguments.step == "fetch":
-        arguments.outcome.write_text(fetch(order, arguments.volume).text())
+        arguments.outcome.write_text(fetch(assigned, arguments.volume).text())
         return
     reason, message, exit_code = json.loads(arguments.ending)
-    store(order, arguments.volume, Ending(EndReason(reason), message, exit_code))
+    store(assigned, arguments.volume, Ending(EndReason(reason), message, exit_code))
 
 
 if __name__ == "__main__":

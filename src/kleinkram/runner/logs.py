@@ -104,7 +104,9 @@ class LogUpload:
             self._state = _UploadState()
 
     def start(self, job: RunJob) -> None:
-        """Start the upload, or continue that of an earlier runner."""
+        """Start the upload, or continue that of an earlier runner. No effect while it goes on."""
+        if self._thread is not None and self._thread.is_alive():
+            return
         self._thread = threading.Thread(target=self._upload, args=(job,), name="log", daemon=True)
         self._thread.start()
 

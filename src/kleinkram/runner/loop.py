@@ -56,6 +56,7 @@ _DETACH_S = 3.0
 _LOG_PARTS_PER_S = 10.0
 _STORE_CONNECTIONS = 8
 _DEFAULT_IMAGE_RETRY_S = 300.0
+_ABILITIES_RETRY_S = 60.0
 # A thread without progress for this long hangs: longer than any request with its retries.
 _HANGS_S = 240.0
 _REFUSALS = (NotAuthenticated, Forbidden, ScopeMissing)
@@ -135,6 +136,10 @@ class Runner:
             search = threading.Thread(target=self._find_default_image, name="default image", daemon=True)
             search.start()
             self._threads.append(search)
+        if not self._executor.are_abilities_known:
+            search = threading.Thread(target=self._find_abilities, name="abilities", daemon=True)
+            search.start()
+            self._threads.append(search)
         capacity = self._executor.capacity
         _log.info(
             "ready: %g cores, %.1f GB memory, %.0f GB disk, %d GPUs, runs as %s",
@@ -199,9 +204,9 @@ class Runner:
             if isinstance(entry, Path):
                 with contextlib.suppress(OSError):
                     runner_state.remove_tree(entry)
-        until_s = max(
-            boot_time_s() + _CONFIRMATION_S, self._state.last_heartbeat_s() + self._executor.lease_s - LEASE_MARGIN_S
-        )
+        # Where the jobs end in time by themselves, the login node, its clock, and a silent server cost none of them.
+        confirmed_s = boot_time_s() if self._executor.nodes_enforce_leases else self._state.last_heartbeat_s()
+        until_s = max(boot_time_s() + _CONFIRMATION_S, confirmed_s + self._executor.lease_s - LEASE_MARGIN_S)
         for attempt in attempts:
             _log.info("continuing the run %s", attempt.state.assignment.run_id)
             self._add(attempt, Lease(until_s), is_new=False)
@@ -249,6 +254,19 @@ class Runner:
             except KleinkramError as error:
                 _log.warning("the default image could not be reported to the server yet: %s", error)
             self._is_closed.wait(_DEFAULT_IMAGE_RETRY_S)
+
+    def _find_abilities(self) -> None:
+        """Look for abilities until all are known and reported."""
+        is_reported = False
+        while not (is_reported or self._is_closed.wait(_ABILITIES_RETRY_S)):
+            self._executor.find_abilities()
+            if self._is_closed.is_set():
+                return
+            try:
+                self._register()
+                is_reported = self._executor.are_abilities_known
+            except KleinkramError as error:
+                _log.warning("what this runner offers could not be reported to the server yet: %s", error)
 
     def _claim(self, *, max_runs: int) -> list[ActiveRun]:
         """Wait for runs and start them; none where there are none."""
@@ -323,10 +341,13 @@ class Runner:
             try:
                 self._send_heartbeat(runners)
                 backoff = None
-            except (KleinkramError, OSError) as error:
+            except Exception as error:
+                # Whatever it is: without this thread, all runs would lose their leases, and their results.
                 self.statistics.count_error("heartbeat")
                 if backoff is None:
-                    _log.warning("the server gets no heartbeats of %d runs: %s", len(self._active), error)
+                    is_expected = isinstance(error, KleinkramError | OSError)
+                    words = "the server gets no heartbeats of %d runs: %s"
+                    _log.warning(words, len(self._active), error, exc_info=None if is_expected else error)
                 backoff = backoff or Backoff(math.inf, self._is_closed.wait)
                 backoff.pause()
             self._is_closed.wait(max(_HEARTBEAT_PAUSE_S, report_pause_s(self.active_count)))
@@ -359,7 +380,10 @@ class Runner:
             if time.monotonic() - min(self._progress_s.values()) < _HANGS_S:
                 watchdog.ping()
             for run in self._active_runs():
-                run.enforce()
+                try:
+                    run.enforce()
+                except Exception:  # noqa: PERF203  the others have leases, too
+                    _log.exception("the lease of the run %s is not enforced", run.assignment.run_id)
 
 
 def _reserved_by(runs: Sequence[ActiveRun]) -> Capacity:

@@ -1,4 +1,4 @@
-"""`python -m kleinkram.runner.node_transfers fetch|upload DIRECTORY`: the transfers of one job, on its compute node.
+"""`python -m kleinkram.runner.node_transfers fetch|upload DIRECTORY [START]`: the transfers of one job, on its node.
 
 `fetch` downloads the inputs that the shared cache lacks and links all of them into `DIRECTORY/in`; the URLs are signed
 now, however long the job waited. `upload` uploads log and artifacts, and leaves in `finish.json` what the runner is to
@@ -26,8 +26,8 @@ from kleinkram.contract.runs import EndReason
 from kleinkram.runner.arguments import find_token
 from kleinkram.runner.executors import linux_syscalls
 from kleinkram.runner.executors.base import CannotStart, Ending
-from kleinkram.runner.executors.supervision import ENDING, read_log_of, write_atomically
-from kleinkram.runner.executors.transfer_steps import FINISH, ORDER, STATUS
+from kleinkram.runner.executors.supervision import ending_file, read_log_of, write_atomically
+from kleinkram.runner.executors.transfer_steps import ORDER, STATUS, finish_file
 from kleinkram.runner.input_cache import InputCache, place_inputs
 from kleinkram.runner.inputs import InputDownload, fetch_inputs, input_files, make_readable, repeat_while_unavailable
 from kleinkram.runner.logs import Redactor
@@ -82,7 +82,11 @@ def order_transfers(directory: Path, url: str, token_file: Path, cache: InputCac
 
 
 def read_status(directory: Path) -> TransferStatus | None:
-    """Return what the download of the inputs of a job does; None where its node moves no files."""
+    """Return what the download of the inputs of a job does; None where its node moves no files.
+
+    Raises:
+        OSError: the folder cannot be read at the moment.
+    """
     try:
         return TransferStatus.model_validate_json((directory / STATUS).read_bytes())
     except (FileNotFoundError, ValidationError):
@@ -121,14 +125,13 @@ class NodeTransfers:
         source = InputDownload(self._runners, store, self._assignment, self._stop, self._show)
         files = input_files(self._assignment)
 
-        def place() -> str:
+        def place() -> None:
             try:
                 fetch_inputs(lambda: place_inputs(cache, target, files, source, copy=order.copy_inputs))
             except _REFUSALS as error:
                 file = self._order.token_file
                 message = f"The server does not accept the token of its runner any more. Replace it in {file}."
                 raise CannotStart(Ending(EndReason.inputs_unavailable, message)) from error
-            return ""
 
         repeat_while_unavailable(place, self._stop.wait)
         make_readable(target)
@@ -141,9 +144,9 @@ class NodeTransfers:
         )
         write_status(self._directory, status)
 
-    def upload(self) -> None:
-        """Upload the results of the job, whose ending is recorded."""
-        values = json.loads((self._directory / ENDING).read_text())
+    def upload(self, start: str = "") -> None:
+        """Upload the results of the job, whose ending is recorded; `start` is the token of its start, if it has one."""
+        values = json.loads(ending_file(self._directory, start).read_text())
         ending = Ending(EndReason(values["reason"]), values["message"], values["exit_code"])
         progress = ProgressReader(self._directory / "out")
         progress.read()
@@ -165,7 +168,7 @@ class NodeTransfers:
         if finish.reason is EndReason.results_not_stored:
             # The runner tries for days; a node is too precious.
             raise _NotStored(finish.message)
-        write_atomically(self._directory / FINISH, finish.model_dump_json())
+        write_atomically(finish_file(self._directory, start), finish.model_dump_json())
 
     def _show(self, message: str, _: float) -> None:
         if message != self._shown:
@@ -199,7 +202,7 @@ def main() -> None:
         if step == "fetch":
             transfers.fetch()
         else:
-            transfers.upload()
+            transfers.upload(*sys.argv[3:4])
         code = 0
     except (CannotStart, StopRequested, KleinkramError, OSError, _NotStored) as error:
         ending = error.ending if isinstance(error, CannotStart) else _ending_of(error)

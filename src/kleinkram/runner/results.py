@@ -5,6 +5,7 @@ The content of `/out` is untrusted: no link in it is followed.
 
 import contextlib
 import datetime
+import errno
 import json
 import logging
 import os
@@ -45,6 +46,13 @@ _PROGRESS_BYTES = 2**20
 _SEVERITIES = [*reports.Severity]
 # The limit of all entries, links and directories included, so that a job cannot keep the runner busy.
 _MAX_ENTRIES = 10 * MAX_ARTIFACTS
+# What a job can make of its folder: files that are missing, without permissions, or no files.
+_ERRORS_OF_JOBS = frozenset(
+    {
+        *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG),
+        *(errno.ENXIO, errno.ENODEV, errno.EMLINK, errno.EINVAL),
+    }
+)
 _REDACTED_LOG = "log.redacted"
 _JOURNALS = "journals"
 _CONNECTIONS = 4
@@ -108,22 +116,23 @@ class ProgressReader:
     def __init__(self, out: Path) -> None:
         self._out = out
         self._offset = 0
+        self._file: tuple[int, int] | None = None
         self.progress: reports.Progress | None = None
 
     def read(self) -> None:
-        """Read the events since the last call; invalid ones are reported at the end of the run."""
+        """Read the events since the last call; invalid ones are reported at the end of the run.
+
+        The progress stays as it was where they cannot be read at the moment. That of an earlier start of the job, which
+        had another file, is forgotten.
+        """
         try:
             stream = _open_beneath(self._out, reports.EVENTS_FILE)
+            if stream is None:
+                return
+            with stream:
+                lines = self._new_lines(stream)
         except OSError:
             return
-        if stream is None:
-            return
-        with stream:
-            size = stream.seek(0, os.SEEK_END)
-            # Only the end matters.
-            self._offset = stream.seek(max(self._offset, size - _PROGRESS_BYTES))
-            lines, line_end, _ = stream.read(_PROGRESS_BYTES).rpartition(b"\n")
-            self._offset += len(lines) + len(line_end)
         for line in reversed(lines.splitlines()):
             if b'"progress"' not in line or len(line) > reports.MAX_EVENT_BYTES:
                 continue
@@ -132,9 +141,25 @@ class ProgressReader:
                     self.progress = progress
                     return
 
+    def _new_lines(self, stream: IO[bytes]) -> bytes:
+        status = os.fstat(stream.fileno())
+        file = (status.st_dev, status.st_ino)
+        if self._file not in (None, file) or status.st_size < self._offset:
+            self._offset, self.progress = 0, None
+        self._file = file
+        # Only the end matters.
+        offset = stream.seek(max(self._offset, status.st_size - _PROGRESS_BYTES))
+        lines, line_end, _ = stream.read(_PROGRESS_BYTES).rpartition(b"\n")
+        self._offset = offset + len(lines) + len(line_end)
+        return lines
+
 
 def collect_results(out: Path) -> Results:
-    """Read the results of an ended job; none where the directory does not exist."""
+    """Read the results of an ended job; none where the directory does not exist.
+
+    Raises:
+        OSError: the file system cannot be read at the moment.
+    """
     if not out.is_dir():
         return Results()
     problems = _Problems()
@@ -162,6 +187,12 @@ def collect_results(out: Path) -> Results:
     }
     report = report.model_copy(update=existing)
     return Results(artifacts, report, problems.sentences(), report_error, problems.losses, problems.first_loss)
+
+
+def _check_storage(error: OSError) -> None:
+    """Raise an error of the file system or of this machine, which may be over soon; a job can cause the others."""
+    if error.errno is not None and error.errno not in _ERRORS_OF_JOBS:
+        raise error
 
 
 class _Unreadable(Exception):
@@ -207,6 +238,7 @@ def _artifacts(out: Path, problems: _Problems) -> Iterator[Artifact]:
         try:
             status = entry.stat(follow_symlinks=False)
         except OSError as error:
+            _check_storage(error)
             problems.add(f"{path} cannot be read: {error.strerror}.")
             continue
         if stat.S_ISDIR(status.st_mode):
@@ -239,6 +271,7 @@ def _entries(out: Path, problems: _Problems) -> Iterator[os.DirEntry[str]]:
                         pending.append(entry.path)
                     yield entry
         except OSError as error:
+            _check_storage(error)
             problems.add(f"The folder {Path(directory).relative_to(out)} cannot be read: {error.strerror}.")
 
 
@@ -251,6 +284,7 @@ def _read(out: Path, name: str, max_bytes: int) -> bytes | None:
     try:
         stream = _open_beneath(out, name)
     except OSError as error:
+        _check_storage(error)
         raise _Unreadable(f"{name} cannot be read: {error.strerror or error}.") from error
     if stream is None:
         return None

@@ -16,9 +16,11 @@ slurm-site.json       what a cluster offers, for a runner on Slurm
 import contextlib
 import enum
 import fcntl
+import math
 import os
 import shutil
 import threading
+import time
 import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -33,7 +35,7 @@ from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.runners import RunAssignment
 from kleinkram.contract.runs import RunPlacement, RunState, Usage
 from kleinkram.runner.executors.base import Ending, Executor
-from kleinkram.runner.executors.supervision import LOG, boot_time_s, write_atomically, write_in_place
+from kleinkram.runner.executors.supervision import LOG, boot_id, boot_time_s, write_atomically, write_in_place
 from kleinkram.runner.run_requests import RunRequests
 from kleinkram.runner.statistics import RunnerStatistics
 
@@ -41,10 +43,10 @@ LOG_UPLOAD = "log-upload.json"
 _STATE = "state.json"
 # What stays when an attempt is started again: its log may be stored already.
 _PRESERVED = {_STATE, LOG, LOG_UPLOAD}
+_PRIVATE = ("runs", "cache", "environments", "images")
 _LAST_HEARTBEAT = "last-heartbeat"
 # A run is stopped this long before its lease ends, so that two runners never run it at once.
 LEASE_MARGIN_S = 10.0
-_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
 class StateDirectory:
@@ -53,7 +55,8 @@ class StateDirectory:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.runs = path / "runs"
-        self.runs.mkdir(mode=0o711, exist_ok=True)
+        for name in _PRIVATE:
+            _make_private(path / name)
         id_file = path / "id"
         if not id_file.exists():
             write_atomically(id_file, str(uuid.uuid4()))
@@ -65,7 +68,7 @@ class StateDirectory:
     def create_attempt(self, assignment: RunAssignment) -> "Attempt":
         """Create the directory of a new attempt."""
         directory = self.runs / f"{assignment.run_id}-{assignment.attempt}"
-        directory.mkdir(mode=0o711, parents=True, exist_ok=True)
+        directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         attempt = Attempt(directory, AttemptState(assignment=assignment))
         attempt.change()
         return attempt
@@ -82,15 +85,31 @@ class StateDirectory:
 
     def record_heartbeat(self, at_s: float) -> None:
         """Record that the server answered a heartbeat sent at `at_s`, by the clock of leases."""
-        write_in_place(self.path / _LAST_HEARTBEAT, f"{_boot_id()} {at_s}")
+        wall_time_s = time.time() - (boot_time_s() - at_s)
+        write_in_place(self.path / _LAST_HEARTBEAT, f"{boot_id()} {at_s} {wall_time_s:.3f}")
 
     def last_heartbeat_s(self) -> float:
-        """Return the time of the last answered heartbeat; 0 where it is unknown, or before a restart of the machine."""
+        """Return when the server last answered a heartbeat, by the clock of leases; -inf where that is unknown.
+
+        After a restart of the machine, or on another one, it is known by the time of day.
+        """
         with contextlib.suppress(OSError, ValueError):
-            boot_id, at_s = (self.path / _LAST_HEARTBEAT).read_text().split()
-            if boot_id == _boot_id():
+            of_boot, at_s, wall_time_s = (self.path / _LAST_HEARTBEAT).read_text().split()
+            if of_boot == boot_id():
                 return float(at_s)
-        return 0.0
+            return boot_time_s() - max(0.0, time.time() - float(wall_time_s))
+        return -math.inf
+
+
+def _make_private(directory: Path) -> None:
+    """Create a folder that only its user can look into, wherever it is: it has inputs and results."""
+    try:
+        directory.mkdir(mode=0o700, exist_ok=True)
+        if directory.stat().st_mode & 0o077:
+            directory.chmod(0o700)
+    except OSError as error:
+        reason = f"it cannot be kept from other users: {error.strerror or error}"
+        raise InvalidInput(what=f"The folder {directory}", reason=reason) from error
 
 
 @contextlib.contextmanager
@@ -112,13 +131,6 @@ def open_state_directory(path: Path) -> Iterator[StateDirectory]:
         raise InvalidInput(what=f"The folder {path}", reason="another runner uses it") from None
     finally:
         os.close(lock)
-
-
-def _boot_id() -> str:
-    try:
-        return _BOOT_ID.read_text().strip()
-    except OSError:
-        return "unknown"
 
 
 class AttemptState(BaseModel):

@@ -1,6 +1,7 @@
 """The runner of the Helm chart: what it may do, and that it is what administrators apply without the chart."""
 
 import copy
+import ipaddress
 from collections.abc import Mapping
 from typing import Any
 
@@ -22,7 +23,9 @@ _RUNNER: Mapping[str, Any] = {
     "tokenSecret": {"name": "runner", "key": "token"},
     "labels": ["gpu"],
     "imagePullSecrets": ["registry"],
+    "registrySecret": "registry-login",
     "defaultImage": "registry.lab.example/kleinkram/action-python:0.1.0",
+    "allowMetadataAccess": True,
     "apiEgress": _API_EGRESS,
     "gpus": 2,
     "arguments": ["--gpu-toleration", "nvidia.com/gpu"],
@@ -83,6 +86,30 @@ def test_the_runner_has_rights_in_the_namespace_of_runs_alone(chart: Chart) -> N
     ]
     others = [it["spec"] for name, it in chart.pods().items() if name != "runner"]
     assert not any(it["automountServiceAccountToken"] for it in others)
+
+
+def test_the_runner_asks_private_registries_with_a_secret(chart: Chart) -> None:
+    pod = chart.pods()["runner"]["spec"]
+    (container,) = pod["containers"]
+    (folder,) = [it["value"] for it in container["env"] if it["name"] == "DOCKER_CONFIG"]
+    (mount,) = [it for it in container["volumeMounts"] if it["mountPath"] == folder]
+    (volume,) = [it for it in pod["volumes"] if it["name"] == mount["name"]]
+    assert volume["secret"]["secretName"] == "registry-login"
+    assert volume["secret"]["items"] == [{"key": ".dockerconfigjson", "path": "config.json"}]
+    plain = render(_values(registrySecret="", allowMetadataAccess=False)).pods()["runner"]["spec"]
+    assert [it["name"] for it in plain["volumes"]] == ["state", "tmp"]
+    assert "--allow-metadata-access" not in plain["containers"][0]["command"]
+    assert "--allow-metadata-access" in container["command"]
+
+
+def test_policies_keep_pods_from_the_metadata_services_of_clouds() -> None:
+    (policy,) = [it for it in manifests("NetworkPolicy") if it["metadata"]["name"] == "kleinkram-runs-open"]
+    names, others = policy["spec"]["egress"]
+    blocks = [peer["ipBlock"] for peer in others["to"] if "ipBlock" in peer]
+    excepted = [ipaddress.ip_network(it) for block in blocks for it in block["except"]]
+    for address in ("169.254.169.254", "168.63.129.16", "100.100.100.200", "fd00:ec2::254", "fd20:ce::254"):
+        assert any(ipaddress.ip_address(address) in it for it in excepted), address
+    assert {port["port"] for port in names["ports"]} == {53}
 
 
 def test_the_command_line_accepts_the_options_of_the_runner(chart: Chart) -> None:

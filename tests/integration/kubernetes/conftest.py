@@ -6,6 +6,7 @@ import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,6 +19,7 @@ from kleinkram.runner.loop import Runner, RunnerOptions
 from kleinkram.runner.state_directory import StateDirectory
 from tests.integration.kubernetes.fake_cluster import NAMESPACE, FakeCluster
 from tests.integration.kubernetes.manifests import manifests
+from tests.integration.runner_loop.conftest import wait_until
 from tests.integration.runner_loop.fake_http import RUNNER_TOKEN
 from tests.integration.runner_loop.fake_server import FakeServer
 from tests.integration.runner_loop.started_runners import StartedRunners
@@ -31,7 +33,7 @@ class RunnerSite(StartedRunners):
 
     options: KubernetesOptions
     default_image: str = IMAGE
-    networks: frozenset[Network] = frozenset(Network)
+    networks: frozenset[Network] | None = frozenset(Network)
 
     def executor(self, state: StateDirectory) -> KubernetesExecutor:
         """Return the executor of a runner."""
@@ -53,6 +55,10 @@ class RunnerSite(StartedRunners):
         options = RunnerOptions(self.server.url, RUNNER_TOKEN, "a-runner", default_image=self.default_image)
         return self.run_in_thread(Runner(options, state, executor))
 
+    def has_begun(self) -> bool:
+        """Whether the only run has written its first line."""
+        return any(b"began" in path.read_bytes() for path in self.folder.glob("runs/*/log"))
+
     def spawn(self) -> subprocess.Popen[bytes]:
         """Start a runner as a process."""
         arguments = Arguments(
@@ -70,6 +76,32 @@ class Site(RunnerSite):
     """The same with a fake cluster."""
 
     cluster: FakeCluster
+
+    def running_pod(self, step: str) -> dict[str, Any]:
+        """Return the pod of a step once it runs."""
+
+        def running() -> list[dict[str, Any]]:
+            return [
+                pod
+                for pod in self.cluster.named("pods")
+                if pod["metadata"]["labels"]["kleinkram.step"] == step and pod["status"]["phase"] == "Running"
+            ]
+
+        wait_until(running)
+        return running()[0]
+
+    def is_clean(self) -> bool:
+        """Whether nothing is left of a run."""
+        return not any(self.cluster.named(kind) for kind in ("jobs", "pods", "secrets", "persistentvolumeclaims"))
+
+    def wait_until_clean(self) -> None:
+        """Wait until nothing is left of any run."""
+        wait_until(self.is_clean)
+
+    def let_end(self) -> None:
+        """Have an action of `LASTING` end."""
+        (volume,) = self.cluster.named("persistentvolumeclaims")
+        (self.cluster.folder_of(volume["metadata"]["name"]) / "out" / "end").touch()
 
 
 @pytest.fixture

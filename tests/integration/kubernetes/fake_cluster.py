@@ -33,12 +33,18 @@ _PATH = re.compile(r"/(?:api/v1|apis/batch/v1)/namespaces/([^/]+)/([a-z]+)(?:/([
 _KINDS = {"Job": "jobs", "Secret": "secrets", "PersistentVolumeClaim": "persistentvolumeclaims"}
 
 
+_REASONS = {403: "Forbidden", 404: "NotFound", 409: "AlreadyExists", 429: "TooManyRequests", 504: "Timeout"}
+# In `fails`: the request is done, and its answer comes too late.
+LATE = 504
+
+
 class Refused(Exception):
     """An answer of the API server that is an error."""
 
-    def __init__(self, code: int, message: str) -> None:
+    def __init__(self, code: int, message: str, reason: str | None = None) -> None:
         super().__init__(message)
         self.code = code
+        self.reason = _REASONS.get(code, "") if reason is None else reason
 
 
 class FakeCluster:
@@ -47,7 +53,10 @@ class FakeCluster:
     `rules` are those of a Role; None allows all. `unschedulable`: what the scheduler says while it finds no node.
     `image_errors`: reason and message by image. `folder_of` is where the volume of a claim is. `is_away`: the API
     server does not answer. With `folder_of`, every claim exists. `creates_pods`: its Job controller does.
-    `replaces_deleted_pods`: it starts another pod for one that was deleted, as Kubernetes 1.20 does.
+    `replaces_deleted_pods`: it starts another pod for one that was deleted, as Kubernetes 1.20 does. `fails`: the
+    answers to the next requests, by verb and resource, or for names with an ending (`create`, `jobs`, `-store`).
+    `quotas`: what refuses new objects, by kind, or kind and ending of the name. `has_metadata`: nodes reach the
+    metadata service of a cloud.
     """
 
     def __init__(self, folder: Path, *, folder_of: Callable[[str], Path] | None = None) -> None:
@@ -61,6 +70,9 @@ class FakeCluster:
         self.image_errors: dict[str, tuple[str, str]] = {}
         self.network_policies: list[Body] = []
         self.ignores_policies = False
+        self.fails: dict[tuple[str, ...], list[Refused | int]] = {}
+        self.quotas: dict[tuple[str, ...], str] = {}
+        self.has_metadata = False
         self.is_away = threading.Event()
         self.creates_pods = True
         self.replaces_deleted_pods = False
@@ -137,15 +149,31 @@ class FakeCluster:
         verb = {"POST": "create", "DELETE": "delete"}.get(method) or (
             "get" if name else "watch" if "watch" in query else "list"
         )
-        self._authorize(verb, f"{kind}/{subresource}" if subresource else kind)
+        resource = f"{kind}/{subresource}" if subresource else kind
+        self._authorize(verb, resource)
+        content = json.loads(body) if body else {}
+        failure = self._next_failure(verb, resource, name or content.get("metadata", {}).get("name", ""))
+        if failure is not None and failure.code != LATE:
+            raise failure
+        answer = self._do(verb, kind, name, query, content) if not subresource else self.node.log(name, query)
+        if failure is not None:
+            raise failure
+        return answer
+
+    def _next_failure(self, verb: str, resource: str, name: str) -> Refused | None:
+        for key, failures in self.fails.items():
+            if failures and key[:2] == (verb, resource) and name.endswith(key[2] if len(key) > 2 else ""):
+                failure = failures.pop(0)
+                return failure if isinstance(failure, Refused) else Refused(failure, "the test has it fail")
+        return None
+
+    def _do(self, verb: str, kind: str, name: str, query: Mapping[str, str], content: Body) -> Body | Iterator[bytes]:
         if verb == "create":
-            return self._create(kind, json.loads(body))
+            return self._create(kind, content)
         if verb == "watch":
             return self._watch(query)
         if verb == "list":
             return self._list(kind, query)
-        if subresource:
-            return self.node.log(name, query)
         if verb == "delete":
             return self._delete(kind, name)
         with self.changed:
@@ -166,8 +194,11 @@ class FakeCluster:
     def _create(self, kind: str, body: Body) -> Body:
         assert _KINDS[body["kind"]] == kind
         for version in VERSIONS:
-            kubernetes_validate.validate(copy.deepcopy(body), version, strict=True)
+            kubernetes_validate.validate(known_to(version, body), version, strict=True)
         name = body["metadata"]["name"]
+        for key, message in self.quotas.items():
+            if key[0] == kind and name.endswith(key[1] if len(key) > 1 else ""):
+                raise Refused(403, f'{kind} "{name}" is forbidden: exceeded quota: {message}')
         assert re.fullmatch(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?", name), name
         with self.changed:
             if name in self.objects[kind]:
@@ -330,6 +361,15 @@ class FakeCluster:
             return None
         files = {key: base64.b64decode(value) for key, value in secret.get("data", {}).items()}
         return files | {key: value.encode() for key, value in secret.get("stringData", {}).items()}
+
+
+def known_to(version: str, body: Body) -> Body:
+    """Return a copy of an object without the fields that a version ignores."""
+    copied = copy.deepcopy(body)
+    if version == "1.27":
+        copied["spec"] = {name: it for name, it in body.get("spec", {}).items() if name != "podReplacementPolicy"}
+        copied = {name: it for name, it in copied.items() if name != "spec" or "spec" in body}
+    return copied
 
 
 def selects(selector: str, body: Mapping[str, Any]) -> bool:

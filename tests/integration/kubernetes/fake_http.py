@@ -36,7 +36,13 @@ class ApiHandler(PersistentHandler):
         try:
             answer = self.fake.answer(method, self.path, body, self.headers["Authorization"])
         except Refused as error:
-            status = {"kind": "Status", "status": "Failure", "message": str(error), "code": error.code}
+            status = {
+                "kind": "Status",
+                "status": "Failure",
+                "message": str(error),
+                "reason": error.reason,
+                "code": error.code,
+            }
             self._say(error.code, json.dumps(status).encode())
             return
         if isinstance(answer, dict):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import ipaddress
 import json
 import os
 import re
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob
+from kleinkram.runner.executors.kubernetes.network_probe import METADATA_SERVICE
 from kleinkram.runner.executors.process import ProcessExecutor
 
 if TYPE_CHECKING:
@@ -46,6 +48,10 @@ class FakeNode:
         self.ignores_deletions = False
         # So many pods of Kleinkram end without saying how.
         self.silent_ends = 0
+        # So many pods of Kleinkram crash.
+        self.crashes = 0
+        # So many outputs of ended pods are answered with the words of a node that cannot read them.
+        self.unreadable_outputs = 0
         self._imposed: dict[str, Body] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
 
@@ -154,6 +160,10 @@ class FakeNode:
             outcome.write_text(json.dumps([self._is_reachable(pod, host) for host, _ in targets]))
             return _ended({"exitCode": 0, "reason": "Completed", "message": outcome.read_text()})
         started_at = _time()
+        if self.crashes:
+            self.crashes -= 1
+            output = "Traceback (most recent call last):\nOSError: [Errno 28] No space left on device"
+            return _ended({"exitCode": 1, "reason": "Error", "message": output, "startedAt": started_at})
         with (folder / "log").open("wb") as log:
             process = subprocess.Popen(
                 command, env={"PATH": os.defpath, **environment}, stdout=log, stderr=subprocess.STDOUT
@@ -179,10 +189,26 @@ class FakeNode:
             if policy["spec"]["podSelector"]["matchLabels"].items() <= labels.items()
             and "Egress" in policy["spec"]["policyTypes"]
         ]
+        is_metadata = host == METADATA_SERVICE[0]
+        if is_metadata and not self._cluster.has_metadata:
+            return False
         if not policies or self._cluster.ignores_policies:
             return True
-        peers = [peer for policy in policies for rule in policy.get("egress", []) for peer in rule["to"]]
-        return any(peer["ipBlock"]["cidr"] in {"0.0.0.0/0", f"{host}/32"} for peer in peers if "ipBlock" in peer)
+        # Names are those of addresses that no rule excepts.
+        address = ipaddress.ip_address(host if re.fullmatch(r"[0-9.]+", host) else "10.96.0.1")
+        blocks = [
+            peer["ipBlock"]
+            for policy in policies
+            for rule in policy.get("egress", [])
+            if {port["port"] for port in rule.get("ports", [])} != {53}
+            for peer in rule["to"]
+            if "ipBlock" in peer
+        ]
+        return any(
+            address in ipaddress.ip_network(block["cidr"])
+            and not any(address in ipaddress.ip_network(it) for it in block.get("except", []))
+            for block in blocks
+        )
 
     def _place(self, folder: Path, volume: Body) -> Path:
         if "persistentVolumeClaim" in volume:
@@ -261,6 +287,9 @@ class FakeNode:
         path = self._cluster.folder / "pods" / name / "log"
         if name not in self._cluster.objects["pods"]:
             raise Refused(404, f'pods "{name}" not found')
+        if "follow" not in query and self.unreadable_outputs:
+            self.unreadable_outputs -= 1
+            return iter([b"unable to retrieve container logs for containerd://0123"])
 
         def pieces() -> Iterator[bytes]:
             number, pending, offset, stamp = 0, b"", 0, b""
@@ -301,7 +330,8 @@ def _status_of(ending: Ending, started_at: str) -> Body:
     if ending.reason is EndReason.memory:
         code, reason = 137, "OOMKilled"
     elif ending.reason is EndReason.cancelled:
-        code = 143
+        # Also one that handles the signal, and ends well.
+        code, reason = (0, "Completed") if ending.exit_code == 0 else (143, reason)
     elif ending.reason is EndReason.done:
         reason = "Completed"
     return _ended({"exitCode": 255 if code is None else code, "reason": reason, "startedAt": started_at})

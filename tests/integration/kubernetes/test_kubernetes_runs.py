@@ -6,7 +6,6 @@ import json
 import signal
 import threading
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 
@@ -14,63 +13,19 @@ from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner.executors.base import CannotStart, Ending
-from kleinkram.runner.executors.kubernetes import endings, executor
+from kleinkram.runner.executors.kubernetes import endings, executor, run_objects
+from tests.integration.kubernetes.action_scripts import COPY, LASTING
 from tests.integration.kubernetes.conftest import IMAGE, Site
 from tests.integration.kubernetes.manifests import rules
 from tests.integration.runner_loop.conftest import ended, wait_until
 from tests.integration.runner_loop.fake_http import RUN_TOKEN, RUNNER_TOKEN
 from tests.integration.runner_loop.fake_runs import FakeRun
 
-_COPY = (
-    "from kleinkram.action import inputs, out, report, context\n"
-    "report.metric('size', 3, unit='B')\n"
-    "(out / 'deep').mkdir()\n"
-    "(out / 'deep' / 'copy').write_bytes((out.parent / 'in' / 'a' / 'drive.bag').read_bytes())\n"
-    "print(context().mission.name)\n"
-)
-_LASTING = (
-    "import pathlib, time\n"
-    "from kleinkram.action import out\n"
-    "print('began', flush=True)\n"
-    "while not pathlib.Path('/out/end').exists(): time.sleep(0.02)\n"
-    "(out / 'end').unlink(); (out / 'x').write_text('x')\n"
-)
-
-
-def pod_of(site: Site, step: str) -> dict[str, Any]:
-    """Return the pod of a step once it runs."""
-
-    def running() -> list[dict[str, Any]]:
-        pods = site.cluster.named("pods")
-        return [
-            pod
-            for pod in pods
-            if pod["metadata"]["labels"]["kleinkram.step"] == step and pod["status"]["phase"] == "Running"
-        ]
-
-    wait_until(running)
-    return running()[0]
-
-
-def is_clean(site: Site) -> bool:
-    """Whether nothing is left of a run."""
-    return not any(site.cluster.named(kind) for kind in ("jobs", "pods", "secrets", "persistentvolumeclaims"))
-
-
-def has_begun(site: Site) -> bool:
-    return any(b"began" in path.read_bytes() for path in site.folder.glob("runs/*/log"))
-
-
-def let_end(site: Site) -> None:
-    """Have an action of `_LASTING` end."""
-    (claim,) = site.cluster.named("persistentvolumeclaims")
-    (site.cluster.folder_of(claim["metadata"]["name"]) / "out" / "end").touch()
-
 
 def test_a_run_reads_its_inputs_and_its_results_are_stored(site: Site) -> None:
     site.cluster.rules = rules()
     site.start()
-    run = site.server.launch(_COPY, {"a/drive.bag": b"bytes of a drive"})
+    run = site.server.launch(COPY, {"a/drive.bag": b"bytes of a drive"})
     finish = ended(run).finishes[0]
     assert (finish.reason, finish.exit_code, finish.problems) == (EndReason.done, 0, [])
     assert run.artifacts == {"deep/copy": b"bytes of a drive", LOG_PATH: b"a-mission\n"}
@@ -80,7 +35,7 @@ def test_a_run_reads_its_inputs_and_its_results_are_stored(site: Site) -> None:
     assert (finish.placement.job_id or "").startswith(f"runs/klein-{run.claim.run_id}-1-")
     assert run.digest == IMAGE.partition("@")[2]
     assert RunState.running in run.states
-    wait_until(lambda: is_clean(site))
+    site.wait_until_clean()
 
 
 def test_the_role_allows_what_the_runner_does_and_no_more(site: Site) -> None:
@@ -89,7 +44,7 @@ def test_the_role_allows_what_the_runner_does_and_no_more(site: Site) -> None:
     runner = site.start()
     run = site.server.launch("print('x')", token=RUN_TOKEN, network=Network.api)
     assert ended(run).finishes[0].reason is EndReason.done
-    wait_until(lambda: is_clean(site))
+    site.wait_until_clean()
     wait_until(lambda: runner.active_count == 0)
     assert set(site.cluster.requests) == allowed
 
@@ -167,7 +122,7 @@ def test_no_action_starts_with_a_damaged_input(site: Site) -> None:
     assert finish.reason is EndReason.inputs_unavailable
     assert "drive.bag is damaged" in finish.message
     assert not [it for it in site.cluster.created if it["metadata"]["labels"].get("kleinkram.step") == "action"]
-    wait_until(lambda: is_clean(site))
+    site.wait_until_clean()
 
 
 @pytest.mark.slow
@@ -201,7 +156,7 @@ def test_an_image_that_cannot_be_pulled(site: Site) -> None:
     finish = ended(site.server.launch("", script=None, image=image, command=["x"])).finishes[0]
     assert finish.reason is EndReason.image_unavailable
     assert words in finish.message
-    wait_until(lambda: is_clean(site))
+    site.wait_until_clean()
 
 
 @pytest.mark.slow
@@ -243,58 +198,58 @@ def test_what_ends_a_pod_from_outside(
     site: Site, happens: Callable[[Site, str], None], reason: EndReason, words: str
 ) -> None:
     site.start()
-    run = site.server.launch(_LASTING)
-    pod = pod_of(site, "action")
-    wait_until(lambda: has_begun(site))
+    run = site.server.launch(LASTING)
+    pod = site.running_pod("action")
+    wait_until(site.has_begun)
     happens(site, pod["metadata"]["name"])
     finish = ended(run).finishes[0]
     assert finish.reason is reason
     assert words in finish.message
     site.cluster.delete_pod(pod["metadata"]["name"])
-    wait_until(lambda: is_clean(site))
+    site.wait_until_clean()
 
 
 @pytest.mark.slow
 def test_a_pod_that_replaces_a_deleted_one_does_not_count(site: Site) -> None:
     site.cluster.replaces_deleted_pods = True
     site.start()
-    run = site.server.launch(_LASTING)
-    wait_until(lambda: has_begun(site))
-    site.cluster.delete_pod(pod_of(site, "action")["metadata"]["name"])
+    run = site.server.launch(LASTING)
+    wait_until(site.has_begun)
+    site.cluster.delete_pod(site.running_pod("action")["metadata"]["name"])
     (finish,) = ended(run).finishes
     assert (finish.reason, "deleted it" in finish.message) == (EndReason.lost, True)
     assert run.artifacts.keys() <= {LOG_PATH}
-    wait_until(lambda: is_clean(site))
+    site.wait_until_clean()
 
 
 @pytest.mark.slow
 def test_a_cancelled_run_ends_and_leaves_nothing(site: Site) -> None:
     site.start()
-    run = site.server.launch(_LASTING)
-    wait_until(lambda: has_begun(site))
+    run = site.server.launch(LASTING)
+    wait_until(site.has_begun)
     run.is_cancelled = True
     assert ended(run).finishes[0].reason is EndReason.cancelled
-    wait_until(lambda: is_clean(site))
+    site.wait_until_clean()
 
 
 @pytest.mark.slow
 def test_a_run_is_cancelled_while_it_waits_for_a_node(site: Site) -> None:
     site.cluster.unschedulable = "0/3 nodes are available"
     site.start()
-    run = site.server.launch(_LASTING)
+    run = site.server.launch(LASTING)
     wait_until(lambda: site.cluster.named("pods"))
     run.is_cancelled = True
     assert ended(run).finishes[0].reason is EndReason.cancelled
-    wait_until(lambda: is_clean(site))
+    site.wait_until_clean()
 
 
 @pytest.mark.slow
 def test_an_api_server_that_is_away_costs_nothing(site: Site) -> None:
     site.start()
-    run = site.server.launch(_LASTING)
-    wait_until(lambda: has_begun(site))
+    run = site.server.launch(LASTING)
+    wait_until(site.has_begun)
     site.cluster.is_away.set()
-    let_end(site)
+    site.let_end()
     wait_until(lambda: pod_status(site) == "Succeeded")
     site.cluster.is_away.clear()
     finish = ended(run).finishes[0]
@@ -310,10 +265,10 @@ def pod_status(site: Site) -> str:
 @pytest.mark.slow
 def test_a_history_that_was_compacted_is_listed_again(site: Site) -> None:
     site.start()
-    run = site.server.launch(_LASTING)
-    wait_until(lambda: has_begun(site))
+    run = site.server.launch(LASTING)
+    wait_until(site.has_begun)
     site.cluster.forget_versions()
-    let_end(site)
+    site.let_end()
     assert ended(run).finishes[0].reason is EndReason.done
 
 
@@ -322,7 +277,7 @@ def test_a_failing_pod_of_kleinkram_is_started_again(site: Site) -> None:
     site.start()
     site.server.holds_uploads.set()
     run = site.server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')")
-    pod = pod_of(site, "store")
+    pod = site.running_pod("store")
     site.cluster.node.kill(pod["metadata"]["name"])
     site.server.holds_uploads.clear()
     assert ended(run).finishes[0].reason is EndReason.done
@@ -336,27 +291,27 @@ def test_a_killed_runner_finds_its_jobs_again(site: Site, when: str) -> None:
     if when == "store":
         site.server.holds_uploads.set()
     first = site.spawn()
-    run = site.server.launch(_LASTING, {"drive.bag": bytes(300_000)})
+    run = site.server.launch(LASTING, {"drive.bag": bytes(300_000)})
     if when != "fetch":
-        pod_of(site, "action")
-        wait_until(lambda: has_begun(site))
+        site.running_pod("action")
+        wait_until(site.has_begun)
     if when == "store":
-        let_end(site)
-    pod_of(site, when)
+        site.let_end()
+    site.running_pod(when)
     site.kill(first, signal.SIGKILL)
     site.server.slow_bytes_per_s = None
     site.server.holds_uploads.clear()
     site.spawn()
     if when != "store":
-        wait_until(lambda: has_begun(site))
-        let_end(site)
+        wait_until(site.has_begun)
+        site.let_end()
     (finish,) = ended(run).finishes
     assert (finish.reason, run.attempt) == (EndReason.done, 1)
     assert run.artifacts == {"x": b"x", LOG_PATH: b"began\n"}
     assert run.shown_log in {b"", b"began\n"}
     actions = [it for it in site.cluster.created if it["metadata"]["labels"].get("kleinkram.step") == "action"]
     assert len(actions) == 1
-    wait_until(lambda: is_clean(site))
+    site.wait_until_clean()
 
 
 @pytest.mark.slow
@@ -370,20 +325,20 @@ def test_inputs_are_fetched_again_where_a_node_does_not_say_how_it_went(
     assert finish.reason is reason
     assert ("did not say" in finish.message) == (reason is EndReason.inputs_unavailable)
     assert len([it for it in site.cluster.created if it["metadata"]["name"].endswith("-fetch")]) == 3
-    wait_until(lambda: is_clean(site))
+    site.wait_until_clean()
 
 
 @pytest.mark.slow
 def test_objects_of_unknown_runs_are_removed(site: Site) -> None:
     first = site.spawn()
-    run = site.server.launch(_LASTING)
-    wait_until(lambda: has_begun(site))
+    run = site.server.launch(LASTING)
+    wait_until(site.has_begun)
     site.kill(first, signal.SIGKILL)
     for state in site.folder.glob("runs/*/state.json"):
         state.unlink()
     run.is_cancelled = True
     site.start()
-    wait_until(lambda: is_clean(site))
+    site.wait_until_clean()
 
 
 @pytest.mark.slow
@@ -397,11 +352,11 @@ def test_volumes_are_as_large_as_inputs_and_results(site: Site) -> None:
 
 @pytest.mark.slow
 def test_a_run_is_not_started_again_while_its_pod_may_run(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(executor, "_GONE_S", 1.0)
+    monkeypatch.setattr(run_objects, "_GONE_S", 1.0)
     first = site.spawn()
-    wait_until(lambda: site.server.hellos)
+    wait_until(lambda: site.server.registrations)
     site.cluster.unschedulable = "0/3 nodes are available"
-    run = site.server.launch(_LASTING)
+    run = site.server.launch(LASTING)
     wait_until(lambda: site.cluster.named("pods"))
     site.kill(first, signal.SIGKILL)
     # The runner deletes the Job, but the node of its pod does not confirm the end.

@@ -233,11 +233,11 @@ def fake_kubernetes_bench(request: pytest.FixtureRequest, folder: Path) -> Bench
     return Bench(again(), folder, again, f"lab/python@sha256:{'0' * 64}", made=made)
 
 
-class ClaimingExecutor(KubernetesExecutor):
+class EmptyVolumeExecutor(KubernetesExecutor):
     """An executor on a real cluster whose jobs have a volume, though nothing was fetched for them."""
 
     def submit(self, job: RunJob) -> None:
-        self._cluster.create("persistentvolumeclaims", self._manifests.claim(job.key, job.resources.disk_bytes))
+        self._cluster.create("persistentvolumeclaims", self._manifests.volume(job.key, job.resources.disk_bytes))
         for name in ("in", "out"):
             (job.directory / name).mkdir(exist_ok=True)
         super().submit(job)
@@ -256,7 +256,9 @@ def kubernetes_bench(request: pytest.FixtureRequest, folder: Path) -> Bench:
 
     def again() -> KubernetesExecutor:
         cluster = connect(options.namespace, options.kubeconfig)
-        executor = ClaimingExecutor(cluster, options, runner="a-runner", url="http://127.0.0.1:9", token="a-token")
+        executor = EmptyVolumeExecutor(
+            cluster, options, runner="a-runner", url="http://127.0.0.1:9", token="a-token", networks={Network.open}
+        )
         request.addfinalizer(executor.close)
         return executor
 

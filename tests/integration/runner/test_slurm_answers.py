@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
+import subprocess
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
+from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.contract.runners import Capacity
+from kleinkram.contract.reports import Report
+from kleinkram.contract.runners import Capacity, RunFinish
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.executors.base import CannotStart, RunJob
+from kleinkram.runner.executors.base import CannotStart, Ending, RunJob
 from kleinkram.runner.executors.slurm import executor as slurm_executor
-from kleinkram.runner.executors.slurm import node_job, submissions
+from kleinkram.runner.executors.slurm import job_endings, node_job, submissions
 from kleinkram.runner.executors.slurm.commands import (
+    ClusterNode,
     ClusterSettings,
+    JobAccount,
     QueueEntry,
     SlurmCommands,
     SlurmRefused,
@@ -26,9 +32,17 @@ from kleinkram.runner.executors.slurm.commands import (
 from kleinkram.runner.executors.slurm.executor import SlurmExecutor
 from kleinkram.runner.executors.slurm.node_job import SharedLease
 from kleinkram.runner.executors.slurm.options import SlurmOptions
-from kleinkram.runner.executors.slurm.probe import NodeOffer, SlurmSite
+from kleinkram.runner.executors.slurm.probe import NodeOffer, SlurmSite, find_site
 from kleinkram.runner.executors.slurm.queue_monitor import QueueMonitor, QueueSnapshot
-from kleinkram.runner.executors.slurm.shared_files import NodeStart, read_submission, write_lease, write_start
+from kleinkram.runner.executors.slurm.shared_files import (
+    NodeStart,
+    read_submission,
+    write_lease,
+    write_start,
+    write_submission,
+)
+from kleinkram.runner.executors.supervision import LEASE_EXPIRED
+from kleinkram.runner.executors.transfer_steps import finish_file
 
 
 class Clock:
@@ -47,6 +61,9 @@ class Commands(SlurmCommands):
     def __init__(self) -> None:
         super().__init__()
         self.failure: Exception | None = None
+        # Whether Slurm would refuse any job, also a small one.
+        self.refuses_all = False
+        self.checks = 0
         self.names: list[str] = []
         self.arrays: list[str] = []
         self.accepts_arrays = True
@@ -61,6 +78,12 @@ class Commands(SlurmCommands):
             self.arrays.clear()
             raise SlurmRefused("Invalid job array specification")
         return str(len(self.names))
+
+    def check(self, options: Sequence[str]) -> None:
+        """Refuse a small job, or not."""
+        self.checks += 1
+        if self.refuses_all:
+            raise SlurmRefused("Required partition not available (inactive or drain)")
 
 
 class Queue(QueueMonitor):
@@ -102,6 +125,7 @@ class OneJob:
         self.clock = Clock()
         monkeypatch.setattr(slurm_executor, "boot_time_s", self.clock)
         monkeypatch.setattr(submissions, "boot_time_s", self.clock)
+        monkeypatch.setattr(job_endings, "boot_time_s", self.clock)
         self.commands = Commands()
         capacity = Capacity(cores=8, memory_bytes=10**10, disk_bytes=0, gpus=0)
         settings = ClusterSettings(max_array_size=3)
@@ -114,7 +138,7 @@ class OneJob:
         """Return the executor of the next runner process."""
         self.executor = SlurmExecutor(self.site)
         self.queue = Queue(self.commands, self.clock)
-        self.executor._queue = self.queue
+        self.executor._queue = self.executor._endings._queue = self.queue
         return self.executor
 
     @property
@@ -124,10 +148,14 @@ class OneJob:
         assert submission is not None
         return submission.name
 
-    def end(self, reason: str = "done") -> None:
-        """Write an ending, as the supervisor on the node does."""
-        values = {"reason": reason, "message": "", "exit_code": 0}
-        (self.job.directory / "ending.json").write_text(json.dumps(values))
+    def begin(self, token: str = "a-token", restarts: int = 0) -> None:
+        """Take the directory, as a start on the node does."""
+        write_start(self.job.directory, NodeStart(token, "node1", restarts, []))
+
+    def end(self, reason: str = "done", message: str = "", token: str = "a-token") -> None:
+        """Write the ending of a start, as its supervisor does."""
+        values = {"reason": reason, "message": message, "exit_code": 0}
+        (self.job.directory / f"ending-{token}.json").write_text(json.dumps(values))
 
 
 @pytest.fixture
@@ -174,6 +202,7 @@ def test_a_job_that_is_about_to_be_requeued_is_not_lost(one: OneJob) -> None:
         assert one.executor.poll(one.job) is None
     one.queue.show()
     assert one.executor.poll(one.job) is None
+    one.begin()
     one.end()
     one.queue.show()
     ending = one.executor.poll(one.job)
@@ -185,6 +214,7 @@ def test_an_ending_that_is_seen_late_counts(one: OneJob) -> None:
     one.executor.submit(one.job)
     one.queue.show(one.name, "COMPLETED")
     assert one.executor.poll(one.job) is None
+    one.begin()
     one.end("exit_code")
     one.queue.show(one.name, "COMPLETED")
     ending = one.executor.poll(one.job)
@@ -327,10 +357,206 @@ def test_jobs_of_nobody_are_killed_once_all_known_ones_were_found(one: OneJob, s
 
 def test_a_runner_that_finds_a_job_ended_reports_its_last_start(one: OneJob) -> None:
     one.executor.submit(one.job)
-    write_start(one.job.directory, NodeStart("a-token", "node1", 1, []))
+    one.begin(restarts=1)
     one.end()
     executor = one.again()
     assert executor.poll(one.job) is not None
     placement = executor.placement(one.job)
     assert placement is not None
     assert (placement.node, placement.requeues) == ("node1", 1)
+
+
+def test_an_ending_of_an_earlier_start_does_not_count(one: OneJob) -> None:
+    """Its node lost the file system while it wrote it, and Slurm started the job elsewhere."""
+    one.executor.submit(one.job)
+    one.begin("first")
+    one.begin("second", restarts=1)
+    one.end(token="first")
+    one.queue.show(one.name, "RUNNING")
+    assert one.executor.poll(one.job) is None
+    one.end("exit_code", token="second")
+    one.end(token="first")
+    one.queue.show(one.name, "COMPLETED")
+    ending = one.executor.poll(one.job)
+    assert ending is not None
+    assert ending.reason is EndReason.exit_code
+
+
+def test_a_job_of_which_only_its_node_saw_the_lease_expire_is_submitted_again(one: OneJob) -> None:
+    one.executor.submit(one.job)
+    ending = None
+    for token in ("first", "second", "third"):
+        assert ending is None
+        one.begin(token)
+        one.end(*LEASE_EXPIRED, token=token)
+        one.queue.show(one.name, "COMPLETED")
+        ending = one.executor.poll(one.job)
+    assert ending == Ending.of(LEASE_EXPIRED, 0)
+    assert len({*one.commands.names}) == 3
+
+
+def test_jobs_wait_while_slurm_refuses_any_job_of_their_runner(one: OneJob, several: list[RunJob]) -> None:
+    """As in a partition that is drained: the queue of the server is not emptied by refusals, nor by claims."""
+    none = Capacity(cores=0, memory_bytes=0, disk_bytes=0, gpus=0)
+    one.commands.failure = SlurmRefused("Required partition not available (inactive or drain)")
+    one.commands.refuses_all = True
+    for job in several:
+        one.executor.submit(job)
+        waits = "waits for Slurm: Required partition not available (inactive or drain)"
+        assert one.executor.reason_waiting(job) == waits
+    assert one.executor.free(none, 0) is None
+    assert (len(one.commands.names), one.commands.checks) == (1, 1)
+    one.commands.failure = None
+    while len(one.commands.names) < 4:
+        one.queue.show()
+        assert [one.executor.poll(job) for job in several] == [None] * 3
+    assert one.executor.free(none, 0) == one.executor.capacity
+
+
+def test_a_shared_file_system_that_does_not_answer_ends_no_job(one: OneJob, monkeypatch: pytest.MonkeyPatch) -> None:
+    one.executor.submit(one.job)
+    executor, name = one.again(), one.name
+    read_text = Path.read_text
+
+    def fail(path: Path, *_: object) -> str:
+        raise OSError(errno.ESTALE, "Stale file handle", str(path))
+
+    monkeypatch.setattr(Path, "read_text", fail)
+    assert executor.poll(one.job) is None
+    assert executor.placement(one.job) is None
+    assert executor.reason_waiting(one.job) == "waits for the shared file system: Stale file handle"
+    monkeypatch.setattr(Path, "read_text", read_text)
+    one.queue.show(name, "RUNNING")
+    assert executor.poll(one.job) is None
+    monkeypatch.setattr(Path, "read_text", fail)
+    assert executor.usage(one.job) is None
+    one.queue.show(name, "COMPLETED")
+    for _ in range(10):
+        one.queue.show(name, "COMPLETED")
+        assert executor.poll(one.job) is None
+    monkeypatch.setattr(Path, "read_text", read_text)
+    one.begin()
+    one.end()
+    one.queue.show(name, "COMPLETED")
+    ending = executor.poll(one.job)
+    assert ending is not None
+    assert (ending.reason, len(one.commands.names)) == (EndReason.done, 1)
+
+
+def test_a_submission_that_cannot_be_recorded_is_made_later(one: OneJob, monkeypatch: pytest.MonkeyPatch) -> None:
+    one.executor.submit(one.job)
+    first = one.name
+
+    def fail(directory: Path, _: object) -> None:
+        raise OSError(errno.EIO, "Input/output error", str(directory))
+
+    monkeypatch.setattr(job_endings, "write_submission", fail)
+    for _ in range(10):
+        one.queue.show()
+        assert one.executor.poll(one.job) is None
+    assert (one.name, len(one.commands.names)) == (first, 1)
+    monkeypatch.setattr(job_endings, "write_submission", write_submission)
+    one.queue.show()
+    one.executor.poll(one.job)
+    assert len(one.commands.names) == 2
+
+
+def test_what_slurm_knows_of_an_end_counts_where_its_node_uploaded_the_results(one: OneJob) -> None:
+    one.site = dataclasses.replace(one.site, options=dataclasses.replace(one.site.options, transfers_on_nodes=True))
+    executor = one.again()
+    executor.submit(one.job)
+    one.begin()
+    plain = RunFinish(attempt=1, reason=EndReason.memory, message="Slurm ended it.", exit_code=137, report=Report())
+    of_node = plain.model_copy(update={"reason": EndReason.signal, "message": "SIGKILL", "problems": ["a problem"]})
+    finish_file(one.job.directory, "a-token").write_text(of_node.model_dump_json())
+    one.queue.show()
+    stored = executor.upload_results(one.job, plain, lambda _: None, lambda *_: None)
+    assert stored is not None
+    assert (stored.finish.reason, stored.finish.message) == (EndReason.memory, "Slurm ended it.")
+    assert stored.finish.problems == ["a problem"]
+
+
+class Accounting(SlurmCommands):
+    """Counts the questions to the accounting, which has some jobs."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.known: dict[str, JobAccount] = {}
+        self.asked: list[Sequence[str]] = []
+
+    def own_jobs(self, prefix: str) -> list[QueueEntry]:
+        """Return none."""
+        return []
+
+    def accounts(self, job_ids: Sequence[str]) -> dict[str, JobAccount]:
+        """Return those that are known."""
+        self.asked.append(job_ids)
+        return {job_id: self.known[job_id] for job_id in job_ids if job_id in self.known}
+
+
+def test_the_accounting_is_asked_about_all_ended_jobs_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    commands = Accounting()
+    queue = QueueMonitor(commands, "klein-")
+    monkeypatch.setattr(queue, "_wake", lambda: None)
+    names = [f"klein-{number}" for number in range(3)]
+
+    def accounts() -> list[JobAccount | None]:
+        return [queue.account(name, str(number)) for number, name in enumerate(names)]
+
+    assert accounts() == [None] * 3
+    commands.known = {
+        "0": JobAccount("klein-0", "COMPLETED", 2.5, 1000),
+        "1": JobAccount("another job with this id", "COMPLETED", 1.0, 1),
+        "2": JobAccount("klein-2", "RUNNING", 0.0, 0),
+    }
+    queue._ask()
+    assert accounts() == [commands.known["0"], None, None]
+    queue._ask()
+    assert commands.asked == [["0", "1", "2"], ["1", "2"]]
+    for name in names:
+        queue.forget(name)
+    queue._ask()
+    assert len(commands.asked) == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (FileNotFoundError(errno.ENOENT, "No such file"), "the command sbatch is not installed here"),
+        (BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"), "sbatch cannot be started: Resource"),
+    ],
+)
+def test_a_command_that_cannot_be_started_is_not_a_refusal(
+    monkeypatch: pytest.MonkeyPatch, error: OSError, words: str
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(subprocess, "run", fail)
+    with pytest.raises(SlurmUnavailable, match=words):
+        SlurmCommands().submit([], "true")
+
+
+class SilentQueue(Commands):
+    """Commands of a cluster that refuses to show its queue, and then does not answer."""
+
+    def nodes(self) -> list[ClusterNode]:
+        """Return one."""
+        return [ClusterNode("a", 8, 2**33, 0, "main", True, None)]
+
+    def settings(self) -> ClusterSettings:
+        """Return the defaults."""
+        return ClusterSettings()
+
+    def own_jobs(self, prefix: str) -> list[QueueEntry]:
+        """Refuse."""
+        raise SlurmRefused("Invalid user id")
+
+    def kill(self, job_ids: Sequence[str]) -> None:
+        """Fail."""
+        raise SlurmUnavailable("Unable to contact slurm controller")
+
+
+def test_a_first_start_says_why_the_queue_is_not_shown(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="it does not say how a job goes: Invalid user id"):
+        find_site(SilentQueue(), SlurmOptions(1), tmp_path, runner="tests")

@@ -57,7 +57,7 @@ class FakeServer:
 
     def __init__(self, address: str = "127.0.0.1") -> None:
         self.runs: dict[uuid.UUID, FakeRun] = {}
-        self.hellos: list[RunnerRegistration] = []
+        self.registrations: list[RunnerRegistration] = []
         self.requests: Counter[str] = Counter()
         self.requested: list[ClaimRequest] = []
         self.lease_s: float = LEASE_S
@@ -133,7 +133,7 @@ class FakeServer:
         if name == "/service":
             return self._service()
         if name == "/runners":
-            return self._hello(RunnerRegistration.model_validate_json(body))
+            return self._register(RunnerRegistration.model_validate_json(body))
         if name == "/runners/*/claims":
             assert resource_type is not None
             return self._claim(resource_type, ClaimRequest.model_validate_json(body))
@@ -221,10 +221,10 @@ class FakeServer:
             person=None,
         )
 
-    def _hello(self, hello: RunnerRegistration) -> RunnerRead:
-        self.hellos.append(hello)
-        fields = hello.model_dump(exclude={"labels"})
-        return RunnerRead(**fields, labels=hello.labels, last_seen_at=LATER, is_alive=True, active_runs=0)
+    def _register(self, registration: RunnerRegistration) -> RunnerRead:
+        self.registrations.append(registration)
+        fields = registration.model_dump(exclude={"labels"})
+        return RunnerRead(**fields, labels=registration.labels, last_seen_at=LATER, is_alive=True, active_runs=0)
 
     def _claim(self, runner_id: uuid.UUID, ask: ClaimRequest) -> ClaimReply:
         until = time.monotonic() + ask.wait_s

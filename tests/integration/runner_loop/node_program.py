@@ -15,9 +15,10 @@ from pathlib import Path
 
 from kleinkram.contract.runners import RunFinish
 from kleinkram.contract.runs import EndReason
+from kleinkram.environments.cache import Show
 from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors import process_supervisor, transfer_steps
-from kleinkram.runner.executors.base import Ending, RunJob, StoredResults, read_finish
+from kleinkram.runner.executors.base import UPLOADING, Ending, RunJob, StoredResults, read_finish
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.executors.supervision import ENDING, write_atomically
 from kleinkram.runner.input_cache import InputCache
@@ -38,9 +39,10 @@ class NodeExecutor(ProcessExecutor):
             return Ending(EndReason(ending["reason"]), ending["message"], ending["exit_code"])
         return super().poll(job)
 
-    def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait) -> StoredResults | None:
+    def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait, show: Show) -> StoredResults | None:
         """Wait while the program still runs."""
         while self._supervisor_pid(job) is not None:
+            show(UPLOADING, 1.0)
             wait(0.1)
         finish = read_finish(job.directory, plain.attempt)
         return StoredResults(finish, has_log=True) if finish is not None else None

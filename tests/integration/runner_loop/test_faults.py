@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,10 +15,14 @@ from kleinkram.client.transfer import store
 from kleinkram.contract.errors import BodyTooLarge, FieldProblem, InvalidRequest, KleinkramError
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
-from kleinkram.runner import results
+from kleinkram.runner import active_run, results
+from kleinkram.runner.__main__ import _run_until_signal
 from kleinkram.runner.active_run import ActiveRun
-from kleinkram.runner.executors.base import Executor
-from kleinkram.runner.state_directory import LEASE_MARGIN_S
+from kleinkram.runner.executors.base import CannotStart, Ending, Executor, RunJob
+from kleinkram.runner.executors.process import ProcessExecutor
+from kleinkram.runner.executors.supervision import boot_time_s
+from kleinkram.runner.loop import Runner
+from kleinkram.runner.state_directory import LEASE_MARGIN_S, StateDirectory
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer
@@ -153,7 +159,7 @@ def test_sigterm_leaves_jobs_and_sigint_ends_them(server: FakeServer, runners: R
     runners.kill(first, signal.SIGTERM)
     wait_until(lambda: is_alive(heartbeat))
     second = runners.spawn()
-    wait_until(lambda: len(server.hellos) == 2)
+    wait_until(lambda: len(server.registrations) == 2)
     wait_until(lambda: is_alive(heartbeat))
     runners.kill(second, signal.SIGINT)
     assert not is_alive(heartbeat)
@@ -317,3 +323,163 @@ def test_a_run_whose_report_is_refused_fails(
     assert finish.reason is reason
     assert finish.problems == [f"The server did not accept its report: {refusal}"]
     assert finish.message == finish.problems[0] or reason is EndReason.exit_code
+
+
+class FailingOnce:
+    """A method of an executor that fails at its first call after some."""
+
+    def __init__(self, method: Callable[..., object], error: Exception, after: int) -> None:
+        self._method = method
+        self._error = error
+        self.left = after
+
+    def __call__(self, *arguments: object, **options: object) -> object:
+        self.left -= 1
+        if self.left == -1:
+            raise self._error
+        return self._method(*arguments, **options)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("method", "error", "after"),
+    [
+        ("place_inputs", RuntimeError("unexpected"), 0),
+        ("submit", ValueError("unexpected"), 0),
+        ("submit", BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"), 0),
+        ("poll", RuntimeError("unexpected"), 5),
+        ("placement", OSError(errno.ESTALE, "Stale file handle"), 0),
+        ("collect", PermissionError(13, "Permission denied"), 0),
+        ("upload_results", CannotStart(Ending(EndReason.image_unavailable, "unexpected")), 0),
+        ("upload_results", KeyError("unexpected"), 0),
+    ],
+)
+def test_an_unexpected_error_of_the_runner_costs_no_results(
+    server: FakeServer, runners: Runners, method: str, error: Exception, after: int
+) -> None:
+    executor = ProcessExecutor()
+    failing = FailingOnce(getattr(executor, method), error, after)
+    setattr(executor, method, failing)
+    runners.start(executor)
+    run = server.launch(SHORT)
+    (finish,) = ended(run).finishes
+    assert (finish.reason, run.attempt, run.artifacts) == (EndReason.done, 1, {"x": b"x", LOG_PATH: b"began\n"})
+    assert failing.left <= -1
+    wait_until(lambda: not [*runners.folder.glob("runs/*")])
+
+
+@pytest.mark.slow
+def test_a_run_whose_results_cannot_be_read_is_shown_and_cancelled(
+    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def collect(_executor: object, _job: object) -> Path:
+        raise RuntimeError("unexpected")
+
+    monkeypatch.setattr(ProcessExecutor, "collect", collect)
+    runners.start()
+    run = server.launch("print('x')")
+    wait_until(lambda: any("an error of its runner" in (it.message or "") for it in run.progress))
+    assert [*runners.folder.glob("runs/*/state.json")]
+    run.is_cancelled = True
+    assert ended(run).finishes[0].reason is EndReason.cancelled
+    wait_until(lambda: not [*runners.folder.glob("runs/*")])
+
+
+def test_a_run_whose_results_stay_unreadable_is_reported_once(
+    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def collect(_executor: object, _job: object) -> Path:
+        raise OSError(errno.ESTALE, "Stale file handle")
+
+    monkeypatch.setattr(active_run, "_KEEP_RESULTS_S", 1.0)
+    monkeypatch.setattr(ProcessExecutor, "collect", collect)
+    runners.start()
+    run = server.launch("print('x')")
+    (finish,) = ended(run).finishes
+    assert (finish.reason, run.attempt) == (EndReason.lost, 1)
+    assert finish.message == "Its runner could not complete it, and tried for long: Stale file handle."
+    assert "an error of its runner, which tries again: Stale file handle" in {entry.message for entry in run.progress}
+    wait_until(lambda: not [*runners.folder.glob("runs/*")])
+
+
+class OnNodes(ProcessExecutor):
+    """Runs jobs on other machines, which end them in time by themselves."""
+
+    nodes_enforce_leases = True
+    lease_s = 900
+
+
+@pytest.mark.parametrize(("executor", "least_s"), [(ProcessExecutor(), 0), (OnNodes(), 800)])
+def test_jobs_of_other_machines_outlive_a_move_of_their_runner(
+    server: FakeServer, runners: Runners, executor: ProcessExecutor, least_s: float
+) -> None:
+    """On another login node, the time of the last heartbeat is unknown, and the server may not answer yet."""
+    server.is_silent.set()
+    runners.folder.mkdir()
+    StateDirectory(runners.folder).create_attempt(server.launch("print('x')").claim)
+    (runners.folder / "last-heartbeat").write_text(f"another-boot 5.0 {time.time() - 86_400}")
+    runner = runners.start(executor)
+    wait_until(lambda: runner._active_runs())
+    (run,) = runner._active_runs()
+    assert least_s < run.lease.until_s - boot_time_s() < least_s + 100
+
+
+class StartedAgain(ProcessExecutor):
+    """Runs jobs like a cluster that starts one again: it waits once more after it has run."""
+
+    calls = 0
+
+    def reason_waiting(self, job: RunJob) -> str | None:
+        """Return why it waits, some moments after its start."""
+        self.calls += 1
+        return "waits in the queue of Slurm: Priority" if 2 < self.calls < 6 else None
+
+
+@pytest.mark.slow
+def test_a_run_whose_job_waits_again_says_why(server: FakeServer, runners: Runners) -> None:
+    runners.start(StartedAgain())
+    run = server.launch(LASTING)
+    wait_until(lambda: "waits in the queue of Slurm: Priority" in {entry.message for entry in run.progress})
+    assert RunState.running in run.states
+    run.is_cancelled = True
+    ended(run)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["on_reply", "enforce", "heartbeat"])
+def test_an_unexpected_error_ends_no_thread_of_the_runner(
+    server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    original = getattr(ActiveRun, method)
+    failures: list[str] = []
+
+    def fails_once(*arguments: object, **options: object) -> object:
+        if not failures:
+            failures.append(method)
+            raise RuntimeError("unexpected")
+        return original(*arguments, **options)
+
+    monkeypatch.setattr(ActiveRun, method, fails_once)
+    runners.start()
+    run = server.launch(LASTING)
+    until_running(runners, run)
+    assert failures
+    run.is_cancelled = True
+    assert ended(run).finishes[0].reason is EndReason.cancelled
+
+
+def test_a_runner_that_ends_by_an_unexpected_error_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Broken(Runner):
+        def __init__(self) -> None:
+            self.has_killed: bool | None = None
+
+        def run(self, *, once: bool = False) -> None:
+            raise RuntimeError("unexpected")
+
+        def close(self, *, kill: bool) -> None:
+            self.has_killed = kill
+
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    runner = Broken()
+    assert _run_until_signal(runner, once=False) == 1
+    assert runner.has_killed is False

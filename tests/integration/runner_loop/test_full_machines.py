@@ -34,7 +34,7 @@ def test_heartbeats_continue_on_a_full_disk(
     server: FakeServer, runners: Runners, caplog: pytest.LogCaptureFixture
 ) -> None:
     runner = runners.start()
-    wait_until(lambda: server.hellos)
+    wait_until(lambda: server.registrations)
     (runners.folder / "last-heartbeat").symlink_to(FULL)
     _cancel_a_run(server, runner)
     assert caplog.text.count("No space left on device") == 1

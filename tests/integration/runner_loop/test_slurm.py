@@ -84,8 +84,8 @@ def test_a_run_reads_inputs_and_leaves_artifacts(server: FakeServer, runners: Ru
     assert (placement.job_id, placement.node, placement.gpus) == (job_of(slurm, run), "node1", ["0"])
     assert placement.queued_s is not None
     assert finish.usage is not None
-    assert server.hellos[0].capacity.cores == 8
-    assert server.hellos[0].lease_s == 900
+    assert server.registrations[0].capacity.cores == 8
+    assert server.registrations[0].lease_s == 900
 
 
 # The packages that a runner imports.
@@ -130,7 +130,7 @@ def test_an_ordinary_user_runs_isolated_jobs(server: FakeServer, runners: Runner
     )
     finish = ended(run).finishes[0]
     assert (finish.reason, run.artifacts) == (EndReason.done, {"x": b"x", LOG_PATH: b"False\n"})
-    assert server.hellos[0].abilities.isolation is Isolation.namespaces
+    assert server.registrations[0].abilities.isolation is Isolation.namespaces
     users = slurm.command("squeue", "--noheader", "--states=all", "--format=%U", f"--jobs={job_of(slurm, run)}").stdout
     assert users.split() == ["65534"]
 
@@ -139,13 +139,13 @@ def test_a_runner_killed_while_its_job_waits_finds_it_again(
     server: FakeServer, runners: Runners, slurm: SlurmCluster
 ) -> None:
     first = runners.spawn(slurm=slurm)
-    wait_until(lambda: server.hellos)
+    wait_until(lambda: server.registrations)
     slurm.command("scontrol", "update", "PartitionName=main", "State=DOWN")
     run = server.launch(SHORT)
     until_shown(run, "waits in Slurm: its partition is down (PartitionDown)")
     runners.kill(first)
     runners.spawn(slurm=slurm)
-    wait_until(lambda: len(server.hellos) == 2)
+    wait_until(lambda: len(server.registrations) == 2)
     slurm.command("scontrol", "update", "PartitionName=main", "State=UP")
     assert [finish.reason for finish in ended(run).finishes] == [EndReason.done]
     assert (run.attempt, run.artifacts) == (1, {"x": b"x", LOG_PATH: b"began\n"})
@@ -162,6 +162,28 @@ def test_a_runner_killed_while_its_job_runs_finds_it_again(
     runners.spawn(slurm=slurm)
     assert [finish.reason for finish in ended(run).finishes] == [EndReason.done]
     assert (run.attempt, run.artifacts) == (1, {"x": b"x", LOG_PATH: b"began\n"})
+
+
+@long
+def test_a_runner_that_continues_on_another_login_node_waits_for_a_silent_server(
+    server: FakeServer, runners: Runners, slurm: SlurmCluster
+) -> None:
+    """Whose clock, besides, is a day fast. The nodes end jobs whose leases expire."""
+    first = runners.spawn(slurm=slurm)
+    run = server.launch(LASTING)
+    heartbeat = until_running(runners, run)
+    wait_until((runners.folder / "last-heartbeat").exists)
+    runners.kill(first)
+    server.is_silent.set()
+    (runners.folder / "last-heartbeat").write_text(f"another-boot 5.0 {time.time() - 86_400}")
+    runners.spawn(slurm=slurm)
+    began_s = time.monotonic()
+    wait_until(lambda: time.monotonic() - began_s > 15)
+    assert is_alive(heartbeat)
+    server.is_silent.clear()
+    run.is_cancelled = True
+    assert [finish.reason for finish in ended(run).finishes] == [EndReason.cancelled]
+    assert run.attempt == 1
 
 
 @long
@@ -196,7 +218,7 @@ def test_a_run_is_cancelled_within_seconds(
     server: FakeServer, runners: Runners, slurm: SlurmCluster, state: str
 ) -> None:
     runners.spawn(slurm=slurm)
-    wait_until(lambda: server.hellos)
+    wait_until(lambda: server.registrations)
     if state == "queued":
         slurm.command("scontrol", "update", "PartitionName=main", "State=DOWN")
     run = server.launch(LASTING)
@@ -247,7 +269,7 @@ def test_a_job_that_a_node_failed_to_start_is_released(
     server: FakeServer, runners: Runners, slurm: SlurmCluster
 ) -> None:
     runners.spawn(slurm=slurm)
-    wait_until(lambda: server.hellos)
+    wait_until(lambda: server.registrations)
     slurm.fail_starts(fails=True)
     run = server.launch("print('began')")
     wait_until(lambda: "launch failed requeued held" in slurm.command("squeue", "--noheader", "--format=%r").stdout)
@@ -293,7 +315,7 @@ def test_a_job_that_starts_without_a_current_lease_does_nothing(
 ) -> None:
     """It waited while its runner was gone: another one may have the run by now."""
     first = runners.spawn(slurm=slurm)
-    wait_until(lambda: server.hellos)
+    wait_until(lambda: server.registrations)
     server.lease_s = LEASE_MARGIN_S + 4
     slurm.command("scontrol", "update", "PartitionName=main", "State=DOWN")
     run = server.launch(LASTING, lease_s=LEASE_MARGIN_S + 4)
@@ -306,7 +328,7 @@ def test_a_job_that_starts_without_a_current_lease_does_nothing(
 
 def test_what_no_node_can_run_is_refused(server: FakeServer, runners: Runners, slurm: SlurmCluster) -> None:
     runners.spawn(slurm=slurm, allowed=frozenset({"comment"}))
-    wait_until(lambda: server.hellos)
+    wait_until(lambda: server.registrations)
     too_long = server.launch(LASTING, resources={"time_s": 2 * 86400})
     wrong_nodes = server.launch(LASTING, cluster={"constraint": "slow"})
     option = server.launch(LASTING, cluster={"options": {"reservation": "night"}})

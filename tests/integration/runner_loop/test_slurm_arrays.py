@@ -33,7 +33,7 @@ def job_id(run: FakeRun) -> str:
 
 def test_the_tasks_of_an_array_end_each_by_itself(server: FakeServer, runners: Runners, slurm: SlurmCluster) -> None:
     runners.spawn(slurm=slurm, max_tasks=3)
-    wait_until(lambda: server.hellos)
+    wait_until(lambda: server.registrations)
     runs = server.launch_all(
         [queued(code, {}, {}) for code in (LASTING, "raise SystemExit(3)", RESTARTED, "print('last')")]
     )
@@ -59,7 +59,7 @@ def test_a_runner_killed_while_it_submits_an_array_finds_its_tasks(
 ) -> None:
     """Whether it had recorded the answer of sbatch or not: here, it had not."""
     first = runners.spawn(slurm=slurm)
-    wait_until(lambda: server.hellos)
+    wait_until(lambda: server.registrations)
     slurm.command("scontrol", "update", "PartitionName=main", "State=DOWN")
     runs = server.launch_all([queued("print('began')", {}, {}) for _ in range(3)])
     for run in runs:

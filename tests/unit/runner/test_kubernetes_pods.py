@@ -14,8 +14,15 @@ from kleinkram.contract.runners import RunFinish
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import Ending
 from kleinkram.runner.executors.kubernetes import pod_log
-from kleinkram.runner.executors.kubernetes.cluster import Cluster, ClusterUnavailable, Pod
-from kleinkram.runner.executors.kubernetes.endings import ending_of, failed_start, keep_cause, queued_s, reason_waiting
+from kleinkram.runner.executors.kubernetes.api_objects import Pod
+from kleinkram.runner.executors.kubernetes.cluster import Cluster, ClusterUnavailable
+from kleinkram.runner.executors.kubernetes.endings import (
+    ending_of,
+    failed_start,
+    queued_s,
+    reason_waiting,
+    with_history,
+)
 from kleinkram.runner.executors.kubernetes.manifests import Names
 from kleinkram.runner.executors.kubernetes.network_probe import Reached, judge
 from kleinkram.runner.executors.kubernetes.options import Toleration
@@ -42,6 +49,13 @@ def ended(exit_code: int, reason: str = "Error", message: str = "", **status: An
     return pod(terminated, phase="Failed" if exit_code else "Succeeded", **status)
 
 
+def exited(exit_code: int, *, phase: str, status_reason: str = "", words: str = "") -> Pod:
+    """Return a pod whose node has ended it, and says how its program ended."""
+    terminated = {"terminated": {"exitCode": exit_code, "reason": "Error" if exit_code else "Completed"}}
+    return pod(terminated, phase=phase, reason=status_reason, message=words)
+
+
+_SHUTDOWN = "Pod was terminated in response to imminent node shutdown."
 _DELETED = {"deletionTimestamp": "2026-01-01T12:00:00Z"}
 _PREEMPTED = [{"type": "DisruptionTarget", "status": "True", "message": "preempted by a pod of higher priority"}]
 
@@ -54,8 +68,12 @@ _PREEMPTED = [{"type": "DisruptionTarget", "status": "True", "message": "preempt
         (ended(139), EndReason.signal, "SIGSEGV"),
         (ended(137, "OOMKilled"), EndReason.memory, "100 MB"),
         (ended(137, reason="Error", metadata=_DELETED), EndReason.lost, "drained"),
-        (ended(0, "Completed", metadata=_DELETED), EndReason.done, ""),
+        # A program that handles SIGTERM may end well, with part of its results.
+        (ended(0, "Completed", metadata=_DELETED), EndReason.lost, "drained"),
+        (ended(0, "Completed", conditions=_PREEMPTED), EndReason.lost, "higher priority"),
         (ended(143, conditions=_PREEMPTED), EndReason.lost, "higher priority"),
+        (exited(0, phase="Failed"), EndReason.lost, "node failed"),
+        (exited(143, phase="Failed", status_reason="Preempting", words="Preempted"), EndReason.lost, "Preempted"),
         (ended(137, "ContainerStatusUnknown"), EndReason.lost, "node failed"),
         (ended(128, "StartError", 'exec: "x": executable file not found in $PATH'), EndReason.command_not_found, '"x"'),
         (ended(128, "StartError", "cannot set memory limit"), EndReason.not_possible, "cannot set memory limit"),
@@ -70,13 +88,32 @@ _PREEMPTED = [{"type": "DisruptionTarget", "status": "True", "message": "preempt
             EndReason.lost,
             "low on resource: ephemeral-storage",
         ),
-        (pod(phase="Failed", message="Pod was terminated in response to node shutdown"), EndReason.lost, "shutdown"),
+        (exited(143, phase="Failed", status_reason="Terminated", words=_SHUTDOWN), EndReason.lost, "shutdown"),
+        (exited(0, phase="Failed", status_reason="NodeShutdown", words=_SHUTDOWN), EndReason.lost, "shutdown"),
+        (pod(phase="Failed", reason="UnexpectedAdmissionError", message="no device"), EndReason.lost, "no device"),
     ],
 )
 def test_the_end_of_a_pod_has_a_reason(state: Pod, reason: EndReason, words: str) -> None:
-    ending = ending_of(state, _RESOURCES)
+    ending = ending_of(with_history(state, None), _RESOURCES)
     assert ending.reason is reason
     assert words in ending.message
+
+
+def test_a_pod_whose_end_was_requested_while_it_ran_did_not_end_by_itself() -> None:
+    running = pod({"running": {}}, phase="Running")
+    deleted = pod({"running": {}}, phase="Running", metadata=_DELETED)
+    good, good_then_deleted = ended(0, "Completed"), ended(0, "Completed", metadata=_DELETED)
+    for states, reason in [
+        ([running, good], EndReason.done),
+        ([running, good, good_then_deleted], EndReason.done),
+        ([running, deleted, good_then_deleted], EndReason.lost),
+        ([pod({"running": {}}, phase="Running", conditions=_PREEMPTED), good], EndReason.lost),
+    ]:
+        seen = None
+        for state in states:
+            seen = with_history(state, seen)
+        assert seen is not None
+        assert ending_of(seen, _RESOURCES).reason is reason
 
 
 @pytest.mark.parametrize(
@@ -144,14 +181,14 @@ def test_why_a_pull_failed_is_known_until_the_next_one() -> None:
     cause = f'rpc error: code = NotFound desc = failed to pull "{image}": failed to resolve "{image}": not found'
     failed = pod({"waiting": {"reason": "ErrImagePull", "message": cause}})
     later = pod({"waiting": {"reason": "ImagePullBackOff", "message": f'Back-off pulling image "{image}"'}})
-    known = keep_cause(later, keep_cause(later, failed))
+    known = with_history(later, with_history(later, failed))
     ending = failed_start(known, 0)
     assert ending is not None
     assert ending.message.endswith("not found")
     progress = reason_waiting(known) or ""
     assert (progress.endswith("not found"), len(progress) <= 200) == (True, True)
-    assert keep_cause(failed, later) == failed
-    assert failed_start(keep_cause(later, None), 0) is None
+    assert with_history(failed, later) == failed
+    assert failed_start(with_history(later, None), 0) is None
 
 
 @pytest.fixture(autouse=True)
@@ -259,7 +296,9 @@ _ALL_CLOSED = dict.fromkeys(_SEPARATED, Reached(server=False, other=False))
         (_ALL_CLOSED, {Network.open}),
         ({**_SEPARATED, "api": Reached(server=False, other=False)}, {Network.none, Network.open}),
         ({"open": _SEPARATED["open"]}, {Network.open}),
-        ({}, {Network.open}),
+        ({}, set()),
+        ({**_SEPARATED, "open": Reached(server=True, other=True, metadata=True)}, {Network.none, Network.api}),
+        ({**_SEPARATED, "none": Reached(server=False, other=False, metadata=True)}, {Network.api, Network.open}),
     ],
 )
 def test_a_network_is_offered_once_it_was_seen_to_be_separated(

@@ -1,5 +1,6 @@
 """Untrusted results of a run: links are not followed, and invalid files are reported."""
 
+import errno
 import os
 from pathlib import Path
 
@@ -189,3 +190,20 @@ def test_the_number_of_entries_is_limited(tmp_path: Path, monkeypatch: pytest.Mo
     result = collect_results(tmp_path)
     assert result.problems[0] == "It left more than 150 files, folders and links: the others were not read."
     assert result.problems[-1] == "And 50 more."
+
+
+def test_results_that_cannot_be_read_at_the_moment_are_not_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "track.csv").write_text("x")
+    scandir = os.scandir
+
+    def fail(path: str) -> object:
+        if path.endswith("deep"):
+            raise OSError(errno.ESTALE, "Stale file handle")
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", fail)
+    with pytest.raises(OSError, match="Stale file handle"):
+        collect_results(tmp_path)

@@ -113,7 +113,9 @@ def test_a_job_that_slurm_found_impossible_says_why() -> None:
 
 def test_states_of_jobs_that_go_on() -> None:
     assert {phase_of(state) for state in ("PENDING", "CONFIGURING", "REQUEUED", "REQUEUE_HOLD")} == {Phase.waiting}
-    assert {phase_of(state) for state in ("RUNNING", "COMPLETING", "SUSPENDED", "STAGE_OUT")} == {Phase.running}
+    assert {phase_of(state) for state in ("RUNNING", "COMPLETING", "SUSPENDED", "STAGE_OUT", "A_NEW_STATE")} == {
+        Phase.running
+    }
 
 
 @pytest.mark.parametrize(
@@ -168,6 +170,30 @@ def test_the_options_of_a_job() -> None:
         "--gres=gpu:2",
         "--exclusive",
     ]
+
+
+@pytest.mark.parametrize(
+    ("own", "requested", "both"),
+    [
+        ("op", "fast", "op&fast"),
+        ("op", "x|fast", "op&(x|fast)"),  # without parentheses, a node with `fast` alone would do
+        ("a100|h100", "ib", "(a100|h100)&ib"),
+        ("op", "(x|fast)&ib", "op&(x|fast)&ib"),
+        ("op", None, "op"),
+        (None, "[x|fast]*1", "[x|fast]*1"),
+    ],
+)
+def test_nodes_meet_the_constraints_of_runner_and_action(own: str | None, requested: str | None, both: str) -> None:
+    options = sbatch_options(SlurmOptions(5, constraint=own), Resources(), ClusterRequest(constraint=requested))
+    assert [option for option in options if option.startswith("--constraint")] == [f"--constraint={both}"]
+
+
+@pytest.mark.parametrize(
+    "requested", ["x)|(fast", "a|(b&c)", "[x|fast]", "x*2", "(a&(b|c))", "x,fast", "&".join("a" * 99) + "("]
+)
+def test_a_constraint_that_could_escape_that_of_the_runner_is_refused(requested: str) -> None:
+    with pytest.raises(CannotStart, match="combined"):
+        sbatch_options(SlurmOptions(5, constraint="op"), Resources(), ClusterRequest(constraint=requested))
 
 
 def test_an_action_sets_only_options_that_its_runner_allows() -> None:

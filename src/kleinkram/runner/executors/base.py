@@ -19,9 +19,10 @@ from kleinkram.contract.runs import EndReason, RunPlacement, Usage
 from kleinkram.environments.cache import Environment, Show
 from kleinkram.environments.uv import Wait
 from kleinkram.runner.executors.port_forward import PortForward
-from kleinkram.runner.executors.transfer_steps import FINISH
+from kleinkram.runner.executors.transfer_steps import finish_file
 from kleinkram.runner.input_cache import InputCache, InputFile, InputSource
 
+UPLOADING = "the results are uploaded where the job ran"
 _POLL_EVERY_S = 0.25
 _MIN_CORES = 0.01
 _MIN_BYTES = 2**20
@@ -102,6 +103,14 @@ class Executor(ABC):
         """Supported features."""
 
     @property
+    def are_abilities_known(self) -> bool:
+        """Whether all of them could be found out; if not, `find_abilities` tries again."""
+        return True
+
+    def find_abilities(self) -> None:  # noqa: B027  most know them
+        """Find out abilities that are not known yet. May take minutes."""
+
+    @property
     @abstractmethod
     def capacity(self) -> Capacity:
         """The resources of all jobs that may run at the same time; of a cluster, the largest that one job may have."""
@@ -118,6 +127,11 @@ class Executor(ABC):
     def lease_s(self) -> int:
         """How long its jobs may go on without news from the runner."""
         return LEASE_S
+
+    @property
+    def nodes_enforce_leases(self) -> bool:
+        """Whether jobs end with their leases by themselves, wherever the next process of the runner is started."""
+        return False
 
     def free(self, reserved: Capacity, job_count: int) -> Capacity | None:
         """Return what the next job may have beside `job_count` jobs that reserved so much; None: no room for any."""
@@ -182,6 +196,14 @@ class Executor(ABC):
             CannotStart: it cannot be started.
         """
 
+    def was_submitted(self, job: RunJob, wait: Wait) -> bool:
+        """Whether an earlier runner process submitted a job, which it was about to; True where `poll` tells.
+
+        Raises:
+            Exception: `wait` raised it.
+        """
+        return True
+
     @abstractmethod
     def poll(self, job: RunJob) -> Ending | None:
         """Return how a job ended, or None while it runs; enforce its limits. To be called at least every second."""
@@ -216,16 +238,17 @@ class Executor(ABC):
 
     @abstractmethod
     def usage(self, job: RunJob) -> Usage | None:
-        """Return the last known usage of a job."""
+        """Return the last known usage of a job; None where nothing is known, or nothing new."""
 
     @abstractmethod
     def collect(self, job: RunJob) -> Path:
         """Return the directory on this machine with the files that an ended job left in `/out`."""
 
-    def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait) -> StoredResults | None:
+    def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait, show: Show) -> StoredResults | None:
         """Have the results of an ended job uploaded from where it ran, and return what was stored. Repeatable.
 
-        None: `collect` has them, and the runner uploads them. `plain` is what to report without results.
+        None: `collect` has them, and the runner uploads them. `plain` is what to report without results. `show` gets
+        `UPLOADING`, and what that waits for.
 
         Raises:
             Exception: `wait` raised it.
@@ -244,10 +267,10 @@ class Executor(ABC):
         """End its threads; jobs go on."""
 
 
-def read_finish(directory: Path, attempt: int) -> RunFinish | None:
+def read_finish(directory: Path, attempt: int, start: str = "") -> RunFinish | None:
     """Return what the node of an attempt leaves to report; None where it has not uploaded all results."""
     try:
-        finish = RunFinish.model_validate_json((directory / FINISH).read_bytes())
+        finish = RunFinish.model_validate_json(finish_file(directory, start).read_bytes())
     except (FileNotFoundError, ValidationError):
         return None
     return finish if finish.attempt == attempt else None

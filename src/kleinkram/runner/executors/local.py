@@ -28,7 +28,7 @@ from kleinkram.runner.executors.base import CannotStart, Ending, Executor, Locke
 from kleinkram.runner.executors.gpu_pool import GpuPool, GpusUnavailable, acquire_gpus, recorded_gpus
 from kleinkram.runner.executors.gpus import OPTION, Gpu, GpuRequest
 from kleinkram.runner.executors.port_forward import loopback_addresses
-from kleinkram.runner.executors.supervision import LEASE, JobLimits, read_log_of, write_in_place
+from kleinkram.runner.executors.supervision import JobLimits, read_log_of, write_lease
 from kleinkram.runner.input_cache import InputCache, InputFile, InputSource, place_inputs
 
 _MEMORY_SHARE = 0.8
@@ -221,7 +221,7 @@ class LocalExecutor(Executor):
 
     def set_lease(self, job: RunJob, until_s: float, *, create: bool = False) -> None:
         """Write the lease beside the job. A directory that is being removed does not get it back."""
-        write_in_place(job.directory / LEASE, str(until_s), create=create)
+        write_lease(job.directory, until_s, create=create)
 
     def read_log(self, job: RunJob, offset: int, size_bytes: int) -> bytes:
         """Read the log file of the job."""

@@ -7,9 +7,11 @@ import os
 import re
 import shutil
 import subprocess
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 VISIBLE = "CUDA_VISIBLE_DEVICES"
+_IDS_ON_NODE = "SLURM_JOB_GPUS"
 # What Slurm sets for jobs without GPUs.
 NONE_VISIBLE = "NoDevFiles"
 # Where a job sees them.
@@ -23,12 +25,40 @@ _LDCONFIG_LINE = re.compile(r"^\s*(\S+) \(([^)]*)\) => (/\S+)$", re.MULTILINE)
 _PROGRAMS = ("nvidia-smi", "nvidia-debugdump", "nvidia-persistenced", "nvidia-cuda-mps-control")
 
 
-def devices(visible: str, folder: Path = _DEVICES) -> list[Path]:
+def devices(visible: str, folder: Path | None = None) -> list[Path]:
     """Return the devices for the visible GPUs; of all where they are not named by their numbers."""
-    numbers = [word for word in visible.split(",") if word.isdigit()]
-    is_numbered = bool(numbers) and len(numbers) == len(visible.split(","))
-    patterns = [*_SHARED_DEVICES, *([f"nvidia{number}" for number in numbers] if is_numbered else ["nvidia[0-9]*"])]
-    return [path for pattern in patterns for path in sorted(folder.glob(pattern))]
+    is_numbered = _is_numbered(visible)
+    own = [f"nvidia{number}" for number in visible.split(",")] if is_numbered else ["nvidia[0-9]*"]
+    patterns = [*_SHARED_DEVICES, *own]
+    return [path for pattern in patterns for path in sorted((folder or _DEVICES).glob(pattern))]
+
+
+def assigned_by_slurm(variables: Mapping[str, str]) -> str:
+    """Return the GPUs that a cluster gave to a job, as its node counts them; empty without any.
+
+    Where control groups limit the devices of jobs (`ConstrainDevices`), `CUDA_VISIBLE_DEVICES` counts from 0 in each.
+    """
+    visible = variables.get(VISIBLE, "")
+    if visible in ("", NONE_VISIBLE):
+        return ""
+    of_node = variables.get(_IDS_ON_NODE, "")
+    is_same = _is_numbered(visible) and _is_numbered(of_node) and visible.count(",") == of_node.count(",")
+    return of_node if is_same else visible
+
+
+def visible_among(gpus: str, nodes: Sequence[Path]) -> str | None:
+    """Return how a job chooses these GPUs that has no other devices: CUDA counts those that it can open.
+
+    None where the devices do not tell.
+    """
+    own = {node.name for node in nodes}
+    if not _is_numbered(gpus) or not all(f"nvidia{number}" in own for number in gpus.split(",")):
+        return None
+    return ",".join(str(number) for number, _ in enumerate(gpus.split(",")))
+
+
+def _is_numbered(gpus: str) -> bool:
+    return all(word.isdigit() for word in gpus.split(","))
 
 
 def libraries() -> list[Path]:

@@ -120,6 +120,7 @@ class ProcessExecutor(LocalExecutor):
             "uid": uid,
             "packages": str(job.packages) if job.packages is not None else None,
             "image": None,
+            "volumes": 0,
             "gpus": job.resources.gpus,
             "variable_prefix": "",
             "has_own_isolation": False,
@@ -155,11 +156,14 @@ class ProcessExecutor(LocalExecutor):
         command = [*image.run.entrypoint, *(job.command or image.run.command)]
         if not command:
             raise cannot_start("Neither the action nor its image names a command.", EndReason.command_not_found)
-        volumes = _make_volumes(job, image.run, uid)
+        volumes = _volumes_of(image.run)
+        process_sandbox.make_volumes(job.directory, len(volumes), uid)
         if self._apptainer is not None:
             return _task_of_apptainer(self._apptainer, job, image, command, volumes)
         root = process_sandbox.ImageRoot(str(image.path), volumes, image.run.directory)
-        return _TaskInImage(_environment_in_image(job, image.run), {"command": command, "image": root})
+        return _TaskInImage(
+            _environment_in_image(job, image.run), {"command": command, "image": root, "volumes": len(volumes)}
+        )
 
     def _use_image(self, job: RunJob) -> StoredImage | None:
         if job.key not in self._images_in_use and self._images is not None and job.image is not None:
@@ -192,10 +196,10 @@ class ProcessExecutor(LocalExecutor):
         self._signal(job, signal.SIGTERM)
 
     def usage(self, job: RunJob) -> Usage | None:
-        """Return the usage that the supervisor wrote last."""
+        """Return the usage that the supervisor wrote last; None where it cannot be read at the moment, either."""
         try:
             return Usage(**json.loads((job.directory / USAGE).read_text()))
-        except FileNotFoundError:
+        except (OSError, ValueError):
             return None
 
     def remove(self, job: RunJob) -> None:
@@ -365,16 +369,9 @@ def _environment_in_image(job: RunJob, run: ImageRun) -> dict[str, str]:
     return variables | dict(job.environment)
 
 
-def _make_volumes(job: RunJob, run: ImageRun, uid: int | None) -> list[str]:
-    """Create the directories of the volumes of an image, and return where it sees them."""
-    # `/out` and `/tmp` are writable anyway, and the rest is the sandbox's.
-    volumes = [path for path in sorted(run.volumes) if path != "/" and path.split("/")[1] not in OWN_ENTRIES]
-    for number, _ in enumerate(volumes):
-        directory = process_sandbox.volume_directory(job.directory, number)
-        directory.mkdir(exist_ok=True)
-        if uid is not None:
-            os.chown(directory, uid, uid)
-    return volumes
+def _volumes_of(run: ImageRun) -> list[str]:
+    """Return where an image sees its volumes: `/out` and `/tmp` are writable anyway, and the rest is the sandbox's."""
+    return [path for path in sorted(run.volumes) if path != "/" and path.split("/")[1] not in OWN_ENTRIES]
 
 
 def _task_of_apptainer(
@@ -399,7 +396,8 @@ def _task_of_apptainer(
     inside = _environment_in_image(job, image.run)
     environment = {f"{VARIABLE}{name}": value for name, value in inside.items() if name != "HOME"}
     environment["PATH"] = os.environ.get("PATH", os.defpath)
-    changes = {"command": words, "variable_prefix": VARIABLE, "has_own_isolation": True}
+    changes: dict[str, object] = {"command": words, "variable_prefix": VARIABLE, "has_own_isolation": True}
+    changes["volumes"] = len(volumes)
     return _TaskInImage(environment, changes)
 
 

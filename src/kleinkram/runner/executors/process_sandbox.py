@@ -62,6 +62,15 @@ class Sandbox:
     has_gpus: bool = False
 
 
+def make_volumes(directory: Path, count: int, uid: int | None) -> None:
+    """Create the directories of the volumes of an image, for a job that runs as `uid`."""
+    for number in range(count):
+        volume = volume_directory(directory, number)
+        volume.mkdir(exist_ok=True)
+        if uid is not None:
+            os.chown(volume, uid, uid)
+
+
 def is_available() -> bool:
     """Whether the kernel allows this process to create a sandbox, which is tried."""
     pid = os.fork()

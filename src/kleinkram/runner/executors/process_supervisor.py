@@ -31,13 +31,13 @@ from kleinkram.runner.executors.process_sandbox import (
 from kleinkram.runner.executors.supervision import (
     CANCELLED,
     DISK_FULL,
-    ENDING,
     LOG,
     LOG_IS_FULL,
     USAGE,
     JobLimits,
     LimitMonitor,
     command_not_found,
+    ending_file,
     reason_of_exit_code,
     write_all,
     write_atomically,
@@ -79,6 +79,7 @@ class JobSupervisor:
         self._usage: dict[str, float] = dict.fromkeys(_USAGE_FIELDS, 0)
         self._usage_written_s = 0.0
         self._start_error = bytearray()
+        self._ending = ending_file(directory)
         self._log_remaining_bytes = self._limits_of_job.log_bytes
 
     def run(self) -> None:
@@ -135,11 +136,14 @@ class JobSupervisor:
     def _devices(self) -> list[Path]:
         """Return the devices of the GPUs of the job: the runner's choice, or that of a cluster, which is made here."""
         job = self._job
-        visible = os.environ.get(nvidia.VISIBLE, "") if job["gpus"] and not job["devices"] else ""
-        if visible in ("", nvidia.NONE_VISIBLE):
+        gpus = nvidia.assigned_by_slurm(os.environ) if job["gpus"] and not job["devices"] else ""
+        if not gpus:
             return [Path(node) for node in job["devices"]]
-        job["environment"][f"{job['variable_prefix']}{nvidia.VISIBLE}"] = visible
-        return nvidia.devices(visible)
+        nodes = nvidia.devices(gpus)
+        is_limited_to_them = job["is_isolated"] and not job["has_own_isolation"]
+        visible = nvidia.visible_among(gpus, nodes) if is_limited_to_them else None
+        job["environment"][f"{job['variable_prefix']}{nvidia.VISIBLE}"] = visible or os.environ[nvidia.VISIBLE]
+        return nodes
 
     def _serve_port_forwards(self, listeners: socket.socket) -> None:
         with listeners:
@@ -240,7 +244,7 @@ class JobSupervisor:
             reason, message = reason_of_exit_code(code)
             exit_code = code
         ending = {"reason": reason, "message": message, "exit_code": exit_code}
-        write_atomically(self._directory / ENDING, json.dumps(ending))
+        write_atomically(self._ending, json.dumps(ending))
 
 
 def _cpu_of_children_s() -> float:

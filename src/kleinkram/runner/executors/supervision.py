@@ -20,11 +20,12 @@ _ENTRY_BYTES = 1024
 # Of the kernel's flags of a process: PF_EXITING.
 _IS_EXITING = 4
 _SHORT_BYTES = 128
+_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _RESERVED_BYTES = 4096
 
 CANCELLED = ("cancelled", "It was cancelled.")
 DISK_FULL = ("disk", "The disk of its runner is full. Run it again once there is space.")
-LEASE_EXPIRED = ("lost", "Its runner lost the connection to the server for too long; another runner may run it again.")
+LEASE_EXPIRED = ("lost", "It had no news from its runner for too long. Run it again with klein run retry.")
 
 
 class JobLimits(NamedTuple):
@@ -77,9 +78,10 @@ class LimitMonitor:
             self._disk_at_s = time.monotonic() + max(_DISK_EVERY_S, 10 * (time.monotonic() - started_s))
 
     def is_lease_expired(self) -> bool:
-        """Whether the lease in the directory has expired."""
+        """Whether the lease in the directory has expired. One from before a restart, or of another machine, has not."""
         try:
-            return boot_time_s() >= float((self._directory / LEASE).read_text())
+            until_s, of_boot = (self._directory / LEASE).read_text().split()
+            return of_boot == boot_id() and boot_time_s() >= float(until_s)
         except (FileNotFoundError, ValueError):
             return False
 
@@ -112,6 +114,23 @@ def boot_time_s() -> float:
     """Return the time since this machine was started, sleep included: the clock of leases, which nobody sets."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)
     return time.monotonic() if clock is None else time.clock_gettime(clock)
+
+
+def boot_id() -> str:
+    """Return what `boot_time_s` counts from: it differs between machines, and after a restart."""
+    try:
+        return _BOOT_ID.read_text().strip()
+    except OSError:
+        return "unknown"
+
+
+def write_lease(directory: Path, until_s: float, *, create: bool) -> None:
+    """Write the lease of a job, by the clock of `boot_time_s`.
+
+    Raises:
+        OSError: it has no lease and `create` is false, or that cannot be written.
+    """
+    write_in_place(directory / LEASE, f"{until_s} {boot_id()}", create=create)
 
 
 def reason_of_exit_code(code: int) -> tuple[str, str]:
@@ -187,6 +206,11 @@ def write_atomically(path: Path, text: str) -> None:
     temporary.replace(path)
 
 
+def ending_file(directory: Path, start: str = "") -> Path:
+    """Return where the ending of a job is, whose directory is used by several starts: of one of them, by its token."""
+    return directory / (f"ending-{start}.json" if start else ENDING)
+
+
 def reserve(path: Path) -> None:
     """Reserve disk space for a later `write_atomically`.
 
@@ -197,6 +221,15 @@ def reserve(path: Path) -> None:
         stream.write(bytes(_RESERVED_BYTES))
         stream.flush()
         os.fsync(stream.fileno())
+
+
+def move_reserved(source: Path, target: Path) -> None:
+    """Have the space that was reserved for a file be that of another; reserve it where it is gone, if there is some."""
+    with contextlib.suppress(OSError):
+        try:
+            _temporary(source).rename(_temporary(target))
+        except FileNotFoundError:
+            reserve(target)
 
 
 def _temporary(path: Path) -> Path:

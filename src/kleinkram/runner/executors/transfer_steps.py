@@ -2,7 +2,8 @@
 
     transfers.json        what the node needs to know, written by the runner; without it, the runner moves the files
     transfer-status.json  what the download of the inputs does, and whether it is over
-    finish.json           what the runner is to report, once the results are uploaded
+    finish.json           what the runner is to report, once the results are uploaded; of a job that may be started
+                          several times, `finish-TOKEN.json`, with the token of the start
 
 Each step is a process of its own, which has the runner's token; the job never sees it. Imports only the standard
 library, like all that starts on a node before the job.
@@ -48,13 +49,18 @@ def fetch_inputs(directory: Path, is_wanted: Callable[[], bool]) -> StepFailed |
     return StepFailed("inputs_unavailable", message)
 
 
-def upload_results(directory: Path, is_wanted: Callable[[], bool]) -> bool:
+def finish_file(directory: Path, start: str = "") -> Path:
+    """Return where a node leaves what the runner is to report, of a start with this token."""
+    return directory / (f"finish-{start}.json" if start else FINISH)
+
+
+def upload_results(directory: Path, is_wanted: Callable[[], bool], start: str = "") -> bool:
     """Upload the results of an ended job; return whether that is complete. If not, the runner does the rest."""
-    return (directory / FINISH).exists() or _run("upload", directory, is_wanted)[0] == 0
+    return finish_file(directory, start).exists() or _run("upload", directory, is_wanted, start)[0] == 0
 
 
-def _run(step: str, directory: Path, is_wanted: Callable[[], bool]) -> tuple[int, str]:
-    command = [sys.executable, "-I", "-m", _MODULE, step, str(directory)]
+def _run(step: str, directory: Path, is_wanted: Callable[[], bool], *arguments: str) -> tuple[int, str]:
+    command = [sys.executable, "-I", "-m", _MODULE, step, str(directory), *arguments]
     output = directory / f"{step}.out"
     with output.open("wb") as stream:
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=stream)

@@ -5,17 +5,16 @@ library's own types are checked nowhere. It is imported only when a runner start
 """
 
 import contextlib
-import datetime
 from collections.abc import Iterator, Mapping
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any, Literal, Protocol, TypeVar, cast
 
 import urllib3
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic.alias_generators import to_camel
+from pydantic import Field, ValidationError
 
 from kleinkram.client.errors import InvalidInput
+from kleinkram.runner.executors.kubernetes.api_objects import ApiObject, ClusterJob, ObjectMetadata, Pod, PodEvent
 
 Kind = Literal["jobs", "pods", "persistentvolumeclaims", "secrets"]
 Body = dict[str, Any]
@@ -29,14 +28,16 @@ _SERVICE_ACCOUNT = Path("/var/run/secrets/kubernetes.io/serviceaccount/token")
 _LOG_S = 60.0
 _LONGEST_EVENT_BYTES = 8 * 2**20
 _LONGEST_LINE_BYTES = 2**16
+_EXISTS = "AlreadyExists"
 
 
 class ClusterError(Exception):
     """The API server refused a request. The text is its message."""
 
-    def __init__(self, status: int, message: str) -> None:
+    def __init__(self, status: int, message: str, reason: str = "") -> None:
         super().__init__(message)
         self.status = status
+        self.reason = reason
 
     @property
     def is_missing(self) -> bool:
@@ -44,174 +45,48 @@ class ClusterError(Exception):
         return self.status == HTTPStatus.NOT_FOUND
 
     @property
-    def is_conflict(self) -> bool:
+    def is_existing(self) -> bool:
         """Whether an object of this name exists."""
-        return self.status == HTTPStatus.CONFLICT
+        return self.reason == _EXISTS
+
+    @property
+    def is_over_quota(self) -> bool:
+        """Whether a ResourceQuota of the namespace has no room for it at the moment."""
+        return self.status == HTTPStatus.FORBIDDEN and "exceeded quota" in str(self)
 
 
 class ClusterUnavailable(ClusterError):
-    """The API server does not answer, or is overloaded."""
+    """The API server does not answer, is overloaded, or met a conflict: the same request may succeed later."""
 
 
-class _ApiObject(BaseModel):
-    model_config = ConfigDict(alias_generator=to_camel, populate_by_name=True, frozen=True)
-
-
-class ObjectMetadata(_ApiObject):
-    """What all objects have."""
-
-    name: str
-    uid: str = ""
-    labels: dict[str, str] = {}
-    resource_version: str = ""
-    creation_timestamp: datetime.datetime | None = None
-    deletion_timestamp: datetime.datetime | None = None
-
-
-class Condition(_ApiObject):
-    """A condition of an object."""
-
-    type: str
-    status: str
-    reason: str | None = None
-    message: str | None = None
-    last_transition_time: datetime.datetime | None = None
-
-
-class WaitingContainer(_ApiObject):
-    """Why a container does not run yet."""
-
-    reason: str = ""
-    message: str = ""
-
-
-class RunningContainer(_ApiObject):
-    """A container that runs."""
-
-    started_at: datetime.datetime | None = None
-
-
-class TerminatedContainer(_ApiObject):
-    """How a container ended. `message` is what it wrote for that purpose, or the words of the container runtime."""
-
-    exit_code: int
-    reason: str = ""
-    message: str = ""
-    started_at: datetime.datetime | None = None
-    finished_at: datetime.datetime | None = None
-
-
-class ContainerState(_ApiObject):
-    """One of these."""
-
-    waiting: WaitingContainer | None = None
-    running: RunningContainer | None = None
-    terminated: TerminatedContainer | None = None
-
-
-class ContainerStatus(_ApiObject):
-    """The state of a container."""
-
-    name: str
-    state: ContainerState = ContainerState()
-
-
-class PodSpecification(_ApiObject):
-    """Where a pod is."""
-
-    node_name: str | None = None
-
-
-class PodStatus(_ApiObject):
-    """The state of a pod."""
-
-    phase: str = "Pending"
-    reason: str = ""
-    message: str = ""
-    conditions: list[Condition] = []
-    container_statuses: list[ContainerStatus] = []
-
-
-class Pod(_ApiObject):
-    """A pod."""
-
-    metadata: ObjectMetadata
-    spec: PodSpecification = PodSpecification()
-    status: PodStatus = PodStatus()
-
-    @property
-    def has_ended(self) -> bool:
-        """Whether none of its containers runs, or will."""
-        return self.status.phase in {"Succeeded", "Failed"}
-
-    @property
-    def container(self) -> ContainerState:
-        """The state of its only container."""
-        return self.status.container_statuses[0].state if self.status.container_statuses else ContainerState()
-
-    def condition(self, name: str) -> Condition | None:
-        """Return a condition."""
-        return next((condition for condition in self.status.conditions if condition.type == name), None)
-
-
-class JobStatus(_ApiObject):
-    """The state of a Job."""
-
-    failed: int = 0
-    succeeded: int = 0
-    conditions: list[Condition] = []
-
-
-class ClusterJob(_ApiObject):
-    """A Job."""
-
-    metadata: ObjectMetadata
-    status: JobStatus = JobStatus()
-
-    @property
-    def failure(self) -> str | None:
-        """Why it failed, in the words of the cluster; None where it did not."""
-        for condition in self.status.conditions:
-            if condition.type == "Failed" and condition.status == "True":
-                return condition.message or condition.reason or "it failed"
-        return None
-
-
-class _NamedObject(_ApiObject):
+class _NamedObject(ApiObject):
     metadata: ObjectMetadata
 
 
-class _ListMetadata(_ApiObject):
+class _ListMetadata(ApiObject):
     resource_version: str = ""
     continue_: str = Field("", alias="continue")
 
 
-class _PodList(_ApiObject):
+class _PodList(ApiObject):
     metadata: _ListMetadata = _ListMetadata()
-    items: list[Pod] = []
+    items: tuple[Pod, ...] = ()
 
 
-class _NamedObjectList(_ApiObject):
+class _NamedObjectList(ApiObject):
     metadata: _ListMetadata = _ListMetadata()
-    items: list[_NamedObject] = []
+    items: tuple[_NamedObject, ...] = ()
 
 
-class _StatusAnswer(_ApiObject):
+class _StatusAnswer(ApiObject):
     message: str = ""
+    reason: str = ""
     code: int = 0
 
 
-class _WatchEvent(_ApiObject):
+class _WatchEvent(ApiObject):
     type: str
     object: dict[str, Any]
-
-
-class PodEvent(BaseModel):
-    """A change of a pod, after which a watch can continue from `version`; without a pod, that alone."""
-
-    version: str
-    is_deleted: bool = False
-    pod: Pod | None = None
 
 
 class _LibraryResponse(Protocol):
@@ -229,7 +104,7 @@ class _Library(Protocol):
     def call_api(self, resource_path: str, method: str, **options: object) -> _LibraryResponse: ...
 
 
-_Object = TypeVar("_Object", bound=_ApiObject)
+_Object = TypeVar("_Object", bound=ApiObject)
 
 
 class Cluster:
@@ -247,7 +122,7 @@ class Cluster:
         """Return a Job."""
         return self._find("jobs", name, ClusterJob)
 
-    def has_claim(self, name: str) -> bool:
+    def has_volume(self, name: str) -> bool:
         """Whether a claim of a volume exists."""
         return self._find("persistentvolumeclaims", name, _NamedObject) is not None
 
@@ -277,7 +152,7 @@ class Cluster:
     def list_pods(self, selector: str) -> tuple[list[Pod], str]:
         """Return the pods with labels, and the version to watch from."""
         page = _parse(self._send("GET", self._path("pods"), query={"labelSelector": selector}), _PodList)
-        return page.items, page.metadata.resource_version
+        return [*page.items], page.metadata.resource_version
 
     def watch_pods(self, selector: str, version: str) -> Iterator[PodEvent]:
         """Yield changes after a version, until the API server ends the watch.
@@ -296,13 +171,13 @@ class Cluster:
             for line in lines:
                 event = _parse(line, _WatchEvent)
                 if event.type == "ERROR":
-                    status = _StatusAnswer.model_validate(event.object)
+                    status = _checked(event.object, _StatusAnswer)
                     raise ClusterError(status.code, status.message)
                 if event.type == "BOOKMARK":
                     metadata = event.object.get("metadata", {})
                     yield PodEvent(version=metadata.get("resourceVersion", ""))
                 else:
-                    pod = _checked(event.object)
+                    pod = _checked(event.object, Pod)
                     version = pod.metadata.resource_version
                     yield PodEvent(version=version, is_deleted=event.type == "DELETED", pod=pod)
 
@@ -349,6 +224,7 @@ class Cluster:
         self, method: str, path: str, query: Mapping[str, str], body: Body | None, read_timeout_s: float | None
     ) -> _LibraryResponse:
         from kubernetes.client.exceptions import ApiException
+        from kubernetes.config import ConfigException
 
         try:
             return self._library.call_api(
@@ -364,6 +240,8 @@ class Cluster:
             )
         except ApiException as error:
             raise _refusal(error.status or 0, error.body or "") from error
+        except ConfigException as error:  # such as a token file that is just being replaced
+            raise ClusterUnavailable(0, f"the credentials of Kubernetes cannot be read: {error}") from error
         except (urllib3.exceptions.HTTPError, OSError) as error:
             raise ClusterUnavailable(0, f"the API server of Kubernetes does not answer: {error}") from error
 
@@ -388,9 +266,9 @@ class Cluster:
             response.close()
 
 
-def _checked(value: dict[str, Any]) -> Pod:
+def _checked(value: dict[str, Any], model: type[_Object]) -> _Object:
     try:
-        return Pod.model_validate(value)
+        return model.model_validate(value)
     except ValidationError as error:
         raise ClusterUnavailable(0, f"the API server of Kubernetes gave an unexpected answer: {error}") from error
 
@@ -403,11 +281,15 @@ def _parse(data: bytes, model: type[_Object]) -> _Object:
 
 
 def _refusal(status: int, body: str | bytes) -> ClusterError:
-    text = body.decode(errors="replace") if isinstance(body, bytes) else body
+    text, reason = body.decode(errors="replace") if isinstance(body, bytes) else body, ""
     with contextlib.suppress(ValidationError):
-        text = _StatusAnswer.model_validate_json(text).message or text
-    is_unavailable = status == HTTPStatus.TOO_MANY_REQUESTS or status >= HTTPStatus.INTERNAL_SERVER_ERROR
-    return (ClusterUnavailable if is_unavailable else ClusterError)(status, text.strip() or f"HTTP status {status}")
+        answer = _StatusAnswer.model_validate_json(text)
+        text, reason = answer.message or text, answer.reason
+    # Such as two changes of a ResourceQuota at the same moment.
+    is_conflict = status == HTTPStatus.CONFLICT and reason != _EXISTS
+    is_overloaded = status == HTTPStatus.TOO_MANY_REQUESTS or status >= HTTPStatus.INTERNAL_SERVER_ERROR
+    kind = ClusterUnavailable if is_conflict or is_overloaded else ClusterError
+    return kind(status, text.strip() or f"HTTP status {status}", reason)
 
 
 def connect(namespace: str, kubeconfig: Path | None = None, context: str | None = None) -> Cluster:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from kleinkram.contract.actions import Resources
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import Ending
-from kleinkram.runner.executors.kubernetes.cluster import ContainerState, Pod, TerminatedContainer
+from kleinkram.runner.executors.kubernetes.api_objects import ContainerState, Pod, TerminatedContainer
 from kleinkram.runner.executors.supervision import (
     command_not_found,
     out_of_memory,
@@ -55,7 +55,23 @@ def reason_waiting(pod: Pod) -> str | None:
     return _cut_middle(f"{node}{waiting.reason}: {waiting.message}")
 
 
-def keep_cause(pod: Pod, earlier: Pod | None) -> Pod:
+def with_history(pod: Pod, earlier: Pod | None) -> Pod:
+    """Return a pod with what was seen of it earlier, and the cluster does not tell any more."""
+    return _with_cause(_with_disruption(pod, earlier), earlier)
+
+
+def _with_disruption(pod: Pod, earlier: Pod | None) -> Pod:
+    """Note whether its end was requested before it ended: its program may then have ended well, and too early."""
+    disruption = pod.condition("DisruptionTarget")
+    is_requested = pod.metadata.deletion_timestamp is not None or (
+        disruption is not None and disruption.status == "True"
+    )
+    if earlier is not None and (earlier.has_ended or earlier.is_disrupted):
+        is_requested = earlier.is_disrupted
+    return pod.model_copy(update={"is_disrupted": is_requested})
+
+
+def _with_cause(pod: Pod, earlier: Pod | None) -> Pod:
     """Return a pod that waits for its next pull of the image with why the last one failed.
 
     Until Kubernetes 1.31, nodes tell the cause only for a moment, at each failure.
@@ -112,13 +128,12 @@ def ending_of(pod: Pod, resources: Resources) -> Ending:
         return Ending(EndReason.time, f"It ran longer than its limit of {resources.time_s} s.")
     if status.reason == "Evicted":
         return _eviction(_cut(status.message), resources)
-    disruption = pod.condition("DisruptionTarget")
-    if status.phase == "Failed" and disruption is not None and disruption.status == "True":
-        return Ending(EndReason.lost, _cut(f"{_LOST} {disruption.message or disruption.reason or ''}".strip()))
-    if terminated is None:
-        return Ending(EndReason.lost, _cut(f"{_LOST} {status.message}".strip()))
-    if pod.metadata.deletion_timestamp is not None and terminated.exit_code:
-        return Ending(EndReason.lost, _LOST)
+    if pod.is_disrupted:
+        disruption = pod.condition("DisruptionTarget")
+        return _lost(disruption.message or disruption.reason if disruption is not None else None)
+    # The other reasons of pods are those of nodes, which end or refuse them: a shutdown, a pod of higher priority.
+    if terminated is None or status.reason or (status.phase == "Failed" and terminated.exit_code == 0):
+        return _lost(status.message or status.reason)
     return _termination(terminated, resources)
 
 
@@ -135,13 +150,28 @@ def _termination(terminated: TerminatedContainer, resources: Resources) -> Endin
         words = _cut(terminated.message or terminated.reason)
         return _failed_command(words) or Ending(EndReason.not_possible, f"The cluster could not start it: {words}")
     if terminated.reason == "ContainerStatusUnknown":
-        return Ending(EndReason.lost, _LOST)
+        return _lost(None)
     return Ending.of(reason_of_exit_code(terminated.exit_code), terminated.exit_code)
 
 
-def vanished(failure: str | None) -> Ending:
+def ending_without_pod(failure: str | None) -> Ending:
     """Return the ending of a job whose pod is gone; `failure` is what its Job says."""
-    return Ending(EndReason.lost, _cut(f"{_LOST} {failure or ''}".strip()))
+    return _lost(failure)
+
+
+def _lost(words: str | None) -> Ending:
+    return Ending(EndReason.lost, _cut(f"{_LOST} {words or ''}".strip()))
+
+
+def last_words(pod: Pod) -> str:
+    """Return what the container of an ended pod said last, for people; empty where it said nothing."""
+    terminated = pod.container.terminated
+    return _cut_middle(terminated.message) if terminated is not None else ""
+
+
+def reason_refused(message: str) -> str:
+    """Return why the cluster creates nothing at the moment, as a progress."""
+    return _cut_middle(f"the cluster has no room for it yet: {message}")
 
 
 def _cut_progress(text: str) -> str:

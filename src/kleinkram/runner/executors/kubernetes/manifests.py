@@ -1,4 +1,4 @@
-"""The objects of a run on a cluster: a claim of a volume, Secrets, and a Job for each of its three steps.
+"""The objects of a run on a cluster: a volume (claim), Secrets, and a Job for each of its three steps.
 
 `fetch` has the inputs written to the volume, `action` is the program of a stranger, `store` has its results uploaded.
 Each step is a pod of its own: the action's has neither credentials nor the network of the other two, and a GPU is taken
@@ -27,7 +27,7 @@ RUNNER_LABEL, KEY_LABEL, STEP_LABEL = "kleinkram.runner", "kleinkram.job", "klei
 # What NetworkPolicies select pods by: a `Network`, or `transfer` for the pods of Kleinkram itself.
 NETWORK_LABEL, TRANSFER = "kleinkram.network", "transfer"
 CONTAINER = "main"
-VOLUME, ORDER_FOLDER, ORDER_FILE = "/volume", "/run/kleinkram", "order.json.gz"
+VOLUME, ASSIGNMENT_FOLDER, ASSIGNMENT_FILE = "/volume", "/run/kleinkram", "assignment.json.gz"
 AUTHORITIES_FILE = "authorities.pem"
 TEMPORARY = "/tmp"  # noqa: S108  the pod's own
 _ENVIRONMENT = {"HOME": TEMPORARY, "TMPDIR": TEMPORARY, "PYTHONUNBUFFERED": "1"}
@@ -51,8 +51,8 @@ class AssignmentTooLarge(Exception):
     """The assignment of a run does not fit into a Secret."""
 
 
-class PodOrder(BaseModel):
-    """What the pods of Kleinkram do for one run, with the runner's credentials. Stored in a Secret."""
+class PodAssignment(BaseModel):
+    """The assignment of a run for the pods of Kleinkram, with the runner's credentials. Stored in a Secret."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -67,8 +67,8 @@ class Names(NamedTuple):
     fetch: str
     action: str
     store: str
-    claim: str
-    order: str
+    volume: str
+    assignment: str
     environment: str
 
     @classmethod
@@ -100,7 +100,7 @@ class Manifests:
     def _labels(self, key: str) -> dict[str, str]:
         return {MANAGER_LABEL: MANAGER, RUNNER_LABEL: self._runner, KEY_LABEL: key}
 
-    def claim(self, key: str, size_bytes: int) -> Body:
+    def volume(self, key: str, size_bytes: int) -> Body:
         """Return a claim of a volume for the inputs and outputs of a run."""
         specification: Body = {
             "accessModes": ["ReadWriteOnce"],
@@ -111,18 +111,20 @@ class Manifests:
         return {
             "apiVersion": "v1",
             "kind": "PersistentVolumeClaim",
-            "metadata": {"name": Names.of(key).claim, "labels": self._labels(key)},
+            "metadata": {"name": Names.of(key).volume, "labels": self._labels(key)},
             "spec": specification,
         }
 
-    def order(self, key: str, order: PodOrder, authorities: str | None) -> Body:
+    def assignment(self, key: str, assignment: PodAssignment, authorities: str | None) -> Body:
         """Return the Secret of the pods that fetch and store. Raises AssignmentTooLarge."""
-        files = {ORDER_FILE: gzip.compress(order.model_dump_json().encode(), mtime=0)}
+        files = {ASSIGNMENT_FILE: gzip.compress(assignment.model_dump_json().encode(), mtime=0)}
         if authorities is not None:
             files[AUTHORITIES_FILE] = authorities.encode()
         if sum(map(len, files.values())) > _MAX_SECRET_BYTES:
             raise AssignmentTooLarge
-        return self._secret(key, Names.of(key).order, {"data": {name: _base64(data) for name, data in files.items()}})
+        return self._secret(
+            key, Names.of(key).assignment, {"data": {name: _base64(data) for name, data in files.items()}}
+        )
 
     def environment(self, job: RunJob) -> Body:
         """Return the Secret with the environment of a job, which has the token of the run."""
@@ -146,21 +148,23 @@ class Manifests:
     def _transfer_container(self, arguments: Sequence[str], *, has_authorities: bool) -> Body:
         environment = {**_ENVIRONMENT}
         if has_authorities:
-            environment["SSL_CERT_FILE"] = f"{ORDER_FOLDER}/{AUTHORITIES_FILE}"
+            environment["SSL_CERT_FILE"] = f"{ASSIGNMENT_FOLDER}/{AUTHORITIES_FILE}"
         return {
             "name": CONTAINER,
             "image": self._options.pod_image,
             "command": _literal(
-                ["python3", "-m", _POD_MODULE, *arguments, "--volume", VOLUME, "--order", ORDER_FOLDER]
+                ["python3", "-m", _POD_MODULE, *arguments, "--volume", VOLUME, "--assignment", ASSIGNMENT_FOLDER]
             ),
             "env": _variables(environment),
             "resources": {
                 "requests": {"cpu": _TRANSFER_CPU, "memory": "256Mi"},
                 "limits": {"memory": _TRANSFER_MEMORY, "ephemeral-storage": _TEMPORARY},
             },
+            # Of a pod that fails, the end of its output says why. An action's would be the words of a stranger.
+            "terminationMessagePolicy": "FallbackToLogsOnError",
             "volumeMounts": [
                 {"name": "run", "mountPath": VOLUME},
-                {"name": "order", "mountPath": ORDER_FOLDER, "readOnly": True},
+                {"name": "assignment", "mountPath": ASSIGNMENT_FOLDER, "readOnly": True},
                 {"name": "tmp", "mountPath": TEMPORARY},
             ],
         }
@@ -168,7 +172,7 @@ class Manifests:
     def _transfer_job(self, key: str, name: str, step: Step, container: Body, resources: Resources) -> Body:
         volumes = [
             _claimed(key),
-            {"name": "order", "secret": {"secretName": Names.of(key).order, "defaultMode": 0o440}},
+            {"name": "assignment", "secret": {"secretName": Names.of(key).assignment, "defaultMode": 0o440}},
             {"name": "tmp", "emptyDir": {"sizeLimit": _TEMPORARY}},
         ]
         pod = {**self._pod(container, resources), "volumes": volumes}
@@ -237,6 +241,8 @@ class Manifests:
             "metadata": {"name": name, "labels": labels},
             "spec": {
                 "backoffLimit": retries,
+                # A pod that is being deleted may still write to the volume. Until 1.28, clusters ignore this.
+                "podReplacementPolicy": "Failed",
                 "ttlSecondsAfterFinished": _TTL_S,
                 "template": {"metadata": {"labels": labels}, "spec": pod},
             },
@@ -262,7 +268,7 @@ class Manifests:
             # The program is then not the first process: signals have their usual effects, and orphans are reaped.
             "shareProcessNamespace": True,
             "securityContext": user,
-            "containers": [{**container, "securityContext": security, "terminationMessagePolicy": "File"}],
+            "containers": [{"terminationMessagePolicy": "File", **container, "securityContext": security}],
         }
         if selector:
             pod["nodeSelector"] = selector
@@ -276,7 +282,7 @@ class Manifests:
 
 
 def _claimed(key: str) -> Body:
-    return {"name": "run", "persistentVolumeClaim": {"claimName": Names.of(key).claim}}
+    return {"name": "run", "persistentVolumeClaim": {"claimName": Names.of(key).volume}}
 
 
 def _toleration(toleration: Toleration) -> Body:

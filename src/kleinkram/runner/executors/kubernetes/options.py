@@ -36,6 +36,8 @@ class KubernetesOptions(BaseModel):
     `pod_image` is the image with Kleinkram, which fetches inputs and stores results. `storage_class` null: the
     cluster's default. `cores`, `memory_bytes`, `disk_bytes` and `gpus` are the most that one run may have.
     `gpu_node_selector` and `gpu_tolerations` are for runs with GPUs, in addition.
+    `allow_metadata_access`: runs with an open network may reach the metadata service of the cloud, by which they get
+    the credentials of their node.
     `run_as_user` null: the cluster chooses, as OpenShift does.
     """
 
@@ -58,4 +60,5 @@ class KubernetesOptions(BaseModel):
     tolerations: list[Toleration] = []
     gpu_tolerations: list[Toleration] = []
     priority_class: str | None = None
+    allow_metadata_access: bool = False
     run_as_user: Annotated[int, Field(ge=1)] | None = _USER

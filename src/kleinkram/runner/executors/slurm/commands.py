@@ -23,6 +23,7 @@ _TRANSIENT = (
     "munge",
     "maxsubmitjob",
     "configuration source",
+    "i/o error writing",
 )
 _JOB_FORMAT = "%i|%T|%V|%S|%N|%j|%K|%r"
 _NODE_FORMAT = "%N|%c|%m|%G|%P|%l|%T"
@@ -102,6 +103,15 @@ class SlurmCommands:
         answer = self._run("sbatch", "--parsable", *options, script=f"{_SCRIPT}{command}\n")
         return answer.strip().splitlines()[-1].partition(";")[0]
 
+    def check(self, options: Sequence[str]) -> None:
+        """Check that Slurm would accept a job with these options.
+
+        Raises:
+            SlurmUnavailable: it does not say.
+            SlurmRefused: it would not.
+        """
+        self._run("sbatch", "--test-only", "--output=/dev/null", *options, script=f"{_SCRIPT}true\n")
+
     def own_jobs(self, prefix: str) -> list[QueueEntry]:
         """Return the jobs of this user whose names have a prefix, also those that ended in the last minutes."""
         text = self._run(
@@ -170,8 +180,10 @@ class SlurmCommands:
             )
         except subprocess.TimeoutExpired:
             raise SlurmUnavailable(f"{command[0]} did not end within {_TIMEOUT_S:.0f} s") from None
-        except FileNotFoundError:
-            raise SlurmRefused(f"the command {command[0]} is not installed here") from None
+        except FileNotFoundError:  # while Slurm is upgraded, too
+            raise SlurmUnavailable(f"the command {command[0]} is not installed here") from None
+        except OSError as error:  # as on a crowded login node
+            raise SlurmUnavailable(f"{command[0]} cannot be started: {error.strerror}") from error
         if done.returncode == 0:
             return done.stdout
         reason = reason_of(done.stderr) or f"{command[0]} ended with the exit code {done.returncode}"

@@ -8,26 +8,19 @@ wrote counts; Slurm's state only where there is none.
 
 import contextlib
 import dataclasses
-import json
-import signal
 import sys
 from collections.abc import Collection, Mapping, Sequence
 
 from kleinkram.contract.runners import MAX_LEASE_S, Capacity, ExecutorAbilities, RunFinish
 from kleinkram.contract.runs import EndReason, RunPlacement
-from kleinkram.environments.cache import EnvironmentCache
+from kleinkram.environments.cache import EnvironmentCache, Show
 from kleinkram.environments.uv import Wait
-from kleinkram.runner.executors.base import Ending, RunJob, StoredResults, read_finish
+from kleinkram.runner.executors.base import UPLOADING, Ending, RunJob, StoredResults, read_finish
 from kleinkram.runner.executors.gpus import Gpu
 from kleinkram.runner.executors.local import Machine, cannot_start
 from kleinkram.runner.executors.process import ProcessExecutor
-from kleinkram.runner.executors.slurm.commands import (
-    JobAccount,
-    QueueEntry,
-    SlurmRefused,
-    SlurmUnavailable,
-    task_name,
-)
+from kleinkram.runner.executors.slurm.commands import SlurmRefused, task_name
+from kleinkram.runner.executors.slurm.job_endings import JobEndings
 from kleinkram.runner.executors.slurm.options import sbatch_options
 from kleinkram.runner.executors.slurm.probe import SlurmSite
 from kleinkram.runner.executors.slurm.queue_monitor import QueueMonitor
@@ -43,37 +36,21 @@ from kleinkram.runner.executors.slurm.shared_files import (
 )
 from kleinkram.runner.executors.slurm.states import (
     Phase,
-    ending_of,
-    is_stuck_after_failure,
-    never_starts,
     phase_of,
     waiting_sentence,
 )
 from kleinkram.runner.executors.slurm.submissions import JobBatches, SubmittedJob, Submitter
-from kleinkram.runner.executors.supervision import CANCELLED, ENDING, GRACE_S, boot_time_s
-from kleinkram.runner.executors.transfer_steps import FINISH
+from kleinkram.runner.executors.supervision import GRACE_S, boot_time_s
+from kleinkram.runner.executors.transfer_steps import finish_file
 from kleinkram.runner.images.store import ImageStore
 from kleinkram.runner.input_cache import InputCache
 
 _LEASE_S = min(900, MAX_LEASE_S)
 _LEASE_EVERY_S = 20.0
-# Of running jobs, and of waiting ones, which may have started since.
-_READ_ENDING_EVERY_S = (0.5, 5.0)
 _CHECK_UPLOAD_EVERY_S = 0.5
-# How long Slurm must show a job as ended, or not at all, before that is believed: one that is about to be started again
-# looks ended for moments, and files of a node are seen late.
-_SETTLED_S = 6.0
-# How long a job may be missing from the queue after the answer to its submission was lost.
-_LOST_ANSWER_S = 10.0
 _KILL_AFTER_S = GRACE_S + 2
 _REMOVE_S = 20.0
-# A job that crashes its node each time is not submitted for ever.
-_MAX_SUBMISSIONS = 3
-_MAX_RELEASES = 3
-_RELEASE_EVERY_S = 5.0
 _LOST = Ending(EndReason.lost, "Its job was removed from Slurm.")
-_NOT_ACCOUNTED_S = 5.0
-_KILLED = 128 + signal.SIGKILL
 
 
 class SlurmExecutor(ProcessExecutor):
@@ -90,13 +67,13 @@ class SlurmExecutor(ProcessExecutor):
     ) -> None:
         super().__init__(machine, environments, images)
         self._site = site
-        self._commands = site.commands
         self._options = site.options
         self._is_isolated = self._apptainer is None and site.node.is_isolated
         self._python = site.options.python or sys.executable
         self._prefix = f"klein-{runner.replace('-', '')[:12]}-"
         self._queue = QueueMonitor(site.commands, self._prefix)
         self._submitter = Submitter(site, self._prefix)
+        self._endings = JobEndings(site, self._queue, self._submitter)
         self._batches = JobBatches(self._submit_new, site.settings.max_array_size)
         self._jobs: dict[str, SubmittedJob] = {}
         # Jobs of an earlier runner process that were not found yet; None where the others are not to be killed.
@@ -120,13 +97,19 @@ class SlurmExecutor(ProcessExecutor):
         return _LEASE_S
 
     @property
+    def nodes_enforce_leases(self) -> bool:
+        """By their own clocks. A job that starts without news from the runner does nothing, either."""
+        return True
+
+    @property
     def node_cache(self) -> InputCache | None:
         """The cache in the shared folder, if the nodes move the files of their jobs."""
         return self._required_machine().cache if self._options.transfers_on_nodes else None
 
     def free(self, reserved: Capacity, job_count: int) -> Capacity | None:
-        """Return what a job may have: Slurm has the queue, whose length is bounded."""
-        return self.capacity if job_count < self._options.max_jobs else None
+        """Return what a job may have: Slurm has the queue, whose length is bounded. None while Slurm refuses all."""
+        has_room = job_count < self._options.max_jobs and not self._submitter.is_refused
+        return self.capacity if has_room else None
 
     def max_claimed(self, job_count: int) -> int:
         """Return how many jobs may still be submitted."""
@@ -169,25 +152,35 @@ class SlurmExecutor(ProcessExecutor):
         self._use_image(job)
         if submitted.ending is None:
             self._update(job, submitted)
-            submitted.ending = self._own_ending(job, submitted) or self._judge(job, submitted)
+            submitted.ending = self._endings.find(job, submitted)
             if submitted.ending is None:
                 return None
             submitted.ended_s = boot_time_s()
             submitted.start_read_at_s = 0.0
         if self._options.transfers_on_nodes:  # its job in Slurm goes on
             return submitted.ending
-        if self._site.settings.has_accounting and not self._is_accounted(submitted):
+        if self._site.settings.has_accounting and not self._endings.is_accounted(submitted):
             return None
         self._queue.forget(submitted.submission.name)
         return submitted.ending
 
-    def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait) -> StoredResults | None:
+    def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait, show: Show) -> StoredResults | None:
         """Wait while the node of an ended job uploads its results; None if it did not, or is not to."""
         submitted = self._find(job) if self._options.transfers_on_nodes else None
-        while submitted is not None and self._is_uploading(job, submitted):
+        if submitted is None:
+            return None
+        submitted.start = submitted.start or read_start(job.directory)
+        while self._is_uploading(job, submitted):
+            show(UPLOADING, 1.0)
             wait(_CHECK_UPLOAD_EVERY_S)
-        finish = read_finish(job.directory, plain.attempt) if submitted is not None else None
-        return StoredResults(finish, has_log=True) if finish is not None else None
+        if submitted.start is None:
+            return None
+        finish = read_finish(job.directory, plain.attempt, submitted.start.token)
+        if finish is None:
+            return None
+        if plain.reason is not EndReason.done:  # Slurm may know more than the node, such as that memory ran out
+            finish = finish.model_copy(update={"reason": plain.reason, "message": plain.message})
+        return StoredResults(finish, has_log=True)
 
     def _is_uploading(self, job: RunJob, submitted: SubmittedJob) -> bool:
         """Whether the node of an ended job still uploads its results, or Slurm does not say."""
@@ -198,16 +191,23 @@ class SlurmExecutor(ProcessExecutor):
         entry = snapshot.entries.get(submitted.submission.name)
         is_running = not is_known or (entry is not None and phase_of(entry.state) is Phase.running)
         refresh(job.directory)
-        if is_running and not (job.directory / FINISH).exists():
+        if is_running and not self._has_uploaded(job, submitted):
             return True
-        if self._site.settings.has_accounting and not self._is_accounted(submitted):
+        if self._site.settings.has_accounting and not self._endings.is_accounted(submitted):
             return True
         self._queue.forget(submitted.submission.name)
         return False
 
+    @staticmethod
+    def _has_uploaded(job: RunJob, submitted: SubmittedJob) -> bool:
+        return submitted.start is not None and finish_file(job.directory, submitted.start.token).exists()
+
     def reason_waiting(self, job: RunJob) -> str | None:
         """Return why a job is not running yet."""
-        submitted = self._find(job)
+        try:
+            submitted = self._find(job)
+        except OSError as error:
+            return f"waits for the shared file system: {error.strerror or error}"
         if submitted is None or submitted.ending is not None:
             return None
         self._update(job, submitted)
@@ -219,7 +219,10 @@ class SlurmExecutor(ProcessExecutor):
 
     def placement(self, job: RunJob) -> RunPlacement | None:
         """Return the job in Slurm, its node and devices, and what the accounting has."""
-        submitted = self._find(job)
+        try:
+            submitted = self._find(job)
+        except OSError:  # the shared file system is not available
+            return None
         if submitted is None:
             return None
         self._update(job, submitted)
@@ -258,11 +261,11 @@ class SlurmExecutor(ProcessExecutor):
         submitted = self._find(job)
         if submitted is None:
             return
-        submitted.ending = submitted.ending or self._own_ending(job, submitted)
+        submitted.ending = submitted.ending or self._endings.own_ending(job, submitted)
         (job.directory / SUBMISSION).unlink(missing_ok=True)
         super().remove(job)
         name = submitted.submission.name
-        if submitted.ending is None or (self._options.transfers_on_nodes and not (job.directory / FINISH).exists()):
+        if submitted.ending is None or (self._options.transfers_on_nodes and not self._has_uploaded(job, submitted)):
             self._queue.kill(name)
             self._queue.wait_until_gone(name, _REMOVE_S)
         self._queue.forget(name)
@@ -351,95 +354,6 @@ class SlurmExecutor(ProcessExecutor):
             with contextlib.suppress(OSError):
                 submitted.start = read_start(job.directory) or submitted.start
 
-    def _own_ending(self, job: RunJob, submitted: SubmittedJob) -> Ending | None:
-        """Return the ending that the supervisor wrote, if it did."""
-        now_s = boot_time_s()
-        if now_s < submitted.read_at_s:
-            return None
-        entry = self._queue.snapshot.entries.get(submitted.submission.name)
-        is_waiting = entry is not None and phase_of(entry.state) is Phase.waiting
-        submitted.read_at_s = now_s + _READ_ENDING_EVERY_S[is_waiting]
-        if submitted.settled_at_s is not None:
-            refresh(job.directory)
-        try:
-            values = json.loads((job.directory / ENDING).read_text())
-        except FileNotFoundError:
-            return None
-        except OSError:  # the shared file system is not available
-            submitted.settled_at_s = None
-            return None
-        refresh(job.directory / "out")
-        ending = Ending(EndReason(values["reason"]), values["message"], values["exit_code"])
-        if ending.exit_code == _KILLED and self._is_out_of_memory(submitted):
-            return ending_of("OUT_OF_MEMORY", "", "", "")
-        return ending
-
-    def _is_out_of_memory(self, submitted: SubmittedJob) -> bool:
-        """Whether Slurm's control group killed a process of a job."""
-        name = submitted.submission.name
-        self._queue.wait_until_gone(name, _SETTLED_S)
-        entry = self._queue.snapshot.entries.get(name)
-        return entry is not None and entry.state == "OUT_OF_MEMORY"
-
-    def _judge(self, job: RunJob, submitted: SubmittedJob) -> Ending | None:
-        """Return how a job ended that wrote no ending, once that is certain; keep its submission going."""
-        snapshot = self._queue.snapshot
-        if snapshot.queried_s <= submitted.submitted_s or self._queue.error is not None:
-            submitted.settled_at_s = None
-            return None
-        entry = snapshot.entries.get(submitted.submission.name)
-        if entry is None and not submitted.submission.job_id:
-            if submitted.cancelled_s is not None:
-                return Ending.of(CANCELLED)
-            is_absent = snapshot.queried_s > submitted.submitted_s + _LOST_ANSWER_S
-            return self._submit_again(job, submitted) if is_absent else None
-        if entry is not None and phase_of(entry.state) is not Phase.ended:
-            submitted.settled_at_s = None
-            return self._check_waiting(submitted, entry) if phase_of(entry.state) is Phase.waiting else None
-        if submitted.cancelled_s is not None:
-            return Ending.of(CANCELLED)
-        if submitted.settled_at_s is None:
-            submitted.settled_at_s = boot_time_s() + _SETTLED_S
-        if snapshot.queried_s < submitted.settled_at_s:
-            return None
-        submitted.read_at_s = 0.0
-        return self._own_ending(job, submitted) or self._end_or_submit_again(job, submitted, entry)
-
-    def _end_or_submit_again(self, job: RunJob, submitted: SubmittedJob, entry: QueueEntry | None) -> Ending | None:
-        ending = self._ending_by_state(submitted, entry)
-        if ending.reason is EndReason.lost and submitted.submission.number < _MAX_SUBMISSIONS:
-            return self._submit_again(job, submitted)
-        return ending
-
-    def _ending_by_state(self, submitted: SubmittedJob, entry: QueueEntry | None) -> Ending:
-        job_id = submitted.submission.job_id
-        node = submitted.start.node if submitted.start is not None else ""
-        if entry is not None:
-            return ending_of(entry.state, entry.reason, job_id, entry.node or node)
-        if self._site.settings.has_accounting:
-            with contextlib.suppress(SlurmUnavailable, SlurmRefused):
-                if (account := self._account_of(submitted)) is not None:
-                    return ending_of(account.state, "None", job_id, node)
-        return Ending(EndReason.lost, f"Slurm does not know its job {job_id} any more.")
-
-    def _submit_again(self, job: RunJob, submitted: SubmittedJob) -> Ending | None:
-        """Submit a job again under a new name. The first, should it still start or go on, notices that and ends."""
-        previous = submitted.submission
-        # A submission that Slurm did not get does not count.
-        known = int(bool(previous.job_id))
-        self._queue.forget(previous.name)
-        name = self._submitter.new_name(job.key)
-        submitted.submission = Submission(name, number=previous.number + known)
-        submitted.settled_at_s, submitted.entry, submitted.start = None, None, None
-        write_submission(job.directory, submitted.submission)
-        self._queue.watch(name)
-        try:
-            options = sbatch_options(self._options, job.resources, job.cluster)
-            self._submitter.submit(name, options, [job], [submitted])
-        except SlurmRefused as error:
-            return Ending(EndReason.not_possible, f"Slurm refused its job: {error}.")
-        return None
-
     @staticmethod
     def _is_lease_due(submitted: SubmittedJob, remaining_s: float) -> bool:
         """Whether a job needs its lease: one that has just started waits for it."""
@@ -447,42 +361,3 @@ class SlurmExecutor(ProcessExecutor):
         is_waiting = entry is not None and phase_of(entry.state) is Phase.waiting
         is_known = is_waiting or (submitted.start is not None and submitted.start == submitted.leased_start)
         return not is_known or boot_time_s() - submitted.leased_s > min(_LEASE_EVERY_S, remaining_s / 20)
-
-    def _check_waiting(self, submitted: SubmittedJob, entry: QueueEntry) -> Ending | None:
-        """End a job that can never start, and have one start that Slurm holds because a node failed to start it."""
-        now_s = boot_time_s()
-        if is_stuck_after_failure(entry.reason):
-            if submitted.releases >= _MAX_RELEASES:
-                self._queue.kill(entry.name)
-                return Ending(
-                    EndReason.lost, f"Slurm failed to start its job {entry.job_id} {_MAX_RELEASES + 1} times."
-                )
-            if now_s >= submitted.released_s + _RELEASE_EVERY_S:
-                submitted.releases, submitted.released_s = submitted.releases + 1, now_s
-                self._queue.release(entry.name)
-            return None
-        ending = never_starts(entry.reason)
-        if ending is None:
-            submitted.stuck_since_s = None
-            return None
-        if submitted.stuck_since_s is None:
-            submitted.stuck_since_s = now_s
-        if now_s - submitted.stuck_since_s < _SETTLED_S:
-            return None
-        self._queue.kill(entry.name)
-        return ending
-
-    def _is_accounted(self, submitted: SubmittedJob) -> bool:
-        """Whether the accounting has an ended job, or has had the time to."""
-        if submitted.account is None and submitted.submission.job_id:
-            self._queue.wait_until_gone(submitted.submission.name, _NOT_ACCOUNTED_S)
-            with contextlib.suppress(SlurmUnavailable, SlurmRefused):
-                submitted.account = self._account_of(submitted)
-        waited_s = boot_time_s() - (submitted.ended_s or 0.0)
-        return submitted.account is not None or waited_s > _NOT_ACCOUNTED_S
-
-    def _account_of(self, submitted: SubmittedJob) -> JobAccount | None:
-        """Return what the accounting has about a job, not about another one that had its id."""
-        job_id = submitted.submission.job_id
-        account = self._commands.accounts([job_id]).get(job_id)
-        return account if account is not None and account.name == submitted.submission.name else None

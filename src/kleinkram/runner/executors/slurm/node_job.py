@@ -30,18 +30,22 @@ from kleinkram.runner.executors.slurm.shared_files import (
 )
 from kleinkram.runner.executors.supervision import (
     CANCELLED,
-    ENDING,
     GRACE_S,
     LEASE_EXPIRED,
     JobLimits,
     LimitMonitor,
     boot_time_s,
+    ending_file,
+    move_reserved,
     write_atomically,
 )
 
 PROBE, PROBE_STARTED = "probe.json", "probe.started"
 PROGRAMS = ("apptainer", "singularity", "ch-run")
 INTERRUPTED = ("interrupted", "Slurm ended it.")
+# Preemption is common where it is used; a job that crashes each node must not go through all of them for ever.
+_MAX_RESTARTS = 100
+TOO_MANY_STARTS = ("lost", f"Slurm started its job {_MAX_RESTARTS} times, and it was interrupted each time.")
 SUPERSEDED = ("superseded", "The directory belongs to a later start.")
 _READ_EVERY_S = 1.0
 _WAIT_EVERY_S = 0.1
@@ -108,6 +112,7 @@ class NodeJobSupervisor(JobSupervisor):
         super().__init__(directory, os.open(os.devnull, os.O_RDONLY), job)
         self._limits = NodeLimits(directory, self._limits_of_job, token, lease)
         self._token = token
+        self._ending = ending_file(directory, token)
 
     def _write_ending(self, code: int) -> None:
         if self._limits.reason in (INTERRUPTED, SUPERSEDED) or not _is_current(self._directory, self._token):
@@ -131,21 +136,22 @@ def _is_current(directory: Path, token: str) -> bool:
     return is_named and start is not None and start.token == token
 
 
-def _take_directory(directory: Path) -> str:
-    """Make this start the one that has the directory, without what an earlier one left; return its token."""
-    gpus = os.environ.get("CUDA_VISIBLE_DEVICES", "")
-    previous = read_start(directory)
+def _take_directory(directory: Path, job: dict[str, Any], previous: NodeStart | None) -> NodeStart:
+    """Make this start the one that has the directory, without what the previous one left, and return it."""
+    gpus = nvidia.assigned_by_slurm(os.environ)
     start = NodeStart(
         token=uuid.uuid4().hex,
         node=os.environ.get("SLURMD_NODENAME") or socket.gethostname(),
         restarts=0 if previous is None else previous.restarts + 1,
-        gpus=[gpu for gpu in gpus.split(",") if gpu and gpu != nvidia.NONE_VISIBLE],
+        gpus=[gpu for gpu in gpus.split(",") if gpu],
     )
+    move_reserved(ending_file(directory, previous.token if previous else ""), ending_file(directory, start.token))
     write_start(directory, start)
     if previous is not None:
         for name in ("out", "tmp"):
             _replace_directory(directory / name)
-    return start.token
+        process_sandbox.make_volumes(directory, job["volumes"], job["uid"])
+    return start
 
 
 def _replace_directory(directory: Path) -> None:
@@ -200,16 +206,20 @@ def _upload_results(directory: Path, token: str) -> None:
     transfer_steps.upload_results(
         directory,
         lambda: _is_current(directory, token) and not is_interrupted.is_set() and not is_cancel_requested(directory),
+        token,
     )
 
 
 def run_job(directory: Path) -> None:
     """Run a job to its end; do nothing where the directory is not this job's any more, or the job has ended."""
-    submission = read_submission(directory)
-    if submission is None or submission.name != _own_name() or (directory / ENDING).exists():
+    submission, previous = read_submission(directory), read_start(directory)
+    if submission is None or submission.name != _own_name():
         return
-    token = _take_directory(directory)
+    if previous is not None and ending_file(directory, previous.token).exists():
+        return
     job = json.loads((directory / JOB).read_text())
+    start = _take_directory(directory, job, previous)
+    token = start.token
     visible = {
         name: os.environ[name]
         for name in _GPU_VARIABLES
@@ -217,7 +227,7 @@ def run_job(directory: Path) -> None:
     }
     job["environment"] |= visible
     lease = SharedLease(directory)
-    reason = _wait_for_lease(directory, token, lease)
+    reason = TOO_MANY_STARTS if start.restarts >= _MAX_RESTARTS else _wait_for_lease(directory, token, lease)
     if reason is None and job["is_isolated"] and not process_sandbox.is_available():
         reason = ("not_possible", f"The node {socket.gethostname()} allows no namespaces, which isolate its runs.")
     if reason is None and transfer_steps.node_moves_files(directory):
@@ -228,7 +238,7 @@ def run_job(directory: Path) -> None:
             _upload_results(directory, token)
     elif reason not in (SUPERSEDED, INTERRUPTED):
         ending = {"reason": reason[0], "message": reason[1], "exit_code": None}
-        write_atomically(directory / ENDING, json.dumps(ending))
+        write_atomically(ending_file(directory, token), json.dumps(ending))
 
 
 def probe(directory: Path) -> None:

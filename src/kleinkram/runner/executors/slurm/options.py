@@ -1,6 +1,7 @@
 """The options of sbatch for a job: what its run needs, what the runner is set to, and what an action asks for."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -22,6 +23,11 @@ RESERVED = frozenset(
         *("uid", "gid", "get-user-env", "signal", "kill-on-invalid-dep", "no-kill", "container", "propagate"),
     }
 )
+
+
+_FEATURE = r"[A-Za-z0-9_.-]+"
+_TERM = rf"(?:{_FEATURE}|\({_FEATURE}(?:[&|]{_FEATURE})*\))"
+_COMBINABLE = re.compile(rf"{_TERM}(?:[&|]{_TERM})*")
 
 
 @dataclass(frozen=True)
@@ -81,15 +87,46 @@ def array_option(options: SlurmOptions, count: int) -> str:
 
 
 def usual_options(options: SlurmOptions, constraint: str | None = None) -> list[str]:
-    """Return where the jobs of a runner run, and who pays for them."""
-    constraints = [entry for entry in (options.constraint, constraint) if entry]
+    """Return where the jobs of a runner run, and who pays for them.
+
+    Raises:
+        CannotStart: the constraint of an action cannot be combined with that of the runner.
+    """
     values = {
         "partition": options.partition,
         "account": options.account,
         "qos": options.qos,
-        "constraint": "&".join(constraints),
+        "constraint": _both(options.constraint, constraint),
     }
     return _assignments({name: value for name, value in values.items() if value})
+
+
+def minimal_options(options: SlurmOptions) -> list[str]:
+    """Return the options of a small job with everything that the runner itself is set to."""
+    small = ["--nodes=1", "--ntasks=1", "--cpus-per-task=1", "--mem=256M", "--time=5"]
+    return [*small, *usual_options(options), *_assignments(options.extra)]
+
+
+def _both(own: str | None, requested: str | None) -> str | None:
+    """Return a constraint that holds only where both do.
+
+    Slurm gives `&` no precedence over `|`, and reads no nested parentheses.
+    """
+    if not own or not requested:
+        return own or requested
+    if not (_COMBINABLE.fullmatch(own) and _COMBINABLE.fullmatch(requested)):
+        raise cannot_start(
+            f"Its action's constraint {requested} cannot be combined with {own}, that of its runner. Use names of "
+            "features, & and |, and parentheses that are not nested."
+        )
+    return f"{_group(own)}&{_group(requested)}"
+
+
+def _group(constraint: str) -> str:
+    has_choice = "|" in re.sub(r"\([^)]*\)", "", constraint)
+    if has_choice and "(" in constraint:
+        raise cannot_start(f"The constraint {constraint} takes nested parentheses to be combined with another one.")
+    return f"({constraint})" if has_choice else constraint
 
 
 def reserved_names(names: Sequence[str]) -> list[str]:

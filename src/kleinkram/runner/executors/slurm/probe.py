@@ -4,6 +4,7 @@ It is stored in the folder of the runner: one that starts again must not wait be
 that is down, since its runs wait for it.
 """
 
+import contextlib
 import json
 import logging
 import shlex
@@ -28,7 +29,7 @@ from kleinkram.runner.executors.slurm.commands import (
     SlurmRefused,
     SlurmUnavailable,
 )
-from kleinkram.runner.executors.slurm.options import SUPERVISOR_BYTES, SlurmOptions, reserved_names, usual_options
+from kleinkram.runner.executors.slurm.options import SUPERVISOR_BYTES, SlurmOptions, minimal_options, reserved_names
 from kleinkram.runner.executors.slurm.shared_files import refresh
 from kleinkram.runner.executors.slurm.states import Phase, never_starts, phase_of, waiting_sentence
 from kleinkram.runner.executors.supervision import write_atomically
@@ -149,17 +150,18 @@ class _Probe:
         started = shlex.quote(f"{folder}/{node_job.PROBE_STARTED}")
         command = shlex.join([self._python, "-I", "-m", node_job.__name__, "--probe", folder])
         log = shlex.quote(f"{folder}/probe.log")
-        options = ["--output=/dev/null", "--chdir=/", "--ntasks=1", "--cpus-per-task=1", "--mem=256M", "--time=5"]
-        options += [f"--job-name={self._name}", *usual_options(self._options)]
-        options += [f"--{name}={value}" if value else f"--{name}" for name, value in self._options.extra.items()]
+        options = ["--output=/dev/null", "--chdir=/", f"--job-name={self._name}", *minimal_options(self._options)]
         try:
             job_id = self._commands.submit(options, f": > {started} && exec {command} > {log} 2>&1")
         except SlurmRefused as error:
             raise InvalidInput(what="A job for Slurm", reason=f"Slurm refused it: {error}") from error
         try:
             return self._wait(job_id)
+        except SlurmRefused as error:
+            raise InvalidInput(what="Slurm", reason=f"it does not say how a job goes: {error}") from error
         finally:
-            self._commands.kill([job_id])
+            with contextlib.suppress(SlurmUnavailable):  # what went wrong before counts
+                self._commands.kill([job_id])
             shutil.rmtree(self._directory, ignore_errors=True)
 
     def _wait(self, job_id: str) -> NodeOffer:

@@ -1,11 +1,20 @@
-"""One thread that asks Slurm about all jobs of a runner at once, and sends what is to be cancelled in bulk."""
+"""One thread that asks Slurm about all jobs of a runner at once, and sends what is to be cancelled in bulk.
+
+The accounting is asked about all ended jobs at once, too, as often as the queue is.
+"""
 
 import logging
 import threading
 import time
 from dataclasses import dataclass, field
 
-from kleinkram.runner.executors.slurm.commands import QueueEntry, SlurmCommands, SlurmRefused, SlurmUnavailable
+from kleinkram.runner.executors.slurm.commands import (
+    JobAccount,
+    QueueEntry,
+    SlurmCommands,
+    SlurmRefused,
+    SlurmUnavailable,
+)
 from kleinkram.runner.executors.slurm.states import Phase, phase_of
 from kleinkram.runner.executors.supervision import boot_time_s
 
@@ -38,6 +47,8 @@ class QueueMonitor:
         self._stop: set[str] = set()
         self._kill: set[str] = set()
         self._release: set[str] = set()
+        self._unaccounted: dict[str, str] = {}
+        self._accounts: dict[str, JobAccount] = {}
         self._kills_others = False
         self._lock = threading.Lock()
         self._has_work = threading.Event()
@@ -56,6 +67,8 @@ class QueueMonitor:
         with self._lock:
             for names in (self._watched, self._stop, self._release):
                 names.discard(name)
+            self._unaccounted.pop(name, None)
+            self._accounts.pop(name, None)
 
     def stop(self, name: str) -> None:
         """Cancel a job that waits; have one that runs end itself."""
@@ -74,6 +87,15 @@ class QueueMonitor:
         with self._lock:
             self._release.add(name)
         self._wake()
+
+    def account(self, name: str, job_id: str) -> JobAccount | None:
+        """Return what the accounting has about an ended job; None where it was not asked yet, or has nothing yet."""
+        with self._lock:
+            if (account := self._accounts.get(name)) is not None:
+                return account
+            self._unaccounted[name] = job_id
+        self._wake()
+        return None
 
     def kill_others(self) -> None:
         """End the jobs of an earlier runner process that are not watched, once Slurm answers."""
@@ -128,7 +150,7 @@ class QueueMonitor:
 
     def _is_needed(self) -> bool:
         with self._lock:
-            return bool(self._watched or self._kill or self._kills_others)
+            return bool(self._watched or self._kill or self._kills_others or self._unaccounted)
 
     def _pause(self, seconds: float) -> None:
         """Wait, but not where something is to be cancelled."""
@@ -153,6 +175,26 @@ class QueueMonitor:
             if self.error is None:
                 _log.warning("Slurm does not answer: %s", error)
             self.error = str(error)
+        else:
+            self._ask_accounts()
+
+    def _ask_accounts(self) -> None:
+        with self._lock:
+            names = dict(self._unaccounted)
+        if not names:
+            return
+        try:
+            accounts = self._commands.accounts(sorted({*names.values()}))
+        except (SlurmUnavailable, SlurmRefused):  # it is asked again
+            return
+        with self._lock:
+            for name, job_id in names.items():
+                account = accounts.get(job_id)
+                # Slurm may use an id twice.
+                is_its = account is not None and account.name == name and phase_of(account.state) is Phase.ended
+                if account is not None and is_its and name in self._unaccounted:
+                    del self._unaccounted[name]
+                    self._accounts[name] = account
 
     def _act(self, entries: dict[str, QueueEntry]) -> None:
         self._find_others(entries)

@@ -3,6 +3,8 @@
     slurm.json   the name and id of its job in Slurm: a job of another name does nothing
     start.json   which start of the job has the directory, and what it has: an earlier one ends itself
     request      what the login node asks for: `run` or `cancel`
+    ending-TOKEN.json
+                 how the start with this token ended: a late one of an earlier start does not count
     lease        how many seconds it may go on, counted from when the node sees the file change
 
 No clock of one machine is compared with that of another. Imports only the standard library: nodes start faster.

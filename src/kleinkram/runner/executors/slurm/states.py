@@ -17,7 +17,12 @@ class Phase(enum.Enum):
 _WAITING = frozenset(
     {"PENDING", "CONFIGURING", "REQUEUED", "REQUEUE_FED", "REQUEUE_HOLD", "SPECIAL_EXIT", "RESV_DEL_HOLD"}
 )
-_RUNNING = frozenset({"RUNNING", "COMPLETING", "SUSPENDED", "STOPPED", "RESIZING", "SIGNALING", "STAGE_OUT"})
+_ENDED = frozenset(
+    {
+        *("COMPLETED", "CANCELLED", "FAILED", "TIMEOUT", "NODE_FAIL", "PREEMPTED", "BOOT_FAIL", "DEADLINE"),
+        *("OUT_OF_MEMORY", "REVOKED", "LAUNCH_FAILED", "RECONFIG_FAIL"),
+    }
+)
 # Reasons of waiting jobs that no time and no free node resolves.
 _NEVER = {
     "PartitionConfig": "it asks for more than a node of its partition has",
@@ -57,11 +62,12 @@ _EXPLAINED = {
     "ReqNodeNotAvail": "nodes that it needs are not available",
 }
 _STUCK_AFTER_FAILURE = ("launch failed requeued held", "job requeued in held state", "requeued held")
+_RETRY = "Run it again with klein run retry."
 _SOMEBODY = Ending(EndReason.cancelled, "Somebody cancelled its job in Slurm, not in Kleinkram.")
 _ENDS = {
-    "PREEMPTED": Ending(EndReason.lost, "Slurm preempted its job; another runner may run it again."),
-    "NODE_FAIL": Ending(EndReason.lost, "The node of its job failed; another runner may run it again."),
-    "BOOT_FAIL": Ending(EndReason.lost, "The node of its job could not be booted; another runner may run it again."),
+    "PREEMPTED": Ending(EndReason.lost, f"Slurm preempted its job. {_RETRY}"),
+    "NODE_FAIL": Ending(EndReason.lost, f"The node of its job failed. {_RETRY}"),
+    "BOOT_FAIL": Ending(EndReason.lost, f"The node of its job could not be booted. {_RETRY}"),
     "REVOKED": Ending(EndReason.lost, "Another cluster of the federation took its job."),
     "TIMEOUT": Ending(EndReason.time, "Slurm ended its job at the time limit."),
     "DEADLINE": Ending(EndReason.time, "Slurm ended its job at its deadline."),
@@ -71,10 +77,10 @@ _ENDS = {
 
 
 def phase_of(state: str) -> Phase:
-    """Return the phase of a state."""
+    """Return the phase of a state. One that a later Slurm adds does not end a job."""
     if state in _WAITING:
         return Phase.waiting
-    return Phase.running if state in _RUNNING else Phase.ended
+    return Phase.ended if state in _ENDED else Phase.running
 
 
 def is_stuck_after_failure(reason: str) -> bool:

@@ -1,6 +1,7 @@
 """Submissions of jobs: those that become ready within a moment and need the same are one job array."""
 
 import contextlib
+import math
 import shlex
 import sys
 import threading
@@ -11,8 +12,14 @@ from dataclasses import dataclass
 
 from kleinkram.runner.executors.base import Ending, RunJob
 from kleinkram.runner.executors.slurm import node_job
-from kleinkram.runner.executors.slurm.commands import JobAccount, QueueEntry, SlurmUnavailable, task_name
-from kleinkram.runner.executors.slurm.options import array_option
+from kleinkram.runner.executors.slurm.commands import (
+    JobAccount,
+    QueueEntry,
+    SlurmRefused,
+    SlurmUnavailable,
+    task_name,
+)
+from kleinkram.runner.executors.slurm.options import array_option, minimal_options
 from kleinkram.runner.executors.slurm.probe import SlurmSite
 from kleinkram.runner.executors.slurm.shared_files import NodeStart, Submission, write_submission
 from kleinkram.runner.executors.supervision import boot_time_s
@@ -20,6 +27,10 @@ from kleinkram.runner.executors.supervision import boot_time_s
 # A batch is submitted once no job was added for the first time, or after the second.
 _QUIET_S = 0.3
 _MAX_WAIT_S = 3.0
+# How long no run is claimed after Slurm has refused any job.
+_REFUSED_S = 60.0
+# How often it is asked then, by one of the jobs for all.
+_ASK_AGAIN_S = 10.0
 
 SubmitAll = Callable[[Sequence[str], Sequence[RunJob]], Mapping[str, Exception]]
 """Submits jobs with these options, and returns what went wrong, by their keys."""
@@ -115,6 +126,8 @@ class Submitter:
     def __init__(self, site: SlurmSite, prefix: str) -> None:
         self._site = site
         self._prefix = prefix
+        # When and why Slurm refused any job last.
+        self._refused_s, self._refusal = -math.inf, ""
 
     def new_name(self, what: str) -> str:
         """Return a name that no job has."""
@@ -126,21 +139,44 @@ class Submitter:
         """Submit jobs, several as a job array of this name, and record their ids if Slurm answers.
 
         Raises:
-            SlurmRefused: none was submitted.
+            SlurmRefused: none was submitted, and others would be.
         """
         own = [f"--job-name={name}", "--output=/dev/null", "--chdir=/", "--requeue"]
         array = [array_option(self._site.options, len(jobs))] if len(jobs) > 1 else []
-        problem, job_id = None, ""
-        try:
-            job_id = self._site.commands.submit([*own, *array, *options], self._script(jobs))
-        except SlurmUnavailable as error:
-            problem = str(error)
+        job_id, problem = self._try_to_submit([*own, *array, *options], self._script(jobs))
         for number, (job, known) in enumerate(zip(jobs, submitted, strict=True)):
             known.problem, known.submitted_s = problem, boot_time_s()
             if job_id:
                 known.submission = known.submission._replace(job_id=task_name(job_id, number) if array else job_id)
                 with contextlib.suppress(OSError):  # it is found by its name, too
                     write_submission(job.directory, known.submission)
+
+    def _try_to_submit(self, options: Sequence[str], script: str) -> tuple[str, str | None]:
+        """Return the id of a job, or an empty one and why it has to be submitted again. Raises SlurmRefused."""
+        commands = self._site.commands
+        if boot_time_s() - self._refused_s < _ASK_AGAIN_S:
+            return "", self._refusal
+        try:
+            job_id = commands.submit(options, script)
+        except SlurmUnavailable as error:
+            return "", str(error)
+        except SlurmRefused as error:
+            try:
+                # As in a partition that is drained, it may refuse any job of this runner: they wait.
+                commands.check(minimal_options(self._site.options))
+            except SlurmUnavailable:
+                return "", str(error)
+            except SlurmRefused:
+                self._refused_s, self._refusal = boot_time_s(), str(error)
+                return "", self._refusal
+            raise
+        self._refused_s = -math.inf
+        return job_id, None
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether Slurm refused any job of this runner a moment ago."""
+        return boot_time_s() - self._refused_s < _REFUSED_S
 
     def _script(self, jobs: Sequence[RunJob]) -> str:
         """Return the script of jobs, of which each chooses its own directory."""
