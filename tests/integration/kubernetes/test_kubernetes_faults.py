@@ -77,11 +77,14 @@ def test_a_refused_object_ends_the_run(site: Site) -> None:
 
 def test_objects_that_were_not_deleted_are_deleted_before_inputs_are_fetched_again(site: Site) -> None:
     site.cluster.node.silent_ends = 1
-    site.cluster.fails["delete", "persistentvolumeclaims"] = [500, 429]
+    site.server.slow_bytes_per_s = 100_000
     site.start()
-    run = site.server.launch("", {"drive.bag": b"bytes"})
+    run = site.server.launch("", {"drive.bag": bytes(300_000)})
+    site.running_pod("fetch")
+    site.cluster.fails["delete", "jobs"] = [500]
+    site.server.slow_bytes_per_s = None
     assert ended(run).finishes[0].reason is EndReason.done
-    assert created(site, "-fetch") == 2
+    assert (created(site, "-fetch"), site.cluster.fails["delete", "jobs"]) == (2, [])
 
 
 def test_credentials_that_were_not_deleted_are_deleted_without_another_run(site: Site) -> None:
