@@ -69,7 +69,7 @@ _SOAK_PROGRAMS = {
     "slurmdbd": "slurmdbd",
     "mariadbd": "mariadb-server-core",
 }
-# The shell is the same browser without its windows; each page takes 40 % less CPU time.
+# The shell is the same browser without its windows, and takes less CPU time per page.
 _BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 _NODE_SOURCES = Path(__file__).parent / "system" / "oidc"
 # A source distribution that contains Docker's own program. It is not installed, because that would compile another one.

@@ -23,6 +23,7 @@ from tests.template_instance import copy_template
 from .browser import Browser
 
 TIMEOUT_S = 60.0
+_LONGEST_PAUSE_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ class Instance:
 def wait_until(condition: Callable[[], bool], description: str, *, timeout_s: float = TIMEOUT_S) -> None:
     """Wait until a condition holds; fail with its description after a timeout.
 
-    Conditions that start a command take a second of CPU time each, so that at most half of the time is theirs.
+    Conditions that start a command take CPU time from what they wait for: at most a quarter of the time is theirs.
     """
     deadline = time.monotonic() + timeout_s
     started = time.monotonic()
@@ -102,7 +103,7 @@ def wait_until(condition: Callable[[], bool], description: str, *, timeout_s: fl
         ended = time.monotonic()
         if ended > deadline:
             pytest.fail(f"timeout while waiting for: {description}")
-        time.sleep(max(0.02, ended - started))
+        time.sleep(min(max(0.02, 3 * (ended - started)), _LONGEST_PAUSE_S))
         started = time.monotonic()
 
 

@@ -2,6 +2,7 @@
 
 import base64
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,15 @@ from tests.system.cluster import Cluster
 _PIXEL = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
 )
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A Kleinkram for all tests of this module; each has a project of its own."""
+    site = Cluster(tmp_path_factory.mktemp("site"))
+    site.start()
+    yield site
+    site.end()
 
 
 @pytest.fixture
@@ -28,9 +38,8 @@ def _seen(browser: list[str], address: str) -> str:
 
 
 @pytest.mark.slow
-def test_the_share_page_shows_only_the_shared_files(cluster: Cluster, browser: list[str], tmp_path: Path) -> None:
-    cluster.start()
-    terminal = cluster.terminal
+def test_the_share_page_shows_only_the_shared_files(site: Cluster, browser: list[str], tmp_path: Path) -> None:
+    terminal = site.terminal
     folder = tmp_path / "day"
     folder.mkdir()
     for name, size in (("<b>bold<b>.bin", 1500), ("plain.bin", 20), ("hidden.bin", 5)):
@@ -51,22 +60,21 @@ def test_the_share_page_shows_only_the_shared_files(cluster: Cluster, browser: l
 
     terminal.run("share", "revoke", link)
     assert "This link has ended" in _seen(browser, link)
-    assert link.partition("#")[2] not in (cluster.data_dir / "logs").joinpath("api.log").read_text()
+    assert link.partition("#")[2] not in (site.data_dir / "logs").joinpath("api.log").read_text()
 
 
 @pytest.mark.slow
 def test_the_share_page_of_a_mission_shows_metadata_topics_and_a_picture(
-    cluster: Cluster, browser: list[str], tmp_path: Path
+    site: Cluster, browser: list[str], tmp_path: Path
 ) -> None:
-    cluster.start()
-    terminal = cluster.terminal
+    terminal = site.terminal
     folder = tmp_path / "day"
     folder.mkdir()
     generate_mcap(folder / "drive.mcap", duration_s=5)
     (folder / "preview.png").write_bytes(_PIXEL)
     (tmp_path / "said.yaml").write_text("robot: <i>anymal</i>\nsite: {latitude: 47.0, longitude: 8.5}\n")
-    terminal.run("project", "create", "Alps")
-    place = ["-p", "Alps", "-m", "Day"]
+    terminal.run("project", "create", "Jura")
+    place = ["-p", "Jura", "-m", "Day"]
     terminal.run("upload", *place, "--create", "--metadata", tmp_path / "said.yaml", f"{folder}/", "--wait")
 
     seen = _seen(browser, terminal.run("share", "create", *place).out.strip())

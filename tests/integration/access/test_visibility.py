@@ -15,15 +15,14 @@ from tests.integration.conftest import StartApi
 
 T = TypeVar("T")
 # Objects per viewer in the tests that request single objects, by round.
-_SAMPLE_SIZE = {"short": 4, "long": 20, "longest": 10_000}
-_MARKS: dict[str, list[pytest.MarkDecorator]] = {"short": [], "long": [pytest.mark.slow], "longest": [pytest.mark.soak]}
+_SAMPLE_SIZE = {"short": 4, "long": 10_000}
 
 
 def _round(seed: int) -> str:
-    return "short" if seed == 0 else "long" if seed == 1 else "longest"
+    return "short" if seed == 0 else "long"
 
 
-_ROUND = [pytest.param(seed, marks=_MARKS[_round(seed)]) for seed in range(16)]
+_ROUND = [0, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(1, 16))]
 
 
 @pytest.fixture(scope="module", params=_ROUND)
