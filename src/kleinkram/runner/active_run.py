@@ -24,7 +24,8 @@ from kleinkram.runner.executors.supervision import CANCELLED, boot_time_s
 from kleinkram.runner.inputs import job_of, prepare_run
 from kleinkram.runner.logs import LogUpload, Redactor
 from kleinkram.runner.node_transfers import TransferStatus, order_transfers, read_status
-from kleinkram.runner.results import JobOutput, ProgressReader, ResultUpload
+from kleinkram.runner.result_upload import JobOutput, ResultUpload
+from kleinkram.runner.results import ProgressReader
 from kleinkram.runner.state_directory import (
     Attempt,
     Lease,

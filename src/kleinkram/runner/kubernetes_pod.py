@@ -30,7 +30,7 @@ from kleinkram.runner.executors.supervision import JobLimits, LimitMonitor
 from kleinkram.runner.input_cache import InputCache, InputFile, InputSource, place_inputs
 from kleinkram.runner.inputs import InputDownload, place_run_inputs
 from kleinkram.runner.logs import Redactor
-from kleinkram.runner.results import JobOutput, ResultUpload
+from kleinkram.runner.result_upload import JobOutput, ResultUpload
 from kleinkram.runner.run_requests import RunRequests
 from kleinkram.runner.state_directory import RunnerContext, StopSignal, remove_tree
 

@@ -31,7 +31,8 @@ from kleinkram.runner.executors.transfer_steps import ORDER, STATUS, finish_file
 from kleinkram.runner.input_cache import InputCache, place_inputs
 from kleinkram.runner.inputs import InputDownload, fetch_inputs, input_files, make_readable, repeat_while_unavailable
 from kleinkram.runner.logs import Redactor
-from kleinkram.runner.results import JobOutput, ProgressReader, ResultUpload
+from kleinkram.runner.result_upload import JobOutput, ResultUpload
+from kleinkram.runner.results import ProgressReader
 from kleinkram.runner.state_directory import Attempt, StopRequest, StopRequested, StopSignal, read_attempt
 
 _STORE_CONNECTIONS = 8

@@ -461,7 +461,7 @@ def test_a_submission_that_cannot_be_recorded_is_made_later(one: OneJob, monkeyp
     assert len(one.commands.names) == 2
 
 
-def test_what_slurm_knows_of_an_end_counts_where_its_node_uploaded_the_results(one: OneJob) -> None:
+def test_how_slurm_says_that_a_job_ended_counts_where_its_node_uploaded_the_results(one: OneJob) -> None:
     one.site = dataclasses.replace(one.site, options=dataclasses.replace(one.site.options, transfers_on_nodes=True))
     executor = one.again()
     executor.submit(one.job)
@@ -477,12 +477,12 @@ def test_what_slurm_knows_of_an_end_counts_where_its_node_uploaded_the_results(o
 
 
 class Accounting(SlurmCommands):
-    """Counts the questions to the accounting, which has some jobs."""
+    """Records the queries of the accounting, which has some jobs."""
 
     def __init__(self) -> None:
         super().__init__()
         self.known: dict[str, JobAccount] = {}
-        self.asked: list[Sequence[str]] = []
+        self.queries: list[Sequence[str]] = []
 
     def own_jobs(self, prefix: str) -> list[QueueEntry]:
         """Return none."""
@@ -490,11 +490,11 @@ class Accounting(SlurmCommands):
 
     def accounts(self, job_ids: Sequence[str]) -> dict[str, JobAccount]:
         """Return those that are known."""
-        self.asked.append(job_ids)
+        self.queries.append(job_ids)
         return {job_id: self.known[job_id] for job_id in job_ids if job_id in self.known}
 
 
-def test_the_accounting_is_asked_about_all_ended_jobs_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_sacct_is_for_all_ended_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
     commands = Accounting()
     queue = QueueMonitor(commands, "klein-")
     monkeypatch.setattr(queue, "_wake", lambda: None)
@@ -512,11 +512,11 @@ def test_the_accounting_is_asked_about_all_ended_jobs_at_once(monkeypatch: pytes
     queue._ask()
     assert accounts() == [commands.known["0"], None, None]
     queue._ask()
-    assert commands.asked == [["0", "1", "2"], ["1", "2"]]
+    assert commands.queries == [["0", "1", "2"], ["1", "2"]]
     for name in names:
         queue.forget(name)
     queue._ask()
-    assert len(commands.asked) == 2
+    assert len(commands.queries) == 2
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from kleinkram.client.transfer import store
 from kleinkram.contract.errors import BodyTooLarge, FieldProblem, InvalidRequest, KleinkramError
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
-from kleinkram.runner import active_run, results
+from kleinkram.runner import active_run, result_upload
 from kleinkram.runner.__main__ import _run_until_signal
 from kleinkram.runner.active_run import ActiveRun
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, RunJob
@@ -95,7 +95,7 @@ def test_rejected_reports_are_sent_again(
     server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch, refusals: int, reason: EndReason
 ) -> None:
     """The folder of a run is removed at its end, so failed uploads are repeated."""
-    monkeypatch.setattr(results, "_RETRY_EVERY_S", 0.1)
+    monkeypatch.setattr(result_upload, "_RETRY_EVERY_S", 0.1)
     server.uploads.refuses = refusals
     runners.start()
     run = server.launch("from kleinkram.action import out\nfor n in 'ab': (out / n).write_text(n)\nprint('began')\n")
@@ -109,7 +109,7 @@ def test_rejected_reports_are_sent_again(
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make a runner give up soon and retry immediately."""
-    monkeypatch.setattr(results, "_RETRY_EVERY_S", 0.01)
+    monkeypatch.setattr(result_upload, "_RETRY_EVERY_S", 0.01)
     monkeypatch.setattr(store, "TRANSFER_RETRY_S", 0.1)
     monkeypatch.setattr(_http, "LONGEST_WAIT_S", 0.05)
 
@@ -120,7 +120,7 @@ def test_results_are_uploaded_once_the_store_is_available(server: FakeServer, ru
     server.has_no_store.set()
     runners.start()
     run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')\nprint('began')\n")
-    wait_until(lambda: server.requests["/uploads/complete"] > 2 * results._ROUNDS)
+    wait_until(lambda: server.requests["/uploads/complete"] > 2 * result_upload._ROUNDS)
     assert run.finishes == []
     server.has_no_store.clear()
     assert ended(run).finishes[0].reason is EndReason.done
@@ -143,7 +143,7 @@ def test_results_stay_on_the_runner_while_the_store_fails(
     server.store_refuses.set()
     runners.start()
     run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')\nprint('began')\n")
-    wait_until(lambda: server.requests["/runner/runs/*/uploads"] > 2 * results._ROUNDS)
+    wait_until(lambda: server.requests["/runner/runs/*/uploads"] > 2 * result_upload._ROUNDS)
     wait_until(lambda: run.progress and waits_for in run.progress[-1].message)
     assert run.finishes == []
     server.store_refuses.clear()
