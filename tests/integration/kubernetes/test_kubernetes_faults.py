@@ -171,6 +171,25 @@ def test_results_that_no_pod_stores_are_reported_so(site: Site, monkeypatch: pyt
     assert "pull access denied" in finish.message
 
 
+def test_results_wait_where_the_cluster_refuses_the_pod_that_stores_them(site: Site) -> None:
+    site.cluster.fails["create", "jobs", "-store"] = [403, 401]
+    site.start()
+    run = site.server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')")
+    assert ended(run).finishes[0].reason is EndReason.done
+    assert run.artifacts == {"x": b"x"}
+
+
+def test_a_volume_that_somebody_deletes_has_no_results(site: Site) -> None:
+    site.start()
+    run = site.server.launch(LASTING)
+    wait_until(site.has_begun)
+    (volume,) = site.cluster.named("persistentvolumeclaims")
+    connect(NAMESPACE, site.options.kubeconfig).delete("persistentvolumeclaims", volume["metadata"]["name"])
+    site.let_end()
+    finish = ended(run).finishes[0]
+    assert (finish.reason, "volume was removed" in finish.message) == (EndReason.results_not_stored, True)
+
+
 def test_results_wait_for_a_node_and_show_why(site: Site) -> None:
     site.start()
     run = site.server.launch(LASTING)

@@ -171,7 +171,7 @@ def last_words(pod: Pod) -> str:
 
 def reason_refused(message: str) -> str:
     """Return why the cluster creates nothing at the moment, as a progress."""
-    return _cut_middle(f"the cluster has no room for it yet: {message}")
+    return _cut_middle(f"the cluster refuses it at the moment: {message}")
 
 
 def _cut_progress(text: str) -> str:

@@ -223,12 +223,13 @@ class KubernetesExecutor(Executor):
     def upload_results(self, job: RunJob, plain: RunFinish, wait: Wait, show: Show) -> StoredResults:
         """Have a pod upload the results from the volume, and return its report."""
         self._watch.start()
-        has_results = (job.directory / STARTED).exists() and self._transfers.has_volume(job.key, wait)
-        if not has_results or plain.reason is EndReason.lost:
+        if plain.reason is EndReason.lost or not (job.directory / STARTED).exists():
             return StoredResults(plain, has_log=False)
         if plain.reason is EndReason.cancelled:
             # Nobody waits for a node on which a pod could read the report.
             return StoredResults(plain.model_copy(update={"problems": [_CANCELLED_RESULTS]}), has_log=False)
+        if not self._transfers.has_volume(job.key, wait):
+            return StoredResults(_without_results(plain, "Its volume was removed."), has_log=False)
         body = self._manifests.store(job, plain, has_authorities=self._authorities is not None)
         try:
             finish = self._transfers.store(job.key, body, job.resources, wait, show)
@@ -271,7 +272,7 @@ class KubernetesExecutor(Executor):
 
 
 def _without_results(plain: RunFinish, problem: str) -> RunFinish:
-    message = f"The pod that stores its results failed: {problem}"
+    message = f"Its results could not be stored: {problem}"
     changes: dict[str, object] = {"problems": [message]}
     if plain.reason is EndReason.done:
         changes |= {"reason": EndReason.results_not_stored, "message": message}

@@ -48,14 +48,16 @@ class RunObjects:
         *,
         timeout_s: float = _CREATE_S,
         may_exist: bool = False,
+        refused_s: float = 0.0,
     ) -> None:
         """Create an object, though the API server may be away for `timeout_s`, and a quota may have no room for long.
 
         Raises:
-            CannotStart: the cluster refuses it.
+            CannotStart: the cluster refuses it, for `refused_s`.
             OverQuota: `show` is None, and a quota has no room.
         """
-        deadline_s = time.monotonic() + timeout_s
+        began_s = time.monotonic()
+        deadline_s = began_s + timeout_s
         while True:
             try:
                 self._cluster.create(kind, body)
@@ -68,7 +70,7 @@ class RunObjects:
             except ClusterError as error:
                 if may_exist and error.is_existing:
                     return
-                if not error.is_over_quota:
+                if not error.is_over_quota and time.monotonic() >= began_s + refused_s:
                     raise cannot_start(f"The cluster refuses it: {error}.") from error
                 if show is None:
                     raise OverQuota(endings.reason_refused(str(error))) from error

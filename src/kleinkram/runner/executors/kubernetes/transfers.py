@@ -78,7 +78,9 @@ class Transfers:
         name = names_of(key).store
         problem = ""
         for number in range(1, _MAX_STORES + 1):
-            self._objects.create("jobs", body, wait, show, timeout_s=math.inf, may_exist=True)
+            self._objects.create(
+                "jobs", body, wait, show, timeout_s=math.inf, may_exist=True, refused_s=_STORE_STARTS_WITHIN_S
+            )
             pod = self._await_end(name, wait, show, starts_within_s=_STORE_STARTS_WITHIN_S)
             if pod is not None and pod.status.phase == "Succeeded":
                 if (finish := self._read_report(pod, wait)) is not None:
