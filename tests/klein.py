@@ -1,7 +1,8 @@
-"""The command `klein` as a process of its own, forked from a process that has imported all commands.
+"""`klein` and `python -m kleinkram.server` as processes of their own, forked from one that has imported all they need.
 
-Its arguments, environment, folder, output and exit code are those of a command line. What it saves is the start of
-Python and the imports: half a second of CPU time for each of the hundreds of commands that tests run.
+Their arguments, environment, folder, output and exit code are those of a command line. What this saves is the start of
+Python and the imports: half a second of CPU time, or two for the server, for each of the hundreds of commands that
+tests run.
 """
 
 import contextlib
@@ -19,7 +20,7 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TextIO
+from typing import NamedTuple, TextIO
 
 KLEIN = Path(sys.executable).parent / "klein"
 _TIMEOUT_S = 100
@@ -28,18 +29,56 @@ _READ_AT_START = ("PYTHON", "LD_", "LC_", "LANG")
 _FORK = """
 import sys
 from tests.klein import become_command
-become_command({channel})
-from kleinkram.cli.main import main
+become_command({channel}, {modules})
+from {module} import main
 sys.exit(main())
 """
+
+
+class _Program(NamedTuple):
+    """How a command line begins; the module with its `main`, and those that its commands import when they run."""
+
+    command: tuple[str, ...]
+    module: str
+    imports: tuple[str, ...]
+
+
+_KLEIN = _Program((str(KLEIN),), "kleinkram.cli.main", ("kleinkram.cli.*",))
+_SERVER = _Program(
+    (sys.executable, "-m", "kleinkram.server"),
+    "kleinkram.server.__main__",
+    ("kleinkram.server.health.checks", "kleinkram.server.migrations.migrate", "kleinkram.server.s3.bucket"),
+)
+_BACKUP = _Program((sys.executable, "-m", "kleinkram.server.backup"), "kleinkram.server.backup.__main__", ())
 
 
 def run_klein(
     arguments: Sequence[str], environment: Mapping[str, str], *, stdin: str = "", prefix: Sequence[str] = ()
 ) -> "subprocess.CompletedProcess[str]":
     """Run a command to its end, with text for its input and from its outputs; `prefix`: the beginning of its line."""
+    return _run(_KLEIN, arguments, environment, stdin=stdin, prefix=prefix)
+
+
+def run_server(arguments: Sequence[str], environment: Mapping[str, str]) -> "subprocess.CompletedProcess[str]":
+    """Run a command of the server, such as `check`, to its end."""
+    return _run(_SERVER, arguments, environment)
+
+
+def run_backup(request: Mapping[str, object], environment: Mapping[str, str]) -> "subprocess.CompletedProcess[str]":
+    """Run a command on backups, which `klein backup` and `klein restore` become, to its end."""
+    return _run(_BACKUP, [json.dumps(request)], environment)
+
+
+def _run(
+    program: _Program,
+    arguments: Sequence[str],
+    environment: Mapping[str, str],
+    *,
+    stdin: str = "",
+    prefix: Sequence[str] = (),
+) -> "subprocess.CompletedProcess[str]":
     if prefix or _read_at_start(environment) != _read_at_start(os.environ):
-        command = [*prefix, str(KLEIN), *arguments]
+        command = [*prefix, *program.command, *arguments]
         return subprocess.run(
             command, check=False, env=environment, input=stdin, capture_output=True, text=True, timeout=_TIMEOUT_S
         )
@@ -50,7 +89,7 @@ def run_klein(
     ):
         source.write(stdin)
         source.seek(0)
-        code = _fork(arguments, environment, [source.fileno(), out.fileno(), err.fileno()])
+        code = _fork(program, arguments, environment, [source.fileno(), out.fileno(), err.fileno()])
         out.seek(0)
         err.seek(0)
         return subprocess.CompletedProcess(arguments, code, out.read(), err.read())
@@ -60,14 +99,14 @@ def _read_at_start(environment: Mapping[str, str]) -> dict[str, str]:
     return {name: value for name, value in environment.items() if name.startswith(_READ_AT_START)}
 
 
-def _fork(arguments: Sequence[str], environment: Mapping[str, str], files: list[int]) -> int:
+def _fork(program: _Program, arguments: Sequence[str], environment: Mapping[str, str], files: list[int]) -> int:
     """Have a command forked, and return its exit code."""
     ours, theirs = socket.socketpair()
     with ours, ours.makefile("r") as answers:
         with theirs:
-            socket.send_fds(_forking_process()[0], [b"x"], [*files, theirs.fileno()])
+            socket.send_fds(_forking_process(program)[0], [b"x"], [*files, theirs.fileno()])
         ours.settimeout(_TIMEOUT_S)
-        ours.sendall(json.dumps([[str(KLEIN), *arguments], {**environment}, str(Path.cwd())]).encode() + b"\n")
+        ours.sendall(json.dumps([[program.command[0], *arguments], {**environment}, str(Path.cwd())]).encode() + b"\n")
         pid = _number(answers)
         try:
             return _number(answers)
@@ -75,7 +114,7 @@ def _fork(arguments: Sequence[str], environment: Mapping[str, str], files: list[
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
             if isinstance(error, TimeoutError):
-                raise subprocess.TimeoutExpired(["klein", *arguments], _TIMEOUT_S) from None
+                raise subprocess.TimeoutExpired([*program.command, *arguments], _TIMEOUT_S) from None
             raise
 
 
@@ -86,23 +125,28 @@ def _number(answers: TextIO) -> int:
 
 
 @functools.cache
-def _forking_process() -> "tuple[socket.socket, subprocess.Popen[bytes]]":
+def _forking_process(program: _Program) -> "tuple[socket.socket, subprocess.Popen[bytes]]":
     """Start the process that forks commands; it ends when its socket is closed, with this process at the latest."""
     ours, theirs = socket.socketpair()
     with theirs:
-        command = [sys.executable, "-c", _FORK.format(channel=theirs.fileno())]
+        source = _FORK.format(
+            channel=theirs.fileno(), modules=(program.module, *program.imports), module=program.module
+        )
+        command = [sys.executable, "-c", source]
         folder, nothing = Path(__file__).parents[1], subprocess.DEVNULL
         files = [theirs.fileno()]
         return ours, subprocess.Popen(command, cwd=folder, pass_fds=files, stdin=nothing, stdout=nothing)
 
 
-def become_command(channel_fd: int) -> None:
-    """Fork a process for each command, and return in that process, as the command line would begin it."""
+def become_command(channel_fd: int, modules: Sequence[str]) -> None:
+    """Import modules; fork a process for each command, and return in it, as the command line would begin it."""
     channel = socket.socket(fileno=channel_fd)
     sys.path.remove("")
-    commands = importlib.import_module("kleinkram.cli")
-    for module in pkgutil.iter_modules(commands.__path__):
-        importlib.import_module(f"kleinkram.cli.{module.name}")
+    for name in modules:
+        module = importlib.import_module(name.removesuffix(".*"))
+        if name.endswith(".*"):
+            for part in pkgutil.iter_modules(module.__path__):
+                importlib.import_module(f"{module.__name__}.{part.name}")
     gc.collect()
     gc.freeze()  # or each command would copy the memory of all objects
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the processes between this one and the commands

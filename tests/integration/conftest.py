@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import argon2
 import pytest
 from alembic import command
 
+from kleinkram.recordings.sample import jpeg, scene
 from kleinkram.server.auth import local_accounts
 from kleinkram.server.migrations import alembic_config
 from tests.integration.api_server import Api, serving
@@ -130,6 +132,19 @@ def _quick_hashes() -> Iterator[None]:
         local_accounts._unknown_hash.cache_clear()
         yield
     local_accounts._unknown_hash.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def remembered_scenes() -> Iterator[None]:
+    """Let a module make many sample missions quickly: what cameras and lidars see takes most of the time.
+
+    It depends only on the seed and the size; defects come later.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scene.LidarView, "scan", lru_cache(maxsize=500)(scene.LidarView.scan))
+        patch.setattr(scene.CameraView, "picture", lru_cache(maxsize=500)(scene.CameraView.picture))
+        patch.setattr(jpeg, "mosaic_jpeg", lru_cache(maxsize=500)(jpeg.mosaic_jpeg))
+        yield
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ from tests.integration.api_server import Api
 T = TypeVar("T")
 # Once in ten minutes, a worker that starts would collect garbage: verify, derive and judge the blobs and missions
 # that earlier tests only inserted, a thousand of each. Tests of periodic jobs call them.
-_NO_PERIODIC_JOBS = PeriodicRegistry()
+_NO_PERIODIC_JOBS = PeriodicRegistry()  # type: ignore[no-untyped-call]  # as procrastinate has it
 _DUE = "SELECT count(*) FROM procrastinate_jobs WHERE status = 'todo' AND coalesce(scheduled_at, now()) <= now()"
 
 

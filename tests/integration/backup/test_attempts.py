@@ -1,14 +1,13 @@
 """Each attempt at a backup is recorded for the metrics."""
 
-import json
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 from kleinkram.server.settings import plain_dsn
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
+from tests.klein import run_backup
 
 
 def _create(api: Api, location: Path) -> "subprocess.CompletedProcess[str]":
@@ -21,12 +20,8 @@ def _create(api: Api, location: Path) -> "subprocess.CompletedProcess[str]":
         "S3_SECRET_KEY": settings.s3_secret_key.get_secret_value(),
     }
     environment = {name: value for name, value in os.environ.items() if not name.startswith("KLEINKRAM_")}
-    return subprocess.run(
-        [sys.executable, "-m", "kleinkram.server.backup", json.dumps({"command": "create", "location": str(location)})],
-        env=environment | {f"KLEINKRAM_{name}": value for name, value in values.items()},
-        capture_output=True,
-        text=True,
-    )
+    environment |= {f"KLEINKRAM_{name}": value for name, value in values.items()}
+    return run_backup({"command": "create", "location": str(location)}, environment)
 
 
 def test_backups_and_failed_attempts_are_recorded(start_api: StartApi, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 import json
 import os
 import subprocess
-import sys
 import uuid
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ from tests.integration.backup.instances import (
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site, run_jobs
 from tests.integration.upload_client import fetch, sha256, upload
+from tests.klein import run_backup
 
 NOTES = 'rain\tand\\n\nsnow \u2603 \\N {a,"b"}'
 METADATA = {"weather": 'quoted "rain"\\n\n', "tags": 3}
@@ -286,8 +286,7 @@ def test_the_command_prints_what_it_restored(lab: Api, tmp_path: Path) -> None:
 
     def run(**more: object) -> "subprocess.CompletedProcess[str]":
         request = {"command": "restore", "location": str(tmp_path), "project": project["name"], **more}
-        command = [sys.executable, "-m", "kleinkram.server.backup", json.dumps(request)]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        return run_backup(request, environment)
 
     planned = run(dry_run=True)
     assert (planned.returncode, "Would restore" in planned.stdout, "files: 1 (1 B" in planned.stdout) == (0, True, True)

@@ -4,7 +4,6 @@ Prints a table: `pytest -s tests/integration/checks/test_defects.py -k table`.
 """
 
 from collections.abc import Iterator
-from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,9 +13,10 @@ from kleinkram.checks.document import ChecksDocument, read_checks
 from kleinkram.checks.local import LocalMission, read_mission
 from kleinkram.checks.results import CheckResults, evaluate
 from kleinkram.contract.checks import CheckDepth, CheckStatus, Verdict
-from kleinkram.recordings.sample import Defect, Faults, SampleFormat, generate_mission, generate_rig, jpeg, scene
+from kleinkram.recordings.sample import Defect, Faults, SampleFormat, generate_mission, generate_rig
 from kleinkram.recordings.sample.robots import legged, vehicle
 
+pytestmark = pytest.mark.usefixtures("remembered_scenes")
 ROOT = Path(__file__).parents[3]
 SECONDS = 3.0
 VEHICLE_CHECKS = """
@@ -129,16 +129,6 @@ EVERY = [
     for defect in robot.targets
 ]
 found_by: dict[tuple[str, Defect], tuple[list[str], list[str]]] = {}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _scenes_are_computed_once() -> Iterator[None]:
-    """Missions of one seed differ only in their defects; computing what cameras and lidars see takes the most time."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scene.LidarView, "scan", lru_cache(maxsize=500)(scene.LidarView.scan))
-        patch.setattr(scene.CameraView, "picture", lru_cache(maxsize=500)(scene.CameraView.picture))
-        patch.setattr(jpeg, "mosaic_jpeg", lru_cache(maxsize=500)(jpeg.mosaic_jpeg))
-        yield
 
 
 def rules(robot: str) -> ChecksDocument:

@@ -16,6 +16,8 @@ from kleinkram.recordings import Content
 from kleinkram.recordings.sample import Defect, Faults, SampleFormat, generate_mission, generate_rig
 from tests.recording_files.builders import T0, mcap_of
 
+pytestmark = pytest.mark.usefixtures("remembered_scenes")
+
 MS = 1_000_000
 
 

@@ -12,6 +12,8 @@ from kleinkram.checks.document import json_schema, read_checks
 from kleinkram.cli import main as entry
 from kleinkram.recordings.sample import Faults, SampleFormat, generate_mission
 
+pytestmark = pytest.mark.usefixtures("remembered_scenes")
+
 Captured = pytest.CaptureFixture[str]
 RULES = """
 version: 1

@@ -12,6 +12,8 @@ import pytest
 from kleinkram.cli import main as entry
 from kleinkram.recordings.sample import generate_bag, generate_mcap
 
+pytestmark = pytest.mark.usefixtures("remembered_scenes")
+
 
 @pytest.fixture
 def mission(tmp_path: Path) -> Path:

@@ -5,8 +5,6 @@ import datetime
 import json
 import os
 import ssl
-import subprocess
-import sys
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
@@ -26,6 +24,7 @@ from tests.http_server import QuietHandler, Server
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.fault_proxy import ProxiedRequest, Reply, standing_before
+from tests.klein import run_server
 from tests.otlp_collector import collecting
 from tests.ports import choose_port
 from tests.scripted_server import scripted
@@ -49,13 +48,7 @@ def _environment(api: Api) -> dict[str, str]:
 
 
 def _check(environment: dict[str, str]) -> tuple[int, dict[str, Any]]:
-    ran = subprocess.run(
-        [sys.executable, "-m", "kleinkram.server", "check", "--json"],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    ran = run_server(["check", "--json"], {**os.environ, **environment})
     assert "hunter22" not in ran.stdout + ran.stderr
     return ran.returncode, {item["check"]: item for item in json.loads(ran.stdout)["checks"]}
 
@@ -162,8 +155,7 @@ def test_a_retention_that_was_not_stored_and_an_unusable_archive_are_named(api: 
     code, actual = _check(environment)
     assert (code, actual["audit archive"]["severity"]) == (1, "problem")
     assert (actual["audit log"]["severity"], "migrate" in actual["audit log"]["remedy"]) == ("warning", True)
-    command = [sys.executable, "-m", "kleinkram.server", "migrate"]
-    subprocess.run(command, env={**os.environ, **environment}, check=True)
+    run_server(["migrate"], {**os.environ, **environment}).check_returncode()
     code, actual = _check({**environment, "KLEINKRAM_AUDIT_ARCHIVE": str(tmp_path)})
     assert (code, actual["audit log"]["severity"], actual["audit archive"]["severity"]) == (0, "ok", "ok")
     assert actual["audit log"]["message"] == "Events are kept for 90 days."

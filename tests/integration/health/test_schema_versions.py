@@ -2,7 +2,6 @@
 
 import os
 import subprocess
-import sys
 
 import pytest
 import urllib3
@@ -12,6 +11,7 @@ from kleinkram.server.migrations import HEAD
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.upload_client import wait_until
+from tests.klein import run_server
 
 _LATER = f"{int(HEAD) + 1:04}"
 
@@ -43,8 +43,7 @@ def _migrate(api: Api) -> "subprocess.CompletedProcess[str]":
         "KLEINKRAM_S3_ACCESS_KEY": "unused",
         "KLEINKRAM_S3_SECRET_KEY": "unused",
     }
-    command = [sys.executable, "-m", "kleinkram.server", "migrate"]
-    return subprocess.run(command, env={**os.environ, **environment}, capture_output=True, text=True, check=False)
+    return run_server(["migrate"], {**os.environ, **environment})
 
 
 def test_an_old_api_stays_ready_while_the_schema_moves_to_a_compatible_one(api: Api) -> None:

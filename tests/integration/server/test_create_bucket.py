@@ -2,14 +2,13 @@
 
 import asyncio
 import os
-import subprocess
-import sys
 
 import pytest
 
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.server.s3.bucket import create_bucket
 from kleinkram.server.settings import Settings
+from tests.klein import run_server
 from tests.ports import choose_port
 from tests.services import RunningStore
 
@@ -33,9 +32,8 @@ def test_the_bucket_is_created_once(store: RunningStore) -> None:
         for name in ("database_url", "s3_internal_url", "s3_bucket", "s3_access_key", "s3_region")
     }
     environment["KLEINKRAM_S3_SECRET_KEY"] = store.secret_key
-    command = [sys.executable, "-m", "kleinkram.server", "create-bucket"]
     for outcome in ("was created", "exists"):
-        done = subprocess.run(command, env={**os.environ, **environment}, capture_output=True, text=True, check=False)
+        done = run_server(["create-bucket"], {**os.environ, **environment})
         assert (done.returncode, done.stdout) == (0, f"The bucket {settings.s3_bucket} {outcome}.\n"), done.stderr
 
 
