@@ -23,6 +23,7 @@ from benchmarks.runs import run_rows
 from benchmarks.scale.rows import load_rows, scale_rows, scrape_row, size_label
 from benchmarks.shared_inputs import shared_inputs_row
 from benchmarks.signing_in import sign_in_row
+from benchmarks.slurm import slurm_rows
 from benchmarks.traces import traces_row
 from benchmarks.transfers import download_row, many_small_rows, random_file, small_files_row, summary_rows, upload_row
 from benchmarks.web import web_rows
@@ -45,6 +46,7 @@ ROWS = {
     "claims",
     "shared",
     "cluster",
+    "slurm",
     "traces",
     "scale",
 }
@@ -72,7 +74,7 @@ def main() -> None:
 
 def measured(selected: set[str]) -> Iterator[Row]:
     """Yield the selected rows when they are measured."""
-    if selected - {"recordings", "checks", "packages", "previews"}:
+    if selected - {"recordings", "checks", "packages", "previews", "slurm"}:
         with instance():
             klein("project", "create", "bench")
     if "memory" in selected:
@@ -104,6 +106,8 @@ def measured(selected: set[str]) -> Iterator[Row]:
         yield from rows_of_runs(selected)
     if "cluster" in selected:
         yield from rows_of_a_cluster()
+    if "slurm" in selected:
+        yield from slurm_rows(STAGE / "slurm")
     if "web" in selected:
         yield from rows_of_the_web()
     if "scale" in selected:
