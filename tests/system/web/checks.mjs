@@ -51,7 +51,10 @@ const cells = (id) => rowOf(id).locator("[role=gridcell][data-status]").evaluate
   Object.fromEntries(elements.map((element) => [element.getAttribute("aria-label").split(": ")[0], element.dataset.status])),
 );
 results.matrix = { missions: await page.locator("[data-matrix] .line").count(), bad: await cells(missions.bad), good: await cells(missions.good) };
-results.matrix.trend = (await page.locator("[data-trend] .bars li .visually-hidden").last().innerText()).split(": ")[1].split(", ");
+// Read before both missions were judged, it follows them.
+const week = page.locator("[data-trend] .bars li .visually-hidden").last();
+await week.filter({ hasText: "bad" }).waitFor({ state: "attached" });
+results.matrix.trend = (await week.innerText()).split(": ")[1].split(", ");
 await page.locator("[data-matrix] .line a").first().focus();
 for (const key of ["ArrowDown", "ArrowRight", "ArrowRight"]) {
   await page.keyboard.press(key);
