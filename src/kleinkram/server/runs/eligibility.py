@@ -58,7 +58,7 @@ NEEDS_COLUMNS = (*(run.c[name] for name in _OF_RUN), mission.c.project_id, PROJE
 def to_needs(row: Mapping[Any, Any]) -> Needs:
     """Return the needs of a row with `NEEDS_COLUMNS`."""
     needs = Needs(*(row[name] for name in Needs._fields))
-    return needs._replace(project_isolation=Isolation(needs.project_isolation))
+    return needs._replace(labels=(*needs.labels,), project_isolation=Isolation(needs.project_isolation))
 
 
 class IsolationRule(NamedTuple):

@@ -174,7 +174,9 @@ async def _complete(
     waits_for: dict[uuid.UUID, str] = {}
     if queued := [entry for entry in visible if entry.run.state is runs.RunState.queued]:
         known = await known_runners(db, weakest)
-        waits_for = {entry.run.id: known.reason_waiting(entry.needs) for entry in queued}
+        # Runs that are launched together need the same.
+        reasons = {needs: known.reason_waiting(needs) for needs in {entry.needs for entry in queued}}
+        waits_for = {entry.run.id: reasons[entry.needs] for entry in queued}
     metrics: dict[uuid.UUID, list[Metric]] = {}
     if with_metrics := {entry.results_id for entry in visible if entry.run.metric_count > 0}:
         for row in await db.execute(queries.first_metrics(actor, [*with_metrics])):
