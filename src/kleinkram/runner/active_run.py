@@ -369,10 +369,10 @@ class ActiveRun:
         sampled_s = -math.inf
         while (ending := wait_for_end(self._executor, job, _CHECK_EVERY_S)) is None:
             self._check_stop()
-            self._show_waiting(self._reason_waiting(job))
             self._progress.read()
             if boot_time_s() - sampled_s >= _SAMPLE_EVERY_S:
                 sampled_s = boot_time_s()
+                self._show_waiting(self._reason_waiting(job))
                 self._add_sample()
         self._check_stop()
         if ending.reason is EndReason.lost and self.lease.is_over():  # its supervisor noticed before `enforce` did
