@@ -115,12 +115,12 @@ def _launch(cluster: Cluster) -> str:
 
 def _check_state(cluster: Cluster, rounds: list[Round]) -> None:
     wait_until(lambda: all(cluster.runtime_info()["services"].values()), "every part to run")
+    wait_until(lambda: all(_is_over(cluster, run) for one in rounds for run in one.runs), "the runs to end")
     backend.tidy(cluster)
     assert backend.sql(cluster, _UNFINISHED) == [], "no name is blocked"
     wait_until(lambda: backend.sql(cluster, _UNVERIFIED) == [(0,)], "the server to have read all bytes")
     for one in rounds:
         assert dict(backend.sql(cluster, _FILES, one.mission)) == one.sha256, f"round {one.seed}"
-    wait_until(lambda: all(_is_over(cluster, run) for one in rounds for run in one.runs), "the runs to end")
     for run in (run for one in rounds for run in one.runs):
         run_info = cluster.terminal.run("run", "info", run, "--json").json()
         assert (run_info["state"], run_info["artifact_count"]) == ("done", 1), run_info
