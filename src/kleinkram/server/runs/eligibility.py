@@ -268,24 +268,32 @@ async def find_runner(db: Connection, runner_id: uuid.UUID) -> KnownRunner:
 
 async def known_runners(db: Connection, weakest: Isolation) -> KnownRunners:
     """Return the runners that may execute queued runs. `weakest` is the setting `weakest_isolation`."""
-    runners = await _runners(db, runner.c.last_seen_at > func.now() - _EXPECTED_BACK)
-    stmt = select(project.c.isolation).where(project.c.deleted_at.is_(None)).distinct()
-    allowed = {Isolation(value) for value in (await db.execute(stmt)).scalars()} or {Isolation.container}
+    runners = await _runners(db, _IS_EXPECTED)
+    allowed = {Isolation(value) for value in (await db.execute(_ALLOWED)).scalars()} or {Isolation.container}
     return KnownRunners(runners, await isolation_rule(db, weakest), [one for one in Isolation if one in allowed])
 
 
 async def isolation_rule(db: Connection, weakest: Isolation) -> IsolationRule:
     """Return what isolation runs must have now. `weakest` is the setting `weakest_isolation`."""
-    active = select(func.count()).select_from(person).where(person.c.deactivated_at.is_(None))
-    return IsolationRule((await db.execute(active)).scalar_one() <= 1, weakest)
+    return IsolationRule((await db.execute(_ACTIVE_PEOPLE)).scalar_one() <= 1, weakest)
 
 
 async def _runners(db: Connection, condition: ColumnElement[bool]) -> list[KnownRunner]:
-    names = ("id", "name", "labels", "capacity", "abilities", "default_image")
-    stmt = select(*(runner.c[name] for name in names), is_alive().label("is_alive")).select_from(runner)
     return [
         KnownRunner(*row)._replace(
             capacity=Capacity.model_validate(row.capacity), abilities=ExecutorAbilities.model_validate(row.abilities)
         )
-        for row in await db.execute(with_token_limits(stmt).where(condition))
+        for row in await db.execute(_KNOWN.where(condition))
     ]
+
+
+# Each list of runs executes these: they are built once.
+_IS_EXPECTED = runner.c.last_seen_at > func.now() - _EXPECTED_BACK
+_ALLOWED = select(project.c.isolation).where(project.c.deleted_at.is_(None)).distinct()
+_ACTIVE_PEOPLE = select(func.count()).select_from(person).where(person.c.deactivated_at.is_(None))
+_KNOWN = with_token_limits(
+    select(
+        *(runner.c[name] for name in ("id", "name", "labels", "capacity", "abilities", "default_image")),
+        is_alive().label("is_alive"),
+    ).select_from(runner)
+)
