@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,10 +18,12 @@ from kleinkram.runner.executors.kubernetes.executor import KubernetesExecutor
 from kleinkram.runner.executors.kubernetes.options import KubernetesOptions
 from kleinkram.runner.loop import Runner, RunnerOptions
 from kleinkram.runner.state_directory import StateDirectory
+from tests.integration.kubernetes.action_scripts import LASTING
 from tests.integration.kubernetes.fake_cluster import NAMESPACE, FakeCluster
 from tests.integration.kubernetes.manifests import manifests
 from tests.integration.runner_loop.conftest import wait_until
 from tests.integration.runner_loop.fake_http import RUNNER_TOKEN
+from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer
 from tests.integration.runner_loop.started_runners import StartedRunners
 
@@ -89,6 +92,20 @@ class Site(RunnerSite):
 
         wait_until(running)
         return running()[0]
+
+    def wait_for_pod(self, step: str) -> None:
+        """Wait until there is a pod of a step."""
+        wait_until(lambda: any(it["metadata"]["labels"]["kleinkram.step"] == step for it in self.cluster.named("pods")))
+
+    def kill_while_it_fetches(self) -> FakeRun:
+        """Return a run whose runner was killed, and whose inputs wait for a node."""
+        first = self.spawn()
+        wait_until(lambda: self.server.registrations)
+        self.cluster.unschedulable = "0/3 nodes are available"
+        run = self.server.launch(LASTING)
+        self.wait_for_pod("fetch")
+        self.kill(first, signal.SIGKILL)
+        return run
 
     def is_clean(self) -> bool:
         """Whether nothing is left of a run."""

@@ -264,21 +264,10 @@ def test_a_program_that_ends_well_because_its_pod_is_removed_has_not_ended_well(
 # -- runners that are started again ----------------------------------------------------------------------------------
 
 
-def _killed_while_it_fetches(site: Site) -> FakeRun:
-    """Return a run whose runner was killed, and whose inputs wait for a node."""
-    first = site.spawn()
-    wait_until(lambda: site.server.registrations)
-    site.cluster.unschedulable = "0/3 nodes are available"
-    run = site.server.launch(LASTING)
-    wait_until(lambda: site.cluster.named("pods"))
-    site.kill(first, signal.SIGKILL)
-    site.cluster.unschedulable = None
-    return run
-
-
 @pytest.mark.parametrize("fails", [[], [429, 503]])
 def test_a_runner_killed_before_it_created_the_job_of_an_action_starts_it(site: Site, fails: list[int]) -> None:
-    run = _killed_while_it_fetches(site)
+    run = site.kill_while_it_fetches()
+    site.cluster.unschedulable = None
     (path,) = site.folder.glob("runs/*/state.json")
     state: dict[str, Any] = json.loads(path.read_text())
     path.write_text(json.dumps({**state, "stage": RunState.running.value, "starts": 3, "image": site.default_image}))

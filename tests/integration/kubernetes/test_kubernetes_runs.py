@@ -237,7 +237,7 @@ def test_a_run_is_cancelled_while_it_waits_for_a_node(site: Site) -> None:
     site.cluster.unschedulable = "0/3 nodes are available"
     site.start()
     run = site.server.launch(LASTING)
-    wait_until(lambda: site.cluster.named("pods"))
+    site.wait_for_pod("fetch")
     run.is_cancelled = True
     assert ended(run).finishes[0].reason is EndReason.cancelled
     site.wait_until_clean()
@@ -353,12 +353,7 @@ def test_volumes_are_as_large_as_inputs_and_results(site: Site) -> None:
 @pytest.mark.slow
 def test_a_run_is_not_started_again_while_its_pod_may_run(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_objects, "_GONE_S", 1.0)
-    first = site.spawn()
-    wait_until(lambda: site.server.registrations)
-    site.cluster.unschedulable = "0/3 nodes are available"
-    run = site.server.launch(LASTING)
-    wait_until(lambda: site.cluster.named("pods"))
-    site.kill(first, signal.SIGKILL)
+    run = site.kill_while_it_fetches()
     # The runner deletes the Job, but the node of its pod does not confirm the end.
     site.cluster.node.ignores_deletions = True
     site.start()
