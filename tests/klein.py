@@ -1,4 +1,4 @@
-"""`klein` and `python -m kleinkram.server` as processes of their own, forked from one that has imported all they need.
+"""`klein`, `python -m kleinkram.server` and scripts as processes of their own, forked from one with all they import.
 
 Their arguments, environment, folder, output and exit code are those of a command line. What this saves is the start of
 Python and the imports: half a second of CPU time, or two for the server, for each of the hundreds of commands that
@@ -50,6 +50,19 @@ _SERVER = _Program(
     ("kleinkram.server.health.checks", "kleinkram.server.migrations.migrate", "kleinkram.server.s3.bucket"),
 )
 _BACKUP = _Program((sys.executable, "-m", "kleinkram.server.backup"), "kleinkram.server.backup.__main__", ())
+# But `kleinkram.action`, which reads its environment when it is imported.
+_SCRIPT = _Program(
+    (sys.executable,),
+    "tests.script",
+    (
+        "numpy",
+        "kleinkram.checks.local",
+        "kleinkram.checks.results",
+        "kleinkram.library.pictures",
+        "kleinkram.recordings.trajectories",
+        "kleinkram.recordings.writing.conversion",
+    ),
+)
 
 
 def run_klein(
@@ -69,6 +82,25 @@ def run_backup(request: Mapping[str, object], environment: Mapping[str, str]) ->
     return _run(_BACKUP, [json.dumps(request)], environment)
 
 
+def run_script(
+    script: Path, environment: Mapping[str, str], folder: Path, timeout_s: float
+) -> "subprocess.CompletedProcess[str]":
+    """Run a Python script to its end in a folder, with errors among its output."""
+    command = [sys.executable, str(script)]
+    with tempfile.TemporaryFile("w+") as out:
+        if _read_at_start(environment) != _OURS_AT_START:
+            done = subprocess.run(
+                command, check=False, env=environment, cwd=folder, stdout=out, stderr=out, timeout=timeout_s
+            )
+            code = done.returncode
+        else:
+            with Path(os.devnull).open() as nothing:
+                files = [nothing.fileno(), out.fileno(), out.fileno()]
+                code = _fork(_SCRIPT, command[1:], environment, files, folder, timeout_s)
+        out.seek(0)
+        return subprocess.CompletedProcess(command, code, out.read())
+
+
 def _run(
     program: _Program,
     arguments: Sequence[str],
@@ -77,7 +109,7 @@ def _run(
     stdin: str = "",
     prefix: Sequence[str] = (),
 ) -> "subprocess.CompletedProcess[str]":
-    if prefix or _read_at_start(environment) != _read_at_start(os.environ):
+    if prefix or _read_at_start(environment) != _OURS_AT_START:
         command = [*prefix, *program.command, *arguments]
         return subprocess.run(
             command, check=False, env=environment, input=stdin, capture_output=True, text=True, timeout=_TIMEOUT_S
@@ -99,14 +131,25 @@ def _read_at_start(environment: Mapping[str, str]) -> dict[str, str]:
     return {name: value for name, value in environment.items() if name.startswith(_READ_AT_START)}
 
 
-def _fork(program: _Program, arguments: Sequence[str], environment: Mapping[str, str], files: list[int]) -> int:
-    """Have a command forked, and return its exit code."""
+_OURS_AT_START = _read_at_start(os.environ)
+
+
+def _fork(
+    program: _Program,
+    arguments: Sequence[str],
+    environment: Mapping[str, str],
+    files: list[int],
+    folder: Path | None = None,
+    timeout_s: float = _TIMEOUT_S,
+) -> int:
+    """Have a command forked, by default in the current folder, and return its exit code."""
     ours, theirs = socket.socketpair()
     with ours, ours.makefile("r") as answers:
         with theirs:
             socket.send_fds(_forking_process(program)[0], [b"x"], [*files, theirs.fileno()])
-        ours.settimeout(_TIMEOUT_S)
-        ours.sendall(json.dumps([[program.command[0], *arguments], {**environment}, str(Path.cwd())]).encode() + b"\n")
+        ours.settimeout(timeout_s)
+        request = [[program.command[0], *arguments], {**environment}, str(folder or Path.cwd())]
+        ours.sendall(json.dumps(request).encode() + b"\n")
         pid = _number(answers)
         try:
             return _number(answers)
@@ -114,7 +157,7 @@ def _fork(program: _Program, arguments: Sequence[str], environment: Mapping[str,
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
             if isinstance(error, TimeoutError):
-                raise subprocess.TimeoutExpired([*program.command, *arguments], _TIMEOUT_S) from None
+                raise subprocess.TimeoutExpired([*program.command, *arguments], timeout_s) from None
             raise
 
 
@@ -135,7 +178,12 @@ def _forking_process(program: _Program) -> "tuple[socket.socket, subprocess.Pope
         command = [sys.executable, "-c", source]
         folder, nothing = Path(__file__).parents[1], subprocess.DEVNULL
         files = [theirs.fileno()]
-        return ours, subprocess.Popen(command, cwd=folder, pass_fds=files, stdin=nothing, stdout=nothing)
+        # Whatever a test has set meanwhile.
+        others = {name: value for name, value in os.environ.items() if not name.startswith(_READ_AT_START)}
+        environment = {**others, **_OURS_AT_START}
+        return ours, subprocess.Popen(
+            command, cwd=folder, env=environment, pass_fds=files, stdin=nothing, stdout=nothing
+        )
 
 
 def become_command(channel_fd: int, modules: Sequence[str]) -> None:

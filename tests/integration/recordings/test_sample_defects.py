@@ -30,6 +30,7 @@ from kleinkram.recordings.sample import (
 )
 from kleinkram.recordings.sample.robots import Robot, legged, vehicle
 
+pytestmark = pytest.mark.usefixtures("remembered_scenes")
 SECOND = 1_000_000_000
 SECONDS = 3.0
 VEHICLE, LEGGED = vehicle(camera_bytes=4000, lidar_points=64), legged()
