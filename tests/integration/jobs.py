@@ -11,7 +11,9 @@ from procrastinate import App, JobContext, PsycopgConnector
 from procrastinate.periodic import PeriodicRegistry
 from procrastinate.worker import Worker
 
+from kleinkram.recordings.isolation import CHILD_COMMAND
 from kleinkram.server import worker
+from kleinkram.server.blobs import readers as readers_module
 from kleinkram.server.blobs.readers import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
@@ -110,9 +112,13 @@ def in_worker(api: Api, work: Callable[[WorkerResources], Coroutine[Any, Any, T]
 
 
 async def _run_due(resources: WorkerResources) -> list[str]:
-    with queue.replace_connector(resources.connector) as app:
+    async with AsyncExitStack() as stack:
+        app = stack.enter_context(queue.replace_connector(resources.connector))
+        # A test may have replaced the program of children.
+        is_usual = readers_module.CHILD_COMMAND is CHILD_COMMAND
+        readers = resources.readers if is_usual else await stack.enter_async_context(ReaderProcesses())
         back_pressure = _no_back_pressure(resources.context)
-        return await _drain(app, resources.context, resources.readers, back_pressure, _NoRests())
+        return await _drain(app, resources.context, readers, back_pressure, _NoRests())
 
 
 async def _run_due_once(context: AppContext) -> list[str]:
