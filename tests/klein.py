@@ -17,8 +17,9 @@ import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TextIO
 
@@ -32,6 +33,16 @@ from tests.klein import become_command
 become_command({channel}, {modules})
 from {module} import main
 sys.exit(main())
+"""
+
+_ASK = """#!{python} -IS
+import json, os, socket, sys
+with socket.socket(socket.AF_UNIX) as asking:
+    asking.connect("{socket}")
+    socket.send_fds(asking, [b"x"], [0, 1, 2])
+    asking.sendall(json.dumps([sys.argv, {{**os.environ}}, os.getcwd()]).encode() + b"\\n")
+    _, code = asking.makefile("r")
+sys.exit(int(code))
 """
 
 
@@ -70,6 +81,39 @@ def run_klein(
 ) -> "subprocess.CompletedProcess[str]":
     """Run a command to its end, with text for its input and from its outputs; `prefix`: the beginning of its line."""
     return _run(_KLEIN, arguments, environment, stdin=stdin, prefix=prefix)
+
+
+@contextlib.contextmanager
+def klein_for_shells() -> Iterator[Path]:
+    """Yield a folder for the front of PATH: its `klein` has commands of scripts forked, too."""
+    channel, _ = _forking_process(_KLEIN)
+    with tempfile.TemporaryDirectory() as name, socket.socket(socket.AF_UNIX) as listener:
+        folder = Path(name)
+        listener.bind(f"{folder}/socket")
+        listener.listen()
+        (folder / "klein").write_text(_ASK.format(python=sys.executable, socket=folder / "socket"))
+        (folder / "klein").chmod(0o755)
+        thread = threading.Thread(target=_pass_on, args=(listener, channel))
+        thread.start()
+        try:
+            yield folder
+        finally:
+            listener.shutdown(socket.SHUT_RDWR)
+            thread.join()
+
+
+def _pass_on(listener: socket.socket, channel: socket.socket) -> None:
+    """Pass the files of those who ask to the process that forks, which answers them; until the listener is shut."""
+    while True:
+        try:
+            asking, _ = listener.accept()
+        except OSError:
+            return
+        with asking:
+            _, files, _, _ = socket.recv_fds(asking, 1, 3)
+            socket.send_fds(channel, [b"x"], [*files, asking.fileno()])
+            for file in files:
+                os.close(file)
 
 
 def run_server(arguments: Sequence[str], environment: Mapping[str, str]) -> "subprocess.CompletedProcess[str]":
@@ -176,11 +220,10 @@ def _forking_process(program: _Program) -> "tuple[socket.socket, subprocess.Pope
             channel=theirs.fileno(), modules=(program.module, *program.imports), module=program.module
         )
         command = [sys.executable, "-c", source]
-        folder, nothing = Path(__file__).parents[1], subprocess.DEVNULL
-        files = [theirs.fileno()]
         # Whatever a test has set meanwhile.
         others = {name: value for name, value in os.environ.items() if not name.startswith(_READ_AT_START)}
-        environment = {**others, **_OURS_AT_START}
+        environment, folder, nothing = {**others, **_OURS_AT_START}, Path(__file__).parents[1], subprocess.DEVNULL
+        files = [theirs.fileno()]
         return ours, subprocess.Popen(
             command, cwd=folder, env=environment, pass_fds=files, stdin=nothing, stdout=nothing
         )
@@ -190,6 +233,7 @@ def become_command(channel_fd: int, modules: Sequence[str]) -> None:
     """Import modules; fork a process for each command, and return in it, as the command line would begin it."""
     channel = socket.socket(fileno=channel_fd)
     sys.path.remove("")
+    _open_standard_files()
     for name in modules:
         module = importlib.import_module(name.removesuffix(".*"))
         if name.endswith(".*"):
@@ -208,6 +252,20 @@ def become_command(channel_fd: int, modules: Sequence[str]) -> None:
             return
         for file in files:
             os.close(file)
+
+
+def _open_standard_files() -> None:
+    """Open stdout and stderr anew, as pipes: in files, Python would seek, and so later in the pipes of a command."""
+    read_end, write_end = os.pipe()
+    for name, number, buffering in (("stdout", 1, -1), ("stderr", 2, 1)):
+        file = getattr(sys, name)
+        before = os.dup(number)
+        os.dup2(write_end, number)
+        setattr(sys, name, os.fdopen(number, "w", buffering, file.encoding, file.errors, closefd=False))
+        os.dup2(before, number)
+        os.close(before)
+    os.close(read_end)
+    os.close(write_end)
 
 
 def _become_next(files: list[int]) -> None:

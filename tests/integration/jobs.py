@@ -11,7 +11,7 @@ from procrastinate import App, JobContext, PsycopgConnector
 from procrastinate.periodic import PeriodicRegistry
 from procrastinate.worker import Worker
 
-from kleinkram.recordings.isolation import CHILD_COMMAND
+from kleinkram.recordings import isolation
 from kleinkram.server import worker
 from kleinkram.server.blobs import readers as readers_module
 from kleinkram.server.blobs.readers import ReaderProcesses
@@ -115,7 +115,7 @@ async def _run_due(resources: WorkerResources) -> list[str]:
     async with AsyncExitStack() as stack:
         app = stack.enter_context(queue.replace_connector(resources.connector))
         # A test may have replaced the program of children.
-        is_usual = readers_module.CHILD_COMMAND is CHILD_COMMAND
+        is_usual = vars(readers_module)["CHILD_COMMAND"] is isolation.CHILD_COMMAND
         readers = resources.readers if is_usual else await stack.enter_async_context(ReaderProcesses())
         back_pressure = _no_back_pressure(resources.context)
         return await _drain(app, resources.context, readers, back_pressure, _NoRests())
