@@ -186,7 +186,7 @@ def test_qos_and_type_hashes_of_a_database_stay(tmp_path: Path) -> None:
     [("zstd", None, "zstd"), ("zstd", 19, "zstd"), ("lz4", None, "lz4"), ("lz4", 9, "lz4"), ("none", None, "")],
 )
 def test_recompression_keeps_everything(tmp_path: Path, compression: str, level: int | None, stored: str) -> None:
-    generate_mcap(tmp_path / "drive.mcap", size_bytes=2_000_000)
+    generate_mcap(tmp_path / "drive.mcap", size_bytes=2_000_000, duration_s=5)
     kind = ChunkCompression(compression)
     target = tmp_path / "made.mcap"
     whole = convert(tmp_path / "drive.mcap", target, compression=kind, level=level)
