@@ -69,6 +69,7 @@ check:
 check-python: $(STAMP)
 	@$(BIN)/ruff format --check --quiet . && $(BIN)/ruff check --quiet .
 	@$(BIN)/mypy
+	@$(BIN)/python -m tools.check_readme
 	@$(BIN)/lint-imports --no-cache | tail -n 4
 	@$(BIN)/python -m tools.check_names
 	@$(BIN)/python docs/generate.py --check

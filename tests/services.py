@@ -12,7 +12,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
@@ -23,6 +23,7 @@ from tests.ports import choose_port
 _numbers = itertools.count(1)
 _MEMORY = Path("/dev/shm")
 _ENOUGH_BYTES = 4 * 2**30
+_MEMORY_OF_STORE = {"GOMEMLIMIT": "2GiB"}
 
 
 def fast_folder() -> str | None:
@@ -110,8 +111,10 @@ def _postgres() -> Iterator[RunningPostgres]:
             passwords={role: secrets.token_hex(16) for role in (postgres.ADMIN, postgres.MIGRATE, postgres.SERVE)},
         )
         postgres.initialise(cluster)
-        # What is lost by a crash of the machine is only a test's; the log should not fill the memory.
-        process = postgres.start(cluster, extra={"fsync": "off", "max_connections": "400", "max_wal_size": "128MB"})
+        # What is lost by a crash of the machine is only a test's; the log should not fill the memory; and each minute
+        # a vacuum would start for each of a dozen databases.
+        quick = {"fsync": "off", "max_connections": "400", "max_wal_size": "128MB", "autovacuum": "off"}
+        process = postgres.start(cluster, extra=quick)
         try:
             _wait_until(lambda: postgres.is_ready(cluster, process), process, cluster.log)
             postgres.prepare_database(cluster)
@@ -135,7 +138,9 @@ def _store() -> Iterator[RunningStore]:
             secret_key=secrets.token_hex(20),
         )
         # Each bucket takes a volume at least, and weed counts as many as would fit on the disk when full.
-        process = object_store.start(plan, extra=["-master.volumeSizeLimitMB=64"])
+        command = object_store.prepare(plan, extra=["-master.volumeSizeLimitMB=64"])
+        # After hundreds of buckets, collecting garbage to stay below the limit of `klein up` takes a tenth of a core.
+        process = processes.spawn(replace(command, environment={**command.environment, **_MEMORY_OF_STORE}))
         try:
             _wait_until(lambda: object_store.is_ready(plan.access, object_store.BUCKET), process, plan.log)
             access = plan.access

@@ -11,7 +11,9 @@ from procrastinate import App, JobContext, PsycopgConnector
 from procrastinate.periodic import PeriodicRegistry
 from procrastinate.worker import Worker
 
+from kleinkram.recordings import isolation
 from kleinkram.server import worker
+from kleinkram.server.blobs import readers as readers_module
 from kleinkram.server.blobs.readers import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
@@ -47,6 +49,7 @@ class WorkerResources(NamedTuple):
 
     context: AppContext
     connector: PsycopgConnector
+    readers: ReaderProcesses
 
 
 class _TestWorker:
@@ -64,18 +67,18 @@ class _TestWorker:
         self._opened = AsyncExitStack()
         self._database = open_database(settings, statement_timeout_s=None)
         try:
-            self._storage, self._connector = self.run(self._open())
+            self._storage, self._connector, self._readers = self.run(self._open())
         except BaseException:
             self.close()
             raise
 
-    async def _open(self) -> tuple[Storage, PsycopgConnector]:
+    async def _open(self) -> tuple[Storage, PsycopgConnector, ReaderProcesses]:
         self._opened.push_async_callback(self._database.close)
         storage = await self._opened.enter_async_context(open_storage(self.settings))
         connector = _connector(self.settings)
         await connector.open_async()
         self._opened.push_async_callback(connector.close_async)
-        return storage, connector
+        return storage, connector, await self._opened.enter_async_context(ReaderProcesses())
 
     def run(self, work: Coroutine[Any, Any, T]) -> T:
         """Wait for a coroutine that runs in the loop."""
@@ -84,7 +87,7 @@ class _TestWorker:
     def resources(self, api: Api) -> WorkerResources:
         """Return what jobs need; the store has the capabilities that the API has found."""
         storage = self._storage.with_capabilities(api.app.state.storage.capabilities)
-        return WorkerResources(AppContext(self._database, storage, self.settings), self._connector)
+        return WorkerResources(AppContext(self._database, storage, self.settings), self._connector, self._readers)
 
     def close(self) -> None:
         """Close the connections and the loop."""
@@ -109,8 +112,13 @@ def in_worker(api: Api, work: Callable[[WorkerResources], Coroutine[Any, Any, T]
 
 
 async def _run_due(resources: WorkerResources) -> list[str]:
-    with queue.replace_connector(resources.connector) as app:
-        return await _drain(app, resources.context, _no_back_pressure(resources.context), _NoRests())
+    async with AsyncExitStack() as stack:
+        app = stack.enter_context(queue.replace_connector(resources.connector))
+        # A test may have replaced the program of children.
+        is_usual = vars(readers_module)["CHILD_COMMAND"] is isolation.CHILD_COMMAND
+        readers = resources.readers if is_usual else await stack.enter_async_context(ReaderProcesses())
+        back_pressure = _no_back_pressure(resources.context)
+        return await _drain(app, resources.context, readers, back_pressure, _NoRests())
 
 
 async def _run_due_once(context: AppContext) -> list[str]:
@@ -134,15 +142,17 @@ class _NoRests(DerivationDebounce):
 async def drain(context: AppContext, back_pressure: BackPressure, rests: DerivationDebounce | None = None) -> list[str]:
     """Run what waits, as courteous as it is given; returns the name of each job."""
     with queue.replace_connector(_connector(context.settings)) as app:
-        async with app.open_async():
-            return await _drain(app, context, back_pressure, rests or _NoRests())
+        async with app.open_async(), ReaderProcesses() as readers:
+            return await _drain(app, context, readers, back_pressure, rests or _NoRests())
 
 
 def _connector(settings: Settings) -> PsycopgConnector:
     return PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=4)
 
 
-async def _drain(app: App, context: AppContext, back_pressure: BackPressure, rests: DerivationDebounce) -> list[str]:
+async def _drain(
+    app: App, context: AppContext, readers: ReaderProcesses, back_pressure: BackPressure, rests: DerivationDebounce
+) -> list[str]:
     ran: list[str] = []
     app.periodic_registry = _NO_PERIODIC_JOBS
 
@@ -150,29 +160,28 @@ async def _drain(app: App, context: AppContext, back_pressure: BackPressure, res
         ran.append(job_context.job.task_name)
         return await call_next()
 
-    async with ReaderProcesses() as readers:
-        await app.run_worker_async(
-            wait=False,
-            concurrency=4,
-            install_signal_handlers=False,
-            listen_notify=False,
-            worker_middleware=[run_with_origin, record_failure, note],
-            additional_context={
-                "context": context,
-                "readers": readers,
-                "back_pressure": back_pressure,
-                "metadata_cache": MetadataCache(readers),
-                "derivation_debounce": rests,
-            },
-        )
+    await app.run_worker_async(
+        wait=False,
+        concurrency=4,
+        install_signal_handlers=False,
+        listen_notify=False,
+        worker_middleware=[run_with_origin, record_failure, note],
+        additional_context={
+            "context": context,
+            "readers": readers,
+            "back_pressure": back_pressure,
+            "metadata_cache": MetadataCache(readers),
+            "derivation_debounce": rests,
+        },
+    )
     return ran
 
 
 def on_site(api: Api, work: Callable[[AppContext], Awaitable[T]], *, store: str | None = None) -> T:
-    """Do something with a new database and store, as a job of a new process would."""
-    settings: Settings = api.app.state.settings
-    if store is not None:
-        settings = settings.model_copy(update={"s3_internal_url": store})
+    """Do something as a job would; with the store at another address, if one is given."""
+    if store is None:
+        return in_worker(api, lambda resources: _await(work(resources.context)))
+    settings: Settings = api.app.state.settings.model_copy(update={"s3_internal_url": store})
 
     async def run() -> T:
         database = open_database(settings, statement_timeout_s=None)
@@ -185,3 +194,7 @@ def on_site(api: Api, work: Callable[[AppContext], Awaitable[T]], *, store: str 
             await database.close()
 
     return asyncio.run(run())
+
+
+async def _await(work: Awaitable[T]) -> T:
+    return await work

@@ -15,6 +15,16 @@ MESSAGE_FORMATS = "MCAP", "ROS1 bag 2.0", "ROS2 sqlite3 db3", "file-zstd of ROS2
 """Formats of which independent libraries read the messages."""
 
 
+_LIKE_OTHERS = {
+    "derived/metadata_wrong_counts/SO_bag_0.mcap",
+    "ros1/kleinkram_imu_lz4.bag",
+    "ros1/robot_localization_test1_imu_odom_gps_bz2.bag",
+    "ros1/turtlesim_bz2.bag",
+    "ros1/turtlesim_none.bag",
+}
+"""Recordings with the messages of another in another compression or format, or with many more of the same types."""
+
+
 @dataclass(frozen=True)
 class Entry:
     """One file of the manifest; `made_from`: the file that it is a changed copy of."""
@@ -46,3 +56,14 @@ def params(*formats: str, broken: bool = False, without: str = "") -> list[Any]:
     actual = [e for e in entries() if e.format in formats and (e.broken is not None) == broken and e.name != without]
     missing = Entry("recordings are missing", None, {})
     return [pytest.param(entry, id=entry.name) for entry in actual or [missing]]
+
+
+def params_to_write(*formats: str) -> list[Any]:
+    """`params` for tests that write recordings anew; those that are like others are written in the soak.
+
+    Tests of reading read all of them in every round.
+    """
+    return [
+        pytest.param(*one.values, id=one.id, marks=pytest.mark.soak) if one.id in _LIKE_OTHERS else one
+        for one in params(*formats)
+    ]

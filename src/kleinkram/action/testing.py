@@ -134,17 +134,24 @@ def try_out(
             stack.callback(environment.close)
             path = [str(environment.packages), *filter(None, [os.environ.get("PYTHONPATH")])]
             variables |= {PACKAGES_VARIABLE: str(environment.packages), "PYTHONPATH": os.pathsep.join(path)}
-        ran = subprocess.run(
-            [sys.executable, str(code)],
-            env={**os.environ, **variables},
-            cwd=scratch,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            timeout=timeout_s,
-            check=False,
-        )
+        ran = _run_script(code, {**os.environ, **variables}, scratch, timeout_s)
     return TryOutResult(ran.returncode, ran.stdout, out, _read_report(out))
+
+
+def _run_script(
+    script: Path, environment: Mapping[str, str], folder: Path, timeout_s: float
+) -> "subprocess.CompletedProcess[str]":
+    """Run a script to its end, with errors among its output."""
+    return subprocess.run(
+        [sys.executable, str(script)],
+        env=environment,
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+    )
 
 
 def _install(definition: ActionDefinition) -> Environment | None:

@@ -17,6 +17,7 @@ from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.runners import Capacity
 from kleinkram.json_logs import JsonLines
+from kleinkram.machine import memory_bytes
 from kleinkram.runner.arguments import Arguments, find_token
 from kleinkram.runner.choose_executor import (
     ImagePolicy,
@@ -26,7 +27,7 @@ from kleinkram.runner.choose_executor import (
     slurm_executor,
 )
 from kleinkram.runner.executors.base import Executor
-from kleinkram.runner.executors.local import Machine, MachineShare, memory_bytes
+from kleinkram.runner.executors.local import Machine, MachineShare
 from kleinkram.runner.executors.machine_locks import announce
 from kleinkram.runner.loop import Runner, RunnerOptions
 from kleinkram.runner.state_directory import StateDirectory, open_state_directory

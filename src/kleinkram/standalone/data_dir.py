@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import kleinkram
-from kleinkram.contract.tokens import SecretKind, with_checksum
+from kleinkram.contract.token_format import SecretKind, with_checksum
 from kleinkram.standalone.errors import AlreadyRunning, DataDirUnusable, VersionMismatch
 from kleinkram.standalone.processes import start_ticks
 

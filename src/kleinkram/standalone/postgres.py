@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import kleinkram
-from kleinkram.runner.executors.local import memory_bytes
+from kleinkram.machine import memory_bytes
 from kleinkram.standalone.data_dir import DataDir, write_private
 from kleinkram.standalone.errors import BinaryNotFound, DataDirUnusable, ServiceFailed, VersionMismatch
 from kleinkram.standalone.processes import (

@@ -12,7 +12,7 @@ import urllib3
 from kleinkram import connect
 from kleinkram.contract.access import Right, Scope
 from kleinkram.contract.errors import NotFound
-from kleinkram.contract.tokens import has_valid_checksum
+from kleinkram.contract.token_format import has_valid_checksum
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.sample import Sample

@@ -13,7 +13,7 @@ from kleinkram.client.transfer import Outcome, plan_upload
 from kleinkram.client.transfer.upload import upload as send_files
 from kleinkram.contract.access import Right, Scope, TokenKind
 from kleinkram.contract.errors import FileExists
-from kleinkram.contract.tokens import PATTERN, has_valid_checksum
+from kleinkram.contract.token_format import PATTERN, has_valid_checksum
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi

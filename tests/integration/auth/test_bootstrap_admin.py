@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.contract.tokens import has_valid_checksum
+from kleinkram.contract.token_format import has_valid_checksum
 from kleinkram.server.access.builtin_groups import ADMINS_ID
 from kleinkram.server.app import create_app
 from kleinkram.server.auth import bootstrap as owner

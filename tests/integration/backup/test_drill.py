@@ -121,7 +121,7 @@ def at_work(api: Api, mission: str, file_ids: list[str]) -> Iterator[dict[str, i
             while not over.is_set():
                 acts[what]()
                 done[what] += 1
-                over.wait(0.2)
+                over.wait(0.5)
         except BaseException as error:
             failures.append(error)
 

@@ -53,47 +53,46 @@ def test_verifying_creates_no_folder(tmp_path: Path) -> None:
     assert not (tmp_path / "none").exists()
 
 
-def test_damage_is_reported(populated: Api, tmp_path: Path) -> None:
-    made = back_up(settings_of(populated), tmp_path)
-    *_, largest = content_files(tmp_path)
+def test_damage_is_reported(backed_up: Path) -> None:
+    [document] = backed_up.glob("snapshots/*.json")
+    *_, largest = content_files(backed_up)
     whole = largest.read_bytes()
 
     flipped = bytearray(whole)
     flipped[len(whole) // 2] ^= 1
     largest.write_bytes(flipped)
-    assert verify_place(tmp_path, read_all=False).damage.first == []  # names and sizes are unchanged
-    [sentence] = verify_place(tmp_path).damage.first
+    assert verify_place(backed_up, read_all=False).damage.first == []  # names and sizes are unchanged
+    [sentence] = verify_place(backed_up).damage.first
     assert largest.name in sentence
     assert "changed or cut off" in sentence
 
     largest.write_bytes(whole[:-1])
-    [sentence] = verify_place(tmp_path, read_all=False).damage.first
+    [sentence] = verify_place(backed_up, read_all=False).damage.first
     assert f"has {len(whole) - 1} bytes instead of {len(whole)}" in sentence
 
     largest.unlink()
-    [sentence] = verify_place(tmp_path, read_all=False).damage.first
+    [sentence] = verify_place(backed_up, read_all=False).damage.first
     assert "is missing" in sentence
-    assert made.snapshot.id in sentence
+    assert document.stem in sentence
 
     largest.write_bytes(whole)
     for name in ("database.zst", "objects.zst"):
-        path = tmp_path / "snapshots" / made.snapshot.id / name
+        path = backed_up / "snapshots" / document.stem / name
         body = path.read_bytes()
         flipped_body = body[:20] + bytes([body[20] ^ 1]) + body[21:]
         for damaged, read_all in ((body[:-10], False), (flipped_body, True)):
             path.write_bytes(damaged)
-            [sentence] = verify_place(tmp_path, read_all=read_all).damage.first
+            [sentence] = verify_place(backed_up, read_all=read_all).damage.first
             assert name in sentence
         path.write_bytes(body)
-    assert verify_place(tmp_path).damage.first == []
+    assert verify_place(backed_up).damage.first == []
 
-    [document] = tmp_path.glob("snapshots/*.json")
     document.write_bytes(document.read_bytes()[:-10])
-    [sentence] = verify_place(tmp_path, read_all=False).damage.first
-    assert made.snapshot.id in sentence
+    [sentence] = verify_place(backed_up, read_all=False).damage.first
+    assert document.stem in sentence
     assert "cannot be restored" in sentence
     with pytest.raises(BackupDamaged):
-        prune_place(tmp_path, keep=1)
+        prune_place(backed_up, keep=1)
     assert largest.exists()
 
 
@@ -250,12 +249,11 @@ def test_a_backup_reaches_the_disk_before_its_document_names_it(
     assert documents == [0, 1]
 
 
-def test_files_of_an_unfinished_backup_are_removed_by_the_next(populated: Api, tmp_path: Path) -> None:
-    back_up(settings_of(populated), tmp_path)
-    half = tmp_path / "snapshots" / "20260101T000000000000Z-abcdef" / "database.zst"
+def test_files_of_an_unfinished_backup_are_removed_by_the_next(populated: Api, backed_up: Path) -> None:
+    half = backed_up / "snapshots" / "20260101T000000000000Z-abcdef" / "database.zst"
     half.parent.mkdir()
     half.write_text("half")
-    made = back_up(settings_of(populated), tmp_path)
+    made = back_up(settings_of(populated), backed_up)
     assert not half.exists()
     assert made.copied.count == 0
 

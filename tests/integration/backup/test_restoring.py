@@ -62,18 +62,16 @@ def test_every_row_and_every_byte_are_restored(populated: Api, instances: EmptyI
             database.rollback()
 
 
-def test_only_new_and_truncated_objects_are_copied(populated: Api, tmp_path: Path) -> None:
-    first = back_up(settings_of(populated), tmp_path)
-    assert first.copied.count == 7  # a duplicate is the same object
-    *_, largest = content_files(tmp_path)
-    second = back_up(settings_of(populated), tmp_path)
-    assert second.copied.count == 0
-    assert second.snapshot.objects == first.snapshot.objects
+def test_only_new_and_truncated_objects_are_copied(populated: Api, backed_up: Path) -> None:
+    assert len(content_files(backed_up)) == 7  # a duplicate is the same object
+    *_, largest = content_files(backed_up)
+    second = back_up(settings_of(populated), backed_up)
+    assert (second.copied.count, second.snapshot.objects) == (0, 7)
     with largest.open("r+b") as file:
         file.truncate(1000)  # as a power cut may leave it
-    third = back_up(settings_of(populated), tmp_path)
+    third = back_up(settings_of(populated), backed_up)
     assert third.copied.count == 1
-    assert verify_place(tmp_path).damage.first == []
+    assert verify_place(backed_up).damage.first == []
 
 
 @pytest.mark.slow
@@ -103,44 +101,44 @@ def test_lost_and_corrupt_objects_are_reported_and_others_backed_up(
             assert dict(database.execute(states).fetchall()) == {"lost": "lost", "corrupt": "corrupt", "fine": "stored"}
 
 
-def test_an_unavailable_store_fails_the_backup(populated: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unavailable_store_fails_the_backup(
+    populated: Api, backed_up: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("RCLONE_RETRIES", "1")  # else it waits for the store
     monkeypatch.setenv("RCLONE_LOW_LEVEL_RETRIES", "1")
     monkeypatch.setenv("RCLONE_RETRIES_SLEEP", "0")
     source = settings_of(populated)
-    back_up(source, tmp_path)
-    content_files(tmp_path)[0].unlink()  # only one is missing: rclone pauses for up to 2 s after each failed request
+    content_files(backed_up)[0].unlink()  # only one is missing: rclone pauses for up to 2 s after each failed request
     with pytest.raises(BackupUnreachable, match="does not answer"):
-        back_up(source.model_copy(update={"s3_internal_url": "http://127.0.0.1:9"}), tmp_path)
-    assert len([*tmp_path.glob("snapshots/*.json")]) == 1
-    made = back_up(source, tmp_path)
+        back_up(source.model_copy(update={"s3_internal_url": "http://127.0.0.1:9"}), backed_up)
+    assert len([*backed_up.glob("snapshots/*.json")]) == 1
+    made = back_up(source, backed_up)
     assert (made.problems.first, made.copied.count) == ([], 1)
-    assert verify_place(tmp_path).damage.first == []
+    assert verify_place(backed_up).damage.first == []
 
 
 def test_an_instance_that_is_not_empty_is_not_restored_to(
-    populated: Api, instances: EmptyInstances, tmp_path: Path
+    populated: Api, instances: EmptyInstances, backed_up: Path
 ) -> None:
-    back_up(settings_of(populated), tmp_path)
     with instances.empty() as target:
         write_object(target, "somebody's", b"bytes")
         with pytest.raises(BackupConflict, match="is not empty"):
-            restore_to(target, tmp_path)
+            restore_to(target, backed_up)
     with instances.empty() as target:
         lived = settings_of(populated).model_copy(update={"s3_bucket": target.s3_bucket})
         lived = lived.model_copy(update={"migration_database_url": lived.database_url})
         with pytest.raises(BackupConflict, match="The database is not empty"):
-            restore_to(lived, tmp_path)
+            restore_to(lived, backed_up)
 
 
 @pytest.mark.slow
 def test_an_interrupted_restore_continues(
-    populated: Api, instances: EmptyInstances, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    populated: Api, instances: EmptyInstances, backed_up: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source = settings_of(populated)
-    made = back_up(source, tmp_path)
-    other = back_up(source, tmp_path)
-    snapshot_id = made.snapshot.id
+    [document] = backed_up.glob("snapshots/*.json")
+    snapshot_id = document.stem
+    other = back_up(source, backed_up)
     copy, adjust_rows = Rclone.copy, backup_database._adjust_rows
 
     def copy_two(self: Rclone, source: str, target: str, paths: Collection[str]) -> dict[str, str]:
@@ -153,39 +151,37 @@ def test_an_interrupted_restore_continues(
     with instances.empty() as target:
         monkeypatch.setattr(Rclone, "copy", copy_two)
         with pytest.raises(BackupError, match="ended"):
-            restore_to(target, tmp_path, snapshot_id=snapshot_id)
+            restore_to(target, backed_up, snapshot_id=snapshot_id)
         monkeypatch.setattr(Rclone, "copy", copy)
         with pytest.raises(BackupConflict, match="was not finished"):
-            restore_to(target, tmp_path, snapshot_id=other.snapshot.id)
+            restore_to(target, backed_up, snapshot_id=other.snapshot.id)
         monkeypatch.setattr(backup_database, "_adjust_rows", fail)
         with pytest.raises(BackupError, match="ended"):
-            restore_to(target, tmp_path, snapshot_id=snapshot_id)
+            restore_to(target, backed_up, snapshot_id=snapshot_id)
         with psycopg.connect(plain_dsn(target.database_url)) as database:
             tables = database.execute("SELECT count(*) FROM pg_tables WHERE schemaname = 'public'").fetchall()
         assert tables == [(0,)]  # all or nothing
         monkeypatch.setattr(backup_database, "_adjust_rows", adjust_rows)
-        assert restore_to(target, tmp_path, snapshot_id=snapshot_id).sent == 0
+        assert restore_to(target, backed_up, snapshot_id=snapshot_id).sent == 0
         assert rows(target) == rows(source)
         assert contents(target) == contents(source)
 
 
 def test_a_backup_of_an_earlier_schema_is_upgraded(
-    populated: Api, instances: EmptyInstances, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    instances: EmptyInstances, backed_up: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    back_up(settings_of(populated), tmp_path / "backup")
     add_migration(backup_database, tmp_path, monkeypatch)
     with instances.empty() as target:
-        restore_to(target, tmp_path / "backup")
+        restore_to(target, backed_up)
         with psycopg.connect(plain_dsn(target.database_url)) as database:
             assert database.execute("SELECT version_num FROM alembic_version").fetchall() == [(NEXT,)]
             assert database.execute("SELECT count(*) FROM file WHERE added <> path").fetchall() == [(0,)]
 
 
-def test_a_backup_of_a_later_schema_is_refused(populated: Api, instances: EmptyInstances, tmp_path: Path) -> None:
-    back_up(settings_of(populated), tmp_path)
-    [document] = tmp_path.glob("snapshots/*.json")
+def test_a_backup_of_a_later_schema_is_refused(instances: EmptyInstances, backed_up: Path) -> None:
+    [document] = backed_up.glob("snapshots/*.json")
     document_values = json.loads(document.read_bytes().partition(b"\n")[2])
     body = json.dumps({**document_values, "revision": "9999", "kleinkram": "7.0.0"}).encode()
     document.write_bytes(sha256(body).hexdigest().encode() + b"\n" + body)
     with instances.empty() as target, pytest.raises(BackupError, match=r"restore it with 7\.0\.0 or later"):
-        restore_to(target, tmp_path)
+        restore_to(target, backed_up)

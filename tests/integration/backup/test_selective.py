@@ -2,10 +2,11 @@
 
 import json
 import os
+import shutil
 import subprocess
-import uuid
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -18,7 +19,6 @@ from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.backup.instances import (
     back_up,
-    content_files,
     contents,
     delete_object,
     opened,
@@ -35,10 +35,78 @@ NOTES = 'rain\tand\\n\nsnow \u2603 \\N {a,"b"}'
 METADATA = {"weather": 'quoted "rain"\\n\n', "tags": 3}
 
 
-@pytest.fixture(name="lab")
+class Saved(NamedTuple):
+    """A project that is in the backup, its missions, and the folder of the backup."""
+
+    project: Any
+    missions: list[Any]
+    place: Path
+
+
+# Files of the missions of a project for each test. Equal bytes are in one project only.
+_PROJECTS: dict[str, Sequence[dict[str, bytes]]] = {
+    "a purged mission": [{"a b.bin": b"one", "folder/\u00e4.bin": b"two"}, {}],
+    "a purged project": [{"a.bin": b"project 1"}, {"a.bin": b"project 2"}],
+    "other bytes": [{"run/a.bin": b"old", "folder": b"a file", "b.bin": b"in the trash"}],
+    "a lost file": [{"a.bin": b"alike"}, {}],
+    "one file": [{"a.bin": b"not restored", "b.bin": b"restored"}],
+    "bytes being deleted": [{"a.bin": b"being deleted"}],
+    "a damaged backup": [{"good.bin": b"good", "long.bin": b"altered in the backup"}],
+    "damaged bytes": [{"a.bin": b"intact"}],
+    "an interruption": [{"a.bin": b"written"}, {"a.bin": b"not written"}],
+    "refusals": [{"a.bin": b"refused"}],
+    "the command": [{"a.bin": b"c"}],
+}
+# Uploaded when those above are verified: only then are equal bytes linked.
+_LINKED = {
+    "a purged mission": [{"copy.bin": b"one"}, {"kept.bin": b"two"}],
+    "a lost file": [{}, {"b.bin": b"alike"}],
+}
+
+
+@pytest.fixture(name="lab", scope="module")
 def _lab(start_api: StartApi) -> Api:
     """A server that deletes at once what is deleted."""
     return start_api(trash_days=0, garbage_grace_s=0, reverify_days=0)
+
+
+@pytest.fixture(scope="module")
+def owner(lab: Api) -> Api:
+    """The person who owns all projects."""
+    return lab.as_(people.person(lab).token)
+
+
+@pytest.fixture(scope="module")
+def saved(lab: Api, owner: Api, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Saved]:
+    """The projects of all tests, in one backup."""
+    place: Path = tmp_path_factory.mktemp("backup")
+    projects = {}
+    for name, missions in _PROJECTS.items():
+        project = owner.project(description="two days")
+        projects[name] = Saved(project, [owner.mission(project["id"]) for _ in missions], place)
+        _upload_all(owner, projects[name], missions)
+    mission = projects["a purged mission"].missions[0]
+    lab.sql("UPDATE mission SET notes = %s, metadata = %s WHERE id = %s", NOTES, json.dumps(METADATA), mission["id"])
+    run_jobs(lab)
+    for name, missions in _LINKED.items():
+        _upload_all(owner, projects[name], missions)
+    labelled = _files(lab, mission["id"])["a b.bin"]
+    lab.patch(f"/files/{labelled['id']}", {"labels": ["dusk {x}", 'quo"te']}).ok()
+    run_jobs(lab)
+    back_up(settings_of(lab), place)
+    return projects
+
+
+def _upload_all(owner: Api, saved: Saved, missions: Sequence[dict[str, bytes]]) -> None:
+    for mission, files in zip(saved.missions, missions, strict=True):
+        for path, body in files.items():
+            upload(owner, mission["id"], path, body)
+
+
+def _key(api: Api, mission: Any, path: str) -> str:
+    """The object of a file."""
+    query = "SELECT key FROM blob JOIN file ON file.blob_id = blob.id WHERE mission_id = %s AND path = %s"
+    return str(api.sql(query, mission["id"], path)[0][0])
 
 
 def _restore(api: Api, place: Path, project: str, *more: str | None, dry_run: bool = False) -> SelectiveRestore:
@@ -62,30 +130,19 @@ def _content(api: Api, file_id: str) -> bytes:
     return fetch(signed["url"])[1]
 
 
-def test_a_purged_mission_returns_with_ids_names_notes_metadata_and_bytes(lab: Api, tmp_path: Path) -> None:
-    project = lab.project()
-    mission = lab.mission(project["id"])
-    values = (NOTES, json.dumps(METADATA), mission["id"])
-    lab.sql("UPDATE mission SET notes = %s, metadata = %s WHERE id = %s", *values)
-    other = lab.mission(project["id"])
+def test_a_purged_mission_returns_with_ids_names_notes_metadata_and_bytes(lab: Api, saved: dict[str, Saved]) -> None:
+    project, (mission, _), place = saved["a purged mission"]
     bodies = {"a b.bin": b"one", "folder/\u00e4.bin": b"two", "copy.bin": b"one"}
-    for path, body in bodies.items():
-        upload(lab, mission["id"], path, body)
-        run_jobs(lab)  # only verified bytes are linked
-    upload(lab, other["id"], "kept.bin", b"two")
     before = _files(lab, mission["id"])
-    lab.patch(f"/files/{before['a b.bin']['id']}", {"labels": ["dusk {x}", 'quo"te']}).ok()
-    run_jobs(lab)
-    back_up(settings_of(lab), tmp_path)
     lab.delete(f"/missions/{mission['id']}").ok()
     _purge(lab)
     lab.get(f"/missions/{mission['id']}").refused(404, "not_found")
 
-    planned = _restore(lab, tmp_path, project["name"], mission["name"], dry_run=True)
+    planned = _restore(lab, place, project["name"], mission["name"], dry_run=True)
     assert (planned.files, planned.copied_bytes, planned.created) == (3, 3, [f"mission {mission['name']}"])
     lab.get(f"/missions/{mission['id']}").refused(404, "not_found")
 
-    done = _restore(lab, tmp_path, project["name"], mission["name"])
+    done = _restore(lab, place, project["name"], mission["name"])
     assert (done.files, done.file_bytes, done.copied_bytes) == (3, 9, 3), "what another file has is not copied"
     read = lab.get(f"/missions/{mission['id']}").ok()
     assert (read["name"], read["notes"], read["metadata"]) == (mission["name"], NOTES, METADATA)
@@ -100,21 +157,16 @@ def test_a_purged_mission_returns_with_ids_names_notes_metadata_and_bytes(lab: A
     (event,) = [one for one in lab.events(after["a b.bin"]["id"]) if one["operation"] == "file.restore"]
     assert (event["actor"], event["after"]["backup"]) == (None, done.snapshot.id)
     assert event["after"]["sha256"] == sha256(b"one")
-    again = _restore(lab, tmp_path, project["id"], mission["id"])
+    again = _restore(lab, place, project["id"], mission["id"])
     assert (again.files, again.present, again.copied_bytes, again.created) == (0, 3, 0, [])
 
 
-def test_a_purged_project_returns_and_only_admins_see_it(lab: Api, tmp_path: Path) -> None:
-    owner = lab.as_(people.person(lab).token)
-    project = owner.project(description="two days")
-    missions = [owner.mission(project["id"]) for _ in range(2)]
-    for mission in missions:
-        upload(owner, mission["id"], "a.bin", mission["id"].encode())
-    back_up(settings_of(lab), tmp_path)
+def test_a_purged_project_returns_and_only_admins_see_it(lab: Api, owner: Api, saved: dict[str, Saved]) -> None:
+    project, _, place = saved["a purged project"]
     lab.delete(f"/projects/{project['id']}").ok()
     _purge(lab)
     other = owner.project(name=project["name"])
-    done = _restore(lab, tmp_path, project["id"])
+    done = _restore(lab, place, project["id"])
     assert (done.files, len(done.created)) == (2, 3)
     read = lab.get(f"/projects/{project['id']}").ok()
     assert read["name"].startswith(f"{project['name']} (restored 20")
@@ -122,18 +174,14 @@ def test_a_purged_project_returns_and_only_admins_see_it(lab: Api, tmp_path: Pat
     owner.get(f"/projects/{project['id']}").refused(404, "not_found")
 
 
-def test_other_bytes_at_the_path_stay_and_the_file_returns_in_a_folder(lab: Api, tmp_path: Path) -> None:
-    project = lab.project()
-    mission = lab.mission(project["id"])
-    old = upload(lab, mission["id"], "run/a.bin", b"old")
-    upload(lab, mission["id"], "folder", b"a file")
-    upload(lab, mission["id"], "b.bin", b"in the trash")
-    back_up(settings_of(lab), tmp_path)
-    for item in _files(lab, mission["id"]).values():
+def test_other_bytes_at_the_path_stay_and_the_file_returns_in_a_folder(lab: Api, saved: dict[str, Saved]) -> None:
+    project, (mission,), place = saved["other bytes"]
+    old = _files(lab, mission["id"])
+    for item in old.values():
         lab.delete(f"/files/{item['id']}").ok()
     upload(lab, mission["id"], "run/a.bin", b"new")
     upload(lab, mission["id"], "folder/inside", b"x")
-    done = _restore(lab, tmp_path, project["name"], mission["name"])
+    done = _restore(lab, place, project["name"], mission["name"])
     assert done.files == 3
     assert sorted(done.renamed) == ["folder", "run/a.bin"]
     bodies = {item["path"]: _content(lab, item["id"]) for item in _files(lab, mission["id"]).values()}
@@ -143,91 +191,77 @@ def test_other_bytes_at_the_path_stay_and_the_file_returns_in_a_folder(lab: Api,
         b"in the trash",
     )
     assert bodies[done.renamed["folder"]] == b"a file"
-    assert old["id"] not in {item["id"] for item in _files(lab, mission["id"]).values()}, "the trash still has that id"
-    again = _restore(lab, tmp_path, project["name"], mission["name"])
+    ids = {item["id"] for item in _files(lab, mission["id"]).values()}
+    assert old["run/a.bin"]["id"] not in ids, "the trash still has that id"
+    again = _restore(lab, place, project["name"], mission["name"])
     assert (again.files, again.present) == (0, 3)
 
 
-def test_a_lost_file_is_repaired_for_all_that_have_its_bytes(lab: Api, tmp_path: Path) -> None:
-    project = lab.project()
-    mission, other = lab.mission(project["id"]), lab.mission(project["id"])
-    upload(lab, mission["id"], "a.bin", b"alike")
-    run_jobs(lab)  # only verified bytes are linked
-    upload(lab, other["id"], "b.bin", b"alike")
-    run_jobs(lab)
-    back_up(settings_of(lab), tmp_path)
-    for (key,) in lab.sql("UPDATE blob SET state = 'lost', damaged_at = now() RETURNING key"):
-        delete_object(settings_of(lab), key)
-    done = _restore(lab, tmp_path, project["name"], mission["name"], "a.bin")
+def test_a_lost_file_is_repaired_for_all_that_have_its_bytes(lab: Api, saved: dict[str, Saved]) -> None:
+    project, (mission, _), place = saved["a lost file"]
+    key = _key(lab, mission, "a.bin")
+    lab.sql("UPDATE blob SET state = 'lost', damaged_at = now() WHERE key = %s", key)
+    delete_object(settings_of(lab), key)
+    done = _restore(lab, place, project["name"], mission["name"], "a.bin")
     assert (done.files, done.repaired, done.copied_bytes) == (0, 1, 5)
-    assert "lost" not in contents(settings_of(lab)).values()
+    assert contents(settings_of(lab))[key] == sha256(b"alike")
     run_jobs(lab)
-    assert lab.sql("SELECT DISTINCT state FROM blob") == [("verified",)]
     (file,) = _files(lab, mission["id"]).values()
+    assert file["state"] == "verified"
     assert "file.repair" in [one["operation"] for one in lab.events(file["id"])]
 
 
-def test_one_file_is_restored_alone(lab: Api, tmp_path: Path) -> None:
-    project = lab.project()
-    mission = lab.mission(project["id"])
-    for path in ("a.bin", "b.bin"):
-        upload(lab, mission["id"], path, path.encode())
-    back_up(settings_of(lab), tmp_path)
+def test_one_file_is_restored_alone(lab: Api, saved: dict[str, Saved]) -> None:
+    project, (mission,), place = saved["one file"]
     for item in _files(lab, mission["id"]).values():
         lab.delete(f"/files/{item['id']}").ok()
     _purge(lab)
-    assert _restore(lab, tmp_path, project["name"], mission["name"], "B.bin").files == 1
+    assert _restore(lab, place, project["name"], mission["name"], "B.bin").files == 1
     assert [*_files(lab, mission["id"])] == ["b.bin"]
 
 
-def test_a_file_whose_bytes_are_being_deleted_is_restored_later(lab: Api, tmp_path: Path) -> None:
-    project = lab.project()
-    mission = lab.mission(project["id"])
-    item = upload(lab, mission["id"], "a.bin", b"a")
-    back_up(settings_of(lab), tmp_path)
+def test_a_file_whose_bytes_are_being_deleted_is_restored_later(lab: Api, saved: dict[str, Saved]) -> None:
+    project, (mission,), place = saved["bytes being deleted"]
+    key, (item,) = _key(lab, mission, "a.bin"), _files(lab, mission["id"]).values()
     lab.delete(f"/files/{item['id']}").ok()
     lab.sql("DELETE FROM file WHERE id = %s", item["id"])
-    lab.sql("UPDATE blob SET marked_for_deletion_at = now()")
-    early = _restore(lab, tmp_path, project["name"], mission["name"])
+    lab.sql("UPDATE blob SET marked_for_deletion_at = now() WHERE key = %s", key)
+    early = _restore(lab, place, project["name"], mission["name"])
     assert (early.files, "are being deleted" in early.unavailable.first[0]) == (0, True)
     _purge(lab)
-    later = _restore(lab, tmp_path, project["name"], mission["name"])
+    later = _restore(lab, place, project["name"], mission["name"])
     assert (later.files, later.unavailable.count) == (1, 0)
 
 
-def test_damaged_backups_restore_what_they_can(lab: Api, tmp_path: Path) -> None:
-    project = lab.project()
-    mission = lab.mission(project["id"])
-    upload(lab, mission["id"], "good.bin", b"good")
-    upload(lab, mission["id"], "long.bin", b"altered in the backup")
-    back_up(settings_of(lab), tmp_path)
-    content_files(tmp_path)[-1].write_bytes(b"altered in the backup!")
+def test_damaged_backups_restore_what_they_can(lab: Api, saved: dict[str, Saved], tmp_path: Path) -> None:
+    project, (mission,), place = saved["a damaged backup"]
+    damaged = shutil.copytree(place, tmp_path / "damaged")
+    key = _key(lab, mission, "long.bin")
+    (damaged / "objects" / key).write_bytes(b"altered in the backup!")
     lab.delete(f"/missions/{mission['id']}").ok()
     _purge(lab)
-    done = _restore(lab, tmp_path, project["name"], mission["name"])
+    done = _restore(lab, damaged, project["name"], mission["name"])
     assert (done.files, done.unavailable.count, "long.bin" in done.unavailable.first[0]) == (1, 1, True)
     assert [*_files(lab, mission["id"])] == ["good.bin"]
     assert "lost" not in contents(settings_of(lab)).values(), "no row without its object"
 
 
-def test_damaged_bytes_of_the_instance_stay_if_the_backup_does_not_have_better_ones(lab: Api, tmp_path: Path) -> None:
-    project = lab.project()
-    mission = lab.mission(project["id"])
-    upload(lab, mission["id"], "a.bin", b"intact")
-    back_up(settings_of(lab), tmp_path)
-    content_files(tmp_path)[-1].unlink()
-    for (key,) in lab.sql("UPDATE blob SET state = 'corrupt', damaged_at = now() RETURNING key"):
-        write_object(settings_of(lab), key, b"intacT")
-    done = _restore(lab, tmp_path, project["name"])
+def test_damaged_bytes_of_the_instance_stay_if_the_backup_does_not_have_better_ones(
+    lab: Api, saved: dict[str, Saved], tmp_path: Path
+) -> None:
+    project, (mission,), place = saved["damaged bytes"]
+    damaged = shutil.copytree(place, tmp_path / "damaged")
+    key = _key(lab, mission, "a.bin")
+    (damaged / "objects" / key).unlink()
+    lab.sql("UPDATE blob SET state = 'corrupt', damaged_at = now() WHERE key = %s", key)
+    write_object(settings_of(lab), key, b"intacT")
+    done = _restore(lab, damaged, project["name"])
     assert (done.repaired, done.unavailable.count) == (0, 1)
-    assert [*contents(settings_of(lab)).values()] == [sha256(b"intacT")]
+    assert contents(settings_of(lab))[key] == sha256(b"intacT")
 
 
-def test_an_interrupted_restore_continues(lab: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    project = lab.project()
-    for _ in range(2):
-        upload(lab, lab.mission(project["id"])["id"], "a.bin", uuid.uuid4().bytes)
-    back_up(settings_of(lab), tmp_path)
+def test_an_interrupted_restore_continues(lab: Api, saved: dict[str, Saved], monkeypatch: pytest.MonkeyPatch) -> None:
+    project, _, place = saved["an interruption"]
     lab.delete(f"/projects/{project['id']}").ok()
     _purge(lab)
     write = selective._Restoration._write
@@ -241,39 +275,33 @@ def test_an_interrupted_restore_continues(lab: Api, tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(selective._Restoration, "_write", fail_later)
     with pytest.raises(BackupError, match="ended"):
-        _restore(lab, tmp_path, project["name"])
+        _restore(lab, place, project["name"])
     monkeypatch.setattr(selective._Restoration, "_write", write)
-    done = _restore(lab, tmp_path, project["name"])
+    done = _restore(lab, place, project["name"])
     assert (done.files, done.present, done.copied_bytes) == (1, 1, 0), "its object was copied before"
     assert len(lab.all("/files", {"project_id": project["id"]})) == 2
 
 
-def test_what_cannot_be_restored_is_refused_with_a_sentence(lab: Api, start_api: StartApi, tmp_path: Path) -> None:
-    owner = lab.as_(people.person(lab).token)
-    project = owner.project()
-    mission = owner.mission(project["id"])
-    upload(owner, mission["id"], "a.bin", b"a")
-    back_up(settings_of(lab), tmp_path)
+def test_what_cannot_be_restored_is_refused_with_a_sentence(lab: Api, api: Api, saved: dict[str, Saved]) -> None:
+    project, (mission,), place = saved["refusals"]
     for more in (("no such",), (mission["name"], "no such")):
         with pytest.raises(BackupNotFound, match="no such"):
-            _restore(lab, tmp_path, project["name"], *more)
+            _restore(lab, place, project["name"], *more)
     with pytest.raises(BackupNotFound, match="The backup has no project no such"):
-        _restore(lab, tmp_path, "no such")
+        _restore(lab, place, "no such")
     with pytest.raises(BackupRequestInvalid, match="name its mission"):
-        _restore(lab, tmp_path, project["name"], None, "a.bin")
+        _restore(lab, place, project["name"], None, "a.bin")
     with pytest.raises(BackupConflict, match="of another instance"):
-        _restore(start_api(), tmp_path, project["name"])
+        _restore(api, place, project["name"])
     lab.delete(f"/missions/{mission['id']}").ok()
     with pytest.raises(BackupConflict, match=r"is in the trash.*klein trash restore"):
-        _restore(lab, tmp_path, project["name"], mission["name"])
+        _restore(lab, place, project["name"], mission["name"])
 
 
-def test_the_command_prints_what_it_restored(lab: Api, tmp_path: Path) -> None:
-    project = lab.project()
-    mission = lab.mission(project["id"])
-    item = upload(lab, mission["id"], "a.bin", b"a")
+def test_the_command_prints_what_it_restored(lab: Api, saved: dict[str, Saved]) -> None:
+    project, (mission,), place = saved["the command"]
+    (item,) = _files(lab, mission["id"]).values()
     settings = settings_of(lab)
-    back_up(settings, tmp_path)
     lab.delete(f"/files/{item['id']}").ok()
     environment = {
         **os.environ,
@@ -285,7 +313,7 @@ def test_the_command_prints_what_it_restored(lab: Api, tmp_path: Path) -> None:
     }
 
     def run(**more: object) -> "subprocess.CompletedProcess[str]":
-        request = {"command": "restore", "location": str(tmp_path), "project": project["name"], **more}
+        request = {"command": "restore", "location": str(place), "project": project["name"], **more}
         return run_backup(request, environment)
 
     planned = run(dry_run=True)

@@ -9,15 +9,13 @@ from typing import Any
 import pytest
 import zstandard
 
-from kleinkram.recordings import FileSource, Lost
+from kleinkram.recordings import FileSource
 from kleinkram.recordings.formats.mcap.format import read_index
 from kleinkram.recordings.sample import generate_mcap
-from kleinkram.recordings.sources import CountingSource, SourceReader
-from kleinkram.recordings.summary import scan
+from kleinkram.recordings.sources import CountingSource
 from kleinkram.server.blobs import readers as readers_module
 from kleinkram.server.settings import Settings
 from tests.integration.api_server import Api
-from tests.integration.corpus import Corpus
 from tests.integration.fault_proxy import Cut, ProxiedRequest, standing_before
 from tests.integration.jobs import on_site, run_jobs
 from tests.integration.upload_client import upload
@@ -164,24 +162,6 @@ def test_bytes_of_another_number_are_no_recording_to_read(
     read = api.get(f"/files/{file['id']}").ok()
     assert (read["state"], read["content"], read["depth"]) == ("corrupt", "pending", None)
     assert time.monotonic() - began_at < api.app.state.settings.summary_timeout_s, "nobody waits for what is not there"
-
-
-@pytest.mark.slow
-def test_every_real_recording_has_the_same_summary_on_the_server(corpus: Corpus) -> None:
-    api = corpus.api
-    listed = {item["path"]: item for item in api.all("/files", {"mission_id": corpus.mission_id})}
-    topics: dict[str, set[tuple[str, str, int]]] = {}
-    for topic in api.all("/topics", {"mission_id": corpus.mission_id, "limit": "500"}):
-        topics.setdefault(topic["file_id"], set()).add((topic["name"], topic["message_type"], topic["count"]))
-    assert listed.keys() == corpus.files.keys()
-    for name, read in listed.items():
-        with FileSource(corpus.folder / name) as source:
-            here = scan(SourceReader(source))
-        assert read["state"] == "verified", name
-        assert (read["content"], read["message_count"]) == (here.content.value, here.message_count), name
-        assert (read["start_ns"], read["end_ns"]) == (here.start_ns, here.end_ns), name
-        assert (read["lost"] and Lost(**read["lost"])) == here.lost, name
-        assert topics.get(read["id"], set()) == {(t.name, t.message_type, t.count) for t in here.topics}, name
 
 
 def test_a_recording_that_is_compressed_as_a_whole(api: Api, mission_id: str, tmp_path: Path) -> None:

@@ -7,12 +7,22 @@ from collections.abc import Iterator
 
 import pytest
 
+from kleinkram.action import testing
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.runs.conftest import place, runner
+from tests.klein import run_script
 from tests.package_index import PackageIndex, serve_index
 
 __all__ = ["place", "runner"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _forked_scripts() -> Iterator[None]:
+    """Fork what `try_out` runs: Python and the imports of a script take longer than most of these missions."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(testing, "_run_script", run_script)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -6,14 +6,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
-import pytest
-
 from kleinkram.client import Client, connect
 from kleinkram.contract.files import RecordingRead
 from kleinkram.recordings import Content, NotARecording
 from tests.conftest import MakeCase
 from tests.integration.api_server import Api
-from tests.integration.corpus import Corpus
 from tests.integration.jobs import run_jobs
 from tests.integration.recordings.test_readers_agree import CASE_NUMBERS, WITHOUT_RECORDINGS
 from tests.integration.upload_client import upload_all
@@ -62,11 +59,6 @@ def found_on_server(api: Api, mission_id: str, folder: Path) -> Mapping[str, lis
             if named := disagreements(accounts):
                 actual[name] = named
     return actual
-
-
-@pytest.mark.slow
-def test_the_server_agrees_with_all_readers_on_every_real_recording(corpus: Corpus) -> None:
-    assert found_on_server(corpus.api, corpus.mission_id, corpus.folder) == {}
 
 
 def test_the_server_agrees_with_all_readers_on_former_failures(

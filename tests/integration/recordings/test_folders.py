@@ -1,16 +1,12 @@
 """Recordings of several files: the server agrees with `klein inspect` on the same folder."""
 
 import uuid
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import pytest
 from ruamel.yaml import YAML
 from sqlalchemy import event
 
-from kleinkram.recordings import Depth
-from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.execution import BackPressure
 from kleinkram.server.overviews import jobs as derivation_jobs
@@ -18,61 +14,15 @@ from kleinkram.server.overviews.jobs import DerivationDebounce
 from kleinkram.server.recordings import derive as derivation
 from kleinkram.server.recordings.derive import Derived
 from tests.integration.api_server import Api
-from tests.integration.corpus import Corpus
 from tests.integration.jobs import drain, on_site, run_jobs
 from tests.integration.sample import Sample
 from tests.integration.upload_client import upload_all
-
-# What is odd about the whole; what is odd inside one file, the server tells with the file.
-_OF_THE_WHOLE = ("metadata-", "member-", "topic-types-differ")
-_NOT_HEALTHY = {
-    "broken/metadata_only_data_missing": {"member-missing"},
-    "broken/wrong_rmw_db3": {"metadata-encoding"},
-    "derived/metadata_wrong_counts": {"metadata-count", "metadata-topic-count"},
-    "derived/split_missing_file": {"member-missing"},
-}
 
 
 @pytest.fixture(name="api", scope="module")
 def _api(start_api: Any) -> Api:
     api: Api = start_api()
     return api
-
-
-def _problems(problems: Any) -> list[tuple[str, str, str]]:
-    named = [(item["code"], item["where"], item["message"]) for item in problems]
-    return [item for item in named if item[0].startswith(_OF_THE_WHOLE)]
-
-
-@pytest.mark.slow
-def test_every_real_recording_of_several_files_has_equal_summaries(corpus: Corpus) -> None:
-    named = {item["name"]: item for item in corpus.api.all(f"/missions/{corpus.mission_id}/recordings")}
-    here = {item.path: item for item in inspect_paths([corpus.folder], depth=Depth.scan)}
-    several = {
-        path.removeprefix(f"{corpus.folder}/"): item
-        for path, item in here.items()
-        if item.kind is InspectionKind.recording
-    }
-    assert {name for name, item in named.items() if item["kind"] != "single"} == several.keys()
-    assert several.keys() >= {*_NOT_HEALTHY, "ros2-db3/file_zstd_split"}
-    for name, inspection in several.items():
-        _same(named[name], inspection, corpus.folder)
-        codes = {code for code, _, _ in _problems(named[name]["problems"])}
-        assert codes == _NOT_HEALTHY.get(name, set()), name
-
-
-def _same(named: Mapping[str, Any], here: Inspection, folder: Path) -> None:
-    summary = here.summary
-    members = [path for path in named["paths"] if not path.endswith("metadata.yaml")]
-    assert sorted(members) == sorted(path.removeprefix(f"{folder}/") for path in here.members)
-    assert (named["content"], named["content_reason"]) == (summary.content.value, summary.reason), here.path
-    assert (named["message_count"], named["start_ns"], named["end_ns"]) == (
-        summary.message_count,
-        summary.start_ns,
-        summary.end_ns,
-    ), here.path
-    assert (named["lost"] and named["lost"]["messages"]) == (summary.lost and summary.lost.messages), here.path
-    assert _problems(named["problems"]) == _problems(vars(item) for item in summary.problems), here.path
 
 
 def test_deriving_takes_as_many_queries_for_many_recordings_as_for_one(api: Api, mission_id: str) -> None:

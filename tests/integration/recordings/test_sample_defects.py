@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from io import BytesIO
@@ -29,7 +29,9 @@ from kleinkram.recordings.sample import (
     generate_rig,
 )
 from kleinkram.recordings.sample.robots import Robot, legged, vehicle
+from tests.klein import run_klein
 
+pytestmark = pytest.mark.usefixtures("remembered_scenes")
 SECOND = 1_000_000_000
 SECONDS = 3.0
 VEHICLE, LEGGED = vehicle(camera_bytes=4000, lidar_points=64), legged()
@@ -480,8 +482,7 @@ def test_defects_of_a_drive_of_a_size(tmp_path: Path) -> None:
 
 
 def klein(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from kleinkram.cli.main import main; main()", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return run_klein([*map(str, arguments)], os.environ)
 
 
 def test_the_help_lists_every_defect() -> None:

@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from kleinkram.contract.tokens import has_valid_checksum
+from kleinkram.contract.token_format import has_valid_checksum
 from kleinkram.standalone import object_store
 from kleinkram.standalone.address import Listening, is_free
 from kleinkram.standalone.data_dir import DataDir, load_secrets

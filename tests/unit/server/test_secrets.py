@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.contract.tokens import PATTERN, SecretKind, has_valid_checksum, with_checksum
+from kleinkram.contract.token_format import PATTERN, SecretKind, has_valid_checksum, with_checksum
 from kleinkram.server.access.actor import new_secret, secret_prefix
 
 

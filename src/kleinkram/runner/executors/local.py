@@ -24,6 +24,7 @@ from kleinkram.contract.runs import LOG_BYTES, EndReason, RunPlacement
 from kleinkram.environments.cache import CannotInstall, Environment, EnvironmentCache, EnvironmentRequest, Show
 from kleinkram.environments.python import Python, PythonUnknown
 from kleinkram.environments.uv import PackageIndex, Wait, find_uv
+from kleinkram.machine import memory_bytes
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, LockedScript, RunJob
 from kleinkram.runner.executors.gpu_pool import GpuPool, GpusUnavailable, acquire_gpus, recorded_gpus
 from kleinkram.runner.executors.gpus import OPTION, Gpu, GpuRequest
@@ -38,7 +39,6 @@ _CACHE_SHARE = 0.3
 _ENVIRONMENTS_SHARE = 0.1
 _DAY_S = 86_400.0
 _IMAGES_SHARE = 0.2
-_CGROUP_MEMORY = Path("/sys/fs/cgroup/memory.max")
 # Where the runner is root, each job has its own uid, from a range that no system assigns.
 _FIRST_UID = 1_000_000_000
 _UIDS = 1_000_000_000
@@ -94,14 +94,6 @@ def _used_bytes(directory: Path) -> int:
             with contextlib.suppress(OSError):
                 status = (Path(parent) / name).lstat()
                 total += status.st_blocks * 512 // status.st_nlink
-    return total
-
-
-def memory_bytes() -> int:
-    """Return the memory of this machine, or of the container that this process is in."""
-    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    with contextlib.suppress(OSError, ValueError):
-        return min(total, int(_CGROUP_MEMORY.read_text()))
     return total
 
 

@@ -14,7 +14,7 @@ from sqlalchemy import ColumnElement, Integer, Select, bindparam, case, exists, 
 
 from kleinkram.contract.access import Right, Scope, TokenKind
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.tokens import SecretKind, has_valid_checksum, with_checksum
+from kleinkram.contract.token_format import SecretKind, has_valid_checksum, with_checksum
 from kleinkram.server.access.builtin_groups import ADMINS_ID, OWNER_ID, OWNER_TOKEN_NAME
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import (

@@ -12,7 +12,7 @@ from kleinkram.contract.access import Scope
 from kleinkram.contract.accounts import AdminBootstrap, OneTimeLink
 from kleinkram.contract.errors import CodeGone, FieldProblem, Forbidden, InvalidRequest, SignInRefused
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.tokens import SecretKind
+from kleinkram.contract.token_format import SecretKind
 from kleinkram.server.access.actor import Actor, new_secret, secret_hash, secret_prefix, unexpired
 from kleinkram.server.access.builtin_groups import (
     ADMINS_ID,

@@ -14,7 +14,7 @@ from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.isolation import Isolation
 from kleinkram.contract.runners import AssignedInput, ClaimReply, ClaimRequest, RunAssignment
 from kleinkram.contract.runs import ActionRef, EndReason, RunState
-from kleinkram.contract.tokens import SecretKind
+from kleinkram.contract.token_format import SecretKind
 from kleinkram.server import metrics
 from kleinkram.server.access.actor import Actor, find_person, new_secret
 from kleinkram.server.access.visible import level_on_mission, visible_missions

@@ -11,7 +11,8 @@ from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FieldProblem, InvalidRequest, NotFound
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.tokens import SHARE_PAGE, SecretKind, ShareCreate, SharedRead, ShareMade, ShareRead
+from kleinkram.contract.token_format import SecretKind
+from kleinkram.contract.tokens import SHARE_PAGE, ShareCreate, SharedRead, ShareMade, ShareRead
 from kleinkram.server.access.actor import Actor, new_secret
 from kleinkram.server.access.rights import ensure_active_person, require_mission
 from kleinkram.server.access.visible import visible_files, visible_missions

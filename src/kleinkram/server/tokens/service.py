@@ -13,7 +13,8 @@ from kleinkram.contract.access import Scope, TokenKind
 from kleinkram.contract.base import Page
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.tokens import SecretKind, TokenCreate, TokenLimit, TokenMade, TokenRead, TokenRunner
+from kleinkram.contract.token_format import SecretKind
+from kleinkram.contract.tokens import TokenCreate, TokenLimit, TokenMade, TokenRead, TokenRunner
 from kleinkram.server.access.actor import Actor, NewSecret, new_secret
 from kleinkram.server.access.rights import ensure_active_person, lock_person, require_fresh_sign_in
 from kleinkram.server.access.visible import visible_missions, visible_projects

@@ -281,7 +281,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize("to", [ExportFormat.csv, ExportFormat.images])
+@pytest.mark.parametrize("to", [pytest.param(ExportFormat.csv, marks=pytest.mark.soak), ExportFormat.images])
 def test_memory_is_bounded(tmp_path: Path, large_mcap: Path, to: ExportFormat) -> None:
     process = start(str(large_mcap), str(tmp_path / "out"), to.value, "2")
     output, errors = process.communicate(timeout=110)

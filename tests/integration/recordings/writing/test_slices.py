@@ -9,7 +9,7 @@ import pytest
 from kleinkram.recordings import ChunkCompression, McapOptions, OutsideRecording, Recording, merge_to_mcap
 from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mcap
 from tests.recording_files.agreement import ParallelSource
-from tests.recording_files.corpus import MESSAGE_FORMATS, Entry, params
+from tests.recording_files.corpus import MESSAGE_FORMATS, Entry, params_to_write
 from tests.recording_files.independent import Stamped, independent_recording
 from tests.recording_files.whole_mcap import WholeMcap, read_whole_mcap
 
@@ -24,7 +24,7 @@ def middle_third(messages: list[Stamped]) -> tuple[int, int]:
     return start_ns, max(start_ns + 1, first_ns + 2 * (last_ns - first_ns) // 3)
 
 
-@pytest.mark.parametrize("entry", params(*MESSAGE_FORMATS))
+@pytest.mark.parametrize("entry", params_to_write(*MESSAGE_FORMATS))
 def test_slices_have_exactly_the_messages_of_independent_readers(
     entry: Entry, recordings_dir: Path, tmp_path: Path
 ) -> None:

@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from kleinkram.recordings import Recording
 from kleinkram.recordings.writing.csv_file import MAX_NUMBERED
 from tests.recording_files.builders import T0
-from tests.recording_files.corpus import Entry, params
+from tests.recording_files.corpus import Entry, params_to_write
 from tests.recording_files.ros_messages import TimedMessage, ros2_mcap
 from tests.recording_files.tables import json_mcap
 
@@ -89,7 +89,7 @@ def field_of(value: Any, header: str) -> Any:
     return value[number] if number < len(value) else None
 
 
-@pytest.mark.parametrize("entry", params("ROS1 bag 2.0"))
+@pytest.mark.parametrize("entry", params_to_write("ROS1 bag 2.0"))
 def test_every_topic_of_every_bag(entry: Entry, recordings_dir: Path, tmp_path: Path) -> None:
     expected = messages_by_rosbags(recordings_dir / entry.name)
     with Recording.open(recordings_dir / entry.name) as recording:

@@ -10,10 +10,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from kleinkram.recordings import CannotWrite, EmptyRange, NoSuchTopic, Recording
+from kleinkram.recordings.decoding import types
 from kleinkram.recordings.sample import generate_bag, generate_db3, generate_mcap
 from kleinkram.recordings.writing.topic_rows import _file_name
 from tests.recording_files.builders import T0
-from tests.recording_files.corpus import Entry, params
+from tests.recording_files.corpus import Entry, params_to_write
 from tests.recording_files.ros_messages import SECOND, TimedMessage, ros2_mcap
 from tests.recording_files.tables import as_arrow, json_mcap
 
@@ -25,7 +26,7 @@ def _plain(table: pa.Table) -> str:
     return repr(table.to_pylist())
 
 
-@pytest.mark.parametrize("entry", params(*FORMATS))
+@pytest.mark.parametrize("entry", params_to_write(*FORMATS))
 def test_every_topic_of_every_recording(entry: Entry, recordings_dir: Path, tmp_path: Path) -> None:
     with Recording.open(recordings_dir / entry.name) as recording:
         result = recording.to_parquet(tmp_path / "out")
@@ -119,9 +120,16 @@ def test_a_topic_is_written_in_row_groups(tmp_path: Path) -> None:
         assert as_arrow(file.path).equals(recording.to_arrow("/lidar/points"))
 
 
+@pytest.fixture
+def _small_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let 1000 messages be a batch."""
+    monkeypatch.setattr(types, "BATCH_MESSAGES", 1000)
+
+
+@pytest.mark.usefixtures("_small_batches")
 def test_json_of_many_shapes(tmp_path: Path) -> None:
     """More messages than fit into one batch, the last of which has another column."""
-    values: list[object] = [{"x": number, "name": "a"} for number in range(70_000)]
+    values: list[object] = [{"x": number, "name": "a"} for number in range(1100)]
     with Recording.open(json_mcap([*values, {"x": 1.5, "late": True}])) as recording:
         (file,) = recording.to_parquet(tmp_path).files
         table = as_arrow(file.path)
@@ -129,10 +137,11 @@ def test_json_of_many_shapes(tmp_path: Path) -> None:
     assert {"x", "name", "late"} <= set(table.column_names)
 
 
+@pytest.mark.usefixtures("_small_batches")
 @pytest.mark.parametrize("last", [{"y": "text"}, "text", True, None, [1]])
 def test_json_whose_columns_change_their_kind(tmp_path: Path, last: object) -> None:
     """As in `to_arrow`, what a column cannot hold is null, and is reported."""
-    values: list[object] = [{"x": number} for number in range(70_000)]
+    values: list[object] = [{"x": number} for number in range(1100)]
     with Recording.open(json_mcap([*values, {"x": last}])) as recording:
         (file,) = recording.to_parquet(tmp_path).files
         assert as_arrow(file.path).equals(recording.to_arrow("/state"))
