@@ -23,7 +23,7 @@ from tests.ports import choose_port
 _numbers = itertools.count(1)
 _MEMORY = Path("/dev/shm")
 _ENOUGH_BYTES = 4 * 2**30
-_MEMORY_OF_STORE = {"GOMEMLIMIT": "2GiB"}
+_MEMORY_OF_STORE = {"GOMEMLIMIT": "1GiB"}
 
 
 def fast_folder() -> str | None:
