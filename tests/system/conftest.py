@@ -57,6 +57,19 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
     cluster.end()
 
 
+@pytest.fixture(scope="module")
+def shared_cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A running Kleinkram for all tests of a module: to start one takes as much CPU time as a short test.
+
+    Each test has a project of its own name. None kills, restarts or configures the server, nor asserts what it has
+    altogether: all projects, people, runs.
+    """
+    cluster = Cluster(tmp_path_factory.mktemp("shared"))
+    cluster.start()
+    yield cluster
+    cluster.end()
+
+
 def _require_ip() -> None:
     if os.geteuid() != 0:
         missing("a second machine is made of a network namespace, which only root may make")

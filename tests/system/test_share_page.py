@@ -2,7 +2,6 @@
 
 import base64
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,15 +13,6 @@ from tests.system.cluster import Cluster
 _PIXEL = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
 )
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    """A Kleinkram for all tests of this module; each has a project of its own."""
-    site = Cluster(tmp_path_factory.mktemp("site"))
-    site.start()
-    yield site
-    site.end()
 
 
 @pytest.fixture
@@ -38,8 +28,10 @@ def _seen(browser: list[str], address: str) -> str:
 
 
 @pytest.mark.slow
-def test_the_share_page_shows_only_the_shared_files(site: Cluster, browser: list[str], tmp_path: Path) -> None:
-    terminal = site.terminal
+def test_the_share_page_shows_only_the_shared_files(
+    shared_cluster: Cluster, browser: list[str], tmp_path: Path
+) -> None:
+    terminal = shared_cluster.terminal
     folder = tmp_path / "day"
     folder.mkdir()
     for name, size in (("<b>bold<b>.bin", 1500), ("plain.bin", 20), ("hidden.bin", 5)):
@@ -60,14 +52,14 @@ def test_the_share_page_shows_only_the_shared_files(site: Cluster, browser: list
 
     terminal.run("share", "revoke", link)
     assert "This link has ended" in _seen(browser, link)
-    assert link.partition("#")[2] not in (site.data_dir / "logs").joinpath("api.log").read_text()
+    assert link.partition("#")[2] not in (shared_cluster.data_dir / "logs").joinpath("api.log").read_text()
 
 
 @pytest.mark.slow
 def test_the_share_page_of_a_mission_shows_metadata_topics_and_a_picture(
-    site: Cluster, browser: list[str], tmp_path: Path
+    shared_cluster: Cluster, browser: list[str], tmp_path: Path
 ) -> None:
-    terminal = site.terminal
+    terminal = shared_cluster.terminal
     folder = tmp_path / "day"
     folder.mkdir()
     generate_mcap(folder / "drive.mcap", duration_s=5)

@@ -52,19 +52,22 @@ export async function openBrowser(web, executablePath, pictures) {
     return violations;
   }
 
+  /** Changes theme and size at once: the page takes long to compute a new layout for each. */
+  async function setView(page, colorScheme, viewport) {
+    await Promise.all([page.emulateMedia({ colorScheme }), page.setViewportSize(viewport)]);
+  }
+
   /** Checks the current state of a page in all views, and takes a screenshot of each, if wanted. */
   async function checkPage(page, name) {
-    await page.evaluate(axe);
+    if (!(await page.evaluate(() => "axe" in globalThis))) await page.evaluate(axe);
     for (const [view, colorScheme, viewport] of VIEWS) {
-      await page.emulateMedia({ colorScheme });
-      await page.setViewportSize(viewport);
+      await setView(page, colorScheme, viewport);
       await page.waitForFunction((theme) => document.documentElement.dataset.theme === theme, colorScheme);
       results.axe.push(...(await runAxe(page)).map((violation) => `${name} ${view}: ${violation}`));
       if (await page.evaluate(() => document.documentElement.scrollWidth > document.documentElement.clientWidth)) results.overflowing.push(`${name} ${view}`);
       if (WITH_PICTURES) await page.screenshot({ path: `${pictures}/${name}-${view}.png` });
     }
-    await page.emulateMedia({ colorScheme: "light" });
-    await page.setViewportSize(DESKTOP);
+    await setView(page, "light", DESKTOP);
   }
 
   /** Closes the browser, and prints the results as JSON. */

@@ -1,7 +1,7 @@
-// Checks every page on desktop and phone, light and dark, as an admin, as a new user and as an anonymous visitor, on a
+// Checks every page on desktop or phone, light or dark, as an admin, as a new user and as an anonymous visitor, on a
 // server whose objects have hostile names. Prints the results as JSON. Arguments: the folder with playwright-core and
 // axe-core, the browser, a sign-in link, the server's address, the folder for screenshots, and as JSON: the ids of the
-// objects, the texts that pages must show, and whether to use all views.
+// objects, the texts that pages must show, and whether to check each page in all views.
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { launchBrowser } from "./chromium.mjs";
@@ -18,7 +18,7 @@ const DESKTOP = { width: 1440, height: 900 };
 const PHONE = { width: 360, height: 740 };
 // Colours depend only on the theme and layout only on the width, so two views cover both of each. Soak uses all four.
 const DEFAULT_VIEWS = [["desktop", "light", DESKTOP], ["phone-dark", "dark", PHONE]];
-const VIEWS = allViews ? [...DEFAULT_VIEWS, ["phone", "light", PHONE], ["desktop-dark", "dark", DESKTOP]] : DEFAULT_VIEWS;
+const ALL_VIEWS = [...DEFAULT_VIEWS, ["phone", "light", PHONE], ["desktop-dark", "dark", DESKTOP]];
 
 // Console errors that a page may cause: a response that refuses, a window that the browser does not close.
 const NO_ERRORS = /^$/;
@@ -32,7 +32,30 @@ const MAX_HEIGHT = 2400;
 const browser = await launchBrowser(web, executablePath);
 const results = { consoleErrors: [], cspViolations: [], executed: [], foreignRequests: [], axe: [], overflowing: [], missingTexts: [], policies: {}, visitedPages: [] };
 let currentPage = "";
-let expectedErrors = NO_ERRORS;
+const contents = new Map(); // of a tab: the name of the page that it shows, and the console errors that this page may cause
+const phoneTabs = new Map(); // by the tab for the desktop
+
+async function openTab(context) {
+  const tab = await context.newPage();
+  const content = { name: "", allowedErrors: NO_ERRORS };
+  contents.set(tab, content);
+  tab.setDefaultTimeout(TIMEOUT_MS);
+  tab.on("console", (message) => {
+    if (["error", "warning"].includes(message.type()) && !content.allowedErrors.test(message.text()) && !isEnvironmentError(message.text())) results.consoleErrors.push(`${content.name}: ${message.text()}`);
+  });
+  tab.on("pageerror", (error) => {
+    if (!isEnvironmentError(error.message)) results.consoleErrors.push(`${content.name}: ${error.message}`);
+  });
+  tab.on("dialog", (dialog) => {
+    results.executed.push(`${content.name}: dialog ${dialog.message()}`);
+    void dialog.dismiss();
+  });
+  tab.on("request", (request) => {
+    const { protocol, origin } = new URL(request.url());
+    if (protocol.startsWith("http") && ![address, store].includes(origin)) results.foreignRequests.push(`${content.name}: ${request.url()}`);
+  });
+  return tab;
+}
 
 async function openPage() {
   const context = await browser.newContext({ viewport: DESKTOP, reducedMotion: "reduce" });
@@ -40,23 +63,22 @@ async function openPage() {
     globalThis.violations = [];
     document.addEventListener("securitypolicyviolation", ({ violatedDirective, blockedURI }) => globalThis.violations.push(`${violatedDirective} ${blockedURI}`));
   });
-  const page = await context.newPage();
-  page.setDefaultTimeout(TIMEOUT_MS);
-  page.on("console", (message) => {
-    if (["error", "warning"].includes(message.type()) && !expectedErrors.test(message.text()) && !isEnvironmentError(message.text())) results.consoleErrors.push(`${currentPage}: ${message.text()}`);
-  });
-  page.on("pageerror", (error) => {
-    if (!isEnvironmentError(error.message)) results.consoleErrors.push(`${currentPage}: ${error.message}`);
-  });
-  page.on("dialog", (dialog) => {
-    results.executed.push(`${currentPage}: dialog ${dialog.message()}`);
-    void dialog.dismiss();
-  });
-  page.on("request", (request) => {
-    const { protocol, origin } = new URL(request.url());
-    if (protocol.startsWith("http") && ![address, store].includes(origin)) results.foreignRequests.push(`${currentPage}: ${request.url()}`);
-  });
-  return { context, page };
+  return { context, page: await openTab(context) };
+}
+
+/** Changes theme and size at once: the page takes long to compute a new layout for each. */
+async function setView(page, colorScheme, size) {
+  await Promise.all([page.emulateMedia({ colorScheme }), page.setViewportSize(size)]);
+}
+
+/** Returns the second tab of a visitor. It stays a phone: to change the size and the theme takes as long as to load a page. */
+async function phoneTabOf(page) {
+  if (!phoneTabs.has(page)) {
+    const tab = await openTab(page.context());
+    await setView(tab, "dark", PHONE);
+    phoneTabs.set(page, tab);
+  }
+  return phoneTabs.get(page);
 }
 
 /** Waits until no part of the page is loading, and the layout is final. */
@@ -117,39 +139,89 @@ async function findMissingTexts(page, expectedTexts, colorScheme) {
   return missing;
 }
 
+// By kind, which is the first word of the name: the number of its pages checked so far, plus the number of the kind.
+const viewNumbers = new Map();
+
+/**
+ * Returns the views of a page: all of them, or one. The pages of a kind, such as those of a mission or dialogs, take turns
+ * between the two default views, and so do the first pages of kinds: each view gets each kind that has several pages,
+ * and half of the others.
+ */
+function chooseViews(name) {
+  if (allViews) return ALL_VIEWS;
+  if (WITH_PICTURES) return DEFAULT_VIEWS;
+  const [kind] = name.split("-");
+  const number = viewNumbers.get(kind) ?? viewNumbers.size;
+  viewNumbers.set(kind, number + 1);
+  return [DEFAULT_VIEWS[number % DEFAULT_VIEWS.length]];
+}
+
+/** Makes the viewport as high as the page: lists render the rows in sight only. */
+async function showFullPage(page, { width, height }, colorScheme) {
+  const fullHeight = await page.evaluate(() => document.documentElement.scrollHeight);
+  await page.setViewportSize({ width, height: Math.min(MAX_HEIGHT, Math.max(height, fullHeight)) });
+  await waitUntilSettled(page, colorScheme);
+}
+
+async function checkView(page, name, [view, colorScheme, size], fullPage) {
+  await setView(page, colorScheme, size);
+  await waitUntilSettled(page, colorScheme);
+  for (const violation of await runAxe(page)) results.axe.push(`${name} ${view}: ${violation}`);
+  const over = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
+  if (over > 0) results.overflowing.push(`${name} ${view}: ${over} px`);
+  if (await page.evaluate(isCurrentTabCutOff)) results.overflowing.push(`${name} ${view}: the current tab is not completely visible`);
+  if (!WITH_PICTURES) return;
+  if (fullPage) await showFullPage(page, size, colorScheme);
+  await page.screenshot({ path: `${pictures}/page-${name}-${view}.png` });
+}
+
+/**
+ * Opens a path in a tab. If it shows the app already, it follows the path as a link in the app, unless `byAddress`: the app
+ * is not loaded again. Another path, and each path in the tab of the phone, is opened by its address.
+ */
+async function open(tab, name, path, byAddress) {
+  const hasFollowed = !byAddress && (await tab.evaluate(async (to) => {
+    const router = document.querySelector("#app")?.__vue_app__?.config.globalProperties.$router;
+    if (router === undefined || router.resolve(to).name === "not-found") return false;
+    await router.push(to);
+    await new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve)));
+    return true;
+  }, path));
+  const answer = hasFollowed ? await tab.request.get(`${address}${path}`) : await tab.goto(`${address}${path}`);
+  if (answer !== null) results.policies[name] = answer.headers()["content-security-policy"] ?? "";
+}
+
+async function checkTexts(page, name, expectedTexts, fullPage) {
+  await waitUntilSettled(page, "light");
+  if (fullPage) await showFullPage(page, DESKTOP, "light");
+  results.missingTexts.push(...(await findMissingTexts(page, expectedTexts, "light")).map((text) => `${name}: ${text}`));
+  await page.setViewportSize(DESKTOP);
+}
+
+/**
+ * Checks a page in its views, and its texts on the desktop. `page` is the tab for the desktop; it shows the page afterwards
+ * if `path` is null, or if there are texts to expect.
+ */
 async function checkPage(page, name, { path = null, ready = null, expectedTexts = [], allowedErrors = NO_ERRORS, fullPage = true } = {}) {
   currentPage = name;
-  expectedErrors = allowedErrors;
-  if (path !== null) {
-    const answer = await page.goto(`${address}${path}`);
-    if (answer !== null) results.policies[name] = answer.headers()["content-security-policy"] ?? "";
+  const views = chooseViews(name);
+  const isOnPhone = path !== null && views.every(([, , size]) => size === PHONE);
+  const tab = isOnPhone ? await phoneTabOf(page) : page;
+  const usedTabs = isOnPhone && expectedTexts.length > 0 ? [tab, page] : [tab];
+  for (const used of usedTabs) {
+    Object.assign(contents.get(used), { name, allowedErrors });
+    if (path !== null) await open(used, name, path, allViews || used !== page);
+    if (ready !== null) await used.locator(ready).first().waitFor();
   }
-  await page.evaluate(axe);
-  if (ready !== null) await page.locator(ready).first().waitFor();
-  for (const [view, colorScheme, size] of VIEWS) {
-    await page.emulateMedia({ colorScheme });
-    await page.setViewportSize(size);
-    await waitUntilSettled(page, colorScheme);
-    for (const violation of await runAxe(page)) results.axe.push(`${name} ${view}: ${violation}`);
-    const over = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
-    if (over > 0) results.overflowing.push(`${name} ${view}: ${over} px`);
-    if (await page.evaluate(isCurrentTabCutOff)) results.overflowing.push(`${name} ${view}: the current tab is not completely visible`);
-    if (fullPage && ((view === "desktop" && expectedTexts.length > 0) || WITH_PICTURES)) {
-      // Lists render the rows in sight only.
-      const height = await page.evaluate(() => document.documentElement.scrollHeight);
-      await page.setViewportSize({ width: size.width, height: Math.min(MAX_HEIGHT, Math.max(size.height, height)) });
-      await waitUntilSettled(page, colorScheme);
-    }
-    if (WITH_PICTURES) await page.screenshot({ path: `${pictures}/page-${name}-${view}.png` });
-    if (view === "desktop") {
-      results.missingTexts.push(...(await findMissingTexts(page, expectedTexts, colorScheme)).map((text) => `${name}: ${text}`));
-    }
+  if (!(await tab.evaluate(() => "axe" in globalThis))) await tab.evaluate(axe);
+  for (const view of views) await checkView(tab, name, view, fullPage);
+  if (tab === page) await setView(page, "light", DESKTOP);
+  if (expectedTexts.length > 0) await checkTexts(page, name, expectedTexts, fullPage);
+  for (const used of usedTabs) {
+    const state = await used.evaluate(() => ({ violations: globalThis.violations.splice(0), wasRun: "wasRun" in globalThis }));
+    results.cspViolations.push(...state.violations.map((violation) => `${name}: ${violation}`));
+    if (state.wasRun) results.executed.push(name);
   }
-  await page.emulateMedia({ colorScheme: "light" });
-  await page.setViewportSize(DESKTOP);
-  const state = await page.evaluate(() => ({ violations: globalThis.violations, wasRun: "wasRun" in globalThis }));
-  results.cspViolations.push(...state.violations.map((violation) => `${name}: ${violation}`));
-  if (state.wasRun) results.executed.push(name);
   results.visitedPages.push(name);
 }
 
@@ -198,7 +270,6 @@ await checkPage(eve, "refused-mission", { path: `/missions/${ids.mission}`, allo
 
 // The owner sees every page.
 const { page, context } = await openPage();
-currentPage = "link";
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
 const asOwner = (method, path, data) => context.request[method](`${address}/api/v1${path}`, { data, headers: { Origin: address } });
@@ -262,6 +333,7 @@ const tableQuery = new URLSearchParams([["metric", "evil"], ["project", ids.proj
 await checkPage(page, "metrics", { path: `/run-metrics?${tableQuery}`, ready: "[data-metrics] [data-index]", expectedTexts: [mission, texts.topic, texts.label, "<b>m"] });
 await checkPage(page, "metrics-nothing", { path: "/run-metrics" });
 await checkPage(page, "upload", { path: "/upload" });
+await page.goto(`${address}/upload`);
 const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Choose files" }).click()]);
 await chooser.setFiles({ name: texts.recording, mimeType: "", buffer: Buffer.from("x") });
 await page.getByText("Destination").waitFor();

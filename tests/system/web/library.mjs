@@ -26,6 +26,7 @@ results.text = await shipped("slam-evaluate").innerText();
 results.disabledBefore = await dialog.locator("[data-shipped] button:disabled").count();
 await page.keyboard.press("Escape");
 await dialog.waitFor({ state: "detached" });
+await page.getByRole("button", { name: "Add from library" }).and(page.locator(":focus")).waitFor();
 await page.keyboard.press("Enter");
 await choosePlace("Alps");
 await checkPage(page, "library");

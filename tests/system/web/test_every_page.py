@@ -1,4 +1,4 @@
-"""Every page on desktop and phone, light and dark, with hostile names, has no errors and executes no markup."""
+"""Every page on desktop or phone, light or dark, with hostile names, has no errors and executes no markup."""
 
 import json
 import re

@@ -1,5 +1,6 @@
 """Previews of missions in a real browser: the gallery of a mission, its large view, and pictures in lists."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -110,12 +111,11 @@ def _create_objects(cluster: Cluster, terminal: Terminal, tmp_path: Path) -> Non
         alps = client.projects.get("Alps")
         for number in range(70):
             client.missions.create(f"planned {number:02}", project=alps)
+    terminal.run("sample", tmp_path / "day", "--size", "1MB", "--format", "mcap")
+    shutil.copytree(tmp_path / "day", tmp_path / "night")
     for name in ("day", "night"):
-        terminal.run("sample", tmp_path / name, "--size", "1MB", "--format", "mcap")
         terminal.run("upload", "-p", "Alps", "-m", name, "--create", "--wait", tmp_path / name)
     terminal.run("action", "run", "preview", "-p", "Alps", "-m", "night", "--follow", "--yes")
-    (tmp_path / "more").mkdir()
-    terminal.run("sample", tmp_path / "more" / "later", "--size", "1MB", "--format", "mcap")
-    (recording,) = (tmp_path / "more" / "later").rglob("*.mcap")
-    recording.rename(tmp_path / "more" / "later.mcap")
-    terminal.run("upload", "-p", "Alps", "-m", "night", "--wait", tmp_path / "more" / "later.mcap")
+    (recording,) = (tmp_path / "day").rglob("*.mcap")
+    later = shutil.copy(recording, tmp_path / "later.mcap")
+    terminal.run("upload", "-p", "Alps", "-m", "night", "--wait", later)

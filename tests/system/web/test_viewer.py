@@ -1,9 +1,11 @@
-"""Previews in a real browser show the recorded images and plots."""
+"""Recordings in a real browser: previews show recorded images and plots; selections are the bytes of `klein cut`."""
 
 import base64
 import csv
+import hashlib
 import io
 import itertools
+import json
 from pathlib import Path
 from typing import Any
 
@@ -22,19 +24,26 @@ _MCAP_BYTES, _BAG_BYTES = 60_000_000, 10_000_000
 # JPEG decoders may round differently.
 _ROUNDING = 2
 _MAX_SHARE = 0.05
+# By the name of the file and of the selection; `from` and `to` in seconds after the start.
+_SELECTIONS: dict[str, dict[str, Any]] = {
+    "drive.mcap imu": {"topics": ["/imu/data"], "from": 1, "to": 2},
+    "drive.mcap later": {"topics": None, "from": 1.5, "to": None},
+    "drive.bag imu": {"topics": ["/imu/data"], "from": 1, "to": 2},
+}
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(240)
-def test_previews_show_the_recorded_images_and_plots(cluster: Cluster, run_browser: RunBrowser, tmp_path: Path) -> None:
-    cluster.start()
+def test_previews_show_the_recorded_images_and_plots(
+    shared_cluster: Cluster, run_browser: RunBrowser, tmp_path: Path
+) -> None:
     day = tmp_path / "day"
     day.mkdir()
     mcap = generate_mcap(day / "drive.mcap", size_bytes=_MCAP_BYTES)
     bag = generate_bag(day / "drive.bag", size_bytes=_BAG_BYTES)
     with (day / "drive.mcap").open("rb") as whole:
         (day / "cut.mcap").write_bytes(whole.read(_BAG_BYTES))
-    terminal = cluster.terminal
+    terminal = shared_cluster.terminal
     terminal.run("project", "create", "Alps")
     terminal.run("upload", "-p", "Alps", "-m", "day", "--create", "--wait", f"{day}/")
 
@@ -44,7 +53,7 @@ def test_previews_show_the_recorded_images_and_plots(cluster: Cluster, run_brows
     wait_until(lambda: all(file["content"] != "pending" for file in files().values()), "the files to be read")
     known = files()
     assert [known[name]["content"] for name in _NAMES] == ["indexed", "indexed", "recovered"]
-    results = run_browser("look.mjs", cluster, *(known[name]["id"] for name in _NAMES))
+    results = run_browser("look.mjs", shared_cluster, *(known[name]["id"] for name in _NAMES))
 
     assert results["consoleErrors"] == []
     pictures = _pictures(mcap.path)
@@ -64,6 +73,45 @@ def test_previews_show_the_recorded_images_and_plots(cluster: Cluster, run_brows
     assert results["imu"]["label"].startswith("Plot of /imu/data over time: linear_acceleration.x from -0.")
     _assert_same(results["cut"], pictures[0])
     assert "not closed" in results["cut"]["notice"]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(240)
+def test_download_selection_gives_the_bytes_of_klein_cut(
+    shared_cluster: Cluster, run_browser: RunBrowser, tmp_path: Path
+) -> None:
+    day = tmp_path / "day"
+    day.mkdir()
+    generate_mcap(day / "drive.mcap", size_bytes=10_000_000)
+    generate_bag(day / "drive.bag", size_bytes=5_000_000)
+    terminal = shared_cluster.terminal
+    terminal.run("project", "create", "Jura")
+    terminal.run("upload", "-p", "Jura", "-m", "day", "--create", "--wait", f"{day}/")
+
+    def files() -> dict[str, dict[str, Any]]:
+        return {file["path"]: file for file in terminal.run("file", "list", "-p", "Jura", "--json").json()["items"]}
+
+    wait_until(lambda: all(file["content"] == "indexed" for file in files().values()), "the files to be read")
+    known = files()
+    selections = [
+        {"name": name, "file": known[name.split()[0]]["id"], **selected} for name, selected in _SELECTIONS.items()
+    ]
+    results = run_browser("slices.mjs", shared_cluster, json.dumps(selections))
+
+    assert results["consoleErrors"] == []
+    assert results["downloads"] == {name: results["files"][name] for name in results["downloads"]} != {}
+    for selection in selections:
+        name = selection["name"].split()[0]
+        start_ns = known[name]["start_ns"]
+        target = tmp_path / f"{selection['name'].replace(' ', '-')}.mcap"
+        options: list[str] = [argument for topic in selection["topics"] or [] for argument in ("--topics", topic)]
+        if selection["from"] is not None:
+            options += ["--start", str(start_ns + int(selection["from"] * 10**9))]
+        if selection["to"] is not None:
+            options += ["--end", str(start_ns + int(selection["to"] * 10**9))]
+        terminal.run("cut", name, "-p", "Jura", "-m", "day", *options, "-o", target)
+        assert hashlib.sha256(target.read_bytes()).hexdigest() == results["files"][selection["name"]], selection
+    assert results["commands"]["drive.mcap imu"].startswith("klein cut drive.mcap -p Jura -m day --topics /imu/data")
 
 
 def _pictures(path: Path) -> list[tuple[int, Any]]:
