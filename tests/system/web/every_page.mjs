@@ -175,19 +175,8 @@ async function checkView(page, name, [view, colorScheme, size], fullPage) {
   await page.screenshot({ path: `${pictures}/page-${name}-${view}.png` });
 }
 
-/**
- * Opens a path in a tab. If it shows the app already, it follows the path as a link in the app, unless `byAddress`: the app
- * is not loaded again. Another path, and each path in the tab of the phone, is opened by its address.
- */
-async function open(tab, name, path, byAddress) {
-  const hasFollowed = !byAddress && (await tab.evaluate(async (to) => {
-    const router = document.querySelector("#app")?.__vue_app__?.config.globalProperties.$router;
-    if (router === undefined || router.resolve(to).name === "not-found") return false;
-    await router.push(to);
-    await new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve)));
-    return true;
-  }, path));
-  const answer = hasFollowed ? await tab.request.get(`${address}${path}`) : await tab.goto(`${address}${path}`);
+async function open(tab, name, path) {
+  const answer = await tab.goto(`${address}${path}`);
   if (answer !== null) results.policies[name] = answer.headers()["content-security-policy"] ?? "";
 }
 
@@ -210,7 +199,7 @@ async function checkPage(page, name, { path = null, ready = null, expectedTexts 
   const usedTabs = isOnPhone && expectedTexts.length > 0 ? [tab, page] : [tab];
   for (const used of usedTabs) {
     Object.assign(contents.get(used), { name, allowedErrors });
-    if (path !== null) await open(used, name, path, allViews || used !== page);
+    if (path !== null) await open(used, name, path);
     if (ready !== null) await used.locator(ready).first().waitFor();
   }
   if (!(await tab.evaluate(() => "axe" in globalThis))) await tab.evaluate(axe);
