@@ -163,7 +163,14 @@ def serving(settings: Mapping[str, Any], *, admin_url: str, folder: Path, port: 
     token_file.write_text(token)
     app = create_app(Settings(**{"drain_s": 0, **settings}, owner_token_file=token_file))
     listener = socket.create_server(("127.0.0.1", port))
-    config = uvicorn.Config(app, log_config=None, access_log=False, server_header=False, proxy_headers=False)
+    config = uvicorn.Config(
+        app,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        timeout_keep_alive=600,  # the tests' client does not repeat a request whose connection was idle and just closed
+    )
     server = ApiServer(config, app)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, name="api")
     thread.start()
