@@ -74,7 +74,6 @@ check-python: $(STAMP)
 	@$(BIN)/python -m tools.check_names
 	@$(BIN)/python docs/generate.py --check
 	@$(BIN)/python -m tools.dashboards --check
-	@$(BIN)/python -m pytest -q tests/integration/test_migrations.py
 	@$(BIN)/python -m requirements.audit
 
 check-web-sources: $(MODULES)

@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ConfigDict
-from sqlalchemy import ColumnElement, Row, Select, bindparam, func, literal, select, tuple_
+from sqlalchemy import ColumnElement, Row, Select, bindparam, func, select, tuple_
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.exc import DataError, DBAPIError, ProgrammingError, StatementError
 
@@ -195,8 +195,7 @@ def _page_of(statement: Select[Any], order: Order, limit: int, *, is_first: bool
         # The first column again by itself: its index is used even if the other columns are in other tables.
         ahead = first <= after[0] if order.descending else first >= after[0]
         statement = statement.where(ahead, row < last_row if order.descending else row > last_row)
-    # In the text of the statement: PostgreSQL plans it once, rather than for each request because of the limit.
-    return in_order(statement, order.columns, order).limit(literal(limit + 1, literal_execute=True))
+    return in_order(statement, order.columns, order).limit(limit + 1)
 
 
 def in_order(statement: Select[Any], columns: Iterable[ColumnElement[Any]], order: Order) -> Select[Any]:

@@ -4,7 +4,7 @@ import uuid
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import Column, ColumnElement, Select, Table, Text, case, exists, false, func, literal, select
+from sqlalchemy import Column, ColumnElement, Select, Table, Text, case, exists, false, func, select
 
 from kleinkram.contract.access import Scope
 from kleinkram.contract.metrics import MetricNameFilter
@@ -49,8 +49,6 @@ CHECK_ORDER, FINDING_ORDER, METRIC_ORDER = (
     Order([run.c.created_at, run.c.id, -table.c.id], descending=True) for table in (run_check, run_finding, run_metric)
 )
 _file = file.alias("moved_file")
-# Values in the text of a statement, so that PostgreSQL plans it once.
-_ACTIVE_STATES = [literal(state, literal_execute=True) for state in ACTIVE]
 _MISSION = (
     mission.c.name.label("mission_name"),
     mission.c.project_id.label("project_id"),
@@ -117,7 +115,7 @@ def filter_runs(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[
     if matching.isolation:
         conditions.append(run.c.isolation.in_([isolation.value for isolation in matching.isolation]))
     if matching.active is not None:
-        conditions.append(run.c.state.in_(_ACTIVE_STATES) if matching.active else run.c.state.not_in(_ACTIVE_STATES))
+        conditions.append(run.c.state.in_(ACTIVE) if matching.active else run.c.state.not_in(ACTIVE))
     if matching.mine:
         conditions.append(run.c.started_by_id == actor.person_id)
     return stmt.where(*conditions)
