@@ -35,8 +35,8 @@ def _viewers(lab: Lab) -> Iterable[tuple[Viewer, Api]]:
 
 
 def _listed(api: Api, path: str, **query: str) -> list[Any]:
-    """Return all items of a list, in pages of six, and check its count."""
-    items = api.all(path, {"limit": "6", **query})
+    """Return all items of a list, in pages of two, and check its count."""
+    items = api.all(path, {"limit": "2", **query})
     if path != "/trash":
         assert api.get(path, {"limit": "1", "count": "true", **query}).ok()["total"] == len(items)
     return items

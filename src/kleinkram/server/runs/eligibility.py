@@ -260,6 +260,18 @@ def with_token_limits(stmt: Select[Any]) -> Select[Any]:
     return stmt.add_columns(only.label("only_project_ids"), token.c.runner_labels.label("only_labels"))
 
 
+# Built once, because each list of runs executes them.
+_IS_EXPECTED = runner.c.last_seen_at > func.now() - _EXPECTED_BACK
+_PROJECT_ISOLATIONS = select(project.c.isolation).where(project.c.deleted_at.is_(None)).distinct()
+_ACTIVE_PERSON_COUNT = select(func.count()).select_from(person).where(person.c.deactivated_at.is_(None))
+_RUNNERS = with_token_limits(
+    select(
+        *(runner.c[name] for name in ("id", "name", "labels", "capacity", "abilities", "default_image")),
+        is_alive().label("is_alive"),
+    ).select_from(runner)
+)
+
+
 async def find_runner(db: Connection, runner_id: uuid.UUID) -> KnownRunner:
     """Return one runner."""
     (known_runner,) = await _runners(db, runner.c.id == runner_id)
@@ -269,13 +281,13 @@ async def find_runner(db: Connection, runner_id: uuid.UUID) -> KnownRunner:
 async def known_runners(db: Connection, weakest: Isolation) -> KnownRunners:
     """Return the runners that may execute queued runs. `weakest` is the setting `weakest_isolation`."""
     runners = await _runners(db, _IS_EXPECTED)
-    allowed = {Isolation(value) for value in (await db.execute(_ALLOWED)).scalars()} or {Isolation.container}
+    allowed = {Isolation(value) for value in (await db.execute(_PROJECT_ISOLATIONS)).scalars()} or {Isolation.container}
     return KnownRunners(runners, await isolation_rule(db, weakest), [one for one in Isolation if one in allowed])
 
 
 async def isolation_rule(db: Connection, weakest: Isolation) -> IsolationRule:
     """Return what isolation runs must have now. `weakest` is the setting `weakest_isolation`."""
-    return IsolationRule((await db.execute(_ACTIVE_PEOPLE)).scalar_one() <= 1, weakest)
+    return IsolationRule((await db.execute(_ACTIVE_PERSON_COUNT)).scalar_one() <= 1, weakest)
 
 
 async def _runners(db: Connection, condition: ColumnElement[bool]) -> list[KnownRunner]:
@@ -283,17 +295,5 @@ async def _runners(db: Connection, condition: ColumnElement[bool]) -> list[Known
         KnownRunner(*row)._replace(
             capacity=Capacity.model_validate(row.capacity), abilities=ExecutorAbilities.model_validate(row.abilities)
         )
-        for row in await db.execute(_KNOWN.where(condition))
+        for row in await db.execute(_RUNNERS.where(condition))
     ]
-
-
-# Each list of runs executes these: they are built once.
-_IS_EXPECTED = runner.c.last_seen_at > func.now() - _EXPECTED_BACK
-_ALLOWED = select(project.c.isolation).where(project.c.deleted_at.is_(None)).distinct()
-_ACTIVE_PEOPLE = select(func.count()).select_from(person).where(person.c.deactivated_at.is_(None))
-_KNOWN = with_token_limits(
-    select(
-        *(runner.c[name] for name in ("id", "name", "labels", "capacity", "abilities", "default_image")),
-        is_alive().label("is_alive"),
-    ).select_from(runner)
-)
