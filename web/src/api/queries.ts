@@ -12,6 +12,23 @@ function shouldRetry(failures: number, thrown: unknown): boolean {
   return failures < TRIES && thrown instanceof Problem && thrown.isPassing;
 }
 
+function retryDelayMs(failures: number): number {
+  return Math.min(8000, 500 * 2 ** failures);
+}
+
+/** Sends a request that changes nothing, again where the server or the network fails, as queries do. */
+export async function repeated<Result>(send: () => Promise<Result>): Promise<Result> {
+  for (let failures = 0; ; failures += 1) {
+    try {
+      return await send();
+    } catch (thrown) {
+      const problem = toProblem(thrown);
+      if (!shouldRetry(failures, problem)) throw problem;
+      await new Promise((resolve) => setTimeout(resolve, retryDelayMs(failures)));
+    }
+  }
+}
+
 declare module "@tanstack/vue-query" {
   interface Register {
     defaultError: Error;
@@ -27,7 +44,7 @@ export function createQueries(): QueryClient {
       queries: {
         staleTime: FRESH_MS,
         retry: shouldRetry,
-        retryDelay: (failures) => Math.min(8000, 500 * 2 ** failures),
+        retryDelay: retryDelayMs,
         // Responses are replaced, never modified. Deep reactivity would make long lists slow.
         shallow: true,
       },

@@ -1,4 +1,4 @@
-import { describe, expect, it } from "vitest";
+import { describe, expect, it, vi } from "vitest";
 import { BLOCK, MAX_READ_AT_ONCE } from "./limits";
 import { storeOf } from "./testing/recordings";
 
@@ -58,6 +58,20 @@ describe("Ranges", () => {
     }
     const large = storeOf(new Uint8Array(MAX_READ_AT_ONCE + BLOCK));
     await expect(large.ranges.read(0, MAX_READ_AT_ONCE + 1)).rejects.toMatchObject({ code: "too_large" });
+  });
+
+  it("requests a range again that the network interrupted, a few times", async () => {
+    vi.useFakeTimers();
+    const { ranges, interrupt } = storeOf(BYTES);
+    interrupt(3);
+    const read = ranges.read(0, 1);
+    await vi.runAllTimersAsync();
+    expect(await read).toEqual(BYTES.slice(0, 1));
+    interrupt(4);
+    const refused = expect(ranges.read(BLOCK, 1)).rejects.toMatchObject({ code: "store_unreachable" });
+    await vi.runAllTimersAsync();
+    await refused;
+    vi.useRealTimers();
   });
 
   it("ends when it is told to", async () => {

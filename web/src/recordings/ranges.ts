@@ -32,6 +32,8 @@ export interface RangesOptions {
 
 const RENEW_BEFORE_MS = 30_000;
 const EXPIRED = new Set([400, 401, 403]);
+/** Pauses before a range is requested again that the network interrupted. */
+const REPEAT_AFTER_MS = [250, 1000, 3000];
 
 /** A file in the store. Not for use by several readers at once: it keeps one signal and one way of reading ahead. */
 export class Ranges implements Source {
@@ -97,21 +99,35 @@ export class Ranges implements Source {
     }
   }
 
+  /** Fetches a range, again if the network fails; the time limit is for all attempts together. */
   private async fetchRange(start: number, end: number): Promise<Uint8Array> {
+    const timeout = AbortSignal.timeout(STORE_TIMEOUT_MS);
+    for (const pauseMs of REPEAT_AFTER_MS) {
+      try {
+        return await this.fetchOnce(start, end, timeout);
+      } catch (thrown) {
+        if (timeout.aborted || !(thrown instanceof ReadFailure) || thrown.code !== "store_unreachable") throw thrown;
+      }
+      await new Promise((resolve) => setTimeout(resolve, pauseMs));
+      if (this.signal?.aborted === true) throw new ReadFailure("cancelled");
+    }
+    return this.fetchOnce(start, end, timeout);
+  }
+
+  private async fetchOnce(start: number, end: number, timeout: AbortSignal): Promise<Uint8Array> {
     const now = this.options.now ?? Date.now;
     const isFresh = this.address !== undefined && this.address.expiresAtMs - RENEW_BEFORE_MS > now();
     this.address = isFresh && this.address !== undefined ? this.address : await this.options.renew();
-    let response = await this.request(this.address.url, start, end);
+    let response = await this.request(this.address.url, start, end, timeout);
     if (isFresh && EXPIRED.has(response.status)) {
       this.address = await this.options.renew();
-      response = await this.request(this.address.url, start, end);
+      response = await this.request(this.address.url, start, end, timeout);
     }
     if (!response.ok) throw new ReadFailure("store_refused", String(response.status));
     return this.body(response, start, end);
   }
 
-  private async request(url: string, start: number, end: number): Promise<Response> {
-    const timeout = AbortSignal.timeout(STORE_TIMEOUT_MS);
+  private async request(url: string, start: number, end: number, timeout: AbortSignal): Promise<Response> {
     const signal = this.signal === undefined ? timeout : AbortSignal.any([this.signal, timeout]);
     try {
       // The store's answers are for this reader alone: credentials of ours are never sent there.

@@ -41,3 +41,18 @@ it("does not follow to another page", async () => {
   await router.push("/y");
   expect(await settled()).toBe("/y");
 });
+
+it("keeps a change that the router has not applied yet", async () => {
+  const { view, settled, router } = await page("/x");
+  let apply = (): void => undefined;
+  router.beforeEach(() => new Promise<void>((resolve) => (apply = resolve)));
+  view.text = "first";
+  await settled();
+  view.sort = "second";
+  const applyFirst = apply;
+  await settled();
+  applyFirst();
+  apply();
+  await settled();
+  expect(await settled()).toBe("/x?q=first&sort=second");
+});

@@ -5,6 +5,8 @@ import { useRoute, useRouter, type LocationQueryRaw, type Router } from "vue-rou
 type HistoryChange = "push" | "replace";
 
 let isNavigating = false;
+/** The change that the router has not applied yet; later changes build on it. */
+let applying: { readonly query: LocationQueryRaw; readonly path: string } | null = null;
 let pending: { readonly query: LocationQueryRaw; readonly history: HistoryChange; readonly path: string } | null = null;
 
 /** Tracks navigation, so that a late change of the URL does not return the user to a page that they are leaving. */
@@ -21,7 +23,8 @@ export function discardOnNavigation(router: Router): void {
 function change(router: Router, name: string, value: string | readonly string[] | undefined, history: HistoryChange): void {
   const now = router.currentRoute.value;
   const isFirst = pending === null;
-  const before = pending ?? { query: now.query, history: "replace" as const, path: now.path };
+  const query = applying?.path === now.path ? applying.query : now.query;
+  const before = pending ?? { query, history: "replace" as const, path: now.path };
   pending = {
     query: { ...before.query, [name]: typeof value === "object" ? [...value] : value },
     history: history === "push" ? history : before.history,
@@ -33,7 +36,10 @@ function change(router: Router, name: string, value: string | readonly string[] 
     pending = null;
     const route = router.currentRoute.value;
     if (changes === null || isNavigating || changes.path !== route.path) return;
-    void router[changes.history]({ path: route.path, query: changes.query, hash: route.hash });
+    applying = changes;
+    void router[changes.history]({ path: route.path, query: changes.query, hash: route.hash }).finally(() => {
+      if (applying === changes) applying = null;
+    });
   });
 }
 

@@ -35,6 +35,7 @@ export const texts = {
   searchFor: (text: string) => `Search for “${text}”`,
   kinds: { place: "Page", project: "Project", mission: "Mission", act: "Command" },
   pageGone: "The page could not be loaded. The server may have been updated. Reload the page.",
+  partGone: "A part of the page could not be loaded. Check the network and reload the page.",
   messages: "Messages",
   offline: "The server does not respond. The displayed data may be outdated. Retrying automatically.",
   session: {

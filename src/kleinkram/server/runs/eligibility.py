@@ -262,8 +262,12 @@ def with_token_limits(stmt: Select[Any]) -> Select[Any]:
 
 # Built once, because each list of runs executes them.
 _IS_EXPECTED = runner.c.last_seen_at > func.now() - _EXPECTED_BACK
-_PROJECT_ISOLATIONS = select(project.c.isolation).where(project.c.deleted_at.is_(None)).distinct()
 _ACTIVE_PERSON_COUNT = select(func.count()).select_from(person).where(person.c.deactivated_at.is_(None))
+_PROJECT_ISOLATIONS = select(project.c.isolation).where(project.c.deleted_at.is_(None)).distinct()
+_ACCOUNTS_AND_PROJECTS = select(
+    _ACTIVE_PERSON_COUNT.scalar_subquery().label("person_count"),
+    func.array(_PROJECT_ISOLATIONS.scalar_subquery()).label("isolations"),
+)
 _RUNNERS = with_token_limits(
     select(
         *(runner.c[name] for name in ("id", "name", "labels", "capacity", "abilities", "default_image")),
@@ -281,8 +285,10 @@ async def find_runner(db: Connection, runner_id: uuid.UUID) -> KnownRunner:
 async def known_runners(db: Connection, weakest: Isolation) -> KnownRunners:
     """Return the runners that may execute queued runs. `weakest` is the setting `weakest_isolation`."""
     runners = await _runners(db, _IS_EXPECTED)
-    allowed = {Isolation(value) for value in (await db.execute(_PROJECT_ISOLATIONS)).scalars()} or {Isolation.container}
-    return KnownRunners(runners, await isolation_rule(db, weakest), [one for one in Isolation if one in allowed])
+    row = (await db.execute(_ACCOUNTS_AND_PROJECTS)).one()
+    allowed = {*map(Isolation, row.isolations)} or {Isolation.container}
+    rule = IsolationRule(row.person_count <= 1, weakest)
+    return KnownRunners(runners, rule, [one for one in Isolation if one in allowed])
 
 
 async def isolation_rule(db: Connection, weakest: Isolation) -> IsolationRule:

@@ -153,6 +153,7 @@ def _to_run(actor: Actor, row: RowMapping) -> VisibleRun:
         cause=runs.Cause(person=starter, retry_of_id=row["retry_of_id"]),
         runner=row["runner_name"],
         waits_for=None,
+        metrics=[],
         may_cancel=row["level"] >= needed.level and Scope.run in actor.scopes and row["state"] in ACTIVE,
     )
     return VisibleRun(read, to_needs(row), row["level"], started_by_id)

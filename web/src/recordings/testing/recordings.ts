@@ -169,6 +169,8 @@ export interface TestStore {
   expire: () => void;
   /** From now on, no URL is given. */
   refuse: () => void;
+  /** Makes the next requests fail as by the network. */
+  interrupt: (requests: number) => void;
   change: (bytes: Uint8Array) => void;
 }
 
@@ -178,9 +180,14 @@ export function storeOf(bytes: Uint8Array, { lifeMs = 3_600_000 } = {}): TestSto
   let renewals = 0;
   let valid = 0;
   let isRefusing = false;
+  let interruptions = 0;
   const answers: number[] = [];
   const answer: typeof fetch = (url, options) => {
     options?.signal?.throwIfAborted();
+    if (interruptions > 0) {
+      interruptions -= 1;
+      return Promise.reject(new TypeError("Failed to fetch"));
+    }
     if (Number(new URL(url as string).searchParams.get("n")) < valid) return Promise.resolve(new Response("", { status: 403 }));
     const [, from = "0", to = "0"] = /bytes=(\d+)-(\d+)/.exec(new Headers(options?.headers).get("range") ?? "") ?? [];
     const body = stored.slice(Number(from), Number(to) + 1);
@@ -203,6 +210,7 @@ export function storeOf(bytes: Uint8Array, { lifeMs = 3_600_000 } = {}): TestSto
     renewals: () => renewals,
     expire: () => (valid = renewals + 1),
     refuse: () => (isRefusing = true),
+    interrupt: (requests) => (interruptions = requests),
     change: (changed) => {
       stored = changed;
       etag = '"2"';

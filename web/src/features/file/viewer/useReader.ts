@@ -2,6 +2,7 @@
 import { onScopeDispose, ref, type Ref } from "vue";
 import { api, call } from "@/api/client";
 import { toProblem } from "@/api/problem";
+import { repeated } from "@/api/queries";
 import type { File } from "@/api/types";
 import { ReadFailure } from "@/recordings/failures";
 import type { ReadableFormat } from "@/recordings/protocol";
@@ -16,7 +17,7 @@ export interface FileReader {
 
 /** Requests a temporary URL of a file; the audit log records the purpose. */
 export async function addressOf(fileId: string, purpose: "download" | "preview"): Promise<Address> {
-  const { items } = await call(api.POST("/api/v1/files/download", { body: { file_ids: [fileId], purpose } }));
+  const { items } = await repeated(() => call(api.POST("/api/v1/files/download", { body: { file_ids: [fileId], purpose } })));
   const [link] = items;
   if (link === undefined) throw new ReadFailure("link_refused");
   return { url: link.url, expiresAtMs: Date.parse(link.expires_at) };
