@@ -70,11 +70,8 @@ export const worthAnotherTry: ReadonlySet<FailureCode> = new Set<FailureCode>([
 
 /** Why files of a format have no preview; null for formats that have one. */
 export function whyNoPreview(format: string | null): string | null {
-  if (format === "mcap" || format === "rosbag1") return null;
-  if (format === "db3") {
-    return "A rosbag2 database (db3) has no index that supports remote reading. Download the file, or record MCAP, which supports previews.";
-  }
-  return "Previews are available for MCAP files and ROS 1 bags. Download the file to open it.";
+  if (format === "mcap" || format === "rosbag1" || format === "db3") return null;
+  return "Previews are available for MCAP files, ROS 1 bags and rosbag2 databases. Download the file to open it.";
 }
 
 export const texts = {

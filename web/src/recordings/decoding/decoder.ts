@@ -6,6 +6,7 @@ import type { Schema } from "../formats/recording";
 import { MAX_DEFINITION } from "../limits";
 import { protobufDecoder } from "./protobuf";
 import { rosDecoder } from "./ros";
+import { wellKnownDefinitions } from "./well_known";
 
 const TEXT = new TextDecoder();
 
@@ -20,7 +21,34 @@ export function decoderOf(schema: Schema): Decode {
   if (messageEncoding === "protobuf" && encoding === "protobuf") return protobufDecoder(definition, schema.name);
   if (messageEncoding === "ros1" && encoding === "ros1msg") return rosDecoder(TEXT.decode(definition), 1, false);
   if (messageEncoding === "cdr" && encoding === "ros2msg") return unpacking(rosDecoder(withService(TEXT.decode(definition), schema.name), 2, true));
+  if (messageEncoding === "cdr" && encoding === "") return unpacking(wellKnownDecoder(schema.name));
   throw new ReadFailure("encoding_unknown", [messageEncoding, encoding].filter((word) => word !== "").join(", ").slice(0, 80));
+}
+
+/** Decode messages of a well-known type by the first of its definitions that fits, or by the only other one.
+ *
+ * @throws ReadFailure definition_unreadable, where the type is not well-known.
+ */
+function wellKnownDecoder(name: string): Decode {
+  const definitions = wellKnownDefinitions(name);
+  if (definitions.length === 0) throw new ReadFailure("definition_unreadable", name);
+  const [first, ...others] = definitions.map((definition) => rosDecoder(definition, 2, true, definitions.length > 1)) as [Decode, ...Decode[]];
+  return (data) => {
+    try {
+      return first(data);
+    } catch (thrown) {
+      const fitting = others.flatMap((decode) => {
+        try {
+          return [decode(data)];
+        } catch {
+          return [];
+        }
+      });
+      const [only] = fitting;
+      if (only === undefined || fitting.length > 1) throw thrown;
+      return only;
+    }
+  };
 }
 
 /** Decode messages that rosbag2 may have compressed one by one. No CDR begins as zstd does. */

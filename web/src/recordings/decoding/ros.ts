@@ -19,9 +19,11 @@ interface Budget {
 
 /** Return how to decode messages of a definition; `ros` is that of the definition, `aligned` is CDR.
  *
+ * `isWhole`: a message of which bytes are left over is damaged.
+ *
  * @throws ReadFailure definition_unreadable.
  */
-export function rosDecoder(definition: string, ros: 1 | 2, aligned: boolean): Decode {
+export function rosDecoder(definition: string, ros: 1 | 2, aligned: boolean, isWhole = false): Decode {
   let definitions: MessageDefinition[];
   try {
     definitions = parse(definition, { ros2: ros === 2 });
@@ -31,7 +33,12 @@ export function rosDecoder(definition: string, ros: 1 | 2, aligned: boolean): De
   const [root] = definitions;
   if (root === undefined) throw new ReadFailure("definition_unreadable", "it is empty");
   const structure = new Structures(definitions, aligned).of(root);
-  return (data) => structure(new RosReader(data, aligned), { values: MAX_VALUES, depth: MAX_DEPTH });
+  return (data) => {
+    const reader = new RosReader(data, aligned);
+    const value = structure(reader, { values: MAX_VALUES, depth: MAX_DEPTH });
+    if (isWhole && reader.restBytes > MAX_PADDING) throw new ReadFailure("message_damaged", `${reader.restBytes} bytes are left over`);
+    return value;
+  };
 }
 
 /** Readers of structures, each made once; a type may hold itself only in arrays that end. */
@@ -103,6 +110,8 @@ interface Kind {
 }
 
 const NANOSECONDS = 1e-9;
+/** Middlewares fill the last word of a message. */
+const MAX_PADDING = 3;
 const TEXT = new TextDecoder();
 
 /** Numeric types by their names in ROS. 64-bit integers become doubles. */
@@ -175,6 +184,10 @@ export class RosReader {
     const start = this.take(length);
     const end = this.aligned && length > 0 ? start + length - 1 : start + length; // CDR counts a final zero
     return TEXT.decode(this.bytes.subarray(start, end));
+  }
+
+  get restBytes(): number {
+    return this.bytes.length - this.at;
   }
 
   skip(count: number): void {

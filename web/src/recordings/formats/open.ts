@@ -5,12 +5,13 @@ import { MAX_BYTES_UNCONFIRMED, MAX_WHOLE_PACKED, MAX_WHOLE_UNPACKED, READ_AHEAD
 import type { ReadableFormat } from "../protocol";
 import type { Source } from "../ranges";
 import { openBag } from "./bag";
+import { openDb3 } from "./db3";
 import { openMcap } from "./mcap";
 import { joined, type Recording } from "./recording";
 import { Decompress } from "fzstd";
 import { failureOf, ReadFailure } from "../failures";
 
-const OPEN: Readonly<Record<ReadableFormat, (source: Source, maxBytes: number) => Promise<Recording>>> = { mcap: openMcap, rosbag1: openBag };
+const OPEN: Readonly<Record<ReadableFormat, (source: Source, maxBytes: number) => Promise<Recording>>> = { mcap: openMcap, rosbag1: openBag, db3: openDb3 };
 
 /** Open by the index; without one, by scanning up to `maxBytes` of the beginning.
  *
